@@ -1,0 +1,47 @@
+# Every target does its own set-up: a clean clone needs Python >= 3.11 and make, nothing else.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PYTEST := $(BIN)/python -m pytest
+
+.PHONY: setup demo test test-all soak lint bench clean
+
+setup: $(STAMP)
+
+# The stamp depends on the lock and on the project's metadata: a second run installs nothing.
+$(STAMP): requirements/locked.txt pyproject.toml
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "installing the locked dependencies into $(VENV) (once)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/locked.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $(STAMP)
+
+demo: setup
+	@$(BIN)/ronna-procedure run --sim --seed 7 --out runs
+
+test: setup
+	@$(PYTEST) -m "not slow and not soak"
+
+test-all: setup
+	@$(PYTEST) -m "not soak"
+
+soak: setup
+	@$(PYTEST) -m soak
+
+lint: setup
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+bench: setup
+	@$(BIN)/python -P benchmarks/run.py
+
+# The lock names no package index: it holds versions and hashes only.
+lock:
+	uv pip compile --universal --generate-hashes --no-header --no-emit-index-url --no-emit-find-links \
+	  --python-version 3.11 --extra dev pyproject.toml -o requirements/locked.txt
+
+clean:
+	rm -rf $(VENV) build dist runs *.egg-info .pytest_cache .mypy_cache .ruff_cache

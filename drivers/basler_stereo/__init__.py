@@ -1,0 +1,1 @@
+"""Two GigE Vision cameras as one stereo pair."""

@@ -1,0 +1,1 @@
+"""NDI Polaris over a serial line or TCP."""

@@ -1,0 +1,1 @@
+"""DICOM volumes and the localization of spheres in them."""

@@ -1,0 +1,1 @@
+"""Correspondence, rigid fit and the prediction of its error."""

@@ -1,0 +1,1 @@
+"""How the arm is oriented while it localizes: OCS and, later, its peers."""

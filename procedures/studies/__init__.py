@@ -1,0 +1,1 @@
+"""Campaigns against truth; the one place that may import the simulators."""

@@ -1,0 +1,1 @@
+"""Contracts and foundations: what drivers, simulators and procedures agree on. Imports none of them."""

@@ -1,0 +1,1 @@
+"""The arm: nominal kinematics, inverse kinematics, jerk-limited motion, limits, monitor."""

@@ -1,0 +1,1 @@
+"""The suite that any device, on any endpoint, can be held against."""

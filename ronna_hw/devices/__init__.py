@@ -1,0 +1,1 @@
+"""Typed device interfaces, their lifecycle, and the readings they give."""

@@ -1,0 +1,133 @@
+"""One tree of errors for the whole project.
+
+    RonnaError
+    +-- ConfigurationError   a file or an option is wrong; nothing has been touched
+    +-- DataError            an input (CT, plan, points) is wrong; also a ValueError
+    +-- ConnectError         the device is not there, or is another one
+    +-- ProtocolError        bytes that break the protocol; the last ones are kept
+    +-- LinkTimeout          an answer did not come in time; also a TimeoutError
+    +-- DeviceError          the device itself reports a fault
+    +-- LimitError           a limit of motion, range or safety was reached
+    +-- StateError           the call is not allowed in the present state
+    +-- RefusedError         a guard refused; says which preconditions are unmet
+
+Each concrete error is a subclass in its package's `errors.py` with a stable `code` such as `NDI-004`.
+The table of codes in the reference is generated from these classes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar
+
+EXIT_DONE = 0
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_REFUSED = 3
+EXIT_NOT_FOUND = 4
+EXIT_LINK_LOST = 5
+EXIT_SAFETY_STOP = 6
+EXIT_ABORTED = 7
+EXIT_RECOVERY_NEEDED = 8
+EXIT_INTERRUPTED = 130
+
+LAST_BYTES_KEPT = 64  # enough for a whole short telegram, short enough for one line of hex
+
+
+class RonnaError(Exception):
+    """Base of every error of ours: what happened, what was awaited, the limit, and what to do.
+
+    `code`, `action` and `exit_code` are class attributes of the concrete error; `what` is said by the
+    raiser. `wire` keeps the last bytes of a protocol error.
+    """
+
+    code: ClassVar[str] = ""
+    action: ClassVar[str] = ""
+    exit_code: ClassVar[int] = EXIT_FAILED
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        awaited: str | None = None,
+        limit: str | None = None,
+        last: str | None = None,
+        action: str | None = None,
+        wire: bytes = b"",
+    ) -> None:
+        self.what = what
+        self.awaited = awaited
+        self.limit = limit
+        self.last = last
+        self.advice = action or self.action
+        self.wire = bytes(wire[-LAST_BYTES_KEPT:])
+        super().__init__(self._one_line())
+
+    def _one_line(self) -> str:
+        parts = [f"{self.code}: {self.what}" if self.code else self.what]
+        if self.awaited:
+            parts.append(f"awaited {self.awaited}")
+        if self.limit:
+            parts.append(f"limit {self.limit}")
+        if self.last:
+            parts.append(f"last value {self.last}")
+        if self.wire:
+            parts.append(f"last bytes {self.wire.hex(' ')}")
+        line = "; ".join(parts)
+        return f"{line}. {self.advice}" if self.advice else line
+
+
+class ConfigurationError(RonnaError):
+    """A file or an option is wrong."""
+
+    exit_code = EXIT_USAGE
+
+
+class DataError(RonnaError, ValueError):
+    """An input is wrong: a series, a plan, a set of points."""
+
+
+class ConnectError(RonnaError):
+    """The device is not there, or it is not the one that was asked for."""
+
+    exit_code = EXIT_NOT_FOUND
+
+
+class ProtocolError(RonnaError):
+    """Bytes on the wire break the protocol."""
+
+    exit_code = EXIT_LINK_LOST
+
+
+class LinkTimeout(RonnaError, TimeoutError):
+    """An answer did not come within its time limit."""
+
+    exit_code = EXIT_LINK_LOST
+
+
+class DeviceError(RonnaError):
+    """The device itself reports a fault."""
+
+
+class LimitError(RonnaError):
+    """A limit of range, speed, reach or safety was reached."""
+
+    exit_code = EXIT_SAFETY_STOP
+
+
+class StateError(RonnaError):
+    """The call is not allowed in the present lifecycle state."""
+
+
+class RefusedError(RonnaError):
+    """A guard refused the action."""
+
+    exit_code = EXIT_REFUSED
+
+
+def concrete_errors(root: type[RonnaError] = RonnaError) -> Iterator[type[RonnaError]]:
+    """Every error class with a code that has been imported so far, in order of definition."""
+    for child in root.__subclasses__():
+        if child.code and "code" in vars(child):
+            yield child
+        yield from concrete_errors(child)

@@ -1,0 +1,108 @@
+"""Named frames and transforms that refuse to be composed across the wrong one.
+
+Lengths are millimetres, angles radians. `CT` is the patient frame of the series, DICOM LPS.
+A `Transform(target, source, ...)` maps coordinates in `source` to coordinates in `target`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from ronna_hw.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+class Frame(StrEnum):
+    """The frames of the theatre."""
+
+    CT = "ct"  # patient coordinates of the series, LPS
+    ROBOT = "robot"  # $ROBROOT of the arm, z up, x forward
+    FLANGE = "flange"  # z out of the flange
+    TOOL = "tool"  # tool centre point; z along the tool axis, towards the patient
+    CAMERA_LEFT = "camera_left"  # z along the optical axis, x along image columns, y down
+    CAMERA_RIGHT = "camera_right"
+    TRACKER = "tracker"  # origin at the sensor, everything tracked has negative z
+    MARKER = "marker"  # reference frame M that the tracker sees on the tool
+
+
+class FrameMismatch(DataError):
+    """Two transforms were composed, or points mapped, across frames that do not meet."""
+
+    code = "FRM-001"
+    action = "Check which frame each transform maps from and to; invert one of them if it is reversed."
+
+
+@dataclass(frozen=True)
+class Transform:
+    """A rigid transform `target <- source` over SciPy's `RigidTransform`."""
+
+    target: Frame
+    source: Frame
+    rigid: RigidTransform
+
+    @classmethod
+    def of(
+        cls,
+        target: Frame,
+        source: Frame,
+        *,
+        translation_mm: ArrayLike = (0.0, 0.0, 0.0),
+        quaternion_wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    ) -> Self:
+        """Build from a translation (3, mm) and a scalar-first unit quaternion (4)."""
+        rotation = Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=float), scalar_first=True)
+        translation = np.asarray(translation_mm, dtype=float)
+        return cls(target, source, RigidTransform.from_components(translation, rotation))
+
+    @classmethod
+    def from_matrix(cls, target: Frame, source: Frame, matrix: ArrayLike) -> Self:
+        """Build from a (4, 4) homogeneous matrix in mm; the rotation block must be a proper rotation."""
+        values = np.asarray(matrix, dtype=float)
+        if values.shape != (4, 4) or not np.all(np.isfinite(values)):
+            raise FrameMismatch(f"a transform {target} <- {source} needs a finite 4x4 matrix")
+        residual = values[:3, :3] @ values[:3, :3].T - np.eye(3)
+        if np.abs(residual).max() > 1e-6 or np.linalg.det(values[:3, :3]) < 0:
+            raise FrameMismatch(f"the matrix {target} <- {source} is not a proper rotation")
+        return cls(target, source, RigidTransform.from_matrix(values))
+
+    @property
+    def translation_mm(self) -> Array:
+        """Origin of the source in target coordinates, (3,) mm."""
+        return np.asarray(self.rigid.translation, dtype=float)
+
+    @property
+    def quaternion_wxyz(self) -> Array:
+        """Rotation as a scalar-first unit quaternion with non-negative scalar part, (4,)."""
+        return np.asarray(self.rigid.rotation.as_quat(canonical=True, scalar_first=True), dtype=float)
+
+    @property
+    def rotation_matrix(self) -> Array:
+        """Rotation block, (3, 3)."""
+        return np.asarray(self.rigid.rotation.as_matrix(), dtype=float)
+
+    def as_matrix(self) -> Array:
+        """Homogeneous matrix, (4, 4), mm."""
+        return np.asarray(self.rigid.as_matrix(), dtype=float)
+
+    def apply(self, points_mm: ArrayLike) -> Array:
+        """Map points (3,) or (n, 3) in mm from source to target."""
+        return np.asarray(self.rigid.apply(np.asarray(points_mm, dtype=float)), dtype=float)
+
+    def inverse(self) -> Transform:
+        """The transform source <- target."""
+        return Transform(self.source, self.target, self.rigid.inv())
+
+    def __matmul__(self, other: Transform) -> Transform:
+        """`(a <- b) @ (b <- c)` is `a <- c`; raises FRM-001 when the inner frames differ."""
+        if self.source is not other.target:
+            raise FrameMismatch(
+                f"cannot compose {self.target} <- {self.source} with {other.target} <- {other.source}"
+            )
+        return Transform(self.target, other.source, self.rigid * other.rigid)

@@ -1,0 +1,1 @@
+"""Flight recorder: raw bytes and readings of the last moments."""

@@ -1,0 +1,1 @@
+"""The simulated theatre: devices that speak real bytes over one physical scene."""

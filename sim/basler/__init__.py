@@ -1,0 +1,1 @@
+"""Two GigE Vision cameras that render what they would see."""

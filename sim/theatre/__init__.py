@@ -1,0 +1,1 @@
+"""The scene, its shared memory, the one clock, faults, truth."""
