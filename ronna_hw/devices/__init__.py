@@ -1,1 +1,17 @@
 """Typed device interfaces, their lifecycle, and the readings they give."""
+
+from ronna_hw.devices.lifecycle import Device, Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.robot import RobotArm, StopKind
+from ronna_hw.devices.stereo import StereoPair
+from ronna_hw.devices.tracker import OpticalTracker
+
+__all__ = [
+    "Device",
+    "Identity",
+    "Lifecycle",
+    "LifecycleGuard",
+    "OpticalTracker",
+    "RobotArm",
+    "StereoPair",
+    "StopKind",
+]

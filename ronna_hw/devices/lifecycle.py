@@ -1,0 +1,147 @@
+"""Where a device stands, and which calls that allows.
+
+DISCONNECTED -> CONNECTED (identity and version checked) -> CONFIGURED -> ACTIVE <-> HOLD;
+FAULT is latched and left only by an explicit `recover`, which re-reads the device; CLOSED is final.
+Reading is allowed from CONNECTED, motion only in ACTIVE.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol, runtime_checkable
+
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.errors import RonnaError
+
+
+class Lifecycle(StrEnum):
+    """The states every device has."""
+
+    DISCONNECTED = "disconnected"
+    CONNECTED = "connected"
+    CONFIGURED = "configured"
+    ACTIVE = "active"
+    HOLD = "hold"
+    FAULT = "fault"
+    CLOSED = "closed"
+
+
+READABLE = frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.HOLD})
+
+_ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
+    Lifecycle.DISCONNECTED: frozenset({Lifecycle.CONNECTED, Lifecycle.CLOSED}),
+    Lifecycle.CONNECTED: frozenset({Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}),
+    Lifecycle.CONFIGURED: frozenset(
+        {Lifecycle.ACTIVE, Lifecycle.CONNECTED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}
+    ),
+    Lifecycle.ACTIVE: frozenset(
+        {Lifecycle.HOLD, Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}
+    ),
+    Lifecycle.HOLD: frozenset(
+        {Lifecycle.ACTIVE, Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}
+    ),
+    # A fault is left only through `recover`, which lands where the re-read device stands.
+    Lifecycle.FAULT: frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.CLOSED}),
+    Lifecycle.CLOSED: frozenset(),
+}
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who answered: read from the device at connect, never from the configuration."""
+
+    vendor: str
+    model: str
+    serial: str
+    firmware: str
+    details: tuple[tuple[str, str], ...] = ()
+
+
+@runtime_checkable
+class Device(Protocol):
+    """What every device offers. Calls are synchronous, each with an explicit time limit in seconds."""
+
+    @property
+    def name(self) -> str:
+        """Name of the device in the theatre file, such as `tracker` or `robot.master`."""
+        ...
+
+    @property
+    def state(self) -> Lifecycle:
+        """Present state of the lifecycle."""
+        ...
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        """Open a new session and check identity and version.
+
+        Raises ConnectError when nothing, or another device, answers.
+        """
+        ...
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        """Bring the device to a known, checked set-up: CONNECTED -> CONFIGURED."""
+        ...
+
+    def activate(self, timeout_s: float = 10.0) -> None:
+        """Start measuring or streaming: CONFIGURED -> ACTIVE."""
+        ...
+
+    def deactivate(self, timeout_s: float = 10.0) -> None:
+        """Stop measuring or streaming: ACTIVE or HOLD -> CONFIGURED."""
+        ...
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        """Leave FAULT after re-reading the device; never moves anything by itself."""
+        ...
+
+    def close(self) -> None:
+        """End the session. Bounded in time; never raises because the peer is gone."""
+        ...
+
+
+class LifecycleGuard:
+    """Keeps a driver's state honest: refuses wrong calls, latches faults. One per driver object."""
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._state = Lifecycle.DISCONNECTED
+        self._fault: RonnaError | None = None
+
+    @property
+    def state(self) -> Lifecycle:
+        return self._state
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """The error that latched FAULT, if any."""
+        return self._fault
+
+    def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
+        """Raise DEV-001 unless the present state is one of `allowed`; a latched fault names its cause."""
+        states = tuple(allowed)
+        if self._state in states:
+            return
+        raise WrongState(
+            f"{self._device}: {call} is not allowed while {self._state}",
+            awaited=" or ".join(sorted(states)),
+            last=str(self._fault) if self._fault and self._state is Lifecycle.FAULT else None,
+        )
+
+    def enter(self, state: Lifecycle) -> None:
+        """Move to `state`; raise DEV-001 when the lifecycle has no such transition."""
+        if state is self._state:
+            return
+        if state not in _ALLOWED[self._state]:
+            raise WrongState(f"{self._device}: cannot go from {self._state} to {state}")
+        self._state = state
+        if state is not Lifecycle.FAULT:
+            self._fault = None
+
+    def latch(self, cause: RonnaError) -> None:
+        """Enter FAULT from anywhere but CLOSED, and keep the first cause."""
+        if self._state in (Lifecycle.CLOSED, Lifecycle.FAULT):
+            return
+        self._state = Lifecycle.FAULT
+        self._fault = cause

@@ -1,0 +1,158 @@
+"""Readings: frozen records of plain numbers, with units in the names.
+
+Missing data is a validity, never NaN and never zeros. Transforms are built from a reading on demand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from ronna_hw.frames import Frame, Transform
+
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]  # scalar first, unit
+JointVector = tuple[float, float, float, float, float, float]  # A1..A6, radians
+
+
+class Validity(StrEnum):
+    """Why a reading may or may not be used."""
+
+    OK = "ok"
+    PARTIAL = "partial"
+    MISSING = "missing"
+    OUT_OF_VOLUME = "out_of_volume"
+    STALE = "stale"
+    CORRUPT = "corrupt"
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """When a reading was made: our sequence number, the device's clock, the theatre's time."""
+
+    sequence: int
+    device_clock: int  # in the device's own unit: tracker frames, IPOC milliseconds, camera ticks
+    theatre_time_s: float
+
+
+@dataclass(frozen=True)
+class ToolReading:
+    """Pose of one loaded tool in the tracker frame; `pose_*` are None unless the validity carries one."""
+
+    tool: str
+    validity: Validity
+    rotation: Quaternion | None  # tracker <- tool
+    position_mm: Vector3 | None
+    fit_error_mm: float | None  # rms of the fit to the definition; not an accuracy
+
+    def transform(self, target: Frame, source: Frame) -> Transform:
+        """The pose as `target <- source`; raises ValueError when the reading carries none."""
+        from ronna_hw.frames import Transform
+
+        if self.rotation is None or self.position_mm is None:
+            raise ValueError(f"tool {self.tool} is {self.validity}: it has no pose")
+        return Transform.of(target, source, translation_mm=self.position_mm, quaternion_wxyz=self.rotation)
+
+
+@dataclass(frozen=True)
+class StrayReading:
+    """One marker that belongs to no tool; it has no identity from frame to frame."""
+
+    position_mm: Vector3
+    validity: Validity
+
+
+@dataclass(frozen=True)
+class TrackerFrame:
+    """All that the tracker saw in one of its frames."""
+
+    stamp: Stamp
+    validity: Validity
+    tools: tuple[ToolReading, ...]
+    strays: tuple[StrayReading, ...]
+
+    def tool(self, name: str) -> ToolReading:
+        """The reading of one tool by name; raises KeyError when it is not loaded."""
+        for reading in self.tools:
+            if reading.tool == name:
+                return reading
+        raise KeyError(name)
+
+
+class OperationMode(StrEnum):
+    """Operating mode of the robot controller."""
+
+    T1 = "T1"
+    T2 = "T2"
+    AUT = "AUT"
+    EXT = "EXT"
+
+
+@dataclass(frozen=True)
+class ArmReading:
+    """State of the arm: measured axes as the controller reports them, and where it was told to be."""
+
+    stamp: Stamp
+    validity: Validity
+    joints_rad: JointVector
+    commanded_rad: JointVector | None  # None while no correction stream is running
+    moving: bool
+
+
+@dataclass(frozen=True)
+class ToolIdentity:
+    """What the controller's inputs say is mounted; `number` 0 means nothing."""
+
+    stamp: Stamp
+    number: int
+
+
+@dataclass(frozen=True)
+class LinkStatistics:
+    """Health of the real-time link since it was activated. Times in microseconds of host time."""
+
+    cycles: int
+    late_cycles: int
+    lost_cycles: int
+    rejected_telegrams: int
+    turnaround_median_us: float
+    turnaround_p99_us: float
+    histogram_edges_us: tuple[float, ...]
+    histogram_counts: tuple[int, ...]  # one fewer than the edges
+
+
+@dataclass(frozen=True)
+class AreaOfInterest:
+    """Part of a sensor in pixels; offsets from the top-left pixel."""
+
+    offset_x: int
+    offset_y: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class CameraImage:
+    """One frame: a read-only 2-D array of grey values. (0, 0) is the centre of its top-left pixel."""
+
+    stamp: Stamp
+    validity: Validity
+    serial: str
+    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    area: AreaOfInterest
+    missing_packets: int = 0
+
+
+@dataclass(frozen=True)
+class StereoReading:
+    """A pair of frames of one trigger. PARTIAL: packets are missing; MISSING: a side did not come."""
+
+    stamp: Stamp
+    validity: Validity
+    left: CameraImage | None
+    right: CameraImage | None

@@ -1,0 +1,71 @@
+"""A six-axis arm that follows corrections in real time and stops by itself."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
+
+if TYPE_CHECKING:
+    from ronna_hw.arm.pose import Pose
+
+
+class StopKind(StrEnum):
+    """How to stop. None of them is an emergency stop: that is the controller's."""
+
+    HOLD = "hold"  # along the path, to rest; the session goes on
+    PROTECTIVE = "protective_stop"  # highest deceleration the limits allow; latched
+    LINK = "link_stop"  # cease replies; the controller stops by itself
+    DRIVES_OFF = "request_drives_off"  # ask the controller to switch the drives off
+
+
+@runtime_checkable
+class RobotArm(Device, Protocol):
+    """`activate` starts the correction stream (the arm may move); `deactivate` ends it."""
+
+    def read_state(self, timeout_s: float = 1.0) -> ArmReading:
+        """Measured axes; allowed from CONNECTED."""
+        ...
+
+    def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
+        """What the controller's inputs say is mounted; allowed from CONNECTED."""
+        ...
+
+    def move_joints(
+        self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
+    ) -> ArmReading:
+        """Synchronised joint move to rest; returns the settled reading.
+
+        `speed_fraction` scales the driver's working speed, 0 < fraction <= 1. `timeout_s` is in theatre
+        time where the controller is clocked by it. Raises LimitError before motion when the path leaves
+        the joint ranges, StateError outside ACTIVE, and the latched fault when the link or monitor trips.
+        """
+        ...
+
+    def move_linear(
+        self,
+        target: Pose,
+        *,
+        tool_in_flange_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        speed_fraction: float = 1.0,
+        timeout_s: float = 60.0,
+    ) -> ArmReading:
+        """Straight line of the tool centre point to the flange pose `target`, orientation by slerp.
+
+        The branch of the inverse kinematics stays that of the present pose. Raises as `move_joints`.
+        """
+        ...
+
+    def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
+        """Bring the arm to rest; may be called from another thread than the one that moves."""
+        ...
+
+    def resume(self) -> None:
+        """HOLD -> ACTIVE. Moves nothing: an interrupted path is never continued, only planned anew."""
+        ...
+
+    def link_statistics(self) -> LinkStatistics:
+        """Health of the link since the last `activate`."""
+        ...

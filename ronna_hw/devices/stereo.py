@@ -1,0 +1,30 @@
+"""Two cameras that are triggered together."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.readings import AreaOfInterest, StereoReading
+
+
+@runtime_checkable
+class StereoPair(Device, Protocol):
+    """`configure` takes control, binds serial numbers to sides and sets the cameras; `activate` arms them."""
+
+    @property
+    def serials(self) -> tuple[str, str]:
+        """Serial numbers read from the cameras, left and right."""
+        ...
+
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
+        """Choose the part of each sensor to read; the stream is re-armed when it was running."""
+        ...
+
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
+        """Set both cameras alike; values outside the device's limits raise LimitError."""
+        ...
+
+    def grab_pair(self, timeout_s: float = 2.0) -> StereoReading:
+        """Trigger both cameras once and return the pair of that trigger. Allowed in ACTIVE."""
+        ...

@@ -1,0 +1,26 @@
+"""An optical tracker: loaded tools with poses, and stray markers."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.readings import TrackerFrame
+
+
+@runtime_checkable
+class OpticalTracker(Device, Protocol):
+    """`configure` loads and enables the tools of the theatre file; `activate` starts tracking."""
+
+    @property
+    def tools(self) -> tuple[str, ...]:
+        """Names of the tools to load, in the order of the theatre file."""
+        ...
+
+    def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
+        """The next measurement: one request to the device. Allowed in ACTIVE.
+
+        The frame counter of the device is in `stamp.device_clock`; a repeated number means that no new
+        measurement was made. Raises LinkTimeout, ProtocolError or DeviceError.
+        """
+        ...

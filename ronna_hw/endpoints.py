@@ -1,0 +1,73 @@
+"""Addresses of devices. Only the endpoint tells a simulated device from a real one.
+
+udp://127.0.0.1:59152      where the robot's telegrams arrive
+tcp://192.168.1.10:54602   a TCP peer
+serial:///dev/ttyUSB0      a serial line or pseudo-terminal
+gev://192.168.3.10         a GigE Vision camera (port 3956 is fixed by the standard)
+shm:///proc/1234/fd/5      shared memory, opened as a file
+host:                      this machine itself, for the clock
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from ronna_hw.errors import ConfigurationError
+
+SCHEMES = ("udp", "tcp", "serial", "gev", "shm", "host")
+
+
+class BadEndpoint(ConfigurationError):
+    """A text is not an endpoint, or is one of the wrong kind."""
+
+    code = "CFG-002"
+    action = "Write it as scheme://address, for example serial:///dev/ttyUSB0 or tcp://127.0.0.1:8765."
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A parsed endpoint: `host` and `port` for networks, `path` for devices and shared memory."""
+
+    scheme: str
+    host: str = ""
+    port: int = 0
+    path: str = ""
+
+    def __str__(self) -> str:
+        if self.scheme == "host":
+            return "host:"
+        if self.path:
+            return f"{self.scheme}://{self.path}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}" if self.port else f"{self.scheme}://{host}"
+
+    def require(self, *schemes: str) -> Endpoint:
+        """Return itself, or raise CFG-002 when its scheme is none of `schemes`."""
+        if self.scheme not in schemes:
+            raise BadEndpoint(f"{self} is not usable here", awaited=" or ".join(f"{s}:" for s in schemes))
+        return self
+
+
+def parse_endpoint(text: str) -> Endpoint:
+    """Parse an endpoint; raises CFG-002 with the reason."""
+    if text == "host:":
+        return Endpoint("host")
+    try:
+        parts = urlsplit(text)
+        port = parts.port
+    except ValueError as error:
+        raise BadEndpoint(f"{text!r} is not an endpoint: {error}") from error
+    if parts.scheme not in SCHEMES or parts.scheme == "host":
+        raise BadEndpoint(f"{text!r} has no known scheme", awaited=", ".join(SCHEMES))
+    if parts.scheme in ("serial", "shm"):
+        if parts.netloc or not parts.path.startswith("/"):
+            raise BadEndpoint(f"{text!r} needs an absolute path", awaited=f"{parts.scheme}:///path")
+        return Endpoint(parts.scheme, path=parts.path)
+    if not parts.hostname or parts.path or parts.query:
+        raise BadEndpoint(f"{text!r} needs a host", awaited=f"{parts.scheme}://host:port")
+    if parts.scheme == "gev":
+        return Endpoint("gev", host=parts.hostname, port=port or 0)
+    if not port:
+        raise BadEndpoint(f"{text!r} needs a port", awaited=f"{parts.scheme}://host:port")
+    return Endpoint(parts.scheme, host=parts.hostname, port=port)
