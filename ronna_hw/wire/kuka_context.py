@@ -1,0 +1,217 @@
+"""The RSI context: what travels in a telegram, what each channel feeds, which limits the controller keeps.
+
+`load_context()` reads our own description, `kuka_rsi_context.toml` beside this module; `load_context(path)`
+another one in the same form. Driver, generator of the controller's files and the controller's stand-in all
+start from the `RsiContext` it returns. `context_hash()` is what the controller reports as `CtxHash`.
+
+Nothing is encoded or decoded here: each side of the wire writes its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from ronna_hw.errors import ConfigurationError
+
+DEFAULT_CONTEXT_FILE = "kuka_rsi_context.toml"
+CHANNELS = 64  # inputs and outputs of one ETHERNET object
+AXES = 6
+HASH_DIGITS = 16  # of the sha256 in hex: short enough for a KRL string, long enough not to collide
+
+SOFTWARE_END_SWITCHES = "software_end_switches"
+INTERNAL: Literal["INTERNAL"] = "INTERNAL"
+FREE_TAG = "FREE"  # reserves a channel and is not on the wire
+
+# Defaults of RSI 4.1 objects, in force when a context does not set them.
+ETHERNET_DEFAULT_TIMEOUT_PACKETS = 10
+ETHERNET_DEFAULT_PRECISION = 1
+AXISCORR_DEFAULT_LIMIT_DEG = 5.0
+AXISCORRMON_DEFAULT_MAX_DEG = 6.0
+POSCORR_DEFAULT_LIMIT_MM = 5.0
+POSCORR_DEFAULT_MAX_ROTATION_DEG = 5.0
+POSCORRMON_DEFAULT_MAX_TRANSLATION_MM = 6.0
+POSCORRMON_DEFAULT_MAX_ROTATION_DEG = 6.0
+
+Channel = Annotated[int, Field(ge=1, le=CHANNELS)]
+ElementType = Literal["BOOL", "STRING", "LONG", "DOUBLE"]
+AxisName = Literal["A1", "A2", "A3", "A4", "A5", "A6"]
+SixDegrees = Annotated[tuple[float, ...], Field(min_length=AXES, max_length=AXES)]
+
+
+class ContextInvalid(ConfigurationError):
+    """A file that describes an RSI context breaks its form."""
+
+    code = "WIR-001"
+    action = "Correct the named entries; compare with ronna_hw/wire/kuka_rsi_context.toml."
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class SendElement(_Table):
+    """One ELEMENT the controller sends; `indx` is a channel or "INTERNAL" for a DEF_ keyword."""
+
+    tag: Annotated[str, Field(min_length=1)]
+    type: ElementType
+    indx: Channel | Literal["INTERNAL"] = INTERNAL
+
+
+class ReceiveElement(_Table):
+    """One ELEMENT the controller receives; `holdon` 1 keeps the last value over a missing reply."""
+
+    tag: Annotated[str, Field(min_length=1)]
+    type: ElementType
+    indx: Channel | Literal["INTERNAL"]
+    holdon: Literal[0, 1]
+
+
+class Wire(_Table):
+    """Output `indx` of the ETHERNET object feeds `input` of `object`."""
+
+    indx: Channel
+    object: Literal["AXISCORR", "POSCORR", "STOP", "MAP2DIGOUT"]
+    input: Literal["A1", "A2", "A3", "A4", "A5", "A6", "X", "Y", "Z", "A", "B", "C", "In1"]
+
+
+class Program(_Table):
+    """What the KRL program asks of RSI_ON, and the arm it is written for."""
+
+    cycle_ms: Literal[4, 12]
+    corrections: Literal["absolute", "relative"]
+    variant: Literal["kr6_r900_sixx", "kr6_r900_2"]
+
+
+class Ethernet(_Table):
+    """CONFIG block of the Ethernet file and parameters of the ETHERNET object."""
+
+    pc_ip: str
+    pc_port: Annotated[int, Field(ge=1, le=65535)]
+    sentype: Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_]+$")]
+    only_send: bool = False
+    timeout_packets: Annotated[int, Field(ge=1)] = ETHERNET_DEFAULT_TIMEOUT_PACKETS
+    flag: Annotated[int, Field(ge=-1, le=999)] = -1
+    precision: Annotated[int, Field(ge=1, le=32)] = ETHERNET_DEFAULT_PRECISION
+
+
+class AxisCorrection(_Table):
+    """Limits of AXISCORR in deg, relative to the pose at RSI_ON: explicit, or up to the end switches."""
+
+    limits: Literal["explicit", "software_end_switches"] = "explicit"
+    lower_deg: SixDegrees = (-AXISCORR_DEFAULT_LIMIT_DEG,) * AXES
+    upper_deg: SixDegrees = (AXISCORR_DEFAULT_LIMIT_DEG,) * AXES
+
+
+class AxisMonitor(_Table):
+    """AXISCORRMON: largest total correction in deg; beyond it RSI stops with an error."""
+
+    limits: Literal["explicit", "software_end_switches"] = "explicit"
+    max_deg: SixDegrees = (AXISCORRMON_DEFAULT_MAX_DEG,) * AXES
+
+
+class PositionCorrection(_Table):
+    """Limits of POSCORR relative to the pose at RSI_ON, mm and deg."""
+
+    lower_mm: tuple[float, float, float] = (-POSCORR_DEFAULT_LIMIT_MM,) * 3
+    upper_mm: tuple[float, float, float] = (POSCORR_DEFAULT_LIMIT_MM,) * 3
+    max_rotation_deg: float = POSCORR_DEFAULT_MAX_ROTATION_DEG
+    reference: Literal["World", "Base", "RobRoot", "Tool", "TTS"] = "Base"
+
+
+class PositionMonitor(_Table):
+    """POSCORRMON: largest total translation in mm and rotation in deg."""
+
+    max_translation_mm: float = POSCORRMON_DEFAULT_MAX_TRANSLATION_MM
+    max_rotation_deg: float = POSCORRMON_DEFAULT_MAX_ROTATION_DEG
+
+
+class Stop(_Table):
+    """The STOP object; it acts on the rising edge of its input."""
+
+    mode: Literal["InfoMessage", "PathNormal", "Velocity", "PathFast", "ExitMoveCorr"] = "ExitMoveCorr"
+
+
+class RsiContext(_Table):
+    """A whole context. Objects that are `None` are not in the context, and their defaults apply."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,18}$")]
+    program: Program
+    ethernet: Ethernet
+    send: tuple[SendElement, ...]
+    receive: tuple[ReceiveElement, ...]
+    wiring: tuple[Wire, ...]
+    axis_correction: AxisCorrection | None = None
+    axis_monitor: AxisMonitor | None = None
+    position_correction: PositionCorrection | None = None
+    position_monitor: PositionMonitor | None = None
+    stop: Stop | None = None
+
+    @model_validator(mode="after")
+    def _channels_agree(self) -> Self:
+        channels = [e.indx for e in self.receive if e.indx != INTERNAL]
+        if len(set(channels)) != len(channels):
+            raise ValueError("receive: each indx may be used once")
+        missing = sorted({w.indx for w in self.wiring} - set(channels))
+        if missing:
+            raise ValueError(f"wiring: indx {missing} is not received")
+        inputs = [(w.object, w.input) for w in self.wiring]
+        if len(set(inputs)) != len(inputs):
+            raise ValueError("wiring: each object input may be fed once")
+        for element in self.send:
+            if (element.indx == INTERNAL) != element.tag.startswith("DEF_"):
+                raise ValueError(f"send: {element.tag} is INTERNAL exactly when it begins with DEF_")
+        return self
+
+    def wired_tag(self, object_name: str, input_name: str) -> str | None:
+        """Tag of the received element that feeds an object input, or None when nothing does."""
+        for wire in self.wiring:
+            if (wire.object, wire.input) == (object_name, input_name):
+                return next(e.tag for e in self.receive if e.indx == wire.indx)
+        return None
+
+
+def load_context(path: Path | None = None) -> RsiContext:
+    """Read a context; without a path our own. Raises WIR-001 with every mistake in one line."""
+    source = str(path) if path else DEFAULT_CONTEXT_FILE
+    try:
+        if path is None:
+            text = files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8")
+        else:
+            text = path.read_text("utf-8-sig")
+        return _from_toml(text)
+    except OSError as error:
+        raise ContextInvalid(f"cannot read the RSI context {source}: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ContextInvalid(f"the RSI context {source} is not TOML: {error}") from error
+    except ValidationError as error:
+        mistakes = "; ".join(
+            f"{'.'.join(str(part) for part in m['loc']) or 'file'}: {m['msg']}" for m in error.errors()
+        )
+        raise ContextInvalid(
+            f"the RSI context {source} has {error.error_count()} mistakes: {mistakes}"
+        ) from None
+
+
+def _from_toml(text: str) -> RsiContext:
+    # JSON in between: in strict mode pydantic takes arrays as tuples from JSON only.
+    return RsiContext.model_validate_json(json.dumps(tomllib.loads(text), default=str))
+
+
+def context_hash(context: RsiContext) -> str:
+    """First digits of the sha256 over the canonical description, without the PC's address.
+
+    Canonical is JSON with sorted keys and no blanks, defaults written out: two files that mean the same
+    have the same hash.
+    """
+    meaning = context.model_dump(mode="json", by_alias=True)
+    del meaning["ethernet"]["pc_ip"], meaning["ethernet"]["pc_port"]
+    canonical = json.dumps(meaning, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return hashlib.sha256(canonical.encode("ascii")).hexdigest()[:HASH_DIGITS]

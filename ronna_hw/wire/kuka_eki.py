@@ -1,0 +1,129 @@
+"""Names on the EKI channel of the project: elements, attributes, commands, codes and their meanings.
+
+The controller is the TCP server. A client writes `<Cmd Id= Name= ...></Cmd>`; every command is answered by
+`<Ack Id= Cmd= Code= Text=></Ack>`, STATUS by `<State ...><Axis .../><Pos .../></State>`, which also comes
+unasked on a change and every 100 ms. Elements are closed by a separate end tag, as EthernetKRL writes them.
+Attribute values are text: BOOL "1"/"0", numbers with a decimal point. No encoding or decoding here.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, StrEnum
+
+PROJECT_PORT = 54602  # EKI gives a KR C4 the ports 54600 to 54615; 54600 is the control SDK's
+SDK_PORT = 54600
+STATE_PERIOD_MS = 100
+STRING_LIMIT = 512  # characters of one KRL string in one EKI element
+
+CMD = "Cmd"
+ACK = "Ack"
+STATE = "State"
+AXIS = "Axis"
+POS = "Pos"
+
+AXIS_ATTRIBUTES = ("A1", "A2", "A3", "A4", "A5", "A6")  # deg
+POS_ATTRIBUTES = ("X", "Y", "Z", "A", "B", "C", "S", "T")  # mm, deg, status and turn as integers
+
+
+class CommandName(StrEnum):
+    """Value of the attribute Name of a Cmd."""
+
+    STATUS = "STATUS"
+    RSI_START = "RSI_START"  # Cycle 4|12, Ref ABS|REL, Corr AXIS|POS
+    RSI_STOP = "RSI_STOP"
+    DRIVES = "DRIVES"  # On 0|1
+    SET_OV = "SET_OV"  # Val 1..100
+    SET_TOOL = "SET_TOOL"  # No 1..16, X..C, M, CX CY CZ
+    SET_BASE = "SET_BASE"  # No 1..32, X..C
+    PTP_AXIS = "PTP_AXIS"  # A1..A6, Vel, Acc in percent
+    PTP_POS = "PTP_POS"  # X..C, S, T, Tool, Base
+    LIN = "LIN"  # X..C, S, T, Tool, Base, Vel in m/s
+    STOP = "STOP"  # Kind PATH|FAST
+    ACK_ERRORS = "ACK_ERRORS"
+    SELECT = "SELECT"
+    CANCEL = "CANCEL"
+
+
+class AckCode(IntEnum):
+    """Value of the attribute Code of an Ack."""
+
+    OK = 0
+    REFUSED = 1  # in this state
+    BAD_VALUE = 2
+    LIMIT = 3
+    BUSY = 4
+    NOT_READY = 5  # drives, emergency stop, guard
+    TIMEOUT = 6
+    ABORTED = 7
+
+
+class StateAttribute(StrEnum):
+    """Attributes of a State, in the order in which the controller writes them."""
+
+    ID = "Id"
+    MODE = "Mode"  # OperationMode
+    DRIVES = "Drives"
+    ESTOP = "EStop"
+    GUARD = "Guard"
+    PRO_STATE = "ProState"
+    MOVING = "Moving"
+    OVERRIDE = "Ov"  # percent
+    ERROR = "Err"  # number of the active message, 0 is none
+    RSI = "RSI"  # RsiState
+    TOOL = "Tool"  # number of the tool that the tool changer's inputs report, 0 is none
+    BASE = "Base"
+    STOPMESS = "Stopmess"
+    REFERENCE = "Ref"  # Reference
+    HOLDON = "HoldOn"  # 1 when every correction channel keeps its value over a missing reply
+    CYCLE = "Cycle"  # ms
+    CONTEXT_HASH = "CtxHash"  # ronna_hw.wire.kuka_context.context_hash of what the program loads
+    VARIANT = "Variant"  # ronna_hw.arm.model.ArmVariant
+
+
+class OperationMode(StrEnum):
+    """Key switch of the controller."""
+
+    T1 = "T1"
+    T2 = "T2"
+    AUT = "AUT"
+    EXT = "EXT"
+
+
+class ProState(StrEnum):
+    """$PRO_STATE1."""
+
+    FREE = "P_FREE"
+    RESET = "P_RESET"
+    ACTIVE = "P_ACTIVE"
+    STOP = "P_STOP"
+    END = "P_END"
+
+
+class RsiState(IntEnum):
+    """Where the RSI program is."""
+
+    IDLE = 0
+    ON = 1  # streaming, corrections do not act yet
+    MOVECORR = 2  # corrections act
+    FAULT = 3  # left by ACK_ERRORS
+
+
+class Reference(StrEnum):
+    """How corrections add up."""
+
+    ABSOLUTE = "ABS"
+    RELATIVE = "REL"
+
+
+class Correction(StrEnum):
+    """Which object is corrected."""
+
+    AXIS = "AXIS"
+    POSITION = "POS"
+
+
+class StopRequest(StrEnum):
+    """Kind of a STOP."""
+
+    PATH = "PATH"
+    FAST = "FAST"
