@@ -1,0 +1,177 @@
+"""The theatre's time, behind an endpoint.
+
+Dwell, age, averaging and guards use this clock. Time limits of I/O use the host's monotonic clock. With
+`host:` both are the same. With `shm://` the time is that of the simulated theatre: it stands still unless
+a device advances it, so a case takes as long as its work takes.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.errors import ConnectError
+from ronna_hw.wire import theatre_clock as layout
+
+WAIT_STEP_S = 0.0002  # host time between two looks at a time that another process advances
+
+_i64 = struct.Struct("<q")
+_u32 = struct.Struct("<I")
+
+
+class ClockUnavailable(ConnectError):
+    """The shared clock named by the theatre file cannot be opened."""
+
+    code = "CLK-001"
+    action = "Start the theatre again and use the file that it writes; a clock ends with its theatre."
+
+
+class Clock(Protocol):
+    """Theatre time in seconds since the theatre began."""
+
+    def now_s(self) -> float:
+        """Present theatre time, seconds."""
+        ...
+
+    def sleep(self, duration_s: float) -> None:
+        """Return when `duration_s` of theatre time has passed."""
+        ...
+
+
+class HostClock:
+    """The host's monotonic clock, counted from the moment it was opened."""
+
+    def __init__(self) -> None:
+        self._epoch_ns = time.monotonic_ns()
+
+    def now_s(self) -> float:
+        return (time.monotonic_ns() - self._epoch_ns) / 1e9
+
+    def sleep(self, duration_s: float) -> None:
+        time.sleep(max(0.0, duration_s))
+
+
+class SharedClock:
+    """One clock for several processes. Whoever needs time to pass asks for it under the lock.
+
+    While a cyclic device streams (the robot's correction stream), only its cycles advance the time and
+    everybody else waits; otherwise a wait advances the time itself.
+    """
+
+    def __init__(self, path: str) -> None:
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            self._memory = mmap.mmap(self._file, layout.CLOCK_BYTES)
+        except OSError as error:
+            raise ClockUnavailable(f"cannot open the clock at {path}: {error.strerror}") from error
+        except ValueError as error:
+            os.close(self._file)
+            raise ClockUnavailable(f"{path} is too short for a clock") from error
+        if self._memory[:8] != layout.MAGIC or self._u32(layout.VERSION_OFFSET) != layout.VERSION:
+            self.close()
+            raise ClockUnavailable(f"{path} is not a clock of this version")
+        self._thread_lock = threading.Lock()
+        self._paced = bool(self._u32(layout.PACED_OFFSET))
+
+    @staticmethod
+    def initialise(memory: mmap.mmap, *, paced: bool) -> None:
+        """Write a clock at theatre time zero into the first bytes of a block."""
+        memory[layout.MAGIC_OFFSET : layout.MAGIC_OFFSET + 8] = layout.MAGIC
+        _u32.pack_into(memory, layout.VERSION_OFFSET, layout.VERSION)
+        _u32.pack_into(memory, layout.PACED_OFFSET, int(paced))
+        for offset in (layout.TIME_NS_OFFSET, layout.STREAM_HOST_NS_OFFSET, layout.WANTED_NS_OFFSET):
+            _i64.pack_into(memory, offset, 0)
+        _i64.pack_into(memory, layout.EPOCH_NS_OFFSET, time.monotonic_ns())
+
+    @property
+    def paced(self) -> bool:
+        """True when theatre time follows the host's clock."""
+        return self._paced
+
+    def now_ns(self) -> int:
+        """Present theatre time, nanoseconds."""
+        if self._paced:
+            return time.monotonic_ns() - self._i64(layout.EPOCH_NS_OFFSET)
+        return self._i64(layout.TIME_NS_OFFSET)
+
+    def now_s(self) -> float:
+        return self.now_ns() / 1e9
+
+    def sleep(self, duration_s: float) -> None:
+        self.wait_until_ns(self.now_ns() + round(max(0.0, duration_s) * 1e9))
+
+    def wait_until_ns(self, moment_ns: int) -> None:
+        """Return when theatre time has reached `moment_ns`; advance it unless a device streams."""
+        if self._paced:
+            time.sleep(max(0, moment_ns - self.now_ns()) / 1e9)
+            return
+        while True:
+            with self.locked():
+                if self.now_ns() >= moment_ns:
+                    return
+                if not self.streaming():
+                    _i64.pack_into(self._memory, layout.TIME_NS_OFFSET, moment_ns)
+                    return
+                if self._i64(layout.WANTED_NS_OFFSET) < moment_ns:
+                    _i64.pack_into(self._memory, layout.WANTED_NS_OFFSET, moment_ns)
+            time.sleep(WAIT_STEP_S)
+
+    def somebody_waits(self) -> bool:
+        """True while any process waits for a theatre time that has not come."""
+        return self._i64(layout.WANTED_NS_OFFSET) > self._i64(layout.TIME_NS_OFFSET)
+
+    def streaming(self) -> bool:
+        """True while a cyclic device owns the pace of time."""
+        last = self._i64(layout.STREAM_HOST_NS_OFFSET)
+        return last != 0 and time.monotonic_ns() - last < layout.STREAM_SILENCE_NS
+
+    def advance_cycle(self, duration_ns: int) -> int:
+        """For the cyclic device: add one cycle and return the new time. Does nothing when paced."""
+        if self._paced:
+            return self.now_ns()
+        with self.locked():
+            _i64.pack_into(self._memory, layout.STREAM_HOST_NS_OFFSET, time.monotonic_ns())
+            moment = self._i64(layout.TIME_NS_OFFSET) + duration_ns
+            _i64.pack_into(self._memory, layout.TIME_NS_OFFSET, moment)
+            return moment
+
+    def end_stream(self) -> None:
+        """For the cyclic device: give the pace of time back."""
+        with self.locked():
+            _i64.pack_into(self._memory, layout.STREAM_HOST_NS_OFFSET, 0)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the clock's lock, which excludes other processes and other threads of this one."""
+        with self._thread_lock:
+            fcntl.flock(self._file, fcntl.LOCK_EX)
+            try:
+                yield
+            finally:
+                fcntl.flock(self._file, fcntl.LOCK_UN)
+
+    def close(self) -> None:
+        """Let go of the shared memory."""
+        self._memory.close()
+        os.close(self._file)
+
+    def _i64(self, offset: int) -> int:
+        return int(_i64.unpack_from(self._memory, offset)[0])
+
+    def _u32(self, offset: int) -> int:
+        return int(_u32.unpack_from(self._memory, offset)[0])
+
+
+def open_clock(endpoint: Endpoint | str) -> HostClock | SharedClock:
+    """Open the clock of a theatre file: `host:` or `shm://`."""
+    address = parse_endpoint(endpoint) if isinstance(endpoint, str) else endpoint
+    address.require("host", "shm")
+    return HostClock() if address.scheme == "host" else SharedClock(address.path)

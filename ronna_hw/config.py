@@ -1,0 +1,121 @@
+"""The theatre file: which devices there are, where they answer, and how they are calibrated.
+
+TOML, strict: unknown keys are errors, and all mistakes are reported at once.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from ronna_hw.calibration import StereoHeadCalibration, Strict, ToolTipCalibration, TrackerFrameCalibration
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.errors import ConfigurationError
+
+
+class BadTheatreFile(ConfigurationError):
+    """The theatre file is missing, not TOML, or has mistakes; all of them are listed."""
+
+    code = "CFG-001"
+    action = "Correct the file; the reference lists every key."
+
+
+class ClockConfig(Strict):
+    """Where the theatre's time comes from."""
+
+    endpoint: str = "host:"
+
+    @field_validator("endpoint")
+    @classmethod
+    def _parses(cls, value: str) -> str:
+        parse_endpoint(value).require("host", "shm")
+        return value
+
+
+class DeviceConfig(Strict):
+    """One device: its driver by name, its endpoint or endpoints, and the driver's own options."""
+
+    driver: str
+    endpoint: str | None = None
+    endpoints: dict[str, str] = Field(default_factory=dict)
+    options: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _has_endpoint(self) -> Self:
+        if (self.endpoint is None) == (not self.endpoints):
+            raise ValueError("give either endpoint or endpoints")
+        for value in (*self.endpoints.values(), *([self.endpoint] if self.endpoint else [])):
+            parse_endpoint(value)
+        return self
+
+    def address(self, role: str | None = None) -> Endpoint:
+        """The parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 when absent."""
+        text = self.endpoint if role is None else self.endpoints.get(role)
+        if text is None:
+            raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
+        return parse_endpoint(text)
+
+
+class Calibrations(Strict):
+    """The calibration records that the procedure uses."""
+
+    stereo_head: StereoHeadCalibration
+    tool_tip: ToolTipCalibration
+    tracker_frame: TrackerFrameCalibration
+
+
+class TheatreFile(Strict):
+    """A whole theatre. Robots are named, never assumed to be one."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    theatre: str
+    banner: str = ""  # shown on the terminal and in the report, so that two kinds are never confused
+    clock: ClockConfig = ClockConfig()
+    tracker: DeviceConfig | None = None
+    robot: dict[str, DeviceConfig] = Field(default_factory=dict)
+    stereo: DeviceConfig | None = None
+    calibration: Calibrations | None = None
+
+
+def read_theatre_file(path: Path) -> TheatreFile:
+    """Read and check a theatre file; raises CFG-001 with every mistake in it."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadTheatreFile(f"cannot read {path.name}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadTheatreFile(f"{path.name} is not TOML: {error}") from error
+    return parse_theatre(content, path.name)
+
+
+def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:
+    """Check the content of a theatre file; raises CFG-001 with every mistake in it."""
+    try:
+        # Strict models refuse TOML's lists where tuples are declared; pydantic's JSON-like mode takes them.
+        return TheatreFile.model_validate(_tuples(content))
+    except ValidationError as error:
+        mistakes = describe_mistakes(error)
+        raise BadTheatreFile(f"{name} has {len(mistakes)} mistake(s): " + "; ".join(mistakes)) from error
+
+
+def describe_mistakes(error: ValidationError) -> list[str]:
+    """One short line per mistake: where it is, what was expected, what stands there."""
+    lines = []
+    for item in error.errors(include_url=False):
+        where = ".".join(str(part) for part in item["loc"]) or "file"
+        message = item["msg"].removeprefix("Value error, ")
+        value = item.get("input")
+        shown = f" (found {value!r})" if isinstance(value, str | int | float | bool) else ""
+        lines.append(f"{where}: {message}{shown}")
+    return lines
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return tuple(_tuples(item) for item in value)
+    return value

@@ -1,0 +1,82 @@
+"""Results with ancestors: every result is an immutable record with an id and its parents.
+
+Change one and everything after it is invalid. A record's hash covers its kind, its parents and its
+payload, so the same inputs and the same result give the same hash; date and id do not enter it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ronna_hw.errors import DataError
+
+
+class BadRecord(DataError):
+    """A stored record is incomplete, or its hash does not match its content."""
+
+    code = "REC-001"
+    action = "Do not use this result; repeat the step that made it."
+
+
+@dataclass(frozen=True)
+class Record:
+    """One result: `kind` says what it is, `parents` are the ids of the records it was made from."""
+
+    identifier: str
+    kind: str
+    parents: tuple[str, ...]
+    payload: dict[str, Any]
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
+    expires: str | None = None
+
+    @property
+    def sha256(self) -> str:
+        """Hash of what the result says and where it came from."""
+        content = {"kind": self.kind, "parents": list(self.parents), "payload": self.payload}
+        return hashlib.sha256(canonical_json(content)).hexdigest()
+
+
+def canonical_json(content: Any) -> bytes:
+    """One byte form per content: sorted keys, no blanks, no NaN."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def write_record(record: Record, folder: Path) -> Path:
+    """Write `<id>.json` whole or not at all: to a temporary name, flushed, then renamed."""
+    path = folder / f"{record.identifier}.json"
+    text = json.dumps({**asdict(record), "sha256": record.sha256}, indent=1, allow_nan=False)
+    write_whole(path, text.encode())
+    return path
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that it is never seen half written, not even after a crash."""
+    temporary = path.with_name(f".{path.name}.partial")
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def read_record(path: Path) -> Record:
+    """Read a record back and check its hash; raises REC-001."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        claimed = content.pop("sha256")
+        record = Record(**{**content, "parents": tuple(content["parents"])})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadRecord(f"{path.name} is not a record: {error}") from error
+    if record.sha256 != claimed:
+        raise BadRecord(f"{path.name} does not match its hash", last=record.sha256[:12], awaited=claimed[:12])
+    return record
