@@ -1,0 +1,95 @@
+"""What can go wrong around a command: usage, disk, paths, ports, and mistakes of our own."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+from ronna_hw.errors import EXIT_USAGE, RonnaError
+
+
+class UsageMistake(RonnaError):
+    """The command line itself is wrong."""
+
+    code = "CLI-001"
+    action = "Run the command with --help."
+    exit_code = EXIT_USAGE
+
+
+class InternalFault(RonnaError):
+    """An error that the program did not foresee."""
+
+    code = "CLI-002"
+    action = "This is a fault of the program: run again with --verbose and report the trace."
+
+
+class DiskFull(RonnaError):
+    """No space is left, or the quota is used up."""
+
+    code = "CLI-003"
+    action = "Free some space or choose another folder; what was written before is complete."
+
+
+class NotWritable(RonnaError):
+    """A file or folder may not be read or written by this user."""
+
+    code = "CLI-004"
+    action = "Choose another folder, or change its permissions."
+
+
+class PathProblem(RonnaError):
+    """A path does not exist, or is a file where a folder is needed, or the reverse."""
+
+    code = "CLI-005"
+    action = "Check the path."
+
+
+class PortInUse(RonnaError):
+    """Another program holds the network port."""
+
+    code = "CLI-006"
+    action = "End the other program or choose another endpoint."
+
+
+class SystemRefused(RonnaError):
+    """The operating system refused for another reason."""
+
+    code = "CLI-007"
+    action = "Correct what the system complains about and run the command again."
+
+
+class OutOfMemory(RonnaError):
+    """The memory of this computer did not suffice."""
+
+    code = "CLI-008"
+    action = "Close other programs, or use a smaller series."
+
+
+_BY_ERRNO: dict[int, type[RonnaError]] = {
+    errno.ENOSPC: DiskFull,
+    errno.EDQUOT: DiskFull,
+    errno.EFBIG: DiskFull,
+    errno.EACCES: NotWritable,
+    errno.EPERM: NotWritable,
+    errno.EROFS: NotWritable,
+    errno.ENOENT: PathProblem,
+    errno.ENOTDIR: PathProblem,
+    errno.EISDIR: PathProblem,
+    errno.EEXIST: PathProblem,
+    errno.ENAMETOOLONG: PathProblem,
+    errno.EADDRINUSE: PortInUse,
+}
+
+
+def as_ronna_error(problem: BaseException) -> RonnaError:
+    """Any exception as one of ours: itself, or an operating-system or internal error with a code."""
+    if isinstance(problem, RonnaError):
+        return problem
+    if isinstance(problem, MemoryError):
+        return OutOfMemory("the memory of this computer does not suffice")
+    if isinstance(problem, OSError) and problem.errno is not None:
+        kind = _BY_ERRNO.get(problem.errno, SystemRefused)
+        reason = os.strerror(problem.errno).lower()
+        places = [str(name) for name in (problem.filename, problem.filename2) if name is not None]
+        return kind(f"{' and '.join(places)}: {reason}" if places else reason)
+    return InternalFault(f"{type(problem).__name__}: {problem}")

@@ -1,0 +1,195 @@
+"""Messages, exit codes and tables that all commands share."""
+
+from __future__ import annotations
+
+import errno
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import typer
+
+from procedures.cli import console
+from procedures.cli.errors import (
+    DiskFull,
+    InternalFault,
+    NotWritable,
+    OutOfMemory,
+    PathProblem,
+    PortInUse,
+    SystemRefused,
+    UsageMistake,
+    as_ronna_error,
+)
+from ronna_hw.errors import LimitError, RonnaError
+
+
+@pytest.fixture(autouse=True)
+def handlers_restored():
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def app_that(body: Callable[[], object]) -> typer.Typer:
+    app = typer.Typer()
+
+    @app.command()
+    def only(count: int = 1, verbose: console.VerboseOption = False) -> None:
+        body()
+
+    return app
+
+
+def raising(problem: BaseException) -> typer.Typer:
+    def body() -> None:
+        raise problem
+
+    return app_that(body)
+
+
+class TooFar(LimitError):
+    """An error of the tests."""
+
+    code = "TEST-001"
+    action = "Come closer."
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        (errno.ENOSPC, DiskFull),
+        (errno.EROFS, NotWritable),
+        (errno.EACCES, NotWritable),
+        (errno.ENOENT, PathProblem),
+        (errno.EADDRINUSE, PortInUse),
+        (errno.EIO, SystemRefused),
+    ],
+)
+def test_an_operating_system_error_becomes_one_line_with_a_code(
+    number: int, kind: type[RonnaError], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = console.exit_code_of(raising(OSError(number, "text", "/some/folder")), [])
+    out, err = capsys.readouterr()
+    assert (code, out) == (kind.exit_code, "")
+    assert err.startswith(f"{kind.code}: /some/folder: ")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("problem", "kind"), [(MemoryError(), OutOfMemory), (TypeError("x"), InternalFault)])
+def test_an_unforeseen_error_has_a_code_and_no_trace(
+    problem: Exception, kind: type[RonnaError], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert console.exit_code_of(raising(problem), []) == 1
+    err = capsys.readouterr().err
+    assert err.startswith(f"{kind.code}: ")
+    assert "Traceback" not in err
+
+
+def test_an_error_of_ours_keeps_its_exit_code_and_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert console.exit_code_of(raising(TooFar("reach\nexceeded", limit="0.9 m")), []) == 6
+    assert capsys.readouterr().err == "TEST-001: reach exceeded; limit 0.9 m. Come closer.\n"
+
+
+def test_verbose_shows_the_trace(capsys: pytest.CaptureFixture[str]) -> None:
+    assert console.exit_code_of(raising(TooFar("reach exceeded")), ["--verbose"]) == 6
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--no-such"], ["--count", "many"], ["surplus"]])
+def test_a_wrong_command_line_is_a_usage_mistake(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert console.exit_code_of(app_that(lambda: None), arguments) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"{UsageMistake.code}: ")
+    assert "--help" in err
+    assert err.count("\n") == 1
+
+
+def test_an_interrupt_ends_with_130(capsys: pytest.CaptureFixture[str]) -> None:
+    assert console.exit_code_of(raising(KeyboardInterrupt()), []) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_an_exit_code_chosen_by_the_command_is_kept() -> None:
+    assert console.exit_code_of(raising(typer.Exit(7)), []) == 7
+    assert console.exit_code_of(app_that(lambda: None), []) == 0
+
+
+def test_a_declined_question_is_an_abort(capsys: pytest.CaptureFixture[str]) -> None:
+    assert console.exit_code_of(raising(typer.Abort()), []) == 7
+    assert capsys.readouterr().err == "aborted\n"
+
+
+def test_an_error_of_ours_passes_through_unchanged() -> None:
+    error = TooFar("x")
+    assert as_ronna_error(error) is error
+
+
+def test_a_table_off_a_terminal_is_tab_separated(capsys: pytest.CaptureFixture[str]) -> None:
+    console.print_table("title", ["id", "note"], [[1, "[red]text"]])
+    assert capsys.readouterr().out == "id\tnote\n1\t[red]text\n"
+
+
+def test_json_is_one_object_of_finite_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    console.print_json({"a": [1.5]})
+    assert json.loads(capsys.readouterr().out) == {"a": [1.5]}
+    with pytest.raises(ValueError, match="JSON"):
+        console.print_json({"a": float("nan")})
+
+
+SCRIPT = """
+import sys, time, typer
+from procedures.cli import console
+app = typer.Typer()
+@app.command()
+def only(wait: bool = False) -> None:
+    print("x" * 100_000, flush=wait)
+    if wait:
+        try:
+            time.sleep(30)
+        finally:
+            print("closed", file=sys.stderr)
+console.run(app)
+"""
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> list[str]:
+    path = tmp_path / "script.py"
+    path.write_text(SCRIPT)
+    return [sys.executable, str(path)]
+
+
+def test_a_full_disk_behind_standard_output_is_a_message(script: list[str]) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(script, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert done.stderr.startswith("CLI-003: no space left on device")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_reader_that_leaves_early_is_not_an_error_message(script: list[str]) -> None:
+    with subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stderr is not None
+        child.stdout.close()
+        assert child.stderr.read() == b""
+    assert child.returncode == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_unwinds_the_command(script: list[str], number: signal.Signals) -> None:
+    with subprocess.Popen([*script, "--wait"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stderr is not None
+        child.stdout.readline()
+        child.send_signal(number)
+        assert child.stderr.read().split() == [b"closed", b"interrupted"]
+    assert child.returncode == 130
