@@ -1,0 +1,63 @@
+"""Errors of kinematics, planning and motion of the arm.
+
+ARM-001 Unreachable        the wrist centre is too far, too near, or the line leaves the reach
+ARM-002 Singular           a joint angle is not defined at the pose
+ARM-003 OutOfJointRange    a solution or a path leaves the range of a joint
+ARM-004 BranchUnavailable  the asked branch has no solution, or the branch would change on the way
+ARM-005 TooFast            a joint would exceed its working speed or acceleration
+ARM-006 MotionInvalid      the motion generator refused its input
+ARM-007 MonitorTripped     the independent monitor refused a set-point or a measured pose
+"""
+
+from __future__ import annotations
+
+from ronna_hw.errors import DataError, LimitError
+
+
+class Unreachable(LimitError):
+    """The pose is outside the reach of the arm."""
+
+    code = "ARM-001"
+    action = "Move the target, the patient or the cart so that the pose comes within reach."
+
+
+class Singular(LimitError):
+    """At this pose a joint angle is not defined, and beside it joints turn without bound."""
+
+    code = "ARM-002"
+    action = "Choose another angle about the tool axis, or another branch."
+
+
+class OutOfJointRange(LimitError):
+    """A joint would leave its range."""
+
+    code = "ARM-003"
+    action = "Choose another branch or another angle about the tool axis, or approach from another pose."
+
+
+class BranchUnavailable(LimitError):
+    """The branch asked for has no solution here."""
+
+    code = "ARM-004"
+    action = "Move to the wanted branch by a joint move first."
+
+
+class TooFast(LimitError):
+    """A joint would exceed its working speed or acceleration."""
+
+    code = "ARM-005"
+    action = "Keep away from the singular pose, or choose a slower motion."
+
+
+class MotionInvalid(DataError):
+    """The motion generator refused its input."""
+
+    code = "ARM-006"
+    action = "Check the numbers of the motion: finite, limits positive, six joints."
+
+
+class MonitorTripped(LimitError):
+    """The independent monitor refused a set-point or a measured pose."""
+
+    code = "ARM-007"
+    action = "Read the attached cycles, find the cause, then recover the arm."

@@ -1,0 +1,270 @@
+"""Inverse kinematics in closed form: every branch, and an explicit choice between them.
+
+The wrist is spherical, so A1..A3 follow from the wrist centre (two sides of A1, two bends of the elbow) and
+A4..A6 from the orientation that is left (two flips of the wrist). A4 and A6 turn further than a circle: each
+branch comes with all its whole turns that fit the joint range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from math import acos, atan2, cos, degrees, hypot, pi, sin
+from typing import NamedTuple
+
+from ronna_hw.arm.errors import BranchUnavailable, OutOfJointRange, Singular, Unreachable
+from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.readings import JointVector
+
+TURN = 2.0 * pi
+EQUAL_WEIGHTS: JointVector = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+RANGE_SLACK_RAD = 1e-9  # rounding at an end switch is not an excess
+SINGULAR_A5_RAD = 1e-7  # below, rounding decides A4 - A6; how near a path may come is a matter of joint speed
+SINGULAR_AXIS_MM = 1e-3  # wrist centre on the axis of A1
+STRETCH_COSINE = 5e-13  # one minus the cosine of 1e-6 rad: the two bends of the elbow are one
+
+
+class Branch(NamedTuple):
+    """Which of the eight configurations; the three bits of KUKA's status S."""
+
+    overhead: bool  # bit 0: the wrist centre is behind the axis of A1
+    elbow: bool  # bit 1: A3 at or above its stretched angle
+    flipped: bool  # bit 2: A5 not positive
+
+    @property
+    def status(self) -> int:
+        """KUKA's S."""
+        return self.overhead + 2 * self.elbow + 4 * self.flipped
+
+
+class Solution(NamedTuple):
+    """Joint angles that bring the flange to a pose, with their branch."""
+
+    branch: Branch
+    joints_rad: JointVector
+
+
+def branch_of(model: ArmModel, joints_rad: JointVector) -> Branch:
+    """The branch a joint vector lies in."""
+    _, A2, A3, _, A5, _ = joints_rad
+    ahead_mm = (
+        model.shoulder_offset_mm
+        + model.upper_arm_mm * cos(A2)
+        + model.elbow_to_wrist_mm * cos(A2 + A3 - model.stretched_A3_rad)
+    )
+    return Branch(ahead_mm < 0.0, model.stretched_A3_rad <= A3, A5 <= 0.0)
+
+
+def turn_of(joints_rad: JointVector) -> int:
+    """KUKA's T: bit i is set when axis A(i+1) is negative."""
+    return sum(1 << axis for axis, angle in enumerate(joints_rad) if angle < 0.0)
+
+
+def solutions(model: ArmModel, pose: Pose) -> tuple[Solution, ...]:
+    """All joint vectors within range that reach the flange pose, branch by branch.
+
+    Raises ARM-001 when the wrist centre is out of reach; ARM-002 when A1, A4 and A6 or the bend of the elbow
+    are not defined in a branch that the ranges allow; ARM-003 when no branch fits the joint ranges.
+    """
+    found: list[Solution] = []
+    singular: Singular | None = None
+    reached = False
+    for overhead in (False, True):
+        try:
+            shoulder = _shoulder(model, pose, overhead)
+        except Unreachable:
+            continue
+        reached = True
+        for elbow in (True, False):
+            arm = _into_range(model, _bend(model, shoulder, elbow))
+            if arm is None:
+                continue
+            try:
+                for flipped in (False, True):
+                    branch = Branch(overhead, elbow, flipped)
+                    wrist = _wrist(pose, arm, flipped)
+                    found += [Solution(branch, (*arm, *rest)) for rest in _turns(model, wrist)]
+            except Singular as error:
+                singular = error
+    if not reached:
+        raise _unreachable(model, pose)
+    if singular is not None:
+        raise singular
+    if not found:
+        raise OutOfJointRange("the pose is within reach, but every branch leaves the joint ranges")
+    return tuple(found)
+
+
+def solve_branch(model: ArmModel, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
+    """The one solution in `branch` whose turns lie nearest to `near`; for use along a path.
+
+    Raises ARM-001, ARM-002 or ARM-003 as `solutions` does, for this branch alone.
+    """
+    try:
+        shoulder = _shoulder(model, pose, branch.overhead)
+    except Unreachable:
+        raise _unreachable(model, pose) from None
+    bent = _bend(model, shoulder, branch.elbow)
+    arm = _into_range(model, bent)
+    if arm is None:
+        raise _out_of_range(model, bent)
+    A4, A5, A6 = _wrist(pose, arm, branch.flipped)
+    A4 = _nearest_turn(A4, near[3], model.lower_rad[3], model.upper_rad[3])
+    A6 = _nearest_turn(A6, near[5], model.lower_rad[5], model.upper_rad[5])
+    if not model.lower_rad[4] - RANGE_SLACK_RAD <= A5 <= model.upper_rad[4] + RANGE_SLACK_RAD:
+        raise _out_of_range(model, (*arm, A4, A5, A6))
+    return (*arm, A4, A5, A6)
+
+
+def nearest(
+    candidates: Iterable[Solution], reference_rad: JointVector, weights: JointVector = EQUAL_WEIGHTS
+) -> Solution:
+    """The candidate with the least weighted sum of squared joint differences to a reference.
+
+    Raises ARM-004 when there is no candidate.
+    """
+
+    def cost(solution: Solution) -> float:
+        return sum(
+            w * (a - b) ** 2 for w, a, b in zip(weights, solution.joints_rad, reference_rad, strict=True)
+        )
+
+    best = min(candidates, key=cost, default=None)
+    if best is None:
+        raise BranchUnavailable("there is no solution to choose from")
+    return best
+
+
+def in_branch(candidates: Iterable[Solution], branch: Branch) -> tuple[Solution, ...]:
+    """The candidates of one branch (they differ by whole turns of A4 and A6). Raises ARM-004 when none."""
+    chosen = tuple(s for s in candidates if s.branch == branch)
+    if not chosen:
+        raise BranchUnavailable(f"no solution in the branch with status {branch.status}")
+    return chosen
+
+
+class _Shoulder(NamedTuple):
+    A1: float
+    elevation: float  # of the wrist centre seen from A2, measured as A2 is
+    inner: float  # angle at A2 between upper arm and wrist centre, not negative
+    bend: float  # angle of A3 away from stretched, not negative
+
+
+def _shoulder(model: ArmModel, pose: Pose, overhead: bool) -> _Shoulder:
+    (px, py, pz), r, reach = pose.position_mm, pose.rotation, model.flange_mm
+    x, y, z = px - reach * r[2], py - reach * r[5], pz - reach * r[8]
+    radius = hypot(x, y)
+    if radius < SINGULAR_AXIS_MM:
+        raise Singular("the wrist centre is on the axis of A1", limit=f"{SINGULAR_AXIS_MM} mm")
+    if overhead:
+        A1 = atan2(y, -x)
+        ahead = -radius - model.shoulder_offset_mm
+    else:
+        A1 = -atan2(y, x)
+        ahead = radius - model.shoulder_offset_mm
+    below = model.base_height_mm - z
+    upper, lower = model.upper_arm_mm, model.elbow_to_wrist_mm
+    square = ahead * ahead + below * below
+    cosine = (square - upper * upper - lower * lower) / (2.0 * upper * lower)
+    excess = abs(cosine) - 1.0
+    if excess > STRETCH_COSINE:
+        raise Unreachable("the wrist centre is out of reach")
+    if excess > -STRETCH_COSINE:
+        raise Singular("the elbow is stretched or folded flat", limit="a bend of 1e-6 rad")
+    bend = acos(cosine)
+    return _Shoulder(A1, atan2(below, ahead), atan2(lower * sin(bend), upper + lower * cosine), bend)
+
+
+def _bend(model: ArmModel, shoulder: _Shoulder, elbow: bool) -> tuple[float, float, float]:
+    if elbow:
+        return (
+            shoulder.A1,
+            shoulder.elevation - shoulder.inner,
+            model.stretched_A3_rad + shoulder.bend,
+        )
+    return (shoulder.A1, shoulder.elevation + shoulder.inner, model.stretched_A3_rad - shoulder.bend)
+
+
+def _into_range(model: ArmModel, arm: tuple[float, float, float]) -> tuple[float, float, float] | None:
+    """A1..A3 brought into their ranges by whole turns, or None. Their ranges are shorter than a circle."""
+    result = []
+    for axis, angle in enumerate(arm):
+        low, high = model.lower_rad[axis] - RANGE_SLACK_RAD, model.upper_rad[axis] + RANGE_SLACK_RAD
+        if angle > high:
+            angle -= TURN
+        elif angle < low:
+            angle += TURN
+        if not low <= angle <= high:
+            return None
+        result.append(angle)
+    return (result[0], result[1], result[2])
+
+
+def _wrist(pose: Pose, arm: tuple[float, float, float], flipped: bool) -> tuple[float, float, float]:
+    A1, A2, A3 = arm
+    r = pose.rotation
+    c1, s1 = cos(A1), sin(A1)
+    c23, s23 = cos(A2 + A3), sin(A2 + A3)
+    # Components of the flange's axes along the forearm (x), the elbow's axis (y) and across (z).
+    ahead = c1 * r[2] - s1 * r[5]
+    zx = c23 * ahead - s23 * r[8]
+    zy = s1 * r[2] + c1 * r[5]
+    zz = s23 * ahead + c23 * r[8]
+    xx = c23 * (c1 * r[0] - s1 * r[3]) - s23 * r[6]
+    yx = c23 * (c1 * r[1] - s1 * r[4]) - s23 * r[7]
+    sine = hypot(zy, zz)
+    if sine < SINGULAR_A5_RAD:
+        raise Singular("A4 and A6 are in one line", limit=f"A5 {SINGULAR_A5_RAD} rad", last=f"{sine:.2e} rad")
+    if flipped:
+        return (atan2(zy, zz), -atan2(sine, zx), atan2(yx, xx))
+    return (atan2(-zy, -zz), atan2(sine, zx), atan2(-yx, -xx))
+
+
+def _turns(model: ArmModel, wrist: tuple[float, float, float]) -> Iterator[tuple[float, float, float]]:
+    A4, A5, A6 = wrist
+    low, high = model.lower_rad, model.upper_rad
+    if not low[4] - RANGE_SLACK_RAD <= A5 <= high[4] + RANGE_SLACK_RAD:
+        return
+    for fourth in (A4, A4 - TURN, A4 + TURN):
+        if low[3] - RANGE_SLACK_RAD <= fourth <= high[3] + RANGE_SLACK_RAD:
+            for sixth in (A6, A6 - TURN, A6 + TURN):
+                if low[5] - RANGE_SLACK_RAD <= sixth <= high[5] + RANGE_SLACK_RAD:
+                    yield (fourth, A5, sixth)
+
+
+def _nearest_turn(angle: float, near: float, low: float, high: float) -> float:
+    angle += TURN * round((near - angle) / TURN)
+    if angle > high + RANGE_SLACK_RAD:
+        angle -= TURN
+    elif angle < low - RANGE_SLACK_RAD:
+        angle += TURN
+    return angle
+
+
+def _unreachable(model: ArmModel, pose: Pose) -> Unreachable:
+    (px, py, pz), r, reach = pose.position_mm, pose.rotation, model.flange_mm
+    x, y, z = px - reach * r[2], py - reach * r[5], pz - reach * r[8]
+    distance = hypot(hypot(x, y) - model.shoulder_offset_mm, z - model.base_height_mm)
+    longest = model.upper_arm_mm + model.elbow_to_wrist_mm
+    shortest = abs(model.upper_arm_mm - model.elbow_to_wrist_mm)
+    return Unreachable(
+        "the wrist centre is out of reach of A2",
+        limit=f"{shortest:.1f} to {longest:.1f} mm",
+        last=f"{distance:.1f} mm",
+    )
+
+
+def _out_of_range(model: ArmModel, joints_rad: tuple[float, ...]) -> OutOfJointRange:
+    for axis, angle in enumerate(joints_rad):
+        low, high = model.lower_rad[axis], model.upper_rad[axis]
+        if angle > high and angle - TURN >= low:
+            angle -= TURN
+        elif angle < low and angle + TURN <= high:
+            angle += TURN
+        if not low <= angle <= high:
+            return OutOfJointRange(
+                f"A{axis + 1} would leave its range",
+                limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg",
+                last=f"{degrees(angle):.3f} deg",
+            )
+    return OutOfJointRange("a joint would leave its range")

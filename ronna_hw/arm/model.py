@@ -1,0 +1,107 @@
+"""The nominal KR 6 R900 in two variants: link lengths, joint ranges, speeds. Millimetres and radians."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from ronna_hw.devices.readings import JointVector
+
+AXES = 6
+
+
+class ArmVariant(StrEnum):
+    """Two arms share the name KR 6 R900; they differ by 10 mm at the elbow and at the flange."""
+
+    SIXX = "kr6_r900_sixx"
+    R900_2 = "kr6_r900_2"
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """Six axes with a spherical wrist. Names follow the chain from $ROBROOT to the flange.
+
+    A1 turns about -z, A2, A3, A5 about +y, A4, A6 about -x. At all zeros the arm lies along x.
+    """
+
+    variant: ArmVariant
+    base_height_mm: float  # $ROBROOT to A2, along z
+    shoulder_offset_mm: float  # A1 to A2, along x
+    upper_arm_mm: float  # A2 to A3
+    elbow_offset_mm: float  # A3 to the axis of A4, across
+    forearm_mm: float  # A3 to the wrist centre, along A4
+    flange_mm: float  # wrist centre to flange, along A6
+    lower_rad: JointVector
+    upper_rad: JointVector
+    full_speed_rad_s: JointVector
+    acceleration_rad_s2: JointVector
+
+    @property
+    def elbow_to_wrist_mm(self) -> float:
+        """Straight distance from A3 to the wrist centre."""
+        return math.hypot(self.forearm_mm, self.elbow_offset_mm)
+
+    @property
+    def stretched_A3_rad(self) -> float:
+        """Angle of A3 at which upper arm and wrist centre are in one line."""
+        return math.atan2(self.elbow_offset_mm, self.forearm_mm)
+
+    @property
+    def reach_mm(self) -> float:
+        """Largest distance of the wrist centre from the axis of A1, at the height of A2."""
+        return self.shoulder_offset_mm + self.upper_arm_mm + self.elbow_to_wrist_mm
+
+
+def radians6(A1: float, A2: float, A3: float, A4: float, A5: float, A6: float) -> JointVector:
+    """Six angles from degrees."""
+    r = math.radians
+    return (r(A1), r(A2), r(A3), r(A4), r(A5), r(A6))
+
+
+def degrees6(joints_rad: JointVector) -> JointVector:
+    """Six angles in degrees, for the wire and for people."""
+    A1, A2, A3, A4, A5, A6 = joints_rad
+    d = math.degrees
+    return (d(A1), d(A2), d(A3), d(A4), d(A5), d(A6))
+
+
+# Geometry and ranges: public robot descriptions of both arms. Accelerations: planner limits published for
+# the sixx; none are published for the -2, which is not weaker, so the same are used.
+_LOWER = radians6(-170, -190, -120, -185, -120, -350)
+_UPPER = radians6(170, 45, 156, 185, 120, 350)
+_ACCELERATION: JointVector = (21.67, 6.89, 31.42, 133.1, 135.6, 268.4)
+
+_MODELS = {
+    ArmVariant.SIXX: ArmModel(
+        variant=ArmVariant.SIXX,
+        base_height_mm=400.0,
+        shoulder_offset_mm=25.0,
+        upper_arm_mm=455.0,
+        elbow_offset_mm=35.0,
+        forearm_mm=420.0,
+        flange_mm=80.0,
+        lower_rad=_LOWER,
+        upper_rad=_UPPER,
+        full_speed_rad_s=radians6(360, 300, 360, 381, 388, 615),
+        acceleration_rad_s2=_ACCELERATION,
+    ),
+    ArmVariant.R900_2: ArmModel(
+        variant=ArmVariant.R900_2,
+        base_height_mm=400.0,
+        shoulder_offset_mm=25.0,
+        upper_arm_mm=455.0,
+        elbow_offset_mm=25.0,
+        forearm_mm=420.0,
+        flange_mm=90.0,
+        lower_rad=_LOWER,
+        upper_rad=_UPPER,
+        full_speed_rad_s=radians6(360, 300, 360, 450, 450, 540),
+        acceleration_rad_s2=_ACCELERATION,
+    ),
+}
+
+
+def arm_model(variant: ArmVariant | str) -> ArmModel:
+    """The nominal model of a variant; a name that is none raises ValueError."""
+    return _MODELS[ArmVariant(variant)]

@@ -1,0 +1,117 @@
+"""Forward kinematics against golden flange poses; Jacobian against finite differences; poses as values."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ronna_hw.arm.kinematics import forward, jacobian
+from ronna_hw.arm.model import ArmModel, ArmVariant, arm_model, radians6
+from ronna_hw.arm.pose import Pose
+from ronna_hw.frames import Frame, FrameMismatch, Transform
+
+# Axes in deg, X Y Z of the sixx, X Y Z of the -2, A B C of both; computed elsewhere from the public
+# description of the arm. Three decimals, so the nearest value may be half a unit away.
+GOLDEN = [
+    ((0, -90, 90, 0, 0, 0), (525, 0, 890), (535, 0, 880), (0, 90, 0)),
+    ((0, -90, 90, 0, 90, 0), (445, 0, 810), (445, 0, 790), (180, 0, 180)),
+    ((0, 0, 0, 0, 0, 0), (980, 0, 435), (990, 0, 425), (0, 90, 0)),
+    (
+        (30, -75, 110, -20, 45, 60),
+        (462.372, -244.610, 551.274),
+        (460.329, -240.638, 533.584),
+        (-163.174, 18.179, 178.797),
+    ),
+    (
+        (-45, -120, 130, 15, -60, -100),
+        (176.974, 202.333, 814.536),
+        (178.670, 207.199, 812.058),
+        (145.348, 8.181, 41.879),
+    ),
+    (
+        (10, -60, 80, 0, 70, 0),
+        (649.128, -114.459, 603.282),
+        (645.760, -113.865, 583.885),
+        (170, 0, 180),
+    ),
+]
+
+
+@pytest.mark.parametrize("variant", list(ArmVariant))
+@pytest.mark.parametrize("row", GOLDEN, ids=lambda row: str(row[0]))
+def test_the_flange_reaches_the_golden_pose(variant: ArmVariant, row: tuple[tuple[float, ...], ...]) -> None:
+    axes, sixx, second, abc = row
+    xyz = sixx if variant is ArmVariant.SIXX else second
+    flange = forward(arm_model(variant), radians6(*axes))
+    golden = Pose.from_kuka(*xyz, *abc)
+    assert flange.distance_mm(golden) < 0.001
+    assert math.degrees(flange.angle_rad(golden)) < 0.001
+
+
+@pytest.mark.parametrize("variant", list(ArmVariant))
+def test_the_jacobian_is_the_derivative_of_the_flange_pose(variant: ArmVariant) -> None:
+    model = arm_model(variant)
+    random = np.random.default_rng(3)
+    step = 1e-6
+    for _ in range(20):
+        joints = random.uniform(model.lower_rad, model.upper_rad)
+        analytic = jacobian(model, tuple(joints.tolist()))
+        for axis in range(6):
+            before, after = joints.copy(), joints.copy()
+            before[axis] -= step
+            after[axis] += step
+            a = forward(model, tuple(before.tolist()))
+            b = forward(model, tuple(after.tolist()))
+            linear = (np.array(b.position_mm) - a.position_mm) / (2 * step)
+            spin = np.reshape(b.rotation, (3, 3)) @ np.reshape(a.rotation, (3, 3)).T
+            angular = np.array([spin[2, 1] - spin[1, 2], spin[0, 2] - spin[2, 0], spin[1, 0] - spin[0, 1]])
+            assert analytic[:3, axis] == pytest.approx(linear, abs=1e-5)
+            assert analytic[3:, axis] == pytest.approx(angular / (4 * step), abs=1e-8)
+
+
+def test_reach_of_both_variants_is_the_published_one() -> None:
+    reach = {v: arm_model(v).reach_mm for v in ArmVariant}
+    assert reach[ArmVariant.SIXX] == pytest.approx(901.5, abs=0.05)
+    assert reach[ArmVariant.R900_2] == pytest.approx(900.7, abs=0.05)
+
+
+def test_an_unknown_variant_is_refused() -> None:
+    with pytest.raises(ValueError, match="kr16"):
+        arm_model("kr16")
+
+
+def _random_poses(model: ArmModel, count: int) -> list[Pose]:
+    random = np.random.default_rng(5)
+    return [
+        forward(model, tuple(random.uniform(model.lower_rad, model.upper_rad).tolist())) for _ in range(count)
+    ]
+
+
+def test_a_pose_survives_every_notation() -> None:
+    for pose in _random_poses(arm_model(ArmVariant.SIXX), 200):
+        for back in (
+            Pose.from_kuka(*pose.to_kuka()),
+            Pose.from_quaternion(pose.position_mm, pose.quaternion()),
+            Pose.from_transform(pose.to_transform()),
+            pose.compose(pose.inverse()).compose(pose),
+        ):
+            assert back.distance_mm(pose) < 1e-9
+            assert back.angle_rad(pose) < 1e-9
+
+
+def test_a_pose_agrees_with_the_checked_transform() -> None:
+    a, b = _random_poses(arm_model(ArmVariant.SIXX), 2)
+    matrix = a.to_transform().as_matrix() @ b.to_transform().as_matrix()
+    assert Pose.from_matrix(matrix.tolist()).distance_mm(a.compose(b)) < 1e-9
+    assert a.apply((1.0, 2.0, 3.0)) == pytest.approx(a.to_transform().apply([1.0, 2.0, 3.0]))
+
+
+def test_a_half_turn_has_a_quaternion_about_each_axis() -> None:
+    for A, B, C in ((180, 0, 0), (0, 180, 0), (0, 0, 180), (180, 90, 0), (0, -90, 0)):
+        pose = Pose.from_kuka(0, 0, 0, A, B, C)
+        assert Pose.from_quaternion((0, 0, 0), pose.quaternion()).angle_rad(pose) < 1e-12
+
+
+def test_only_the_flange_in_the_robot_base_becomes_a_pose() -> None:
+    with pytest.raises(FrameMismatch):
+        Pose.from_transform(Transform.of(Frame.ROBOT, Frame.TOOL))
