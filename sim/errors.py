@@ -1,0 +1,47 @@
+"""Errors of the simulated theatre."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import ConfigurationError, ConnectError, DataError, LinkTimeout
+
+
+class BadScene(ConfigurationError):
+    """A scene file is missing or has mistakes."""
+
+    code = "SIM-001"
+    action = "Correct the scene file, or name one of the built-in scenes: default, mini, bench."
+
+
+class WorldUnavailable(ConnectError):
+    """The shared scene of a theatre cannot be opened."""
+
+    code = "SIM-002"
+    action = "Start the theatre again; a device process cannot outlive it."
+
+
+class BadFaultScript(ConfigurationError):
+    """A line of a fault script cannot be understood."""
+
+    code = "SIM-003"
+    action = "Write for example: at 12.5 s: tracker occlude marker 3 for 2 s."
+
+
+class EndpointTaken(ConnectError):
+    """The address that a simulated device should listen on is in use."""
+
+    code = "SIM-004"
+    action = "Choose another endpoint, or end the program that holds it."
+
+
+class ChildFailed(LinkTimeout):
+    """A device process of the theatre did not become ready."""
+
+    code = "SIM-005"
+    action = "Look at its message above; run that simulator alone to see more."
+
+
+class NothingToVerify(DataError):
+    """A run folder holds nothing that truth can be compared with."""
+
+    code = "SIM-006"
+    action = "Give the folder of a run that was made with --sim and reached a target."

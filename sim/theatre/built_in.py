@@ -1,0 +1,87 @@
+"""The built-in scenes: `default`, `mini` and `bench`, each drawn from a seed.
+
+The room: the robot's base is the origin, x forward, z up. The patient lies on the back with the vertex
+towards the robot, tilted up; the tracker looks at the head from above and the side.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from sim.errors import BadScene
+from sim.theatre.arm_truth import draw_arm
+from sim.theatre.head import draw_head
+from sim.theatre.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
+from sim.theatre.scene import CtProtocol, Scene, TrackerTool, TrackerTruth
+from sim.theatre.stereo_head import draw_cameras, draw_mount
+
+SCENES = ("default", "mini", "bench")
+MINI_CT = CtProtocol(pixel_mm=1.0, slice_mm=1.5, columns=256, rows=256, slices=134, noise_HU=20.0)
+MINI_AREA_PX = (800, 800)
+TRACKER_FROM_HEAD_MM = (500.0, 900.0, 1300.0)  # where the tracker stands, seen from the head
+# Four markers whose six distances differ by at least 8 mm, so that the frame has one pose only.
+ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
+BENCH_DISTANCE_MM = 1500.0
+
+SceneName = Literal["default", "mini", "bench"]
+
+
+def built_in_scene(
+    name: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None
+) -> Scene:
+    """Draw a built-in scene; raises SIM-001 for an unknown name.
+
+    The default scene has 5 markers and 3 targets, the mini scene 3 and 1.
+    """
+    if name not in SCENES:
+        raise BadScene(f"there is no scene {name!r}", awaited=", ".join(SCENES))
+    mini = name == "mini"
+    generator = np.random.Generator(np.random.Philox(key=seed))
+    head = draw_head(generator, markers or (3 if mini else 5), targets or (1 if mini else 3))
+    left, right = draw_cameras(generator)
+    return Scene(
+        name=name,
+        seed=seed,
+        head=head,
+        ct=MINI_CT if mini else CtProtocol(),
+        arm=draw_arm(generator),
+        mount=draw_mount(generator),
+        tracker=_bench_tracker()
+        if name == "bench"
+        else _tracker(apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)),
+        left=left,
+        right=right,
+        servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
+    )
+
+
+def robot_frame() -> TrackerTool:
+    """The reference frame M that hangs on the tool mount."""
+    return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
+
+
+def _tracker(head_centre_mm: np.ndarray) -> TrackerTruth:
+    offset = np.array(TRACKER_FROM_HEAD_MM)
+    # z points backwards, away from the head; x lies across the housing, as nearly upright as it can be.
+    rotation = rotation_towards(offset, (0.0, 0.0, 1.0))
+    pose = pose_of(matrix_from(head_centre_mm + offset, rotation))
+    return TrackerTruth(robot_from_tracker=pose, tools=(robot_frame(),))
+
+
+def _bench_tracker() -> TrackerTruth:
+    pose = pose_of(matrix_from((BENCH_DISTANCE_MM, 0.0, 0.0), rotation_towards((1, 0, 0), (0, 0, 1))))
+    places = tuple(
+        pose_of(matrix_from((x, y, -BENCH_DISTANCE_MM), np.eye(3)))
+        for x in (-150.0, 150.0)
+        for y in (-300.0, -100.0, 100.0, 300.0)
+    )
+    strays = ((0.0, -200.0, -1400.0), (20.0, 0.0, -1600.0), (-20.0, 200.0, -1500.0))
+    return TrackerTruth(
+        robot_from_tracker=pose,
+        tools=(robot_frame(),),
+        places=places,
+        strays_mm=strays,
+        fiducials_visible=False,
+    )

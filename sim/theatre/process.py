@@ -1,0 +1,77 @@
+"""What every device process of the theatre does alike: find its world, say READY, end in time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+from sim.theatre.built_in import SCENES, built_in_scene
+from sim.theatre.scene import Scene, read_scene
+from sim.theatre.world import World
+
+PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
+
+
+def announce(device: str, endpoint: str | None = None, **more: object) -> None:
+    """Print the one line `READY {json}` that says that clients may connect."""
+    content: dict[str, object] = {"device": device}
+    if endpoint is not None:
+        content["endpoint"] = endpoint
+    print("READY " + json.dumps({**content, **more}), flush=True)  # noqa: T201 - this line is the contract
+
+
+def end_with_parent(end: Callable[[], None]) -> None:
+    """Call `end` once on SIGTERM or SIGINT, or when the parent process is gone.
+
+    `end` must make the process leave its main loop; if it is still there 1.5 s later, it is ended hard.
+    """
+    parent = os.getppid()
+
+    def leave() -> None:
+        end()
+        # A main loop that hangs in a system call must not outlive the promise of 2 s.
+        timer = threading.Timer(1.5, os._exit, args=(0,))
+        timer.daemon = True
+        timer.start()
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        leave()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(PARENT_CHECK_S)
+        leave()
+
+    signal.signal(signal.SIGTERM, on_signal)
+    signal.signal(signal.SIGINT, on_signal)
+    threading.Thread(target=watch, name="parent watch", daemon=True).start()
+
+
+def open_world(world: str | None, scene: str) -> World:
+    """The theatre's world, or for a simulator that was started alone a world of its own.
+
+    A world of its own follows the host's clock. `scene` is a built-in name or a file.
+    """
+    if world is not None:
+        return World.open(world)
+    return World.create(load_scene(scene), paced=True)
+
+
+def load_scene(scene: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None) -> Scene:
+    """A built-in scene by name, or a scene file; raises SIM-001."""
+    if scene in SCENES:
+        return built_in_scene(scene, seed=seed, markers=markers, targets=targets)
+    return read_scene(Path(scene))
+
+
+def fail(message: str, exit_code: int) -> None:
+    """Say why a device process cannot start, and end."""
+    sys.stderr.write(message + "\n")
+    raise SystemExit(exit_code)

@@ -1,0 +1,106 @@
+"""Rigid transforms as plain numpy, for device processes that must start fast: no SciPy here.
+
+Matrices are (4, 4), millimetres. Quaternions are scalar first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ronna_hw.calibration import PoseRecord
+
+Matrix = NDArray[np.float64]
+
+
+def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
+    """Rotation matrix (3, 3) of a quaternion; it is normalised first."""
+    w, x, y, z = np.asarray(quaternion_wxyz, dtype=float) / np.linalg.norm(quaternion_wxyz)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(rotation: ArrayLike) -> Matrix:
+    """Unit quaternion (4,) of a rotation matrix, scalar part not negative (Shepperd's method)."""
+    m = np.asarray(rotation, dtype=float)
+    candidates = np.array(
+        [m[0, 0] + m[1, 1] + m[2, 2], m[0, 0], m[1, 1], m[2, 2]]
+    )  # the largest decides which component is computed first
+    largest = int(np.argmax(candidates))
+    if largest == 0:
+        q = np.array([1 + candidates[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    elif largest == 1:
+        q = np.array(
+            [m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - candidates[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]
+        )
+    elif largest == 2:
+        q = np.array(
+            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - candidates[0], m[1, 2] + m[2, 1]]
+        )
+    else:
+        q = np.array(
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - candidates[0]]
+        )
+    unit: Matrix = q / np.linalg.norm(q)
+    return unit if unit[0] >= 0 else -unit
+
+
+def matrix_from(translation_mm: ArrayLike, rotation: ArrayLike) -> Matrix:
+    """Homogeneous matrix of a translation (3,) and a rotation matrix (3, 3)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = translation_mm
+    return matrix
+
+
+def matrix_of(pose: PoseRecord) -> Matrix:
+    """Homogeneous matrix of a pose record."""
+    return matrix_from(pose.translation_mm, rotation_from_quaternion(pose.quaternion_wxyz))
+
+
+def pose_of(matrix: ArrayLike) -> PoseRecord:
+    """Pose record of a homogeneous matrix."""
+    values = np.asarray(matrix, dtype=float)
+    x, y, z = (float(v) for v in values[:3, 3])
+    qw, qx, qy, qz = (float(v) for v in quaternion_from_rotation(values[:3, :3]))
+    return PoseRecord(translation_mm=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz))
+
+
+def inverse(matrix: Matrix) -> Matrix:
+    """Inverse of a rigid transform."""
+    rotation = matrix[:3, :3].T
+    return matrix_from(-rotation @ matrix[:3, 3], rotation)
+
+
+def apply(matrix: Matrix, points_mm: ArrayLike) -> Matrix:
+    """Map points (3,) or (n, 3)."""
+    mapped: Matrix = np.asarray(points_mm, dtype=float) @ matrix[:3, :3].T + matrix[:3, 3]
+    return mapped
+
+
+def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
+    """Rotation matrix of an axis-angle vector (Rodrigues)."""
+    vector = np.asarray(rotation_vector_rad, dtype=float)
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    rotation: Matrix = np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * (skew @ skew)
+    return rotation
+
+
+def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
+    """Rotation whose third column is `z_axis` and whose first column is as near to `x_hint` as possible."""
+    z = np.asarray(z_axis, dtype=float)
+    z = z / np.linalg.norm(z)
+    x = np.asarray(x_hint, dtype=float)
+    x = x - (x @ z) * z
+    x = x / np.linalg.norm(x)
+    rotation: Matrix = np.column_stack([x, np.cross(z, x), z])
+    return rotation

@@ -1,0 +1,186 @@
+"""The scene: where everything really is. Read by every simulated device, written once.
+
+Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Lengths mm, angles rad.
+`nominal` values are what the hardware's papers say; `true` values are what is really there.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from ronna_hw.calibration import Numbers3, PoseRecord, Strict
+from ronna_hw.config import describe_mistakes
+from sim.errors import BadScene
+
+Numbers6 = tuple[float, float, float, float, float, float]
+SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
+
+
+class Fiducial(Strict):
+    """A sphere on a bone screw. `post` is the unit vector from the skull to the sphere, CT frame."""
+
+    number: int
+    centre_ct_mm: Numbers3
+    post_ct: Numbers3
+    radius_mm: float = SPHERE_RADIUS_MM
+
+
+class Target(Strict):
+    """A planned trajectory in the CT frame."""
+
+    identifier: str
+    entry_ct_mm: Numbers3
+    target_ct_mm: Numbers3
+    free_angle_deg: float = 0.0
+    margin_mm: float = 2.0
+
+
+class Head(Strict):
+    """The patient: where the CT frame really lies in the room, and the head's ellipsoid in it."""
+
+    robot_from_ct: PoseRecord
+    centre_ct_mm: Numbers3
+    semi_axes_mm: Numbers3
+    fiducials: tuple[Fiducial, ...]
+    targets: tuple[Target, ...]
+
+
+class CtProtocol(Strict):
+    """How the CT is scanned: voxel size, grid and noise."""
+
+    pixel_mm: float = 0.5
+    slice_mm: float = 1.0
+    columns: int = 512
+    rows: int = 512
+    slices: int = 200
+    noise_HU: float = 20.0
+
+
+class LinkError(Strict):
+    """How one link of the true arm differs from the nominal one."""
+
+    translation_mm: Numbers3
+    rotation_rad: Numbers3
+
+
+class ArmTruth(Strict):
+    """The true arm: nominal geometry plus these errors, in the order A1..A6.
+
+    The joint angle that really acts is the encoder's plus offset, first and second harmonic, sag, and
+    backlash with the sign of the last motion; at rest a repeatability error is added.
+    """
+
+    variant: Literal["sixx", "r900_2"] = "sixx"
+    home_deg: Numbers6
+    links: tuple[LinkError, LinkError, LinkError, LinkError, LinkError, LinkError]
+    joint_offset_rad: Numbers6
+    harmonic_1_rad: Numbers6
+    harmonic_1_phase_rad: Numbers6
+    harmonic_2_rad: Numbers6
+    harmonic_2_phase_rad: Numbers6
+    sag_rad: tuple[float, float]  # A2 and A3 when stretched out horizontally
+    backlash_rad: Numbers6
+    repeatability_mm: float  # per axis at the tool, one standard deviation
+
+
+class Mount(Strict):
+    """The common mount on the flange and what can hang on it."""
+
+    flange_from_tool_nominal: PoseRecord
+    flange_from_tool_true: PoseRecord  # tool centre point of the stereo head
+    tool_from_tip_true: PoseRecord  # guide tip relative to the head's tool centre point
+    tool_from_marker_true: PoseRecord  # reference frame M, which stays on the mount
+    tool_number_stereo: int = 1
+    tool_number_guide: int = 2
+
+
+class CameraTruth(Strict):
+    """A camera as it really is: pinhole, distortion k1 k2 p1 p2 k3, and its place on the head."""
+
+    serial: str
+    focal_px: tuple[float, float]
+    principal_point_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float]
+    sensor_px: tuple[int, int] = (2048, 1088)
+    camera_from_tool: PoseRecord
+    read_noise_electrons: float = 13.5
+    full_well_electrons: float = 11900.0
+
+
+class TrackerTool(Strict):
+    """A passive tool: markers and their common normal in the tool's own frame."""
+
+    name: str
+    part_number: str
+    markers_mm: tuple[Numbers3, ...]
+    normal: Numbers3 = (0.0, 0.0, 1.0)
+
+
+class TrackerTruth(Strict):
+    """The tracker: where it stands and how noisy a single marker is at mid volume."""
+
+    robot_from_tracker: PoseRecord
+    tools: tuple[TrackerTool, ...]  # the first is the reference frame M on the mount
+    places: tuple[PoseRecord, ...] = ()  # tracker <- tool, for other loaded definitions, in order of loading
+    fiducials_visible: bool = True  # false on the bench, where there is no head
+    noise_xy_mm: float = 0.04
+    noise_z_mm: float = 0.14
+    bias_mm: float = 0.10  # amplitude of the smooth bias field
+    strays_mm: tuple[Numbers3, ...] = ()  # further stray markers, fixed in the tracker frame
+
+
+class CalibrationError(Strict):
+    """Stated errors of the calibration records that the theatre hands out, one standard deviation."""
+
+    camera_rotation_rad: float = 4e-5
+    camera_translation_mm: float = 0.01
+    focal_relative: float = 1e-4
+    tip_mm: float = 0.03  # per axis: 0.05 mm in space
+    marker_translation_mm: float = 0.2
+    marker_rotation_rad: float = 1e-3
+
+
+class Scene(Strict):
+    """Everything that is true in the theatre."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    name: str
+    seed: int = 0
+    head: Head
+    ct: CtProtocol = CtProtocol()
+    arm: ArmTruth
+    mount: Mount
+    tracker: TrackerTruth
+    left: CameraTruth
+    right: CameraTruth
+    servo_area_px: tuple[int, int] = (1024, 1024)  # area of interest that holds a sphere with room to move
+    calibration_error: CalibrationError = CalibrationError()
+
+
+def parse_scene(content: dict[str, Any], name: str) -> Scene:
+    """Check the content of a scene; raises SIM-001 with every mistake in it."""
+    try:
+        return Scene.model_validate(content, strict=False)
+    except ValidationError as error:
+        mistakes = describe_mistakes(error)
+        raise BadScene(f"{name} has {len(mistakes)} mistake(s): " + "; ".join(mistakes)) from error
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a scene file (TOML or JSON); raises SIM-001 with every mistake in it."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        if path.suffix == ".json":
+            return Scene.model_validate_json(text, strict=False)
+        content = tomllib.loads(text)
+    except OSError as error:
+        raise BadScene(f"cannot read the scene {path.name}: {error.strerror}") from error
+    except ValidationError as error:
+        raise BadScene(f"{path.name}: " + "; ".join(describe_mistakes(error))) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadScene(f"{path.name} is not TOML: {error}") from error
+    return parse_scene(content, path.name)
