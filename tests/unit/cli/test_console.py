@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 import typer
 
-from procedures.cli import console
-from procedures.cli.errors import (
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import (
     DiskFull,
     InternalFault,
     NotWritable,
@@ -146,7 +146,7 @@ def test_json_is_one_object_of_finite_numbers(capsys: pytest.CaptureFixture[str]
 
 SCRIPT = """
 import sys, time, typer
-from procedures.cli import console
+from ronna_hw.command_line import console
 app = typer.Typer()
 @app.command()
 def only(wait: bool = False) -> None:

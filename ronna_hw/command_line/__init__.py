@@ -1,0 +1,1 @@
+"""The conventions that every command of the project shares."""
