@@ -1,0 +1,133 @@
+"""Child processes that say READY: started as commands, awaited, and always ended.
+
+A child prints one line `READY {json}` on standard output when clients may connect, and ends by itself
+when its parent dies. What it says on standard error is kept for the message when it fails.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from queue import Empty, SimpleQueue
+from typing import IO, Any
+
+from ronna_hw.errors import LinkTimeout
+
+READY_TIMEOUT_S = 10.0  # the contract of every command that prints READY
+STOP_TIMEOUT_S = 2.0  # the same contract, for SIGTERM
+MESSAGE_LINES_KEPT = 5
+
+
+class ChildNotReady(LinkTimeout):
+    """A child process ended, or said nothing, before it was ready."""
+
+    code = "PRC-001"
+    action = "Run the command alone to see what stops it."
+
+
+class ChildProcess:
+    """One child. `ready` holds what its READY line says."""
+
+    def __init__(self, name: str, arguments: Sequence[str], *, timeout_s: float = READY_TIMEOUT_S) -> None:
+        self.begin(name, arguments)
+        self.await_ready(timeout_s)
+
+    @classmethod
+    def begun(cls, name: str, arguments: Sequence[str]) -> ChildProcess:
+        """Start without waiting, so that several children become ready side by side."""
+        child = cls.__new__(cls)
+        child.begin(name, arguments)
+        return child
+
+    def begin(self, name: str, arguments: Sequence[str]) -> None:
+        """Start the process; `await_ready` must follow."""
+        self.name = name
+        self.ready: dict[str, Any] = {}
+        self._lines: SimpleQueue[str | None] = SimpleQueue()
+        self._messages: deque[str] = deque(maxlen=MESSAGE_LINES_KEPT)
+        self.process = subprocess.Popen(
+            list(arguments),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._readers = [
+            threading.Thread(target=self._read_output, args=(self.process.stdout,), daemon=True),
+            threading.Thread(target=self._read_messages, args=(self.process.stderr,), daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def await_ready(self, timeout_s: float = READY_TIMEOUT_S) -> dict[str, Any]:
+        """Wait for the READY line; raises PRC-001 with the child's own last words, and ends the child."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                line = self._lines.get(timeout=max(0.0, deadline - time.monotonic()))
+            except Empty:
+                self.stop()
+                raise ChildNotReady(
+                    f"{self.name} did not become ready", awaited="READY", limit=f"{timeout_s:g} s"
+                ) from None
+            if line is None:
+                self.process.wait()
+                self._readers[1].join(timeout=1.0)
+                words = " / ".join(self._messages) or f"exit code {self.process.returncode}"
+                raise ChildNotReady(f"{self.name} ended before it was ready: {words}")
+            if line.startswith("READY "):
+                self.ready = json.loads(line.removeprefix("READY "))
+                return self.ready
+
+    @property
+    def alive(self) -> bool:
+        """True while the process runs."""
+        return self.process.poll() is None
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """The last lines the child wrote on standard error."""
+        return tuple(self._messages)
+
+    def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
+        """End the process: SIGTERM, then SIGKILL. Never raises; may be called twice."""
+        if self.alive:
+            self.process.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(timeout_s)
+        if self.alive:
+            self.process.kill()
+            self.process.wait()
+        for reader in self._readers:
+            reader.join(timeout=1.0)
+        for stream in (self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
+
+    def __enter__(self) -> ChildProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _read_output(self, stream: IO[str]) -> None:
+        with contextlib.suppress(ValueError, OSError):
+            for line in stream:
+                self._lines.put(line)
+        self._lines.put(None)
+
+    def _read_messages(self, stream: IO[str]) -> None:
+        with contextlib.suppress(ValueError, OSError):
+            for line in stream:
+                self._messages.append(line.rstrip())
+
+
+def command(module: str, *arguments: str) -> list[str]:
+    """The command line of one of our own commands, run by this very Python and nothing on the path."""
+    return [sys.executable, "-P", "-m", module, *arguments]
