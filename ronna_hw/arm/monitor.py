@@ -1,0 +1,141 @@
+"""The independent monitor: judges every set-point before it is sent, and every measured pose.
+
+It shares no code with the generators: plain comparisons of plain numbers against limits given at start. It
+knows only what was really sent before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import degrees
+from typing import NamedTuple
+
+from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.model import AXES, ArmModel
+from ronna_hw.devices.readings import JointVector
+
+SPEED_MARGIN = 1.05  # over the working limits: rounding and the end of a ramp are no violation
+ACCELERATION_MARGIN = 2.0  # differences over one cycle see jerk as well
+JERK_MARGIN = 4.0
+FOLLOWING_TIME_S = 0.25  # dead time and servo lag together are below 0.1 s; at working speed this is the way
+FOLLOWING_LEAST_RAD = 0.02  # the allowed lag of a slow axis
+RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
+
+
+class Violation(NamedTuple):
+    """What was exceeded, on which axis (1..6), by which value over which limit."""
+
+    kind: str
+    axis: int
+    value: float
+    limit: float
+
+    def __str__(self) -> str:
+        return f"{self.kind} of A{self.axis}: {degrees(self.value):.4f} over {degrees(self.limit):.4f} deg"
+
+
+@dataclass(frozen=True)
+class MonitorLimits:
+    """Per axis; steps are per cycle. `correction_rad` bounds the distance from the pose at RSI_ON."""
+
+    lower_rad: JointVector
+    upper_rad: JointVector
+    step_rad: JointVector
+    second_difference_rad: JointVector
+    third_difference_rad: JointVector
+    correction_lower_rad: JointVector
+    correction_upper_rad: JointVector
+    following_rad: JointVector
+
+
+def monitor_limits(
+    model: ArmModel, limits: MotionLimits, cycle_s: float, start_rad: JointVector
+) -> MonitorLimits:
+    """Limits of the monitor for a session that started at `start_rad`.
+
+    The total correction is bounded by the end switches minus the start pose, as in the controller's context.
+    """
+
+    def times(values: JointVector, factor: float) -> JointVector:
+        a, b, c, d, e, f = (v * factor for v in values)
+        return (a, b, c, d, e, f)
+
+    def minus(values: JointVector) -> JointVector:
+        a, b, c, d, e, f = (v - s for v, s in zip(values, start_rad, strict=True))
+        return (a, b, c, d, e, f)
+
+    def at_least(values: JointVector, least: float) -> JointVector:
+        a, b, c, d, e, f = (max(v, least) for v in values)
+        return (a, b, c, d, e, f)
+
+    return MonitorLimits(
+        lower_rad=model.lower_rad,
+        upper_rad=model.upper_rad,
+        step_rad=times(limits.speed_rad_s, SPEED_MARGIN * cycle_s),
+        second_difference_rad=times(limits.acceleration_rad_s2, ACCELERATION_MARGIN * cycle_s**2),
+        third_difference_rad=times(limits.jerk_rad_s3, JERK_MARGIN * cycle_s**3),
+        correction_lower_rad=minus(model.lower_rad),
+        correction_upper_rad=minus(model.upper_rad),
+        following_rad=at_least(times(limits.speed_rad_s, FOLLOWING_TIME_S), FOLLOWING_LEAST_RAD),
+    )
+
+
+class Monitor:
+    """One per session. `check` judges without remembering; `sent` remembers."""
+
+    def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
+        self.limits = limits
+        self._start = start_rad
+        self._last = (start_rad, start_rad, start_rad)  # newest first: the arm starts at rest
+
+    @property
+    def last_rad(self) -> JointVector:
+        """The last set-point sent."""
+        return self._last[0]
+
+    @property
+    def history_rad(self) -> tuple[JointVector, JointVector, JointVector]:
+        """The last three set-points sent, newest first."""
+        return self._last
+
+    def check(self, joints_rad: JointVector) -> Violation | None:
+        """The first limit a set-point would exceed if it were sent next, or None."""
+        limits = self.limits
+        one, two, three = self._last
+        for i in range(AXES):
+            angle = joints_rad[i]
+            low, high = limits.lower_rad[i] - RANGE_ROUNDING_RAD, limits.upper_rad[i] + RANGE_ROUNDING_RAD
+            if not low <= angle <= high:  # NaN fails here
+                return Violation("range", i + 1, angle, limits.upper_rad[i] if angle > 0 else low)
+            total = angle - self._start[i]
+            if not (
+                limits.correction_lower_rad[i] - RANGE_ROUNDING_RAD
+                <= total
+                <= limits.correction_upper_rad[i] + RANGE_ROUNDING_RAD
+            ):
+                return Violation("total correction", i + 1, total, limits.correction_upper_rad[i])
+            step = angle - one[i]
+            if abs(step) > limits.step_rad[i]:
+                return Violation("step", i + 1, step, limits.step_rad[i])
+            before = one[i] - two[i]
+            bend = step - before
+            if abs(bend) > limits.second_difference_rad[i]:
+                return Violation("acceleration", i + 1, bend, limits.second_difference_rad[i])
+            twist = bend - before + two[i] - three[i]
+            if abs(twist) > limits.third_difference_rad[i]:
+                return Violation("jerk", i + 1, twist, limits.third_difference_rad[i])
+        return None
+
+    def sent(self, joints_rad: JointVector) -> None:
+        """This set-point was sent."""
+        one, two, _ = self._last
+        self._last = (joints_rad, one, two)
+
+    def check_measured(self, measured_rad: JointVector) -> Violation | None:
+        """Whether the measured axes left their ranges or fell too far behind the last set-point."""
+        commanded, limits = self._last[0], self.limits
+        for i in range(AXES):
+            error = measured_rad[i] - commanded[i]
+            if not abs(error) <= limits.following_rad[i]:
+                return Violation("following error", i + 1, error, limits.following_rad[i])
+        return None

@@ -1,0 +1,243 @@
+"""Set-points cycle by cycle. Each preparation yields the next point and the first point of a stop.
+
+The caller sends one of the two and says which: `take_go` or `take_stop`. So at the moment of sending nothing
+is left to compute, and a stop is never a jump.
+"""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import NamedTuple, Protocol
+
+from ronna_hw.arm.errors import OutOfJointRange
+from ronna_hw.arm.inverse import RANGE_SLACK_RAD
+from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.model import AXES, ArmModel
+from ronna_hw.arm.path import Path
+from ronna_hw.arm.planning import PathLimits
+from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
+from ronna_hw.devices.readings import JointVector
+
+
+class Prepared(NamedTuple):
+    """The two set-points the next reply may carry."""
+
+    go_rad: JointVector
+    stop_rad: JointVector
+
+
+class Motion(Protocol):
+    """A source of set-points. `finished` when the last one has been taken."""
+
+    @property
+    def finished(self) -> bool: ...
+
+    def prepare(self) -> Prepared:
+        """The next set-points; raises an error of `ronna_hw.arm.errors` when a path has no solution."""
+        ...
+
+    def take_go(self) -> None:
+        """The go point was sent."""
+        ...
+
+    def take_stop(self) -> None:
+        """The stop point was sent; from now on both points are those of the stop."""
+        ...
+
+
+class Rest:
+    """Stays where it is."""
+
+    finished = True
+
+    def __init__(self, joints_rad: JointVector) -> None:
+        self._prepared = Prepared(joints_rad, joints_rad)
+
+    def prepare(self) -> Prepared:
+        return self._prepared
+
+    def take_go(self) -> None:
+        pass
+
+    def take_stop(self) -> None:
+        pass
+
+
+class PathMotion:
+    """Follows a path from rest to rest; a stop and a change of speed stay on the path."""
+
+    def __init__(self, path: Path, start_rad: JointVector, limits: PathLimits, cycle_s: float) -> None:
+        self._path = path
+        self._limits = limits
+        self._cycle_s = cycle_s
+        self._profiler = Profiler(1)
+        self._bounds = _path_bounds(limits, 1.0)
+        self._state = State.resting([0.0])
+        self._profile = self._profiler.move(self._state, [1.0], self._bounds)
+        self._time_s = 0.0
+        self._joints = start_rad
+        self._stopping = False
+        self._next: tuple[State, Profile, State] | None = None
+        self._prepared = Prepared(start_rad, start_rad)
+
+    @property
+    def finished(self) -> bool:
+        return self._time_s >= self._profile.duration_s
+
+    @property
+    def stopped_early(self) -> bool:
+        """Whether it was stopped before its end."""
+        return self._stopping
+
+    @property
+    def progress(self) -> float:
+        """Path parameter of the last point taken, 0..1."""
+        return self._state.position[0]
+
+    def prepare(self) -> Prepared:
+        ahead_s = self._time_s + self._cycle_s
+        go = self._profile.at(ahead_s)
+        if not self._stopping and ahead_s >= self._profile.duration_s:
+            go = State.resting([1.0])  # the end itself, without the rounding of the profile
+        go_rad = self._at(go)
+        if self._stopping:
+            self._next = (go, self._profile, go)
+            self._prepared = Prepared(go_rad, go_rad)
+        else:
+            stop_profile = self._profiler.stop(self._state, self._bounds)
+            stop = stop_profile.at(self._cycle_s)
+            self._next = (go, stop_profile, stop)
+            self._prepared = Prepared(go_rad, self._at(stop))
+        return self._prepared
+
+    def take_go(self) -> None:
+        if self._next is not None:
+            self._state = self._next[0]
+            self._time_s += self._cycle_s
+            self._joints = self._prepared.go_rad
+            self._next = None
+
+    def take_stop(self) -> None:
+        if self._stopping:
+            self.take_go()
+        elif self._next is not None:
+            _, self._profile, self._state = self._next
+            self._time_s = self._cycle_s
+            self._joints = self._prepared.stop_rad
+            self._stopping = True
+            self._next = None
+
+    def limit_speed(self, fraction: float) -> None:
+        """Go on at `fraction` of the planned speed, braking to it smoothly; a stop is left alone."""
+        if self._stopping or self.finished:
+            return
+        self._bounds = _path_bounds(self._limits, fraction)
+        self._profile = self._profiler.move(self._state, [1.0], self._bounds)
+        self._time_s = 0.0
+
+    def _at(self, state: State) -> JointVector:
+        return self._path.joints(min(max(state.position[0], 0.0), 1.0), self._joints)
+
+
+class JointMotion:
+    """A synchronised joint move to rest from any state of motion, as for a new target on the way.
+
+    From rest prefer `PathMotion`: here the joints end together but the way between is not a straight line.
+    """
+
+    def __init__(
+        self, model: ArmModel, start: State, target_rad: JointVector, limits: MotionLimits, cycle_s: float
+    ) -> None:
+        """Raises ARM-003 when the swing of the motion would leave a joint range, ARM-006 for bad numbers."""
+        self._cycle_s = cycle_s
+        self._profiler = Profiler(AXES)
+        self._bounds = joint_bounds(limits)
+        self._state = start
+        self._profile = self._profiler.move(start, target_rad, self._bounds)
+        for axis, (low, high) in enumerate(self._profile.extrema()):
+            if (
+                low < model.lower_rad[axis] - RANGE_SLACK_RAD
+                or high > model.upper_rad[axis] + RANGE_SLACK_RAD
+            ):
+                raise OutOfJointRange(
+                    f"A{axis + 1} would swing beyond its range",
+                    limit=f"{degrees(model.lower_rad[axis]):.1f} to {degrees(model.upper_rad[axis]):.1f} deg",
+                    last=f"{degrees(low):.3f} to {degrees(high):.3f} deg",
+                )
+        self._time_s = 0.0
+        self._stopping = False
+        self._next: tuple[State, Profile, State] | None = None
+
+    @property
+    def finished(self) -> bool:
+        return self._time_s >= self._profile.duration_s
+
+    def prepare(self) -> Prepared:
+        go = self._profile.at(self._time_s + self._cycle_s)
+        if self._stopping:
+            self._next = (go, self._profile, go)
+        else:
+            stop_profile = self._profiler.stop(self._state, self._bounds)
+            self._next = (go, stop_profile, stop_profile.at(self._cycle_s))
+        return Prepared(_vector(go), _vector(self._next[2]))
+
+    def take_go(self) -> None:
+        if self._next is not None:
+            self._state = self._next[0]
+            self._time_s += self._cycle_s
+            self._next = None
+
+    def take_stop(self) -> None:
+        if self._stopping:
+            self.take_go()
+        elif self._next is not None:
+            _, self._profile, self._state = self._next
+            self._time_s = self._cycle_s
+            self._stopping = True
+            self._next = None
+
+
+class StopMotion:
+    """Every joint to rest within its limits, from any state: the stop that trusts no path."""
+
+    def __init__(self, start: State, limits: MotionLimits, cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._profile = Profiler(AXES).stop(start, joint_bounds(limits))
+        self._time_s = 0.0
+
+    @property
+    def finished(self) -> bool:
+        return self._time_s >= self._profile.duration_s
+
+    def prepare(self) -> Prepared:
+        joints = _vector(self._profile.at(self._time_s + self._cycle_s))
+        return Prepared(joints, joints)
+
+    def take_go(self) -> None:
+        self._time_s += self._cycle_s
+
+    take_stop = take_go
+
+
+def state_from_history(history_rad: tuple[JointVector, JointVector, JointVector], cycle_s: float) -> State:
+    """State of motion from the last three set-points sent, newest first, by backward differences."""
+    velocity, acceleration = [], []
+    for one, two, three in zip(*history_rad, strict=True):
+        bend = (one - 2.0 * two + three) / cycle_s**2
+        velocity.append((one - two) / cycle_s + 0.5 * bend * cycle_s)
+        acceleration.append(bend)
+    return State(list(history_rad[0]), velocity, acceleration)
+
+
+def joint_bounds(limits: MotionLimits) -> Bounds:
+    """Limits of the joints as bounds of a six-axis profile."""
+    return Bounds(list(limits.speed_rad_s), list(limits.acceleration_rad_s2), list(limits.jerk_rad_s3))
+
+
+def _path_bounds(limits: PathLimits, fraction: float) -> Bounds:
+    return Bounds([limits.velocity * fraction], [limits.acceleration], [limits.jerk])
+
+
+def _vector(state: State) -> JointVector:
+    A1, A2, A3, A4, A5, A6 = state.position
+    return (A1, A2, A3, A4, A5, A6)

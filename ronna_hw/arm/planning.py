@@ -1,0 +1,154 @@
+"""A motion is checked over its whole path before it starts: reach, branch, joint ranges, joint speeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import ceil, degrees, pi, radians, sqrt
+from typing import NamedTuple
+
+from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
+from ronna_hw.arm.inverse import RANGE_SLACK_RAD
+from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.model import AXES, ArmModel
+from ronna_hw.arm.path import JointPath, LinePath
+from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.readings import JointVector, Vector3
+
+SAMPLE_MM = 0.5  # spacing of the checks along a line
+SAMPLE_RAD = radians(0.2)
+LEAST_SAMPLES = 16  # enough for the second differences of a short line
+LEAST_SPEED_FRACTION = (
+    0.05  # of the line speed asked for; slower than that, the path is too near a singularity
+)
+CURVATURE_SHARE = 0.5  # of the joint acceleration left to the bending of the joint path
+STANDSTILL_RAD = 1e-9  # a thousandth of what the wire can say; also taken as mm
+
+
+class PathLimits(NamedTuple):
+    """Largest first, second and third derivative of the path parameter, per s, s², s³."""
+
+    velocity: float
+    acceleration: float
+    jerk: float
+
+
+@dataclass(frozen=True)
+class MotionPlan:
+    """A checked motion in plain numbers: what travels to the real-time loop. `target` None: a joint move."""
+
+    start_rad: JointVector
+    target_rad: JointVector
+    limits: PathLimits
+    target: Pose | None = None
+    tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0)
+
+    def path(self, model: ArmModel) -> JointPath | LinePath:
+        """The path of this plan."""
+        if self.target is None:
+            return JointPath(self.start_rad, self.target_rad)
+        return LinePath(model, self.start_rad, self.target, self.tool_in_flange_mm)
+
+    @property
+    def is_standstill(self) -> bool:
+        """Whether start and target are the same joint vector."""
+        return max(abs(a - b) for a, b in zip(self.start_rad, self.target_rad, strict=True)) < STANDSTILL_RAD
+
+
+def require_in_range(model: ArmModel, joints_rad: JointVector) -> None:
+    """Raise ARM-003 naming the first axis that is out of its range, ARM-006 when a value is no number."""
+    for axis, (low, angle, high) in enumerate(zip(model.lower_rad, joints_rad, model.upper_rad, strict=True)):
+        if angle != angle:
+            raise MotionInvalid(f"A{axis + 1} is not a number")
+        if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
+            raise OutOfJointRange(
+                f"A{axis + 1} would leave its range",
+                limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg",
+                last=f"{degrees(angle):.3f} deg",
+            )
+
+
+def plan_joint_move(
+    model: ArmModel, start_rad: JointVector, target_rad: JointVector, limits: MotionLimits
+) -> MotionPlan:
+    """All joints straight to the target, together. Raises ARM-003 when an end is out of range.
+
+    A straight line between two vectors within the ranges, which form a box, stays within them.
+    """
+    require_in_range(model, start_rad)
+    require_in_range(model, target_rad)
+    reach = [abs(b - a) for a, b in zip(start_rad, target_rad, strict=True)]
+    return MotionPlan(start_rad, target_rad, _scaled(reach, limits))
+
+
+def plan_line(
+    model: ArmModel,
+    start_rad: JointVector,
+    target: Pose,
+    limits: MotionLimits,
+    tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0),
+) -> MotionPlan:
+    """A straight line of the tool centre point to the flange pose `target`, in the branch of the start.
+
+    The line is slowed where that keeps every joint within its speed and acceleration. Raises ARM-001,
+    ARM-002, ARM-003 when a point of it has no solution, ARM-005 when it would have to be slower than
+    a twentieth of the line speed asked for.
+    """
+    require_in_range(model, start_rad)
+    line = LinePath(model, start_rad, target, tool_in_flange_mm)
+    count = max(LEAST_SAMPLES, ceil(line.length_mm / SAMPLE_MM), ceil(line.angle_rad / SAMPLE_RAD))
+    points = [start_rad]
+    for k in range(1, count + 1):
+        joints = line.joints(k / count, points[-1])
+        for axis in (3, 5):
+            if abs(joints[axis] - points[-1][axis]) > pi:
+                raise OutOfJointRange(
+                    f"A{axis + 1} would have to turn beyond its range on the line",
+                    last=f"{degrees(points[-1][axis]):.1f} deg at {k / count:.0%} of the line",
+                )
+        points.append(joints)
+    asked = _cartesian(line, limits)
+    allowed = _slowed_for_joints(points, count, asked, limits)
+    if allowed.velocity < LEAST_SPEED_FRACTION * asked.velocity:
+        raise TooFast(
+            "the line passes too near a singular pose",
+            limit=f"{LEAST_SPEED_FRACTION:.0%} of the line speed",
+            last=f"{allowed.velocity / asked.velocity:.2%}",
+        )
+    return MotionPlan(start_rad, points[-1], allowed, target, tool_in_flange_mm)
+
+
+def _scaled(reach: list[float], limits: MotionLimits) -> PathLimits:
+    """Limits of s so that no joint exceeds its own when it travels `reach` rad over s = 0..1."""
+    longest = [max(r, STANDSTILL_RAD) for r in reach]
+    return PathLimits(
+        min(v / r for v, r in zip(limits.speed_rad_s, longest, strict=True)),
+        min(a / r for a, r in zip(limits.acceleration_rad_s2, longest, strict=True)),
+        min(j / r for j, r in zip(limits.jerk_rad_s3, longest, strict=True)),
+    )
+
+
+def _cartesian(line: LinePath, limits: MotionLimits) -> PathLimits:
+    length, angle = max(line.length_mm, STANDSTILL_RAD), max(line.angle_rad, STANDSTILL_RAD)
+    velocity = min(limits.line_speed_mm_s / length, limits.rotation_rad_s / angle)
+    acceleration = min(limits.line_acceleration_mm_s2 / length, limits.rotation_rad_s2 / angle)
+    return PathLimits(velocity, acceleration, acceleration / limits.ramp_s)
+
+
+def _slowed_for_joints(
+    points: list[JointVector], count: int, asked: PathLimits, limits: MotionLimits
+) -> PathLimits:
+    """Joint speed is q' ds/dt and joint acceleration q' d²s/dt² + q'' (ds/dt)²; both by differences."""
+    velocity, acceleration = asked.velocity, asked.acceleration
+    for axis in range(AXES):
+        angles = [p[axis] for p in points]
+        steps = [b - a for a, b in pairwise(angles)]
+        slope = max(abs(step) for step in steps) * count
+        bend = max(abs(b - a) for a, b in pairwise(steps)) * count * count
+        if slope > STANDSTILL_RAD:
+            velocity = min(velocity, limits.speed_rad_s[axis] / slope)
+            share = (1.0 - CURVATURE_SHARE) * limits.acceleration_rad_s2[axis]
+            acceleration = min(acceleration, share / slope)
+        if bend > STANDSTILL_RAD:
+            velocity = min(velocity, sqrt(CURVATURE_SHARE * limits.acceleration_rad_s2[axis] / bend))
+    return PathLimits(velocity, acceleration, acceleration / limits.ramp_s)

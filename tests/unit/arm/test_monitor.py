@@ -1,0 +1,97 @@
+"""The monitor trips on each thing it watches, and on nothing a good motion does."""
+
+import math
+
+import pytest
+
+from ronna_hw.arm.errors import MonitorTripped
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.monitor import Monitor, MonitorLimits, Violation, monitor_limits
+from ronna_hw.devices.readings import JointVector
+
+MODEL = arm_model(ArmVariant.SIXX)
+CYCLE_S = 0.004
+START = radians6(0, -90, 90, 0, 60, 0)
+LIMITS: MonitorLimits = monitor_limits(MODEL, working_limits(MODEL), CYCLE_S, START)
+
+
+def _with(axis: int, angle_rad: float, base: JointVector = START) -> JointVector:
+    joints = list(base)
+    joints[axis - 1] = angle_rad
+    return (joints[0], joints[1], joints[2], joints[3], joints[4], joints[5])
+
+
+def _monitor(history: JointVector = START) -> Monitor:
+    monitor = Monitor(LIMITS, START)
+    for _ in range(3):
+        monitor.sent(history)
+    return monitor
+
+
+def _kind(violation: Violation | None) -> tuple[str, int] | None:
+    return (violation.kind, violation.axis) if violation else None
+
+
+def test_standing_still_is_no_violation() -> None:
+    assert _monitor().check(START) is None
+    assert _monitor().check_measured(START) is None
+
+
+def test_a_point_outside_the_range_trips() -> None:
+    edge = _with(1, MODEL.upper_rad[0])
+    assert _monitor(edge).check(edge) is None
+    assert _kind(_monitor(edge).check(_with(1, MODEL.upper_rad[0] + 1e-4))) == ("range", 1)
+    low = _with(2, MODEL.lower_rad[1])
+    assert _kind(_monitor(low).check(_with(2, MODEL.lower_rad[1] - 1e-4))) == ("range", 2)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_point_that_is_no_number_trips(value: float) -> None:
+    assert _kind(_monitor().check(_with(4, value))) == ("range", 4)
+
+
+def test_a_jump_trips_as_a_step() -> None:
+    assert _kind(_monitor().check(_with(6, START[5] + 1.01 * LIMITS.step_rad[5]))) == ("step", 6)
+
+
+def test_a_kick_within_the_step_trips_as_acceleration() -> None:
+    kick = 0.5 * LIMITS.step_rad[1]
+    assert kick > LIMITS.second_difference_rad[1]
+    assert _kind(_monitor().check(_with(2, START[1] + kick))) == ("acceleration", 2)
+
+
+def test_a_shake_within_the_acceleration_trips_as_jerk() -> None:
+    monitor = _monitor()
+    shake = 0.9 * LIMITS.second_difference_rad[0]
+    assert shake > LIMITS.third_difference_rad[0]
+    assert _kind(monitor.check(_with(1, START[0] + shake))) == ("jerk", 1)
+
+
+def test_the_total_correction_is_bounded_by_the_end_switches_of_the_start() -> None:
+    narrow = MonitorLimits(**{**vars(LIMITS), "correction_upper_rad": (0.001,) * 6})
+    monitor = Monitor(narrow, START)
+    for _ in range(3):
+        monitor.sent(_with(1, 0.001))
+    assert _kind(monitor.check(_with(1, 0.00101))) == ("total correction", 1)
+
+
+def test_an_axis_that_does_not_follow_trips() -> None:
+    monitor = _monitor()
+    inside = _with(3, START[2] - 0.9 * LIMITS.following_rad[2])
+    outside = _with(3, START[2] - 1.1 * LIMITS.following_rad[2])
+    assert monitor.check_measured(inside) is None
+    assert _kind(monitor.check_measured(outside)) == ("following error", 3)
+    assert _kind(monitor.check_measured(_with(3, math.nan))) == ("following error", 3)
+
+
+def test_judging_does_not_remember() -> None:
+    monitor = _monitor()
+    monitor.check(_with(1, 0.5))
+    assert monitor.last_rad == START
+
+
+def test_a_violation_becomes_an_error_that_names_axis_value_and_limit() -> None:
+    violation = _monitor().check(_with(6, START[5] + 1.0))
+    with pytest.raises(MonitorTripped, match=r"ARM-007: step of A6: 57\.29"):
+        raise MonitorTripped(str(violation))

@@ -1,0 +1,93 @@
+"""Plans are refused before motion when reach, range, branch or joint speed do not allow them."""
+
+import math
+
+import pytest
+
+from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, Singular, TooFast, Unreachable
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import ArmVariant, arm_model, degrees6, radians6
+from ronna_hw.arm.planning import plan_joint_move, plan_line
+from ronna_hw.arm.pose import Pose
+
+MODEL = arm_model(ArmVariant.SIXX)
+LIMITS = working_limits(MODEL)
+START = radians6(0, -90, 90, 0, 60, 0)
+
+
+def _shifted(pose: Pose, x_mm: float, y_mm: float, z_mm: float) -> Pose:
+    x, y, z = pose.position_mm
+    return Pose((x + x_mm, y + y_mm, z + z_mm), pose.rotation)
+
+
+def test_working_speed_is_below_an_eighth_of_full_axis_speed() -> None:
+    for working, full in zip(LIMITS.speed_rad_s, MODEL.full_speed_rad_s, strict=True):
+        assert working < full / 8
+
+
+def test_a_joint_target_out_of_range_names_the_axis_and_the_limit() -> None:
+    with pytest.raises(OutOfJointRange, match=r"A5 .* limit -120\.0 to 120\.0 deg; last value 121\.000"):
+        plan_joint_move(MODEL, START, radians6(0, -90, 90, 0, 121, 0), LIMITS)
+
+
+def test_a_target_that_is_no_number_is_refused() -> None:
+    with pytest.raises(MotionInvalid, match="A2 is not a number"):
+        plan_joint_move(MODEL, START, (0.0, math.nan, 0.0, 0.0, 0.0, 0.0), LIMITS)
+
+
+@pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, math.nan])
+def test_a_speed_fraction_outside_its_range_is_refused(fraction: float) -> None:
+    with pytest.raises(MotionInvalid):
+        LIMITS.slowed(fraction)
+
+
+def test_half_the_speed_fraction_gives_half_the_speed() -> None:
+    target = radians6(30, -80, 80, 0, 60, 0)
+    whole = plan_joint_move(MODEL, START, target, LIMITS)
+    half = plan_joint_move(MODEL, START, target, LIMITS.slowed(0.5))
+    assert half.limits.velocity == pytest.approx(whole.limits.velocity / 2)
+    assert half.limits.acceleration == whole.limits.acceleration
+
+
+def test_a_line_out_of_reach_is_refused() -> None:
+    with pytest.raises(Unreachable):
+        plan_line(MODEL, START, _shifted(forward(MODEL, START), 900, 0, 0), LIMITS)
+
+
+def test_a_line_through_the_stretched_hand_is_refused() -> None:
+    start = radians6(0, -90, 90, 0, 10, 0)
+    target = forward(MODEL, radians6(0, -90, 90, 0, -10, 0))
+    with pytest.raises((Singular, TooFast, OutOfJointRange)):
+        plan_line(MODEL, start, target, LIMITS)
+
+
+def test_a_line_close_past_the_stretched_hand_is_too_fast_for_the_joints() -> None:
+    start = radians6(0, -90, 90, 1.0, 10, 0)
+    begin = forward(MODEL, start)
+    target = forward(MODEL, radians6(0, -90, 90, 1.0, -10, 0))
+    with pytest.raises(TooFast, match="singular") as caught:
+        plan_line(MODEL, start, Pose(begin.position_mm, target.rotation), LIMITS)
+    assert caught.value.code == "ARM-005"
+
+
+def test_a_line_beside_a_singularity_is_slowed_for_the_joints() -> None:
+    start = radians6(0, -90, 90, 30, 12, 0)
+    target = _shifted(forward(MODEL, start), 0, 60, 0)
+    plan = plan_line(MODEL, start, target, LIMITS)
+    assert plan.limits.velocity * 60.0 < 0.9 * LIMITS.line_speed_mm_s
+
+
+def test_a_line_that_needs_a_whole_turn_of_the_hand_is_refused() -> None:
+    start = radians6(0, -90, 90, 0, 60, 340)
+    target = forward(MODEL, start).compose(Pose.from_kuka(0, 0, 0, -30, 0, 0))
+    with pytest.raises(OutOfJointRange, match="A6 would have to turn beyond"):
+        plan_line(MODEL, start, target, LIMITS)
+    back = forward(MODEL, start).compose(Pose.from_kuka(0, 0, 0, 30, 0, 0))
+    assert degrees6(plan_line(MODEL, start, back, LIMITS).target_rad)[5] == pytest.approx(310)
+
+
+def test_going_nowhere_is_a_standstill() -> None:
+    assert plan_joint_move(MODEL, START, START, LIMITS).is_standstill
+    assert plan_line(MODEL, START, forward(MODEL, START), LIMITS).is_standstill
+    assert not plan_line(MODEL, START, _shifted(forward(MODEL, START), 0, 0, 1e-3), LIMITS).is_standstill
