@@ -20,6 +20,10 @@ def register(app: typer.Typer) -> None:
     import importlib
     import importlib.util
 
+    from sim.theatre.command import theatre, verify
+
+    app.command()(theatre)
+    app.command()(verify)
     for name in ("polaris", "kuka", "basler", "phantom"):
         if importlib.util.find_spec(f"sim.{name}.command") is None:
             continue  # lead: removed once every room has its command

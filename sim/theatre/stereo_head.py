@@ -16,7 +16,6 @@ from sim.theatre.scene import CameraTruth, Mount
 
 TOOL_IN_FLANGE_MM = (220.0, 0.0, 60.0)
 TOOL_ERROR_MM = 2.0  # per axis, parameter set S: the mount is not where its drawing says
-TIP_ERROR_MM = 0.0  # the guide hangs exactly where the head hung; what is not known is in the tip record
 MARKER_IN_TOOL_MM = (-150.0, 0.0, -140.0)
 HALF_ANGLE_RAD = radians(27.5)
 WORKING_DISTANCE_MM = 250.0

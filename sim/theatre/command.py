@@ -1,0 +1,91 @@
+"""`ronna-sim theatre` and `ronna-sim verify`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ronna_hw.command_line.console import JsonOption, print_json, print_table
+
+
+class Speed(StrEnum):
+    """Pace of the theatre's time."""
+
+    MAX = "max"
+    REAL = "1"
+
+
+def theatre(
+    out: Annotated[Path, typer.Option(help="Folder for theatre.toml and what belongs to it.")] = Path(
+        "theatre"
+    ),
+    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 0,
+    markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
+    targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
+    speed: Annotated[Speed, typer.Option(help="max: as fast as the devices go; 1: real time.")] = Speed.MAX,
+    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+) -> None:
+    """Start all devices over one scene and write theatre.toml; runs until it is ended."""
+    import threading
+
+    from ronna_hw.errors import EXIT_FAILED
+    from sim.theatre.faults import parse_faults
+    from sim.theatre.launch import Theatre
+    from sim.theatre.process import announce, end_with_parent, fail, load_scene
+
+    script = faults.read_text(encoding="utf-8") if faults else ""
+    parse_faults(script)
+    truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+    ended = threading.Event()
+    end_with_parent(ended.set)
+    running = Theatre(truth, out, paced=speed is Speed.REAL, faults=script)
+    reasons: list[str] = []
+    try:
+
+        def gone(reason: str) -> None:
+            if not ended.is_set():
+                reasons.append(reason)
+                ended.set()
+
+        running.watch(gone)
+        announce(
+            "theatre",
+            endpoints={**running.endpoints, "control": running.control, "clock": running.world.endpoint},
+            file=str(running.file.resolve()),
+        )
+        ended.wait()
+    finally:
+        running.close()
+    if reasons:
+        fail(reasons[0], EXIT_FAILED)
+
+
+def verify(
+    run: Annotated[Path, typer.Argument(help="Folder of a finished run.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Compare a finished run with the truth of its theatre."""
+    from sim.theatre.verify import verify_run
+
+    outcome = verify_run(run)
+    if as_json:
+        print_json(outcome)
+        return
+    print_table(
+        "Error of the guide's tip against truth",
+        ("target", "depth mm", "error mm", "lateral mm", "axial mm"),
+        [
+            (
+                row["id"],
+                f"{row['depth_mm']:.1f}",
+                f"{row['application_error_mm']:.3f}",
+                f"{row['lateral_mm']:.3f}",
+                f"{row['axial_mm']:+.3f}",
+            )
+            for row in outcome["targets"]
+        ],
+    )

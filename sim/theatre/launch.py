@@ -1,0 +1,110 @@
+"""Starts one process per device over one world, and writes the theatre file when all are ready."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.records import write_whole
+from sim.errors import ChildFailed
+from sim.polaris.definition import write_definition
+from sim.theatre.control import ControlPort, Room
+from sim.theatre.scene import Scene
+from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.theatre.truth import SCENE_FILE
+from sim.theatre.world import World
+
+THEATRE_FILE = "theatre.toml"
+SILENCE_LIMIT_PACED_S = 0.25
+# In lock-step the controller waits up to 2 s for a reply, so silence is judged above that.
+SILENCE_LIMIT_LOCK_STEP_S = 5.0
+
+
+class Theatre:
+    """A running theatre: world, control port and three device processes."""
+
+    def __init__(self, scene: Scene, folder: Path, *, paced: bool, faults: str = "") -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        self.file = folder / THEATRE_FILE
+        self.world = World.create(scene, paced=paced)
+        if faults:
+            self.world.set_fault_script(faults)
+        write_whole(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
+        self._control = ControlPort(Room(self.world, folder))
+        self._children: list[ChildProcess] = []
+        try:
+            self.endpoints = self._start_devices()
+            limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S
+            write_theatre_file(
+                theatre_content(scene, self.endpoints, self.world.endpoint, self._write_tools(), limit_s),
+                self.file,
+            )
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def control(self) -> str:
+        """Endpoint of the control port."""
+        return self._control.endpoint
+
+    def watch(self, gone: Callable[[str], None]) -> None:
+        """Call `gone` with a reason when a device process ends by itself."""
+
+        def wait(child: ChildProcess) -> None:
+            child.process.wait()
+            gone(f"{child.name} ended: {' / '.join(child.messages)}")
+
+        for child in self._children:
+            threading.Thread(target=wait, args=(child,), daemon=True).start()
+
+    def close(self) -> None:
+        """End all device processes and the control port."""
+        for child in self._children:
+            if child.alive:
+                child.process.terminate()  # all at once, then wait for each
+        for child in self._children:
+            child.stop()
+        self._control.close()
+
+    def _start_devices(self) -> dict[str, Any]:
+        world = ("--world", self.world.endpoint)
+        rsi = f"udp://127.0.0.1:{_free_udp_port()}"
+        free = "tcp://127.0.0.1:0"
+        arguments = {
+            "polaris": world,
+            "kuka": (*world, "--rsi", rsi, "--eki", free, "--eki-project", free),
+            "basler": world,
+        }
+        self._children = [
+            ChildProcess.begun(f"ronna-sim {name}", command("sim.cli", name, *more))
+            for name, more in arguments.items()
+        ]
+        endpoints: dict[str, Any] = {}
+        for name, child in zip(arguments, self._children, strict=True):
+            ready = child.await_ready()
+            endpoints[name] = ready.get("endpoint") or ready.get("endpoints")
+            if not endpoints[name]:
+                raise ChildFailed(f"{child.name} told no endpoint", last=str(ready))
+        return endpoints
+
+    def _write_tools(self) -> dict[str, str]:
+        files = {}
+        for tool in self.world.scene.tracker.tools:
+            path = self.folder / f"{tool.name}.rom"
+            write_whole(path, write_definition(tool))
+            files[tool.name] = str(path.resolve())
+        return files
+
+
+def _free_udp_port() -> int:
+    """A port that is free now; the client binds it in a moment."""
+    with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

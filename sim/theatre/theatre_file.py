@@ -1,0 +1,144 @@
+"""Writes the theatre file: the endpoints that the devices told, and calibration records.
+
+A record is the truth plus an error of the stated size, drawn from the seed, as a laboratory would have
+measured it. The tool frame is the exception that the field knows: the record holds the nominal pose, and
+the mount is where it is.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ronna_hw.calibration import PoseRecord
+from ronna_hw.records import write_whole
+from sim.theatre.noise import noise
+from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.theatre.scene import CalibrationError, CameraTruth, Scene
+from sim.theatre.stereo_head import WORKING_DISTANCE_MM
+
+RECORD_LIFE = timedelta(days=30)
+MADE_BY = "ronna-sim theatre"
+BANNER = "SIMULATED THEATRE"
+
+
+def theatre_content(
+    scene: Scene, endpoints: dict[str, Any], clock: str, tool_files: dict[str, str], silence_limit_s: float
+) -> dict[str, Any]:
+    """The content of the theatre file as plain data, in the form of `ronna_hw.config.TheatreFile`."""
+    return {
+        "schema": 1,
+        "theatre": f"{scene.name} scene, seed {scene.seed}",
+        "banner": BANNER,
+        "clock": {"endpoint": clock},
+        "tracker": {
+            "driver": "ndi_polaris",
+            "endpoint": endpoints["polaris"],
+            "options": {"tools": [{"name": name, "rom": rom} for name, rom in tool_files.items()]},
+        },
+        "robot": {
+            "master": {
+                "driver": "kuka_rsi",
+                "endpoints": {key: endpoints["kuka"][key] for key in ("rsi", "eki_project")},
+                "options": {"variant": scene.arm.variant, "silence_limit_s": silence_limit_s},
+            }
+        },
+        "stereo": {
+            "driver": "basler_stereo",
+            "endpoints": endpoints["basler"],
+            "options": {
+                "left_serial": scene.left.serial,
+                "right_serial": scene.right.serial,
+                "servo_area_px": list(scene.servo_area_px),
+            },
+        },
+        "calibration": _calibrations(scene),
+    }
+
+
+def write_theatre_file(content: dict[str, Any], path: Path) -> None:
+    """Write the theatre file whole."""
+    write_whole(path, _toml(content).encode())
+
+
+def _calibrations(scene: Scene) -> dict[str, Any]:
+    error = scene.calibration_error
+    generator = noise(scene.seed, "calibration", 0)
+    created = datetime.now(UTC).replace(microsecond=0)
+    nominal = matrix_of(scene.mount.flange_from_tool_nominal)
+    tip = nominal @ matrix_of(scene.mount.tool_from_tip_true)
+    tip = tip @ matrix_from(generator.normal(0.0, error.tip_mm, 3), np.eye(3))
+    marker = matrix_of(scene.mount.tool_from_marker_true) @ matrix_from(
+        generator.normal(0.0, error.marker_translation_mm, 3),
+        rotation_from_vector(generator.normal(0.0, error.marker_rotation_rad, 3)),
+    )
+
+    def record(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
+        return {
+            "identifier": f"{name}-{scene.name}-{scene.seed}",
+            "created": created,
+            "expires": created + RECORD_LIFE,
+            "made_by": MADE_BY,
+            "stated_error_mm": stated_error_mm,
+            **more,
+        }
+
+    return {
+        "stereo_head": record(
+            "stereo-head",
+            float(
+                np.hypot(
+                    3**0.5 * error.camera_translation_mm, WORKING_DISTANCE_MM * error.camera_rotation_rad
+                )
+            ),
+            flange_from_tool=_pose(pose_of(nominal)),
+            left=_camera(scene.left, error, generator),
+            right=_camera(scene.right, error, generator),
+        ),
+        "tool_tip": record(
+            "tool-tip",
+            3**0.5 * error.tip_mm,
+            tool_number=scene.mount.tool_number_guide,
+            flange_from_tool=_pose(pose_of(tip)),
+        ),
+        "tracker_frame": record(
+            "tracker-frame",
+            3**0.5 * error.marker_translation_mm,
+            tool=scene.tracker.tools[0].name,
+            tool_from_marker=_pose(pose_of(marker)),
+        ),
+    }
+
+
+def _camera(camera: CameraTruth, error: CalibrationError, generator: np.random.Generator) -> dict[str, Any]:
+    twist = matrix_from(
+        generator.normal(0.0, error.camera_translation_mm, 3),
+        rotation_from_vector(generator.normal(0.0, error.camera_rotation_rad, 3)),
+    )
+    # The error is the camera's own: a turn in its mount moves what it sees at the working distance.
+    seen = twist @ matrix_of(camera.camera_from_tool)
+    scale = 1.0 + float(generator.normal(0.0, error.focal_relative))
+    return {
+        "serial": camera.serial,
+        "focal_px": [value * scale for value in camera.focal_px],
+        "principal_point_px": list(camera.principal_point_px),
+        "distortion": list(camera.distortion),
+        "sensor_px": list(camera.sensor_px),
+        "camera_from_tool": _pose(pose_of(seen)),
+    }
+
+
+def _pose(pose: PoseRecord) -> dict[str, Any]:
+    return {
+        "translation_mm": list(pose.translation_mm),
+        "quaternion_wxyz": list(pose.quaternion_wxyz),
+    }
+
+
+def _toml(content: dict[str, Any]) -> str:
+    import tomli_w
+
+    return tomli_w.dumps(content)

@@ -1,0 +1,67 @@
+"""What is really where, for the verifier and for nobody else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ronna_hw.calibration import Numbers3, Strict
+from sim.theatre.rigid import apply, matrix_of
+from sim.theatre.world import World
+
+TRUTH_FILE = "truth.jsonl"
+SCENE_FILE = "scene.json"
+
+
+class TipSample(Strict):
+    """Where the tip of the guide and a target really were at one moment, robot frame."""
+
+    target: str
+    theatre_time_s: float
+    mounted_tool: int
+    arm_at_rest: bool
+    tip_mm: Numbers3
+    axis: Numbers3  # direction of the guide, unit vector
+    target_mm: Numbers3
+    entry_mm: Numbers3
+
+
+def sample_tip(world: World, target: str) -> TipSample:
+    """Take the true tip pose and the true target; raises KeyError for an unknown target."""
+    scene = world.scene
+    planned = {item.identifier: item for item in scene.head.targets}[target]
+    arm = world.arm()
+    tip = arm.robot_from_flange @ matrix_of(scene.mount.flange_from_tool_true)
+    tip = tip @ matrix_of(scene.mount.tool_from_tip_true)
+    robot_from_ct = matrix_of(scene.head.robot_from_ct)
+    return TipSample(
+        target=target,
+        theatre_time_s=world.clock.now_s(),
+        mounted_tool=world.mounted_tool(),
+        arm_at_rest=arm.at_rest,
+        tip_mm=_three(tip[:3, 3]),
+        axis=_three(tip[:3, 2]),
+        target_mm=_three(apply(robot_from_ct, planned.target_ct_mm)),
+        entry_mm=_three(apply(robot_from_ct, planned.entry_ct_mm)),
+    )
+
+
+def append_sample(sample: TipSample, folder: Path) -> None:
+    """Add a sample to the theatre's truth file."""
+    with (folder / TRUTH_FILE).open("a", encoding="utf-8") as file:
+        file.write(sample.model_dump_json() + "\n")
+
+
+def read_samples(folder: Path) -> list[TipSample]:
+    """All samples of a theatre, in order; an empty list when none was taken."""
+    path = folder / TRUTH_FILE
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return [TipSample.model_validate_json(line) for line in lines]
+
+
+def _three(vector: np.ndarray) -> Numbers3:
+    x, y, z = (float(value) for value in vector)
+    return (x, y, z)

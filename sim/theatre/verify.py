@@ -1,0 +1,85 @@
+"""Truth against a finished run: what the CT localizer missed and where the guide's tip really was.
+
+Reads the records that the run left and the truth that the theatre sampled; neither knows the other.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ronna_hw.records import Record, read_record
+from sim.errors import NothingToVerify
+from sim.theatre.scene import Scene, read_scene
+from sim.theatre.truth import SCENE_FILE, read_samples
+
+THEATRE_FOLDER = "theatre"
+RECORDS_FOLDER = "records"
+SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; spheres are 11.5 mm wide
+
+
+def verify_run(run: Path) -> dict[str, Any]:
+    """Compare a run folder with its theatre's truth; raises SIM-006 when there is nothing to compare.
+
+    Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
+    lateral_mm, axial_mm, axis_error_rad), as plain data.
+    """
+    theatre = run / THEATRE_FOLDER
+    if not (theatre / SCENE_FILE).exists():
+        raise NothingToVerify(f"{run} has no simulated theatre")
+    scene = read_scene(theatre / SCENE_FILE)
+    samples = {sample.target: sample for sample in read_samples(theatre)}  # the last sample of each target
+    localization = _record(run, "fiducial_localization")
+    if localization is None and not samples:
+        raise NothingToVerify(f"{run} has neither located a sphere nor reached a target")
+    return {
+        "ct": _verify_ct(scene, localization),
+        "targets": [
+            _verify_target(scene, samples[target.identifier])
+            for target in scene.head.targets
+            if target.identifier in samples
+        ],
+    }
+
+
+def _record(run: Path, kind: str) -> Record | None:
+    records = [read_record(path) for path in sorted((run / RECORDS_FOLDER).glob(f"*{kind}*.json"))]
+    found = [record for record in records if record.kind == kind]
+    return found[-1] if found else None
+
+
+def _verify_ct(scene: Scene, localization: Record | None) -> dict[str, Any] | None:
+    if localization is None:
+        return None
+    true = np.array([fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
+    found = np.array([marker["centre_mm"] for marker in localization.payload["markers"]]).reshape(-1, 3)
+    distances = (
+        np.linalg.norm(found[:, None] - true[None], axis=2) if len(found) else np.zeros((0, len(true)))
+    )
+    hits = distances < SAME_SPHERE_MM
+    errors = [float(distances[:, k].min()) for k in range(len(true)) if hits[:, k].any()]
+    return {
+        "found": len(errors),
+        "missed": len(true) - len(errors),
+        "false": int((~hits.any(axis=1)).sum()) if len(found) else 0,
+        "rms_error_mm": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
+    }
+
+
+def _verify_target(scene: Scene, sample: Any) -> dict[str, Any]:
+    tip, target, entry = (np.array(v) for v in (sample.tip_mm, sample.target_mm, sample.entry_mm))
+    planned_axis = (target - entry) / np.linalg.norm(target - entry)
+    error = tip - target
+    axial = float(error @ planned_axis)
+    return {
+        "id": sample.target,
+        "depth_mm": float(np.linalg.norm(target - entry)),
+        "application_error_mm": float(np.linalg.norm(error)),
+        "lateral_mm": float(np.linalg.norm(error - axial * planned_axis)),
+        "axial_mm": axial,
+        "axis_error_rad": float(np.arccos(np.clip(np.array(sample.axis) @ planned_axis, -1.0, 1.0))),
+        "guide_mounted": sample.mounted_tool == scene.mount.tool_number_guide,
+        "arm_at_rest": sample.arm_at_rest,
+    }
