@@ -1,0 +1,165 @@
+"""Tool definitions as the unit reads them from the memory of a port handle, and as a tool maker writes them.
+
+Layout in `ronna_hw.wire.polaris_rom`. Positions in mm and unit normals, both in the tool's own frame.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.wire import polaris_rom as rom
+from sim.theatre.scene import TrackerTool
+
+MAXIMUM_ANGLE_DEG = 90
+MAXIMUM_ERROR_MM = 2.0  # of one marker against the fitted definition
+MANUFACTURER = "RONNA"
+LEAST_NORMAL_LENGTH = 0.5  # a unit vector in single precision is far above this
+SUBTYPE_BELOW_TYPE = 1  # real files carry main type - 1 as the subtype
+TOOL_GROUP = 1
+FIRST_FACE = 1
+CONSTANT_TEN = 10.0
+CONSTANT_NINE = 9
+# Serial number of written definitions: sequence 1, day 0, month 0, year 2024. Some clients refuse zero.
+SERIAL_SEQUENCE = 1
+SERIAL_YEAR = 2024
+
+_u16 = struct.Struct("<H")
+_u32 = struct.Struct("<I")
+_f32 = struct.Struct("<f")
+_positions = struct.Struct("<60f")
+
+Vectors = NDArray[np.float64]
+
+
+class BadDefinition(Exception):
+    """The bytes are no tool definition. `limits`: they name more or fewer markers than a tool can have."""
+
+    def __init__(self, what: str, *, limits: bool = False) -> None:
+        super().__init__(what)
+        self.limits = limits
+
+
+@dataclass(frozen=True)
+class ToolDefinition:
+    """What the unit knows of a tool."""
+
+    main_type: int
+    subtype: int
+    revision: int
+    serial: int
+    maximum_angle_deg: float
+    minimum_markers: int
+    maximum_error_mm: float
+    markers_mm: Vectors  # (n, 3)
+    normals: Vectors  # (n, 3), unit
+    manufacturer: str
+    part_number: str
+    marker_type: int
+
+
+def checksum(content: bytes) -> int:
+    """Checksum of a definition; zero padding behind it changes nothing."""
+    return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
+
+
+def parse_definition(content: bytes) -> ToolDefinition:
+    """Judge the memory of a port handle; raises BadDefinition with the first thing that is wrong."""
+    if len(content) < rom.ROM_BYTES:
+        raise BadDefinition(f"{len(content)} bytes, a definition has {rom.ROM_BYTES}")
+    if content[: len(rom.ROM_MAGIC)] != rom.ROM_MAGIC:
+        raise BadDefinition("it does not begin with NDI")
+    if _u16.unpack_from(content, rom.CHECKSUM_OFFSET)[0] != checksum(content):
+        raise BadDefinition("its checksum is wrong")
+    count = content[rom.MARKER_COUNT_OFFSET]
+    minimum = content[rom.MINIMUM_MARKER_COUNT_OFFSET]
+    if not rom.ROM_MINIMUM_MARKERS <= count <= rom.ROM_MARKERS:
+        raise BadDefinition(f"it has {count} markers", limits=True)
+    if not rom.ROM_MINIMUM_MARKERS <= minimum <= count:
+        raise BadDefinition(f"it asks for {minimum} of {count} markers", limits=True)
+    maximum_error_mm = _f32.unpack_from(content, rom.MAXIMUM_ERROR_OFFSET)[0]
+    if not 0.0 < maximum_error_mm < np.inf:
+        raise BadDefinition("its maximum 3D error is not a positive length")
+    return ToolDefinition(
+        main_type=content[rom.MAIN_TYPE_OFFSET],
+        subtype=content[rom.SUBTYPE_OFFSET],
+        revision=_u16.unpack_from(content, rom.REVISION_OFFSET)[0],
+        serial=_u32.unpack_from(content, rom.SERIAL_OFFSET)[0],
+        maximum_angle_deg=float(content[rom.MAXIMUM_ANGLE_OFFSET]),
+        minimum_markers=minimum,
+        maximum_error_mm=maximum_error_mm,
+        markers_mm=_vectors(content, rom.MARKER_POSITIONS_OFFSET, count, "marker positions"),
+        normals=_unit(_vectors(content, rom.MARKER_NORMALS_OFFSET, count, "marker normals")),
+        manufacturer=_text(content, rom.MANUFACTURER_OFFSET, rom.MANUFACTURER_BYTES),
+        part_number=_text(content, rom.PART_NUMBER_OFFSET, rom.PART_NUMBER_BYTES),
+        marker_type=content[rom.MARKER_TYPE_OFFSET],
+    )
+
+
+def write_definition(tool: TrackerTool) -> bytes:
+    """The definition file (752 bytes) of a passive tool of a scene: one face, any three markers suffice."""
+    count = len(tool.markers_mm)
+    if not rom.ROM_MINIMUM_MARKERS <= count <= rom.ROM_MARKERS:
+        raise BadDefinition(f"{tool.name} has {count} markers", limits=True)
+    content = bytearray(rom.ROM_BYTES)
+    content[: len(rom.ROM_MAGIC)] = rom.ROM_MAGIC
+    content[rom.CONSTANT_ONE_OFFSET] = 1
+    content[rom.MAIN_TYPE_OFFSET] = rom.MAIN_TYPE_REFERENCE
+    content[rom.SUBTYPE_OFFSET] = rom.MAIN_TYPE_REFERENCE - SUBTYPE_BELOW_TYPE
+    _u32.pack_into(content, rom.SERIAL_OFFSET, _serial())
+    content[rom.MAXIMUM_ANGLE_OFFSET] = MAXIMUM_ANGLE_DEG
+    content[rom.MARKER_COUNT_OFFSET] = count
+    content[rom.MINIMUM_MARKER_COUNT_OFFSET] = rom.ROM_MINIMUM_MARKERS
+    _f32.pack_into(content, rom.MAXIMUM_ERROR_OFFSET, MAXIMUM_ERROR_MM)
+    _f32.pack_into(content, rom.CONSTANT_TEN_OFFSET, CONSTANT_TEN)
+    for slot, marker in enumerate(tool.markers_mm):
+        struct.pack_into("<3f", content, rom.MARKER_POSITIONS_OFFSET + 12 * slot, *marker)
+        struct.pack_into("<3f", content, rom.MARKER_NORMALS_OFFSET + 12 * slot, *tool.normal)
+        content[rom.MARKER_FACES_OFFSET + slot] = FIRST_FACE
+        content[rom.MARKER_GROUPS_OFFSET + slot] = TOOL_GROUP
+    for slot in range(rom.ROM_MARKERS):
+        content[rom.FIRING_SEQUENCE_OFFSET + slot] = slot
+    content[rom.LEDS_OFFSET : rom.LEDS_OFFSET + 4] = bytes([rom.LED_NONE] * 4)
+    content[rom.TOOL_IN_PORT_OFFSET] = rom.TOOL_IN_PORT_PRESENT
+    _put_text(content, rom.MANUFACTURER_OFFSET, rom.MANUFACTURER_BYTES, MANUFACTURER)
+    _put_text(content, rom.PART_NUMBER_OFFSET, rom.PART_NUMBER_BYTES, tool.part_number)
+    content[rom.CONSTANT_NINE_OFFSET] = CONSTANT_NINE
+    content[rom.FLAGS_OFFSET] = rom.FLAG_UNIQUE_GEOMETRY
+    content[rom.MARKER_TYPE_OFFSET] = rom.MARKER_PASSIVE_SPHERE
+    # Real files give the face's normal against the markers' normals.
+    struct.pack_into("<3f", content, rom.FACE_NORMALS_OFFSET, *(-value + 0.0 for value in tool.normal))
+    _u16.pack_into(content, rom.CHECKSUM_OFFSET, checksum(bytes(content)))
+    return bytes(content)
+
+
+def _serial() -> int:
+    sequence_bit, _ = rom.SERIAL_SEQUENCE_BITS
+    year_bit, _ = rom.SERIAL_YEAR_BITS
+    return (SERIAL_SEQUENCE << sequence_bit) | ((SERIAL_YEAR - rom.SERIAL_FIRST_YEAR) << year_bit)
+
+
+def _vectors(content: bytes, offset: int, count: int, what: str) -> Vectors:
+    values = np.array(_positions.unpack_from(content, offset)[: 3 * count]).reshape(count, 3)
+    if not np.isfinite(values).all():
+        raise BadDefinition(f"its {what} are not numbers")
+    return values
+
+
+def _unit(normals: Vectors) -> Vectors:
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    if (lengths < LEAST_NORMAL_LENGTH).any():
+        raise BadDefinition("a marker has no normal")
+    unit: Vectors = normals / lengths
+    return unit
+
+
+def _text(content: bytes, offset: int, length: int) -> str:
+    raw = content[offset : offset + length].split(b"\0", 1)[0]
+    return "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in raw)
+
+
+def _put_text(content: bytearray, offset: int, length: int, text: str) -> None:
+    content[offset : offset + length] = text.encode("ascii")[:length].ljust(length, b"\0")
