@@ -1,1 +1,85 @@
-"""Correspondence, rigid fit and the prediction of its error."""
+"""Correspondence, rigid fit and the prediction of its error.
+
+    from procedures.registration import match, register
+
+The names load on first use, so that importing this package costs nothing until it computes.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
+    from procedures.registration.error_theory import (
+        FreGate,
+        expected_fre_mm,
+        fle_from_fre_mm,
+        fle_of_one_space_mm,
+        fre_gate,
+        fre_limit_mm,
+    )
+    from procedures.registration.fit import (
+        Finding,
+        Registration,
+        TargetError,
+        drop_one_explanations,
+        register,
+    )
+    from procedures.registration.matching import match
+    from procedures.registration.verification import (
+        CtToRoom,
+        RoomPoint,
+        RoomToCt,
+        VerificationTable,
+        verify_two_way,
+    )
+
+__all__ = [
+    "CtToRoom",
+    "Finding",
+    "FreGate",
+    "Hypothesis",
+    "Match",
+    "MatchStatus",
+    "Prior",
+    "Registration",
+    "RoomPoint",
+    "RoomToCt",
+    "TargetError",
+    "VerificationTable",
+    "drop_one_explanations",
+    "expected_fre_mm",
+    "fle_from_fre_mm",
+    "fle_of_one_space_mm",
+    "fre_gate",
+    "fre_limit_mm",
+    "match",
+    "register",
+    "verify_two_way",
+]
+
+_HOMES = {
+    "error_theory": (
+        "FreGate",
+        "expected_fre_mm",
+        "fle_from_fre_mm",
+        "fle_of_one_space_mm",
+        "fre_gate",
+        "fre_limit_mm",
+    ),
+    "fit": ("Finding", "Registration", "TargetError", "drop_one_explanations", "register"),
+    "correspondence": ("Hypothesis", "Match", "MatchStatus", "Prior"),
+    "matching": ("match",),
+    "verification": ("CtToRoom", "RoomPoint", "RoomToCt", "VerificationTable", "verify_two_way"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOMES.items():
+        if name in names:
+            value = getattr(import_module(f"procedures.registration.{module}"), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,87 @@
+"""What a correspondence is, how sure it is, and the coarse orientation that may be known beforehand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.registration.errors import BadParameter, NoUniqueMatch
+
+Array = NDArray[np.float64]
+
+DEFAULT_PRIOR_TOLERANCE_RAD = math.radians(60.0)  # supine, prone or lateral is told apart
+
+
+class MatchStatus(StrEnum):
+    """Only UNIQUE may be used to move anything."""
+
+    UNIQUE = "UNIQUE"
+    AMBIGUOUS = "AMBIGUOUS"
+    TOO_FEW = "TOO_FEW"
+    INCONSISTENT = "INCONSISTENT"
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Approximate orientation physical <- image, and how far the true one may be from it."""
+
+    rotation: Rotation
+    tolerance_rad: float = DEFAULT_PRIOR_TOLERANCE_RAD
+
+    def __post_init__(self) -> None:
+        """Raises REG-007."""
+        if not isinstance(self.rotation, Rotation) or np.shape(self.rotation.as_quat()) != (4,):
+            raise BadParameter("a prior needs one SciPy Rotation physical <- image")
+        if not (math.isfinite(self.tolerance_rad) and 0.0 < self.tolerance_rad <= math.pi):
+            raise BadParameter(
+                "the prior's tolerance is impossible", limit="0 to pi rad", last=f"{self.tolerance_rad}"
+            )
+
+    def allows(self, rotation: Array) -> bool:
+        """Whether a rotation (3, 3) lies within the tolerance."""
+        turn = np.asarray(self.rotation.as_matrix(), dtype=float).T @ rotation
+        cosine = 0.5 * (float(np.trace(turn)) - 1.0)
+        return math.acos(min(1.0, max(-1.0, cosine))) <= self.tolerance_rad
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One possible correspondence: `pairs` (k, 2) of image and physical indices, and what it implies."""
+
+    pairs: NDArray[np.intp]
+    transform: RigidTransform
+    chi_square: float
+    chi_square_limit: float
+    score_nats: float
+
+
+@dataclass(frozen=True)
+class Match:
+    """The answer of `match`.
+
+    UNIQUE: `pairs` (k, 2) image and physical indices, ordered by image index, and `transform`
+    physical <- image; `runner_up` is the best contradicting hypothesis, if any was near. AMBIGUOUS: the
+    best hypothesis in `pairs` and `transform`, for display only, and its rival in `runner_up`. TOO_FEW
+    and INCONSISTENT: no pairs, no transform; `runner_up` is the nearest miss. `margin_nats` is the
+    logarithm of the odds of the best against its rival, at least.
+    """
+
+    status: MatchStatus
+    pairs: NDArray[np.intp]
+    transform: RigidTransform | None
+    reason: str
+    runner_up: Hypothesis | None
+    margin_nats: float
+    unmatched_image: tuple[int, ...]
+    unmatched_physical: tuple[int, ...]
+
+    def require_unique(self) -> RigidTransform:
+        """The transform; raises REG-008 unless the correspondence is unique."""
+        if self.status is not MatchStatus.UNIQUE or self.transform is None:
+            raise NoUniqueMatch(f"the correspondence is {self.status}: {self.reason}")
+        return self.transform

@@ -1,0 +1,173 @@
+"""Fiducial and target errors of a rigid registration: the formulas, each by its number in the thesis.
+
+FLE is the 3-D rms localization error of BOTH spaces together; FRE the rms residual after the fit;
+TRE the rms error at a target. FRE says nothing about TRE: use it only as a gate.
+Sources: Fitzpatrick, West, Maurer 1998 (eq. 36, 39); Danilchenko, Fitzpatrick 2011 (covariances);
+Satterthwaite 1946 (sum of unequal squares as one scaled chi-square).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtri, fdtri
+
+from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
+from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.weighted import pose_jacobian
+
+Array = NDArray[np.float64]
+
+POSE_UNKNOWNS = 6
+DEFAULT_CONFIDENCE = 0.95
+
+
+def degrees_of_freedom(pairs: int) -> int:
+    """Residual degrees of freedom of a rigid fit of `pairs` points: 3n - 6. Raises REG-002."""
+    if pairs < FEWEST_PAIRS:
+        raise TooFewPoints(f"{pairs} pair(s) given", awaited=f"at least {FEWEST_PAIRS}")
+    return 3 * pairs - POSE_UNKNOWNS
+
+
+def fle_from_fre_mm(fre_mm: float, pairs: int) -> float:
+    """FLE of both spaces together from one FRE, eq. 36: FLE^2 = n/(n-2) FRE^2."""
+    degrees_of_freedom(pairs)
+    return fre_mm * math.sqrt(pairs / (pairs - 2))
+
+
+def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
+    """FLE of each of two spaces of one kind, from the FREs of several registrations, eq. 37 and 38.
+
+    The squares are averaged over the registrations and halved between the two equal spaces.
+    """
+    degrees_of_freedom(pairs)
+    squares = np.square(np.asarray(fre_mm, dtype=float))
+    if squares.size == 0 or not np.all(np.isfinite(squares)):
+        raise BadParameter("the FREs must be finite and at least one")
+    return math.sqrt(float(squares.mean()) * pairs / (2.0 * (pairs - 2)))
+
+
+def expected_fre_mm(fle_mm: float, pairs: int) -> float:
+    """Root of the expected squared FRE for a known FLE, eq. 36 read the other way."""
+    degrees_of_freedom(pairs)
+    return fle_mm * math.sqrt((pairs - 2) / pairs)
+
+
+def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDENCE) -> float:
+    """The FRE that a sound registration exceeds with probability 1 - confidence.
+
+    3 n FRE^2 / FLE^2 is chi-square with 3n - 6 degrees of freedom when FLE is isotropic and equal.
+    """
+    freedom = degrees_of_freedom(pairs)
+    if not (math.isfinite(fle_mm) and fle_mm > 0.0):
+        raise BadParameter("FLE must be positive and finite", last=f"{fle_mm} mm")
+    return fle_mm * math.sqrt(chi_square_limit(freedom, confidence) / (3 * pairs))
+
+
+def chi_square_limit(freedom: int, confidence: float) -> float:
+    """The chi-square value that is exceeded with probability 1 - confidence."""
+    if not 0.0 < confidence < 1.0:
+        raise BadParameter("a confidence lies between 0 and 1", last=f"{confidence}")
+    return float(chdtri(freedom, 1.0 - confidence))
+
+
+@dataclass(frozen=True)
+class FreGate:
+    """Verdict of the chi-square gate on a residual. Passing it does not make a registration accurate."""
+
+    fre_mm: float
+    chi_square: float
+    chi_square_limit: float
+    confidence: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the known localization error explains the residual."""
+        return self.chi_square <= self.chi_square_limit
+
+    @property
+    def limit_mm(self) -> float:
+        """The FRE at which this registration would just pass."""
+        if self.chi_square == 0.0:
+            return math.inf
+        return self.fre_mm * math.sqrt(self.chi_square_limit / self.chi_square)
+
+    def require(self) -> None:
+        """Raises REG-010 when the residual is too large."""
+        if not self.passed:
+            raise ResidualTooLarge(
+                "the fiducial residual is larger than the localization error explains",
+                limit=f"{self.limit_mm:.3f} mm at {self.confidence:.0%}",
+                last=f"{self.fre_mm:.3f} mm",
+            )
+
+
+def fre_gate(fre_mm: float, fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
+    """Judge an FRE against the known FLE (3-D rms, both spaces together)."""
+    limit_mm = fre_limit_mm(fle_mm, pairs, confidence)
+    limit = chi_square_limit(degrees_of_freedom(pairs), confidence)
+    return FreGate(fre_mm, limit * (fre_mm / limit_mm) ** 2, limit, confidence)
+
+
+def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) -> Array:
+    """Target error (m,) rms mm for isotropic, equal FLE, eq. 39: FLE^2/n (1 + 1/3 sum_k d_k^2 / f_k^2).
+
+    `d_k` is a target's distance from principal axis k of the fiducials, `f_k` their rms distance from it.
+    Points (m, 3) and fiducials (n, 3) in one frame.
+    """
+    centre = fiducials_mm.mean(axis=0)
+    _, _, axes = np.linalg.svd(fiducials_mm - centre, full_matrices=False)
+    ratio = np.zeros(len(points_mm))
+    for axis in axes:
+        ratio += _squared_distance(points_mm - centre, axis) / _squared_distance(
+            fiducials_mm - centre, axis
+        ).mean(axis=0)
+    return np.asarray(fle_mm * np.sqrt((1.0 + ratio / 3.0) / len(fiducials_mm)))
+
+
+def _squared_distance(points: Array, axis: Array) -> Array:
+    along = points @ axis
+    return np.asarray(np.maximum(np.einsum("ij,ij->i", points, points) - along**2, 0.0))
+
+
+def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: bool) -> Array:
+    """Covariance (6, 6) of the fitted pose about the fiducials' centre: rad^2, rad mm and mm^2.
+
+    `weighted` says whether the fit used the inverse covariances (then it is the inverse normal matrix)
+    or plain least squares (then the sandwich form, which holds for any error of the fiducials).
+    """
+    jacobian = pose_jacobian(fiducials_mm, fiducials_mm.mean(axis=0))
+    transposed = np.swapaxes(jacobian, -1, -2)
+    if weighted:
+        return np.asarray(np.linalg.inv((transposed @ np.linalg.inv(covariance_mm2) @ jacobian).sum(axis=0)))
+    bread = np.linalg.inv((transposed @ jacobian).sum(axis=0))
+    return np.asarray(bread @ (transposed @ covariance_mm2 @ jacobian).sum(axis=0) @ bread)
+
+
+def target_covariance_mm2(points_mm: Array, fiducials_mm: Array, pose: Array) -> Array:
+    """Covariance (m, 3, 3) of mapped targets (m, 3) from the covariance of the pose."""
+    jacobian = pose_jacobian(points_mm, fiducials_mm.mean(axis=0))
+    return np.asarray(jacobian @ pose @ np.swapaxes(jacobian, -1, -2))
+
+
+def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None = None) -> Array:
+    """Radius (m,) in mm that holds the error vector with the given probability.
+
+    The squared length is a sum of unequal squares, taken as one scaled chi-square with the same mean and
+    variance. `freedom` is given when the error's size was itself estimated from that many residual degrees
+    of freedom; the limit then widens as an F distribution says.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise BadParameter("a confidence lies between 0 and 1", last=f"{confidence}")
+    variances = np.maximum(np.linalg.eigvalsh(covariance_mm2), 0.0)
+    total = variances.sum(axis=-1)
+    squares = np.square(variances).sum(axis=-1)
+    shape = np.where(squares > 0.0, total**2 / np.where(squares > 0.0, squares, 1.0), 1.0)
+    if freedom is None:
+        factor = chdtri(shape, 1.0 - confidence) / shape
+    else:
+        factor = fdtri(shape, freedom, confidence)
+    return np.asarray(np.sqrt(total * factor))

@@ -1,0 +1,87 @@
+"""What can go wrong when points are paired and registered.
+
+BadPoints            REG-001  an array is not (n, 3) finite millimetres, or the counts differ
+TooFewPoints         REG-002  a rigid fit needs three points
+CollinearPoints      REG-003  points on a line leave the rotation about it free
+DuplicatePoints      REG-004  two points of one set are nearer than two spheres can be
+BadCovariance        REG-005  a covariance is not (n, 3, 3), symmetric and positive definite
+NotConverged         REG-006  the weighted fit did not settle
+BadParameter         REG-007  a standard deviation, a count, a prior or a confidence is impossible
+NoUniqueMatch        REG-008  a correspondence that is not unique was about to be used
+UnsoundRegistration  REG-009  a registration that is mirrored or ill-posed was about to be used
+ResidualTooLarge     REG-010  the residuals are larger than the known errors explain
+"""
+
+from __future__ import annotations
+
+from ronna_hw.errors import DataError, RefusedError
+
+
+class BadPoints(DataError):
+    """A point array is not (n, 3) finite millimetres, or two arrays that belong together differ in length."""
+
+    code = "REG-001"
+    action = "Give finite points in mm as an (n, 3) array, one row per pair in both sets."
+
+
+class TooFewPoints(DataError):
+    """Fewer than three pairs do not determine a rigid transform."""
+
+    code = "REG-002"
+    action = "Measure at least three fiducials; five are recommended."
+
+
+class CollinearPoints(DataError):
+    """The points lie on a line, so the rotation about it is free."""
+
+    code = "REG-003"
+    action = "Use fiducials that span a plane."
+
+
+class DuplicatePoints(DataError):
+    """Two points of one set are nearer than two spheres can be: one sphere was taken twice."""
+
+    code = "REG-004"
+    action = "Remove the repeated point; it would silently count double."
+
+
+class BadCovariance(DataError):
+    """The covariances are not (n, 3, 3), symmetric and positive definite, in mm2."""
+
+    code = "REG-005"
+    action = "Give one symmetric positive definite 3x3 matrix in mm2 per pair."
+
+
+class NotConverged(DataError):
+    """The covariance-weighted fit did not settle: residuals and covariances contradict each other."""
+
+    code = "REG-006"
+    action = "Check the pairing and the covariances; register without covariances to see the residuals."
+
+
+class BadParameter(DataError):
+    """A standard deviation, a count, a prior or a confidence is impossible."""
+
+    code = "REG-007"
+    action = "Give positive finite standard deviations in mm, counts of at least 3, angles in radians."
+
+
+class NoUniqueMatch(RefusedError):
+    """A correspondence that is not unique was about to be used."""
+
+    code = "REG-008"
+    action = "Add fiducials, give the patient's orientation as a prior, or pair by hand and confirm."
+
+
+class UnsoundRegistration(RefusedError):
+    """A registration that is mirrored or ill-posed was about to be used."""
+
+    code = "REG-009"
+    action = "Check left and right in the series and the pairing; measure a fiducial outside the plane."
+
+
+class ResidualTooLarge(RefusedError):
+    """The residuals are larger than the known localization errors explain."""
+
+    code = "REG-010"
+    action = "Look for a fiducial that moved (leave-one-out residuals), or localize again."

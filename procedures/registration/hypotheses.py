@@ -1,0 +1,114 @@
+"""Scoring of candidate pairings: rigid fit, chi-square gate, Bayesian score.
+
+All candidates of one size are fitted in one stack. Scores are natural logarithms (nats) of the odds
+against "all of these are unrelated points": residuals cost q/2, every pair beyond the second earns what
+the chance of hitting a point within the noise by accident is worth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from procedures.registration.consistency import bits
+from procedures.registration.rigid import fit_rigid, mirrored_sum_mm2, residuals
+
+Array = NDArray[np.float64]
+
+GATE_FALSE_ALARM = 1e-6  # probability that the gate rejects true pairs
+OUTLIER_BALL_RADIUS_MM = 300.0  # stray readings lie within this ball around the head
+LN_OUTLIER_VOLUME = math.log(4.0 / 3.0 * math.pi * OUTLIER_BALL_RADIUS_MM**3)
+LINE_RATIO = 1e-3  # second over first singular value: below it a set is a line and fixes no rotation
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The pairwise error model: total variance per axis of both sets together, mm2."""
+
+    variance_mm2: float
+
+    @property
+    def nats_per_pair(self) -> float:
+        """What one more agreeing pair is worth."""
+        return LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
+
+    def most_nats(self, pairs: int) -> float:
+        """The score that no candidate of this size can exceed."""
+        return (pairs - 2) * self.nats_per_pair
+
+
+@lru_cache(maxsize=64)
+def gate(pairs: int) -> float:
+    """Limit of the residual chi-square of a rigid fit of that many pairs."""
+    return float(chdtri(3 * pairs - 6, GATE_FALSE_ALARM))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One pairing after its fit. `nodes` is a bit mask; `chi_square` the residual sum over the variance."""
+
+    nodes: int
+    size: int
+    chi_square: float
+    mirrored_chi_square: float
+    score_nats: float
+    rotation: Array
+    translation_mm: Array
+    on_a_line: bool
+
+    @property
+    def passed(self) -> bool:
+        """Whether the noise explains the residuals and the points fix a rotation."""
+        return self.chi_square < gate(self.size) and not self.on_a_line
+
+    @property
+    def mirror_excess(self) -> float:
+        """How much chi-square a mirror image would save; negative where the rotation is better."""
+        return self.chi_square - self.mirrored_chi_square
+
+    @property
+    def passed_mirrored(self) -> bool:
+        """Whether a mirror image would pass where this rotation does not."""
+        return not self.passed and not self.on_a_line and self.mirrored_chi_square < gate(self.size)
+
+
+def evaluate(masks: Sequence[int], image_mm: Array, physical_mm: Array, noise: Noise) -> list[Candidate]:
+    """Fit and score pairings that all have the same number of pairs."""
+    if not masks:
+        return []
+    nodes = np.array([bits(mask) for mask in masks])
+    size = nodes.shape[1]
+    image, physical = image_mm[nodes // len(physical_mm)], physical_mm[nodes % len(physical_mm)]
+    fit = fit_rigid(image, physical)
+    squares = np.square(residuals(fit, image, physical)).sum(axis=(1, 2))
+    chi_squares = squares / noise.variance_mm2
+    mirrored = mirrored_sum_mm2(fit, squares) / noise.variance_mm2
+    most = noise.most_nats(size)
+    on_a_line = fit.spread_mm2[:, 1] <= LINE_RATIO * fit.spread_mm2[:, 0]
+    return [
+        Candidate(
+            mask,
+            size,
+            float(chi_squares[row]),
+            float(mirrored[row]),
+            most - 0.5 * float(chi_squares[row]),
+            fit.rotation[row],
+            fit.translation_mm[row],
+            bool(on_a_line[row]),
+        )
+        for row, mask in enumerate(masks)
+    ]
+
+
+def leave_one_out(masks: Sequence[int]) -> list[int]:
+    """Every pairing that results from dropping one pair, each once.
+
+    Dropping only the worst pair would leave swapped pairs behind.
+    """
+    return list(dict.fromkeys(mask & ~(1 << node) for mask in masks for node in bits(mask)))

@@ -1,0 +1,96 @@
+"""Checks of point sets and covariances before any arithmetic touches them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.registration.errors import BadCovariance, BadPoints, DuplicatePoints, TooFewPoints
+
+Array = NDArray[np.float64]
+
+COORDINATE_LIMIT_MM = 1e6  # one kilometre: no theatre is larger, and squares stay far from overflow
+NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be nearer; a repeated detection is
+FEWEST_PAIRS = 3  # a rigid transform has six unknowns, two points leave one of them free
+SYMMETRY_TOLERANCE = 1e-9  # relative; covariances come from products and are symmetric to rounding
+
+
+def checked_points(points_mm: ArrayLike, name: str) -> Array:
+    """The points as a float array (n, 3) of its own; an empty list is (0, 3). Raises REG-001."""
+    try:
+        values = np.array(points_mm, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise BadPoints(f"the {name} points are not an array of numbers") from error
+    if values.size == 0 and values.ndim <= 2:
+        return np.zeros((0, 3))
+    if values.ndim != 2 or values.shape[1] != 3:
+        raise BadPoints(f"the {name} points have shape {values.shape}", awaited="(n, 3)")
+    if not np.all(np.isfinite(values)):
+        rows = np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist()
+        raise BadPoints(f"the {name} points are not finite in row(s) {rows}")
+    farthest_mm = float(np.abs(values).max(initial=0.0))
+    if farthest_mm > COORDINATE_LIMIT_MM:
+        raise BadPoints(
+            f"the {name} points are out of any theatre",
+            limit=f"{COORDINATE_LIMIT_MM:g} mm",
+            last=f"{farthest_mm:g} mm",
+        )
+    return values
+
+
+def checked_targets(points_mm: ArrayLike) -> Array:
+    """Targets as (m, 3); one point (3,) becomes (1, 3). Raises REG-001."""
+    try:
+        single = np.shape(points_mm) == (3,)
+    except ValueError:
+        single = False
+    return checked_points(np.reshape(points_mm, (1, 3)) if single else points_mm, "target")
+
+
+def checked_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:
+    """Two sets whose rows belong together, at least three, no repeats. Raises REG-001, 002, 004."""
+    image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
+    if len(image) != len(physical):
+        raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
+    if len(image) < FEWEST_PAIRS:
+        raise TooFewPoints(f"{len(image)} pair(s) given", awaited=f"at least {FEWEST_PAIRS}")
+    for name, points in (("image", image), ("physical", physical)):
+        refuse_duplicates(points, name)
+    return image, physical
+
+
+def refuse_duplicates(points: Array, name: str) -> None:
+    """Raises REG-004 when two points of a set are nearer than two spheres can be."""
+    distances = np.linalg.norm(points[:, None] - points[None, :], axis=-1)
+    np.fill_diagonal(distances, np.inf)
+    if distances.min() < NEAREST_SPHERES_MM:
+        first, second = (int(index) for index in np.unravel_index(distances.argmin(), distances.shape))
+        raise DuplicatePoints(
+            f"{name} points {first} and {second} are the same sphere",
+            limit=f"{NEAREST_SPHERES_MM:g} mm apart",
+            last=f"{distances.min():.3f} mm",
+        )
+
+
+def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
+    """Covariances (count, 3, 3) in mm2, exactly symmetric. Raises REG-005."""
+    try:
+        values = np.array(covariance_mm2, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise BadCovariance("the covariances are not an array of numbers") from error
+    if values.shape != (count, 3, 3):
+        raise BadCovariance(f"the covariances have shape {values.shape}", awaited=f"({count}, 3, 3)")
+    if not np.all(np.isfinite(values)):
+        raise BadCovariance("a covariance is not finite")
+    transposed = values.transpose(0, 2, 1)
+    if np.abs(values - transposed).max() > SYMMETRY_TOLERANCE * np.abs(values).max():
+        raise BadCovariance("a covariance is not symmetric")
+    values = 0.5 * (values + transposed)
+    smallest = np.linalg.eigvalsh(values)[:, 0]
+    scale = np.trace(values, axis1=1, axis2=2)
+    if np.any(smallest <= np.finfo(float).eps * np.abs(scale)):
+        row = int(np.argmin(smallest))
+        raise BadCovariance(
+            f"covariance {row} is not positive definite", last=f"smallest variance {smallest[row]:.3g} mm2"
+        )
+    return np.asarray(values, dtype=float)

@@ -1,0 +1,250 @@
+"""Correspondence: the right pairs or an honest no, each with its reason."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from procedures.registration import MatchStatus, Prior, match
+from procedures.registration.errors import BadParameter, BadPoints, NoUniqueMatch
+
+SIGMAS = {"sigma_image_mm": 0.17, "sigma_physical_mm": 0.56}
+FINE = {"sigma_image_mm": 0.05, "sigma_physical_mm": 0.03}
+SCALENE = np.array([[0, 0, 0], [80, 0, 0], [20, 110, 0]], dtype=float)
+ISOSCELES = np.array([[-50, 0, 0], [50, 0, 0], [0, 120, 10]], dtype=float)
+
+
+def pairs_of(result) -> set[tuple[int, int]]:
+    return {(int(i), int(j)) for i, j in result.pairs}
+
+
+@pytest.mark.parametrize("outliers", [0, 2, 4])
+def test_shuffled_points_with_outliers_are_paired(outliers, random, fiducials, reading):
+    for _ in range(20):
+        seen = reading(fiducials(5, random), outliers, random)
+        result = match(seen.image_mm, seen.physical_mm, **SIGMAS)
+        assert result.status is MatchStatus.UNIQUE, result.reason
+        assert pairs_of(result) == seen.pairs
+        assert (result.transform.rotation.inv() * seen.truth.rotation).magnitude() < 0.03
+        assert result.margin_nats >= np.log(1e4)
+        assert len(result.unmatched_image) == len(result.unmatched_physical) == outliers
+        assert result.require_unique() is result.transform
+
+
+def test_pairs_are_ordered_by_image_index(random, fiducials, reading):
+    seen = reading(fiducials(6, random), 2, random)
+    pairs = match(seen.image_mm, seen.physical_mm, **SIGMAS).pairs
+    assert pairs.shape == (6, 2)
+    assert np.all(np.diff(pairs[:, 0]) > 0)
+
+
+def test_a_triangle_with_two_equal_sides_is_ambiguous_and_shows_both(random, any_pose):
+    physical = any_pose(random).apply(ISOSCELES)
+    result = match(ISOSCELES, physical, **SIGMAS)
+    assert result.status is MatchStatus.AMBIGUOUS
+    assert {frozenset(pairs_of(result)), frozenset(pairs_of(result.runner_up))} == {
+        frozenset({(0, 0), (1, 1), (2, 2)}),
+        frozenset({(0, 1), (1, 0), (2, 2)}),
+    }
+    with pytest.raises(NoUniqueMatch, match=r"REG-008.*AMBIGUOUS"):
+        result.require_unique()
+
+
+def test_a_coarse_orientation_ends_the_ambiguity(random, any_pose):
+    truth = any_pose(random)
+    disturbed = Rotation.from_rotvec([0.2, -0.1, 0.2]) * truth.rotation
+    for prior in (disturbed, Prior(disturbed), Prior(disturbed, np.radians(30.0))):
+        result = match(ISOSCELES, truth.apply(ISOSCELES), prior=prior, **SIGMAS)
+        assert result.status is MatchStatus.UNIQUE
+        assert pairs_of(result) == {(0, 0), (1, 1), (2, 2)}
+
+
+def test_a_prior_that_excludes_the_only_fit_refuses_it(random, fiducials, any_pose):
+    points, truth = fiducials(5, random), any_pose(random)
+    away = Rotation.from_rotvec([0.0, np.pi / 2, 0.0]) * truth.rotation
+    result = match(points, truth.apply(points), prior=away, **SIGMAS)
+    assert result.status is MatchStatus.INCONSISTENT
+    assert "prior" in result.reason
+    assert pairs_of(result.runner_up) == {(k, k) for k in range(5)}
+
+
+def test_a_scalene_triangle_is_unique(random, any_pose):
+    result = match(SCALENE, any_pose(random).apply(SCALENE)[[2, 0, 1]], **SIGMAS)
+    assert result.status is MatchStatus.UNIQUE
+    assert pairs_of(result) == {(0, 1), (1, 2), (2, 0)}
+
+
+@pytest.mark.parametrize("symmetric", ["square", "cube", "tetrahedron"])
+def test_symmetric_sets_are_ambiguous(symmetric, random, any_pose):
+    points = {
+        "square": np.array([[0, 0, 0], [90, 0, 0], [90, 90, 0], [0, 90, 0]], dtype=float),
+        "cube": np.array([[a, b, c] for a in (0, 90) for b in (0, 90) for c in (0, 90)], dtype=float),
+        "tetrahedron": np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 50.0,
+    }[symmetric]
+    result = match(points, any_pose(random).apply(points), **SIGMAS)
+    assert result.status is MatchStatus.AMBIGUOUS
+    assert result.runner_up is not None
+
+
+@pytest.mark.parametrize("count", [4, 5, 6])
+def test_a_mirrored_set_is_refused(count, random, fiducials, any_pose):
+    tried = 0
+    while tried < 20:
+        points = fiducials(count, random)
+        thickness_mm = np.linalg.svd(points - points.mean(axis=0))[1][2] / np.sqrt(count)
+        if thickness_mm < 5.0:
+            continue  # within the noise a flat set is its own mirror image
+        tried += 1
+        result = match(points, any_pose(random).apply(points * [-1.0, 1.0, 1.0]), **SIGMAS)
+        assert result.status is MatchStatus.INCONSISTENT
+        assert "mirror" in result.reason
+        assert len(result.runner_up.pairs) == count
+
+
+def test_a_nearly_flat_set_is_refused_when_its_mirror_image_fits_far_better(random, any_pose):
+    points = np.array([[0, 0, 2.2], [80, 0, -2.2], [85, 100, 2.2], [10, 95, -2.2]])
+    proper = any_pose(random)
+    assert match(points, proper.apply(points), **SIGMAS).status is MatchStatus.UNIQUE
+    result = match(points, proper.apply(points * [1.0, 1.0, -1.0]), **SIGMAS)
+    assert result.status is MatchStatus.INCONSISTENT
+    assert "mirror" in result.reason
+
+
+@pytest.mark.parametrize(("image", "physical"), [(0, 0), (0, 5), (2, 5), (5, 2)])
+def test_fewer_than_three_points_are_too_few(image, physical, random, fiducials):
+    points = fiducials(5, random)
+    result = match(points[:image], points[:physical], **SIGMAS)
+    assert result.status is MatchStatus.TOO_FEW
+    assert result.pairs.shape == (0, 2)
+    assert result.transform is None
+
+
+def test_no_common_distances_are_inconsistent(random):
+    small, large = SCALENE, SCALENE * 1.5
+    result = match(small, large, **SIGMAS)
+    assert result.status is MatchStatus.INCONSISTENT
+    assert "distances" in result.reason
+
+
+def test_points_on_a_line_fix_no_rotation():
+    line = np.array([[0, 0, 0], [40, 0, 0], [110, 0, 0], [200, 0, 0]], dtype=float)
+    result = match(line, line, **SIGMAS)
+    assert result.status is MatchStatus.INCONSISTENT
+    assert "line" in result.reason
+    assert result.runner_up is not None
+
+
+def test_residuals_beyond_the_noise_are_inconsistent_and_show_the_nearest_miss():
+    # Each side differs by less than the distance gate, the triangle as a whole by more than the noise.
+    triangle = np.array([[0, 0, 0], [100, 0, 0], [54.75, 89.6, 0]])
+    result = match(triangle, triangle * 1.036, **SIGMAS)
+    assert result.status is MatchStatus.INCONSISTENT
+    assert "residuals beyond the noise" in result.reason
+    assert result.runner_up.chi_square > result.runner_up.chi_square_limit
+
+
+def test_the_expected_count_must_be_met_exactly(random, fiducials, any_pose):
+    points = fiducials(6, random)
+    physical = any_pose(random).apply(points)
+    assert match(points, physical, expected=6, **SIGMAS).status is MatchStatus.UNIQUE
+    assert match(points, physical[:5], expected=6, **SIGMAS).status is MatchStatus.TOO_FEW
+    fewer = match(points, np.vstack([physical[:5], [[999.0, 0, 0]]]), expected=6, **SIGMAS)
+    assert fewer.status is MatchStatus.INCONSISTENT
+    assert "5 pairs agree where 6 are expected" in fewer.reason
+    assert len(fewer.runner_up.pairs) == 5
+    more = match(points, physical, expected=4, **SIGMAS)
+    assert more.status is MatchStatus.INCONSISTENT
+    assert "6 pairs agree where 4 are expected" in more.reason
+
+
+def test_one_pair_too_many_is_judged_by_every_subset(random, fiducials, any_pose):
+    points, truth = fiducials(6, random), any_pose(random)
+    physical = truth.apply(points)
+    assert match(points, physical, expected=5, **SIGMAS).status is MatchStatus.AMBIGUOUS
+    physical[2] += [2.0, 2.5, 0.0]  # a chance reading beside a sphere: near enough for the distances
+    result = match(points, physical, expected=5, sigma_image_mm=0.17, sigma_physical_mm=0.45)
+    assert result.status is MatchStatus.UNIQUE
+    assert pairs_of(result) == {(k, k) for k in range(6) if k != 2}
+
+
+def test_a_marker_that_moved_is_left_out_after_the_fine_localization(random, fiducials, any_pose):
+    points, truth = fiducials(5, random), any_pose(random)
+    physical = truth.apply(points)
+    physical[1] += [1.5, -1.0, 0.5]
+    result = match(points, physical, **FINE)
+    assert result.status is MatchStatus.UNIQUE
+    assert result.unmatched_image == (1,)
+    assert match(points, physical, expected=5, **FINE).status is MatchStatus.INCONSISTENT
+
+
+def test_swapped_neighbours_are_not_taken_for_each_other(random, fiducials, any_pose):
+    for _ in range(20):
+        points = fiducials(5, random)
+        points[4] = points[3] + [9.0, 6.0, 5.0]  # 12 mm apart
+        truth = any_pose(random)
+        physical = truth.apply(points) + random.normal(size=points.shape) * 0.3
+        result = match(points, physical, sigma_image_mm=0.1, sigma_physical_mm=0.3)
+        assert result.status is MatchStatus.UNIQUE
+        assert pairs_of(result) == {(k, k) for k in range(5)}
+
+
+def test_noise_larger_than_the_spacing_is_answered_quickly(random):
+    points = random.normal(size=(12, 3)) * 20.0
+    start = time.process_time()
+    result = match(points, points, sigma_image_mm=20.0, sigma_physical_mm=20.0)
+    assert result.status in (MatchStatus.AMBIGUOUS, MatchStatus.INCONSISTENT)
+    assert time.process_time() - start < 5.0
+
+
+def test_one_solve_at_twelve_by_twelve_takes_at_most_two_milliseconds(random, fiducials, reading):
+    readings = [reading(fiducials(8, random), 4, random) for _ in range(30)]
+    spent = []
+    for seen in readings:
+        start = time.process_time()
+        match(seen.image_mm, seen.physical_mm, **SIGMAS)
+        spent.append(time.process_time() - start)
+    assert np.median(spent) < 2e-3
+
+
+@pytest.mark.parametrize("bad", [np.full((4, 3), np.nan), np.zeros((4, 2)), np.zeros(6), [[1, 2], [3]], None])
+def test_malformed_points_raise_one_line(bad, random, fiducials):
+    points = fiducials(4, random)
+    for image, physical in ((bad, points), (points, bad)):
+        with pytest.raises(BadPoints, match="REG-001") as caught:
+            match(image, physical, **SIGMAS)
+        assert isinstance(caught.value, ValueError)
+        assert "\n" not in str(caught.value)
+
+
+def test_more_points_than_any_head_carries_are_refused(random):
+    with pytest.raises(BadPoints, match="REG-001"):
+        match(random.normal(size=(200, 3)), random.normal(size=(200, 3)), **SIGMAS)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"sigma_image_mm": -1.0},
+        {"sigma_image_mm": float("nan")},
+        {"sigma_image_mm": 0.0, "sigma_physical_mm": 0.0},
+        {"sigma_physical_mm": "wide"},
+        {"expected": 2},
+        {"expected": 4.5},
+        {"expected": True},
+        {"prior": "supine"},
+    ],
+)
+def test_impossible_parameters_are_refused(options, random, fiducials):
+    points = fiducials(4, random)
+    with pytest.raises(BadParameter, match="REG-007") as caught:
+        match(points, points, **{**SIGMAS, **options})
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("tolerance_rad", [0.0, -1.0, 4.0, float("nan")])
+def test_an_impossible_prior_is_refused(tolerance_rad):
+    with pytest.raises(BadParameter, match="REG-007"):
+        Prior(Rotation.identity(), tolerance_rad)

@@ -1,0 +1,85 @@
+"""Success rates on the thesis' protocol, reduced: 3 patients, 3..8 fiducials, 0..4 outliers, per-axis noise.
+
+Full numbers come from the campaign; here the seeds are fixed and the bounds leave room for few runs.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from procedures.registration import MatchStatus, match
+
+SIGMAS = {"sigma_image_mm": 0.17, "sigma_physical_mm": 0.56}
+OUTLIERS = range(5)
+
+
+def outcomes(counts, runs, tools, *, prior=False, expected=False) -> Counter[str]:
+    """Success, unsuccessful and false over all cells."""
+    fiducials, reading, ball = tools
+    random = np.random.default_rng(900_000)
+    patients = [fiducials(8, random) for _ in range(3)]
+    seen = Counter()
+    for count in counts:
+        for outliers in OUTLIERS:
+            for run in range(runs):
+                sites = patients[run % 3] + ball(8, 10.0, random)
+                one = reading(sites[random.choice(8, count, replace=False)], outliers, random)
+                tilt = Rotation.from_rotvec(ball(1, np.radians(20.0), random)[0])
+                result = match(
+                    one.image_mm,
+                    one.physical_mm,
+                    expected=count if expected else None,
+                    prior=tilt * one.truth.rotation if prior else None,
+                    **SIGMAS,
+                )
+                right = {(int(i), int(j)) for i, j in result.pairs} == one.pairs
+                unique = result.status is MatchStatus.UNIQUE
+                seen["success" if unique and right else "false" if unique else "unsuccessful"] += 1
+    return seen
+
+
+@pytest.fixture
+def tools(fiducials, reading, ball):
+    return fiducials, reading, ball
+
+
+def share(seen: Counter[str], what: str) -> float:
+    return seen[what] / seen.total()
+
+
+def test_five_to_eight_fiducials_succeed(tools):
+    seen = outcomes(range(5, 9), 60, tools)
+    assert seen["false"] == 0
+    assert share(seen, "unsuccessful") <= 0.002
+
+
+def test_four_fiducials_nearly_always_succeed(tools):
+    seen = outcomes([4], 200, tools)
+    assert seen["false"] == 0
+    assert share(seen, "unsuccessful") <= 0.015
+
+
+def test_three_fiducials_fail_rather_than_guess_and_a_prior_helps(tools):
+    plain, helped = outcomes([3], 120, tools), outcomes([3], 120, tools, prior=True)
+    assert plain["false"] <= 1
+    assert share(plain, "unsuccessful") <= 0.20
+    assert helped["false"] <= 1
+    assert share(helped, "unsuccessful") <= 0.02
+
+
+@pytest.mark.slow
+def test_the_planned_count_leaves_no_false_pairing(tools):
+    seen = outcomes(range(5, 9), 500, tools, expected=True)
+    assert seen["false"] == 0
+    assert share(seen, "unsuccessful") <= 0.0005
+
+
+@pytest.mark.slow
+def test_four_fiducials_over_many_runs(tools):
+    seen = outcomes([4], 2000, tools)
+    assert share(seen, "unsuccessful") <= 0.007
+    assert share(seen, "false") <= 0.0005
