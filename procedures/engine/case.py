@@ -1,0 +1,54 @@
+"""The results of one run: immutable records in its folder, each with its parents.
+
+RUN/journal.jsonl            what was intended and what came of it
+RUN/records/05-....json      one result each
+RUN/theatre/, RUN/case/      what the run worked with, when it brought it along
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from procedures.engine.errors import StepRefused
+from ronna_hw.records import Record, write_record
+
+RECORDS_FOLDER = "records"
+
+
+class Case:
+    """The run folder and the records made so far."""
+
+    def __init__(self, folder: Path, series: Path, plan: Path) -> None:
+        self.folder = folder
+        self.series = series
+        self.plan = plan
+        self._records: dict[tuple[str, str | None], Record] = {}
+        (folder / RECORDS_FOLDER).mkdir(parents=True, exist_ok=True)
+
+    def add(
+        self, kind: str, payload: dict[str, Any], parents: tuple[Record, ...], trajectory: str | None = None
+    ) -> Record:
+        """Store a result; its id is its place in the run, its kind and its trajectory."""
+        name = "-".join(part for part in (f"{len(self._records) + 1:02d}", kind, trajectory) if part)
+        record = Record(name, kind, tuple(parent.identifier for parent in parents), payload)
+        write_record(record, self.folder / RECORDS_FOLDER)
+        self._records[kind, trajectory] = record
+        return record
+
+    def has(self, kind: str, trajectory: str | None = None) -> bool:
+        """True when that result exists."""
+        return (kind, trajectory) in self._records
+
+    def get(self, kind: str, trajectory: str | None = None) -> Record:
+        """A result; raises PRO-001 when it does not exist."""
+        try:
+            return self._records[kind, trajectory]
+        except KeyError:
+            where = f" for {trajectory}" if trajectory else ""
+            raise StepRefused(f"there is no {kind}{where} yet") from None
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        """All results, in order."""
+        return tuple(self._records.values())

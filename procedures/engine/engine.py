@@ -1,0 +1,154 @@
+"""Runs steps in their order: intent to the journal, then the work, then the result.
+
+Work happens here, never in a transition of the state chart. Whatever ends a step early stops the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from procedures.engine.case import Case
+from procedures.engine.devices import DeviceSet, calibrations_of
+from procedures.engine.errors import JournalBroken, StepRefused, UnknownStep
+from procedures.engine.journal import Entry, Journal
+from procedures.engine.machine import ProcedureMachine
+from procedures.engine.operator import Operator, Question
+from procedures.engine.step import Outcome, Progress, StepContext, StepKey, StepSpec
+from ronna_hw.clock import Clock
+from ronna_hw.config import TheatreFile
+from ronna_hw.errors import RonnaError
+from ronna_hw.records import Record
+
+Listener = Callable[[StepKey, Outcome], None]
+
+
+def sequence_of(steps: Mapping[str, StepSpec], trajectories: Sequence[str]) -> tuple[StepKey, ...]:
+    """The order of the whole case: every localization of every trajectory before the tool change."""
+    common = [name for name, step in steps.items() if not step.per_trajectory and name != "tool_change"]
+    keys = [StepKey(name) for name in common]
+    for trajectory in trajectories:
+        keys += [StepKey("relocalization", trajectory), StepKey("registration", trajectory)]
+    keys.append(StepKey("tool_change"))
+    for trajectory in trajectories:
+        keys += [StepKey(name, trajectory) for name in ("positioning", "at_target", "retreat")]
+    return tuple(keys)
+
+
+@dataclass
+class Engine:
+    """One run of the procedure."""
+
+    steps: Mapping[str, StepSpec]
+    trajectories: tuple[str, ...]
+    case: Case
+    theatre: TheatreFile
+    devices: DeviceSet
+    clock: Clock
+    operator: Operator
+    journal: Journal
+    progress: Progress = lambda _share, _text: None
+    listener: Listener = lambda _key, _outcome: None
+    machine: ProcedureMachine = field(default_factory=ProcedureMachine)
+    _done: int = 0
+    _workspace: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.sequence = sequence_of(self.steps, self.trajectories)
+        self._calibrations = calibrations_of(self.theatre)
+
+    @property
+    def upcoming(self) -> StepKey | None:
+        """The step that comes next, or None when the case is finished."""
+        return self.sequence[self._done] if self._done < len(self.sequence) else None
+
+    @property
+    def finished(self) -> tuple[StepKey, ...]:
+        """The steps that are done, in order."""
+        return self.sequence[: self._done]
+
+    def find(self, name: str) -> StepKey:
+        """The step of that name, such as `registration:T1`; raises PRO-005 with the names that exist."""
+        for key in self.sequence:
+            if str(key) == name:
+                return key
+        raise UnknownStep(f"there is no step {name!r}", awaited=", ".join(str(key) for key in self.sequence))
+
+    def why_refused(self, key: StepKey) -> tuple[str, ...]:
+        """Everything that keeps a step from beginning now; empty when it may begin."""
+        reasons = [] if self.machine.may_follow(key.name) else [f"it may not follow {self.machine.state}"]
+        return (*reasons, *self.steps[key.name].unmet(self._context(key)))
+
+    def run_step(self, key: StepKey) -> Record:
+        """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
+        unmet = self.why_refused(key)
+        if unmet or not self.machine.begin(key.name, unmet):
+            self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
+            raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
+        step = self.steps[key.name]
+        self._write(Entry.INTENT, step=str(key), moves=step.moves)
+        self.operator.announce(str(key))
+        try:
+            outcome = step.run(self._context(key))
+            record = self.case.add(key.name, outcome.payload, outcome.parents, key.trajectory)
+        except KeyboardInterrupt:
+            self.devices.stop()
+            self.machine.abort()
+            self._write(Entry.INTERRUPTED, step=str(key))
+            raise
+        except Exception as problem:
+            self._fail(key, problem)
+            raise
+        self._write(Entry.RESULT, step=str(key), record=record.identifier, sha256=record.sha256)
+        if key == self.upcoming:
+            self._done += 1
+        if self._done == len(self.sequence):
+            self.machine.finish()
+        self.listener(key, outcome)
+        return record
+
+    def run_to(self, last: StepKey | None = None) -> None:
+        """Run the upcoming steps up to and including `last`, or all."""
+        while (key := self.upcoming) is not None:
+            self.run_step(key)
+            if key == last:
+                return
+
+    def close(self, outcome: str) -> None:
+        """End the sessions and the journal."""
+        self.devices.close()
+        try:
+            self._write(Entry.CLOSED, outcome=outcome)
+        except JournalBroken:
+            pass  # it has been reported where it broke; closing must go on
+        finally:
+            self.journal.close()
+
+    def _fail(self, key: StepKey, problem: Exception) -> None:
+        self.devices.stop()
+        self.machine.fail()
+        code = problem.code if isinstance(problem, RonnaError) else type(problem).__name__
+        if not isinstance(problem, JournalBroken):
+            self._write(Entry.FAILED, step=str(key), code=code, what=str(problem))
+
+    def _context(self, key: StepKey) -> StepContext:
+        return StepContext(
+            key=key,
+            case=self.case,
+            theatre=self.theatre,
+            calibrations=self._calibrations,
+            devices=self.devices,
+            clock=self.clock,
+            operator=self.operator,
+            trajectories=self.trajectories,
+            progress=self.progress,
+            record_confirmation=self._record_confirmation,
+            workspace=self._workspace,
+        )
+
+    def _record_confirmation(self, question: Question, answer: bool) -> None:
+        self._write(Entry.CONFIRMATION, subject=question.subject, value=question.value, answer=answer)
+
+    def _write(self, entry: Entry, **data: Any) -> None:
+        self.journal.write(entry, self.clock.now_s(), **data)

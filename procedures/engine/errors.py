@@ -1,0 +1,101 @@
+"""What the engine itself can refuse or lose."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import (
+    EXIT_ABORTED,
+    EXIT_USAGE,
+    ConfigurationError,
+    LimitError,
+    RefusedError,
+    RonnaError,
+)
+
+
+class StepRefused(RefusedError):
+    """A step may not begin: its preconditions are not met. All of them are listed."""
+
+    code = "PRO-001"
+    action = "Meet the listed preconditions, or run the steps that come before."
+
+
+class NotConfirmed(RonnaError):
+    """The operator said no, or did not answer in time, which means no."""
+
+    code = "PRO-002"
+    action = "Nothing was done. Repeat the step when the operator can confirm."
+    exit_code = EXIT_ABORTED
+
+
+class JournalBroken(RonnaError):
+    """The journal cannot be written: without a journal nothing moves."""
+
+    code = "PRO-003"
+    action = "Free space or choose another output folder; the arm has been stopped."
+
+
+class OperatorAborted(RonnaError):
+    """The operator ended the procedure."""
+
+    code = "PRO-004"
+    action = "The arm is at rest. Start a new run when ready."
+    exit_code = EXIT_ABORTED
+
+
+class UnknownStep(RonnaError):
+    """There is no step of that name in this procedure."""
+
+    code = "PRO-005"
+    action = "List the steps and use one of their names."
+    exit_code = EXIT_USAGE
+
+
+class IncompleteTheatre(ConfigurationError):
+    """The theatre file lacks a device or a calibration that the procedure needs."""
+
+    code = "PRO-006"
+    action = "Add the missing part to the theatre file."
+
+
+class GateFailed(RefusedError):
+    """A result is outside the gate that it has to pass before the procedure goes on."""
+
+    code = "PRO-007"
+    action = "Look at the value and its limit; repeat the step or correct its inputs."
+
+
+class SphereNotFound(RefusedError):
+    """The stereo head does not see a sphere where it should be, nor around it."""
+
+    code = "PRO-008"
+    action = "Check that the sphere is mounted and unobstructed, then repeat; or plan without it."
+
+
+class WrongTool(LimitError):
+    """The controller's inputs report another tool than the step needs."""
+
+    code = "PRO-009"
+    action = "Mount the tool that is named, then repeat the step. No motion until then."
+    exit_code = RefusedError.exit_code
+
+
+class RoomUnreachable(RonnaError):
+    """The theatre's control port does not answer or refused a request of the scripted operator."""
+
+    code = "PRO-010"
+    action = "Start the theatre again."
+
+
+class BrokenJournal(RonnaError):
+    """A journal's chain is broken: a line was changed, lost or torn in the middle."""
+
+    code = "PRO-011"
+    action = "Do not rely on this run; keep the folder as it is for analysis."
+
+
+class NotYet(RonnaError):
+    """An option that the command knows, but that this version does not carry out."""
+
+    code = "PRO-012"
+    action = "Leave the option out."
+    exit_code = EXIT_USAGE
