@@ -1,0 +1,142 @@
+"""What can be wrong with a CT series or with what was asked of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ronna_hw.errors import EXIT_REFUSED, DataError
+
+if TYPE_CHECKING:
+    from procedures.imaging.markers import Candidate
+
+
+LISTED_CANDIDATES = 12  # in the message; all of them are in the error
+
+
+class SeriesNotFound(DataError):
+    """The folder of the series does not exist or is not a folder."""
+
+    code = "CT-001"
+    action = "Give the folder that holds the DICOM files of one CT series."
+
+
+class SeriesEmpty(DataError):
+    """The folder holds no DICOM image."""
+
+    code = "CT-002"
+    action = "Give the folder that holds the DICOM files of one CT series; subfolders are not searched."
+
+
+class SeriesMixed(DataError):
+    """The folder holds images of more than one series."""
+
+    code = "CT-003"
+    action = "Put each series into a folder of its own and give one of them."
+
+
+class WrongModality(DataError):
+    """The images are not slices of a CT."""
+
+    code = "CT-004"
+    action = "Export the CT as single-slice CT images."
+
+
+class FileDamaged(DataError):
+    """A file is truncated or is not readable as DICOM."""
+
+    code = "CT-005"
+    action = "Copy or export the file again."
+
+
+class FramesMixed(DataError):
+    """The slices lie in more than one frame of reference."""
+
+    code = "CT-006"
+    action = "Export the series again; positions of different frames of reference cannot be compared."
+
+
+class GantryTilted(DataError):
+    """The slices are sheared against each other."""
+
+    code = "CT-007"
+    action = "Scan without gantry tilt, or export a reconstruction without it."
+
+
+class OrientationUnusable(DataError):
+    """The image orientation is not a pair of perpendicular unit vectors, or differs between slices."""
+
+    code = "CT-008"
+    action = "Export the series again with one valid orientation for all slices."
+
+
+class SliceDuplicated(DataError):
+    """Two slices lie at the same place."""
+
+    code = "CT-009"
+    action = "Remove the copies; if the two differ, export the series again."
+
+
+class SpacingUneven(DataError):
+    """Slices are missing or not evenly spaced."""
+
+    code = "CT-010"
+    action = "Export the complete series with one slice spacing."
+
+
+class SlicesDiffer(DataError):
+    """Slices differ in size or pixel spacing."""
+
+    code = "CT-011"
+    action = "Export the series again with one matrix and one pixel spacing."
+
+
+class AttributeMissing(DataError):
+    """A DICOM attribute that the geometry or the intensities need is missing or unusable."""
+
+    code = "CT-012"
+    action = "Export the series again with complete headers."
+
+
+class CompressionUnknown(DataError):
+    """The pixel data are compressed and nothing installed here can decompress them."""
+
+    code = "CT-013"
+    action = "Export without compression, or install pylibjpeg with its plug-ins."
+
+
+class PixelsUnusable(DataError):
+    """The pixel format is not that of a CT slice."""
+
+    code = "CT-014"
+    action = "Export the CT as monochrome images of one sample per pixel."
+
+
+class SeriesTooShort(DataError):
+    """Too few slices to make a volume."""
+
+    code = "CT-015"
+    action = "Export the whole series."
+
+
+class MarkerCountWrong(DataError):
+    """Not as many markers as expected; `candidates` holds everything that was looked at."""
+
+    code = "CT-016"
+    action = "Compare the candidates with the images; scan again or correct the expected count."
+    exit_code = EXIT_REFUSED
+
+    def __init__(self, what: str, *, candidates: tuple[Candidate, ...]) -> None:
+        self.candidates = candidates
+        likely = sorted(candidates, key=lambda one: (not one.accepted, -(one.surface_share or 0.0)))
+        listed = ", ".join(candidate.describe() for candidate in likely[:LISTED_CANDIDATES])
+        more = len(candidates) - LISTED_CANDIDATES
+        if more > 0:
+            listed += f" and {more} less likely"
+        super().__init__(what, last=f"candidates {listed}" if listed else "no candidates")
+
+
+class LocalizationMisused(DataError):
+    """The localizer was asked for something impossible."""
+
+    code = "CT-017"
+    action = "Give a marker diameter that the voxels can resolve, and a count that is not negative."

@@ -1,0 +1,130 @@
+"""Is this candidate a marker? Its surface is looked for, its size compared, both estimators are run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging.blurred_ball import BlurredBall, fit_blurred_ball
+from procedures.imaging.combination import CombinedCentre, combine
+from procedures.imaging.detection import Peak
+from procedures.imaging.markers import (
+    CUT_BY_FIELD,
+    ESTIMATORS_DISAGREE,
+    NEAR_ANOTHER,
+    NEAR_METAL,
+    RADIUS_UNUSUAL,
+    SURFACE_HIDDEN,
+    Candidate,
+    Marker,
+)
+from procedures.imaging.radial_edge import RadialEdge, fit_radial_edge
+from procedures.imaging.region import cut_region
+from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+
+REGION_REACH = 2.2  # of the radius
+MIN_SURFACE_SHARE = 0.5
+RADIUS_TOLERANCE = 0.061  # of the radius: 0.35 mm for the usual sphere
+AGREEMENT_MM = 0.06  # beyond this the two estimators contradict each other
+
+UNSCANNED_FLAG = 0.02  # share of rays that leave the field
+SURFACE_FLAG = 0.70  # share of the surface seen
+METAL_FLAG = 0.30  # share of the surface near metal; a post takes about 0.13
+RADIUS_FLAG = 0.045  # of the radius: 0.26 mm
+NEAR_ANOTHER_FLAG = 1.6  # centre distance in diameters
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A candidate that passed, in grid mm (slice, row, column), with what the estimators said."""
+
+    candidate: Candidate
+    edge: RadialEdge
+    ball: BlurredBall
+    combined: CombinedCentre
+
+
+def examine(volume: Volume, peak: Peak, radius_mm: float, known: list[Sphere]) -> Sphere | Candidate:
+    """A sphere, or the candidate with the reason why it is none."""
+    region = cut_region(volume, peak.position_mm, REGION_REACH * radius_mm)
+    edge = fit_radial_edge(region, peak.position_mm, radius_mm)
+    if edge is None:
+        return _rejected(volume, peak, None, "shows no surface of a polymer sphere")
+    if edge.surface_share < MIN_SURFACE_SHARE:
+        seen = f"{edge.surface_share:.0%} of a sphere's surface"
+        cut = edge.unscanned_share > UNSCANNED_FLAG
+        return _rejected(
+            volume, peak, edge, f"is cut by the field, shows {seen}" if cut else f"shows only {seen}"
+        )
+    if abs(edge.radius_mm - radius_mm) > RADIUS_TOLERANCE * radius_mm:
+        return _rejected(volume, peak, edge, f"has radius {edge.radius_mm:.2f} mm instead of {radius_mm:.2f}")
+    if any(np.linalg.norm(edge.centre_mm - other.combined.centre_mm) < radius_mm for other in known):
+        return _rejected(volume, peak, edge, "is a marker that has been found already")
+    region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
+    refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
+    ball = fit_blurred_ball(
+        region, refined.centre_mm, refined.radius_mm, refined.inside_hu, refined.outside_hu
+    )
+    if ball is None:
+        return _rejected(volume, peak, refined, "fits no blurred sphere")
+    combined = combine(refined, ball, volume.geometry.spacing_mm)
+    candidate = Candidate(
+        centre_mm=_patient(volume, combined.centre_mm),
+        accepted=True,
+        reason="is a marker",
+        contrast_hu=peak.contrast_hu,
+        surface_share=refined.surface_share,
+        radius_mm=ball.radius_mm,
+    )
+    return Sphere(candidate, refined, ball, combined)
+
+
+def as_marker(sphere: Sphere, others: list[Sphere], volume: Volume, radius_mm: float) -> Marker:
+    """A sphere as a marker in patient coordinates, with quality and flags."""
+    geometry = volume.geometry
+    combined = sphere.combined
+    disagreement = combined.agreement_mm / AGREEMENT_MM
+    return Marker(
+        centre_mm=geometry.grid_mm_to_patient_mm(combined.centre_mm),
+        covariance_mm2=geometry.covariance_to_patient(combined.covariance_mm2),
+        radius_mm=sphere.ball.radius_mm,
+        quality=sphere.edge.surface_share / (1.0 + disagreement**2),
+        agreement_mm=combined.agreement_mm,
+        flags=_flags(sphere, others, radius_mm),
+    )
+
+
+def _flags(sphere: Sphere, others: list[Sphere], radius_mm: float) -> tuple[str, ...]:
+    centre_mm = sphere.combined.centre_mm
+    distances_mm = [
+        float(np.linalg.norm(centre_mm - other.combined.centre_mm)) for other in others if other is not sphere
+    ]
+    raised = {
+        ESTIMATORS_DISAGREE: sphere.combined.agreement_mm > AGREEMENT_MM,
+        CUT_BY_FIELD: sphere.edge.unscanned_share > UNSCANNED_FLAG,
+        NEAR_METAL: sphere.ball.metal_share > METAL_FLAG,
+        SURFACE_HIDDEN: sphere.edge.surface_share < SURFACE_FLAG,
+        RADIUS_UNUSUAL: abs(sphere.ball.radius_mm - radius_mm) > RADIUS_FLAG * radius_mm,
+        NEAR_ANOTHER: min(distances_mm, default=np.inf) < NEAR_ANOTHER_FLAG * 2.0 * radius_mm,
+    }
+    return tuple(word for word, is_raised in raised.items() if is_raised)
+
+
+def _rejected(volume: Volume, peak: Peak, edge: RadialEdge | None, reason: str) -> Candidate:
+    return Candidate(
+        centre_mm=_patient(volume, edge.centre_mm if edge is not None else peak.position_mm),
+        accepted=False,
+        reason=reason,
+        contrast_hu=peak.contrast_hu,
+        surface_share=edge.surface_share if edge is not None else None,
+        radius_mm=edge.radius_mm if edge is not None else None,
+    )
+
+
+def _patient(volume: Volume, grid_mm: Array) -> tuple[float, float, float]:
+    x, y, z = volume.geometry.grid_mm_to_patient_mm(grid_mm).tolist()
+    return x, y, z

@@ -1,0 +1,78 @@
+"""What the localizer hands on: markers, and the candidates it looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ESTIMATORS_DISAGREE = "estimators_disagree"  # the two centres are further apart than 0.06 mm
+CUT_BY_FIELD = "cut_by_field"  # part of the surface lies outside the scanned volume
+NEAR_METAL = "near_metal"  # metal hides more of the surface than a post does
+SURFACE_HIDDEN = "surface_hidden"  # skin, bandage or a neighbour hides much of the surface
+RADIUS_UNUSUAL = "radius_unusual"  # the fitted radius is far from the nominal one
+NEAR_ANOTHER = "near_another"  # the surface of another marker is close
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A place that looked like a marker at first sight, and what became of it.
+
+    `centre_mm` is LPS. `accepted` candidates are the markers; for the others `reason` says in words why
+    not. `surface_share` [0..1] is the part of the sphere's surface that was found where it should be,
+    `radius_mm` its fitted radius; both None when no surface was found.
+    """
+
+    centre_mm: tuple[float, float, float]
+    accepted: bool
+    reason: str
+    contrast_hu: float
+    surface_share: float | None = None
+    radius_mm: float | None = None
+
+    def describe(self) -> str:
+        """One phrase for messages: centre in LPS mm and reason."""
+        x, y, z = self.centre_mm
+        return f"({x:.1f}, {y:.1f}, {z:.1f}) {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class Marker:
+    """One localized sphere.
+
+    `centre_mm` (3,) LPS; `covariance_mm2` (3, 3) of the centre in LPS, positive definite, from the noise
+    and the disagreement of the two estimators, without errors common to a whole scan such as table feed;
+    `radius_mm` as it appears in the image (film and blur move it); `agreement_mm` the distance between the
+    two estimates of the centre; `quality` [0..1] the share of the surface used, lowered by disagreement.
+    """
+
+    centre_mm: Array
+    covariance_mm2: Array
+    radius_mm: float
+    quality: float
+    agreement_mm: float
+    flags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Localization:
+    """The markers of one volume, from superior to inferior, and every candidate."""
+
+    markers: tuple[Marker, ...]
+    candidates: tuple[Candidate, ...]
+    series_instance_uid: str
+    frame_of_reference_uid: str
+    diameter_mm: float
+
+    @property
+    def centres_mm(self) -> Array:
+        """All centres, (n, 3) LPS mm."""
+        return np.array([marker.centre_mm for marker in self.markers]).reshape(-1, 3)
+
+    @property
+    def covariances_mm2(self) -> Array:
+        """All covariances, (n, 3, 3) LPS mm²."""
+        return np.array([marker.covariance_mm2 for marker in self.markers]).reshape(-1, 3, 3)

@@ -1,0 +1,165 @@
+"""First estimator of a sphere's centre: where rays from the centre cross its edge.
+
+Rays go out in many directions. On each the edge is where the intensity falls through the middle between
+polymer and surroundings. A sphere of free radius is fitted to the edge points with Cauchy weights, so that
+a post, skin or a neighbour costs rays but does not pull the centre. A free radius matters: film and blur
+move the apparent edge, and a fixed radius would turn that into an error of the centre.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging.region import Region
+
+Array = NDArray[np.float64]
+
+RAYS = 400
+SCAN_FROM, SCAN_TO = 0.52, 1.57  # of the nominal radius: 3 to 9 mm for the usual sphere
+SCAN_STEPS = 61
+INSIDE_TO = 0.75  # of the nominal radius: certainly inside
+OUTSIDE_FROM = 1.40  # of the nominal radius: certainly outside
+POLYMER_HU = (-300.0, 500.0)
+MIN_CONTRAST_HU = 100.0
+SAME_LEVEL = 0.25  # of the contrast: a ray whose ends differ more from the usual levels is not used
+INLIER = 0.061  # of the nominal radius (0.35 mm): an edge point this near the sphere lies on it
+PASSES, REFINING_PASSES = 3, 2  # rays are cast again from each new centre
+FIT_STEPS = 12
+FIT_DONE_MM = 1e-6
+CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
+MAD_TO_SIGMA = 1.4826
+MIN_SCALE_MM = 1e-3
+MIN_RAYS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class RadialEdge:
+    """A sphere fitted to edge points. Centre and covariance in grid mm (slice, row, column).
+
+    `surface_share` is the part of all rays whose edge lies on the sphere, `unscanned_share` the part that
+    leaves the scanned volume. `covariance_mm2` treats the rays as independent.
+    """
+
+    centre_mm: Array
+    radius_mm: float
+    covariance_mm2: Array
+    surface_share: float
+    unscanned_share: float
+    inside_hu: float
+    outside_hu: float
+
+
+def fit_radial_edge(
+    region: Region, start_mm: Array, nominal_radius_mm: float, *, refine: bool = False
+) -> RadialEdge | None:
+    """Fit from a rough centre (within a third of the radius); None when there is no such surface.
+
+    With `refine` the start is already good, and the volume is interpolated smoothly.
+    """
+    directions = _directions(RAYS)
+    radii_mm = np.linspace(SCAN_FROM, SCAN_TO, SCAN_STEPS) * nominal_radius_mm
+    centre_mm = start_mm
+    fitted: RadialEdge | None = None
+    for _ in range(REFINING_PASSES if refine else PASSES):
+        places_mm = centre_mm + radii_mm[None, :, None] * directions[:, None, :]
+        profiles = region.sample(places_mm, smooth=refine)
+        fitted = _fit_profiles(profiles, centre_mm, directions, radii_mm, nominal_radius_mm)
+        if fitted is None or np.linalg.norm(fitted.centre_mm - start_mm) > nominal_radius_mm:
+            return None
+        centre_mm = fitted.centre_mm
+    return fitted
+
+
+def _fit_profiles(
+    profiles: Array, centre_mm: Array, directions: Array, radii_mm: Array, nominal_radius_mm: float
+) -> RadialEdge | None:
+    scanned = np.isfinite(profiles).all(axis=1)
+    if scanned.sum() < MIN_RAYS:
+        return None
+    rays, ways = profiles[scanned], directions[scanned]
+    inner = np.median(rays[:, radii_mm < INSIDE_TO * nominal_radius_mm], axis=1)
+    outer = np.median(rays[:, radii_mm > OUTSIDE_FROM * nominal_radius_mm], axis=1)
+    inside_hu = float(np.median(inner))
+    darker = outer < inside_hu - MIN_CONTRAST_HU
+    if not POLYMER_HU[0] < inside_hu < POLYMER_HU[1] or darker.sum() < MIN_RAYS:
+        return None
+    outside_hu = float(np.median(outer[darker]))
+    margin_hu = SAME_LEVEL * (inside_hu - outside_hu)
+    usable = (np.abs(inner - inside_hu) < margin_hu) & (np.abs(outer - outside_hu) < margin_hu)
+    if usable.sum() < MIN_RAYS:
+        return None
+    level_hu = _level_by_direction(0.5 * (inner + outer), ways, usable)
+    edge_mm, crossed = _crossings(rays, radii_mm, level_hu)
+    usable &= crossed
+    if usable.sum() < MIN_RAYS:
+        return None
+    points_mm = centre_mm + edge_mm[usable, None] * ways[usable]
+    new_centre_mm, radius_mm, covariance_mm2, residuals_mm = _fit_sphere(points_mm, centre_mm)
+    on_sphere = np.abs(residuals_mm) < INLIER * nominal_radius_mm
+    return RadialEdge(
+        centre_mm=new_centre_mm,
+        radius_mm=radius_mm,
+        covariance_mm2=covariance_mm2,
+        surface_share=float(on_sphere.sum()) / len(profiles),
+        unscanned_share=1.0 - float(scanned.sum()) / len(profiles),
+        inside_hu=inside_hu,
+        outside_hu=outside_hu,
+    )
+
+
+def _level_by_direction(middle_hu: Array, ways: Array, usable: NDArray[np.bool_]) -> Array:
+    """The middle level of each ray: a constant plus a slope, since streaks add a slope across the sphere."""
+    design = np.column_stack([np.ones(len(ways)), ways])
+    solved, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
+    return np.asarray(design @ solved)
+
+
+def _crossings(rays: Array, radii_mm: Array, level_hu: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """First radius at which each ray falls through its level, and whether it does."""
+    level_hu = level_hu[:, None]
+    falls = (rays[:, :-1] >= level_hu) & (rays[:, 1:] < level_hu)
+    first = np.argmax(falls, axis=1)
+    rows = np.arange(len(rays))
+    before, after = rays[rows, first], rays[rows, first + 1]
+    crossed = falls[rows, first]
+    drop = np.where(crossed, before - after, 1.0)
+    share = np.where(crossed, (before - level_hu[:, 0]) / drop, 0.0)
+    return radii_mm[first] + share * (radii_mm[1] - radii_mm[0]), crossed
+
+
+def _fit_sphere(points_mm: Array, start_mm: Array) -> tuple[Array, float, Array, Array]:
+    """Cauchy-weighted geometric sphere fit: centre, radius, covariance of the centre, residuals."""
+    centre_mm = start_mm
+    radius_mm = float(np.median(np.linalg.norm(points_mm - centre_mm, axis=1)))
+    for _ in range(FIT_STEPS):
+        offsets = points_mm - centre_mm
+        distances = np.linalg.norm(offsets, axis=1)
+        residuals = distances - radius_mm
+        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residuals))), MIN_SCALE_MM)
+        weights = 1.0 / (1.0 + (residuals / (CAUCHY * scale)) ** 2)
+        jacobian = np.column_stack([-offsets / distances[:, None], -np.ones(len(offsets))])
+        normal = jacobian.T @ (weights[:, None] * jacobian)
+        step = np.linalg.solve(normal + 1e-9 * np.eye(4), -jacobian.T @ (weights * residuals))
+        centre_mm = centre_mm + step[:3]
+        radius_mm += float(step[3])
+        if np.abs(step).max() < FIT_DONE_MM:
+            break
+    residuals = np.linalg.norm(points_mm - centre_mm, axis=1) - radius_mm
+    covariance = scale**2 * np.linalg.inv(normal + 1e-9 * np.eye(4))
+    return centre_mm, radius_mm, covariance[:3, :3], residuals
+
+
+@cache
+def _directions(count: int) -> Array:
+    """Nearly uniform unit directions (count, 3) on a spiral by the golden angle."""
+    number = np.arange(count) + 0.5
+    height = 1.0 - 2.0 * number / count
+    angle_rad = number * np.pi * (3.0 - np.sqrt(5.0))
+    across = np.sqrt(1.0 - height**2)
+    directions = np.column_stack([height, across * np.sin(angle_rad), across * np.cos(angle_rad)])
+    directions.flags.writeable = False
+    return directions

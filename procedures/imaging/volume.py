@@ -1,0 +1,82 @@
+"""A CT as numbers: voxels in HU and the geometry that ties them to the patient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))  # negative and positive end of the LPS axes
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelGeometry:
+    """Where voxels are, in patient coordinates (DICOM LPS, mm).
+
+    Voxel indices are (slice, row, column); whole numbers name voxel CENTRES, so the volume begins half a
+    voxel before index 0. `axes` (3, 3) holds, as its columns, the unit directions in which the slice,
+    row and column index grow; they are orthonormal and right- or left-handed. `spacing_mm` has the same
+    order. `origin_mm` is the centre of voxel (0, 0, 0).
+    """
+
+    shape: tuple[int, int, int]
+    origin_mm: Array
+    axes: Array
+    spacing_mm: Array
+
+    def to_patient_mm(self, indices: ArrayLike) -> Array:
+        """Patient positions (..., 3) mm of voxel indices (..., 3), fractions allowed."""
+        return self.origin_mm + self.directions_to_patient(np.asarray(indices, dtype=float) * self.spacing_mm)
+
+    def to_index(self, points_mm: ArrayLike) -> Array:
+        """Voxel indices (..., 3), with fractions, of patient positions (..., 3) mm."""
+        offsets = np.asarray(points_mm, dtype=float) - self.origin_mm
+        return np.asarray(offsets @ self.axes / self.spacing_mm)
+
+    def grid_mm_to_patient_mm(self, points_mm: ArrayLike) -> Array:
+        """Patient positions (..., 3) mm of index times spacing (..., 3)."""
+        return self.origin_mm + self.directions_to_patient(points_mm)
+
+    def directions_to_patient(self, vectors: ArrayLike) -> Array:
+        """Vectors (..., 3) along (slice, row, column) as vectors along the patient axes L, P, S."""
+        return np.asarray(np.asarray(vectors, dtype=float) @ self.axes.T)
+
+    def covariance_to_patient(self, covariance: ArrayLike) -> Array:
+        """A covariance (3, 3) in (slice, row, column) axes turned to L, P, S."""
+        return np.asarray(self.axes @ np.asarray(covariance, dtype=float) @ self.axes.T)
+
+    @property
+    def orientation(self) -> str:
+        """The patient side towards which columns, rows and slices grow, e.g. `LPS`."""
+        return "".join(_side(self.axes[:, axis]) for axis in (2, 1, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """One CT series. Holds no patient identity.
+
+    `voxels` is int16 HU, shape (slices, rows, columns), read-only. `patient_position` is the word of the
+    scanner for how the patient lay (`HFS` is head first, supine), empty when it does not say.
+    `warnings` are sentences for the reader about what limits the accuracy.
+    """
+
+    voxels: NDArray[np.int16]
+    geometry: VoxelGeometry
+    series_instance_uid: str
+    frame_of_reference_uid: str
+    patient_position: str = ""
+    warnings: tuple[str, ...] = ()
+
+    @cached_property
+    def extent_mm(self) -> Array:
+        """Size along (slice, row, column) from face to face, (3,) mm."""
+        return np.asarray(self.geometry.spacing_mm * self.geometry.shape)
+
+
+def _side(direction: Array) -> str:
+    axis = int(np.argmax(np.abs(direction)))
+    return _LETTERS[axis][int(direction[axis] > 0)]
