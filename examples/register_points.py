@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration import match, register
 
-# Five spheres in the CT (mm, LPS), and what a tracker saw: another order, another frame, noise, one reflection.
+# Five spheres in the CT (mm, LPS), and what a tracker saw: another order and frame, noise, one reflection.
 ct_mm = np.array([[62, -41, 58], [-55, -38, 63], [8, 85, 47], [-70, 30, 20], [66, 42, 5]], dtype=float)
 room_from_ct = RigidTransform.from_components(
     [120, -300, -1800], Rotation.from_euler("ZYX", [1.0, 0.3, -0.6])

@@ -1,1 +1,1 @@
-"""How the arm is oriented while it localizes: OCS and, later, its peers."""
+"""How the arm is oriented while it localizes the fiducials and when it stands at a target."""

@@ -1,0 +1,46 @@
+"""A planned straight way into the head: five numbers fixed by the surgeon, one angle free."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.strategies.errors import BadTrajectory
+
+Array = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+SHORTEST_MM = 1e-3  # below a micrometre the direction is rounding noise
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Entry and target in CT coordinates (LPS, mm) and the free angle about the axis (rad).
+
+    Raises STR-003 when entry and target are one point or a number is not finite.
+    """
+
+    identifier: str
+    entry_mm: Point
+    target_mm: Point
+    free_angle_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that the trajectory has a direction."""
+        if not all(math.isfinite(value) for value in (*self.entry_mm, *self.target_mm, self.free_angle_rad)):
+            raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
+        if self.depth_mm < SHORTEST_MM:
+            raise BadTrajectory(f"entry and target of trajectory {self.identifier} are one point")
+
+    @property
+    def depth_mm(self) -> float:
+        """Distance from entry to target."""
+        return math.dist(self.entry_mm, self.target_mm)
+
+    @property
+    def axis_ct(self) -> Array:
+        """Unit vector (3,) from entry to target, into the head, in CT coordinates."""
+        return np.subtract(self.target_mm, self.entry_mm) / self.depth_mm
