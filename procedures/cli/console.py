@@ -13,6 +13,7 @@ from ronna_hw.command_line.console import (
     progress_bar,
     run,
     set_up_logging,
+    tell,
 )
 from ronna_hw.command_line.errors import (
     DiskFull,
@@ -44,4 +45,5 @@ __all__ = [
     "progress_bar",
     "run",
     "set_up_logging",
+    "tell",
 ]

@@ -132,7 +132,7 @@ class MarkerCountWrong(DataError):
         more = len(candidates) - LISTED_CANDIDATES
         if more > 0:
             listed += f" and {more} less likely"
-        super().__init__(what, last=f"candidates {listed}" if listed else "no candidates")
+        super().__init__(f"{what}; candidates: {listed or 'none'}")
 
 
 class LocalizationMisused(DataError):

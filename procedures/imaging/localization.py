@@ -50,7 +50,7 @@ def localize(
         if isinstance(outcome, Sphere):
             found.append(outcome)
             candidates.append(outcome.candidate)
-        else:
+        elif not any(_same_object(outcome, other) for other in candidates):
             candidates.append(outcome)
         report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
     report(1.0)
@@ -80,6 +80,13 @@ def _check_request(geometry: VoxelGeometry, diameter_mm: float, expected: int | 
         raise LocalizationMisused(f"spheres of {diameter_mm:g} mm do not fit into this series")
     if expected is not None and expected < 0:
         raise LocalizationMisused(f"{expected} markers cannot be expected")
+
+
+def _same_object(one: Candidate, other: Candidate) -> bool:
+    """Two peaks on one large object lead to the same fitted sphere."""
+    if one.radius_mm is None or other.radius_mm is None or other.accepted:
+        return False
+    return float(np.linalg.norm(np.subtract(one.centre_mm, other.centre_mm))) < 0.5 * one.radius_mm
 
 
 def _head_to_foot(marker: Marker) -> tuple[float, ...]:

@@ -36,7 +36,7 @@ class Candidate:
     def describe(self) -> str:
         """One phrase for messages: centre in LPS mm and reason."""
         x, y, z = self.centre_mm
-        return f"({x:.1f}, {y:.1f}, {z:.1f}) {self.reason}"
+        return f"({x:z.1f}, {y:z.1f}, {z:z.1f}) {self.reason}"
 
 
 @dataclass(frozen=True, eq=False)

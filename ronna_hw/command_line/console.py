@@ -56,12 +56,12 @@ def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
     except BrokenPipeError:
         code = EXIT_FAILED
     except typer.Abort:
-        _tell("aborted")
+        tell("aborted")
         code = EXIT_ABORTED
     except Exception as problem:
         code = _report(problem, verbose=VERBOSE_FLAG in arguments)
     if code == EXIT_INTERRUPTED:
-        _tell("interrupted")
+        tell("interrupted")
     _abandon_unwritable(sys.stdout)
     _abandon_unwritable(sys.stderr)
     return code
@@ -71,13 +71,20 @@ def fail_with(error: RonnaError) -> None:
     """Print an error as `run` would, for commands that go on after it."""
     line = " ".join(str(error).split())
     if not on_terminal(sys.stderr):
-        _tell(line)
+        tell(line)
         return
     from rich.text import Text
 
     code, _, rest = line.partition(": ") if error.code else ("", "", line)
     with contextlib.suppress(OSError):
         message_console().print(Text.assemble((f"{code} " if code else "", "bold red"), rest))
+
+
+def tell(line: str) -> None:
+    """Print one line of message on standard error; silent when nobody listens any more."""
+    with contextlib.suppress(OSError, ValueError):  # nobody listens any more
+        sys.stderr.write(line + "\n")
+        sys.stderr.flush()
 
 
 def on_terminal(stream: TextIO) -> bool:
@@ -155,7 +162,7 @@ def progress_bar(description: str) -> Iterator[Progress]:
 
 
 def set_up_logging(verbose: bool) -> None:
-    """Send structured log lines to standard error: all of them with `--verbose`, else none.
+    """Send structured log lines to standard error: all of them with `--verbose`, else only critical ones.
 
     A command calls this before it starts work; without it log lines would mix with the data.
     """
@@ -164,7 +171,7 @@ def set_up_logging(verbose: bool) -> None:
 
     import structlog
 
-    level = logging.DEBUG if verbose else logging.CRITICAL + 1
+    level = logging.DEBUG if verbose else logging.CRITICAL
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
@@ -195,12 +202,6 @@ def _report(problem: Exception, *, verbose: bool) -> int:
             traceback.print_exception(problem, file=sys.stderr)
     fail_with(error)
     return error.exit_code
-
-
-def _tell(line: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # nobody listens any more
-        sys.stderr.write(line + "\n")
-        sys.stderr.flush()
 
 
 def _unwind_on_signals() -> None:

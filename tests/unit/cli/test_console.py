@@ -193,3 +193,15 @@ def test_a_signal_unwinds_the_command(script: list[str], number: signal.Signals)
         child.send_signal(number)
         assert child.stderr.read().split() == [b"closed", b"interrupted"]
     assert child.returncode == 130
+
+
+@pytest.mark.parametrize(("verbose", "shown"), [(True, ["asked", "grave"]), (False, ["grave"])])
+def test_log_lines_go_to_standard_error_and_only_on_request(verbose: bool, shown: list[str]) -> None:
+    script = (
+        "from procedures.cli import console; import structlog; "
+        f"console.set_up_logging({verbose}); log = structlog.get_logger(); "
+        "log.info('asked'); log.critical('grave'); print('data')"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
+    assert done.stdout == "data\n"
+    assert [word for word in ("asked", "grave") if word in done.stderr] == shown

@@ -1,0 +1,132 @@
+"""`ronna-ct`: what a CT series holds."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from procedures.cli import console
+
+if TYPE_CHECKING:
+    from procedures.imaging import Localization, Volume
+
+READING_SHARE = 0.4  # of the whole work
+
+app = typer.Typer(
+    name="ronna-ct",
+    help="Localize marker spheres in a CT series.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def ct() -> None:
+    """Localize marker spheres in a CT series."""
+
+
+@app.command()
+def localize(
+    series_dir: Annotated[
+        Path, typer.Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
+    ],
+    diameter_mm: Annotated[
+        float, typer.Option("--diameter-mm", help="Diameter of the marker spheres in mm.")
+    ] = 11.5,
+    expected: Annotated[
+        int | None,
+        typer.Option("--expected", metavar="N", help="Refuse another number of markers than this."),
+    ] = None,
+    pictures: Annotated[
+        Path | None,
+        typer.Option("--pictures", metavar="DIR", help="Write a picture of each marker into this folder."),
+    ] = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """Find the centres of all marker spheres, in patient coordinates (LPS, mm).
+
+    Exit codes: 0 markers found, 1 the series is unusable or a file cannot be written, 2 usage,
+    3 another number of markers than expected or none (the candidates are listed), 130 interrupted.
+    elapsed_s is the time of the localization without reading the files.
+    """
+    console.set_up_logging(verbose)
+    import procedures.imaging as imaging
+
+    with console.progress_bar("reading and localizing") as advance:
+        volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
+        began_s = time.perf_counter()
+        result = imaging.localize(
+            volume,
+            diameter_mm=diameter_mm,
+            expected=expected,
+            progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share),
+        )
+        elapsed_s = time.perf_counter() - began_s
+    for sentence in volume.warnings:
+        console.tell(f"warning: {sentence}")
+    if pictures is not None:
+        _write_pictures(pictures, volume, result)
+    if as_json:
+        console.print_json(_document(result, elapsed_s))
+    else:
+        _print_markers(result)
+
+
+def _document(result: Localization, elapsed_s: float) -> dict[str, Any]:
+    return {
+        "markers": [
+            {
+                "centre_mm": marker.centre_mm.tolist(),
+                "covariance_mm2": marker.covariance_mm2.tolist(),
+                "radius_mm": marker.radius_mm,
+                "quality": marker.quality,
+                "flags": list(marker.flags),
+            }
+            for marker in result.markers
+        ],
+        "series_instance_uid": result.series_instance_uid,
+        "elapsed_s": elapsed_s,
+    }
+
+
+def _print_markers(result: Localization) -> None:
+    rows = []
+    for number, marker in enumerate(result.markers, start=1):
+        x, y, z = marker.centre_mm
+        sigma_mm = float(marker.covariance_mm2.trace()) ** 0.5
+        rows.append(
+            [
+                str(number),
+                f"{x:.3f}",
+                f"{y:.3f}",
+                f"{z:.3f}",
+                f"{sigma_mm:.3f}",
+                f"{marker.agreement_mm:.3f}",
+                f"{marker.radius_mm:.2f}",
+                f"{marker.quality:.2f}",
+                " ".join(marker.flags),
+            ]
+        )
+    console.print_table(
+        f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS",
+        ["#", "L mm", "P mm", "S mm", "sigma mm", "agreement mm", "radius mm", "quality", "flags"],
+        rows,
+    )
+
+
+def _write_pictures(folder: Path, volume: Volume, result: Localization) -> None:
+    from procedures.imaging.pictures import marker_pictures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, picture in enumerate(marker_pictures(volume, result), start=1):
+        (folder / f"marker-{number}.png").write_bytes(picture)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    console.run(app)
