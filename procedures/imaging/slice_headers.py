@@ -20,7 +20,7 @@ from procedures.imaging.errors import (
 )
 
 if TYPE_CHECKING:
-    from pydicom.dataset import FileDataset
+    from pydicom.dataset import Dataset, FileDataset
 
 Progress = Callable[[float], None]
 
@@ -31,6 +31,9 @@ DICOM_SUFFIXES = frozenset({".dcm", ".dicom", ".ima", ".img"})
 _DIRECTORY_STORAGE = "1.2.840.10008.1.3.10"
 _CT_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.2"
 _ENHANCED_CT_STORAGES = frozenset({"1.2.840.10008.5.1.4.1.1.2.1", "1.2.840.10008.5.1.4.1.1.2.2"})
+
+_STANDARD_ROOT = "1.2.840"  # classes of the standard; those of makers begin otherwise
+_PRIVATE_DOTS = 5  # fewer: the identifier itself is cut off
 
 _TAGS = (
     "SOPClassUID",
@@ -86,7 +89,9 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
             progress((number + 1) / len(files))
     if not images:
         raise SeriesEmpty(f"no DICOM image in {directory}")
-    _refuse_several(SeriesMixed, "series", (_text(header, "SeriesInstanceUID") for _, header in images))
+    _refuse_several(
+        SeriesMixed, "series", (_text(path, header, "SeriesInstanceUID") for path, header in images)
+    )
     _refuse_other_modality(images)
     slices = tuple(_slice_header(path, header) for path, header in images)
     _refuse_several(FramesMixed, "frames of reference", (one.frame_of_reference_uid for one in slices))
@@ -130,14 +135,20 @@ def _is_dicom(path: Path) -> bool:
 
 
 def _is_image(path: Path, header: FileDataset) -> bool:
-    kind = _text(header, "SOPClassUID") or str(header.file_meta.get("MediaStorageSOPClassUID", ""))
+    from pydicom import config
+    from pydicom.uid import UID
+
+    stated = _value(path, header.file_meta, "MediaStorageSOPClassUID") or _text(path, header, "SOPClassUID")
+    kind = UID(str(stated), validation_mode=config.IGNORE)
     if kind == _DIRECTORY_STORAGE:
         return False
-    if kind == _CT_IMAGE_STORAGE and not ("Rows" in header and "Columns" in header):
+    if "Rows" in header and "Columns" in header:
+        return True
+    standard_object = kind.name != str(kind) and kind != _CT_IMAGE_STORAGE
+    private_object = not kind.startswith(_STANDARD_ROOT) and kind.count(".") >= _PRIVATE_DOTS
+    if not (standard_object or private_object):
         raise FileDamaged(f"{path.name} is truncated: its header ends early")
-    if not kind and "Rows" not in header:
-        raise FileDamaged(f"{path.name} is truncated: it does not say what it is")
-    return "Rows" in header
+    return False
 
 
 def _refuse_several(error: type[SeriesMixed | FramesMixed], noun: str, values: Iterable[str]) -> None:
@@ -150,10 +161,10 @@ def _refuse_several(error: type[SeriesMixed | FramesMixed], noun: str, values: I
 
 def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
     for path, header in images:
-        modality = _text(header, "Modality")
+        modality = _text(path, header, "Modality")
         if modality != "CT":
             raise WrongModality(f"{path.name} has modality {modality or '(none)'}", awaited="CT")
-        if _text(header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
+        if _text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
             raise WrongModality(f"{path.name} is a multi-frame (enhanced) CT", awaited="one slice per file")
 
 
@@ -170,7 +181,7 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
         path=path,
         series_instance_uid=_required_text(path, header, "SeriesInstanceUID"),
         frame_of_reference_uid=_required_text(path, header, "FrameOfReferenceUID"),
-        patient_position=_text(header, "PatientPosition"),
+        patient_position=_text(path, header, "PatientPosition"),
         position_mm=_numbers(path, header, "ImagePositionPatient", 3),
         orientation=_numbers(path, header, "ImageOrientationPatient", 6),
         row_spacing_mm=spacing[0],
@@ -184,7 +195,7 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
     )
 
 
-def _value(path: Path, header: FileDataset, keyword: str) -> Any:
+def _value(path: Path, header: Dataset, keyword: str) -> Any:
     """The decoded value; pydicom decodes only now, so a bad one shows here."""
     try:
         with warnings.catch_warnings():
@@ -209,13 +220,13 @@ def _optional_number(path: Path, header: FileDataset, keyword: str) -> float | N
     return None if _value(path, header, keyword) in (None, "") else _numbers(path, header, keyword, 1)[0]
 
 
-def _text(header: FileDataset, keyword: str) -> str:
-    value = header.get(keyword)
+def _text(path: Path, header: Dataset, keyword: str) -> str:
+    value = _value(path, header, keyword)
     return "" if value is None else str(value).strip()
 
 
 def _required_text(path: Path, header: FileDataset, keyword: str) -> str:
-    text = _text(header, keyword)
+    text = _text(path, header, keyword)
     if not text:
         raise AttributeMissing(f"{path.name}: {keyword} is missing")
     return text

@@ -60,9 +60,11 @@ def _stored_16_bit(data: FileDataset, name: str, shape: tuple[int, ...]) -> NDAr
 
 
 def _stored_by_library(data: FileDataset, name: str, shape: tuple[int, ...]) -> NDArray[np.integer]:
+    from pydicom import config
     from pydicom.uid import UID
 
-    syntax = UID(str(data.file_meta.get("TransferSyntaxUID", "")))
+    stated = str(data.file_meta.get("TransferSyntaxUID", ""))
+    syntax = UID(stated, validation_mode=config.IGNORE)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

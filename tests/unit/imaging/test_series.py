@@ -1,0 +1,353 @@
+"""A series is read as it is or refused with the reason; its geometry is never guessed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+from pydicom.dataset import Dataset
+from pydicom.uid import (
+    DeflatedExplicitVRLittleEndian,
+    ExplicitVRBigEndian,
+    ImplicitVRLittleEndian,
+    JPEG2000Lossless,
+    MRImageStorage,
+    RLELossless,
+)
+
+from procedures.imaging import errors, read_series
+from ronna_hw.errors import DataError
+
+Write = Callable[..., Path]
+HU = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 100  # what the fixture writes by default
+
+
+def only(number: int, change: Callable[[Dataset], object]) -> Callable[[Dataset, int], None]:
+    """An edit of one slice."""
+
+    def edit(data: Dataset, at: int) -> None:
+        if at == number:
+            change(data)
+
+    return edit
+
+
+def every(change: Callable[[Dataset], object]) -> Callable[[Dataset, int], None]:
+    return lambda data, at: change(data) and None
+
+
+def setting(**values: object) -> Callable[[Dataset], None]:
+    def change(data: Dataset) -> None:
+        for keyword, value in values.items():
+            setattr(data, keyword, value)
+
+    return change
+
+
+def test_values_and_places_come_through(dicom_series: Write) -> None:
+    volume = read_series(dicom_series())
+    np.testing.assert_array_equal(volume.voxels, HU)
+    assert volume.voxels.dtype == np.int16
+    assert volume.geometry.shape == (5, 6, 7)
+    assert volume.series_instance_uid.endswith(".498.1")
+    assert volume.frame_of_reference_uid.endswith(".498.2")
+    assert (volume.patient_position, volume.geometry.orientation) == ("HFS", "LPS")
+    assert volume.warnings == ()
+    with pytest.raises(ValueError, match="read-only"):
+        volume.voxels[0, 0, 0] = 1
+
+
+def test_coordinates_name_voxel_centres_and_row_spacing_comes_first(dicom_series: Write) -> None:
+    geometry = read_series(dicom_series(HU, (1.25, 0.9, 0.4))).geometry
+    # slice 2, row 3, column 4 of a series whose first voxel is centred on (-20, -30, 40)
+    expected = [-20 + 4 * 0.4, -30 + 3 * 0.9, 40 + 2 * 1.25]
+    np.testing.assert_allclose(geometry.to_patient_mm([2, 3, 4]), expected, atol=1e-9)
+    np.testing.assert_allclose(geometry.to_index(expected), [2, 3, 4], atol=1e-9)
+
+
+def test_file_names_and_instance_numbers_do_not_order_the_slices(dicom_series: Write) -> None:
+    volume = read_series(dicom_series(HU, reverse=True))
+    np.testing.assert_array_equal(volume.voxels, HU)
+    np.testing.assert_allclose(volume.geometry.origin_mm, [-20, -30, 40])
+
+
+def test_an_oblique_series_maps_every_voxel_to_its_patient_position(dicom_series: Write) -> None:
+    row = np.array([0.8, 0.6, 0.0])
+    column = np.array([-0.36, 0.48, -0.8])
+    normal = np.cross(row, column)
+    volume = read_series(
+        dicom_series(HU, (2.0, 0.5, 0.7), row_direction=tuple(row), column_direction=tuple(column))
+    )
+    index = np.array([[0, 0, 0], [4, 5, 6], [1.5, 2.25, 0.5]])
+    expected = (
+        np.array([-20, -30, 40])
+        + index[:, :1] * 2.0 * normal
+        + index[:, 1:2] * 0.5 * column
+        + index[:, 2:] * 0.7 * row
+    )
+    np.testing.assert_allclose(volume.geometry.to_patient_mm(index), expected, atol=1e-5)
+    np.testing.assert_allclose(volume.geometry.to_index(expected), index, atol=1e-5)
+
+
+def test_a_sagittal_series_says_where_its_axes_point(dicom_series: Write) -> None:
+    path = dicom_series(HU, row_direction=(0.0, 1.0, 0.0), column_direction=(0.0, 0.0, -1.0))
+    assert read_series(path).geometry.orientation == "PIR"
+
+
+@pytest.mark.parametrize(
+    "syntax", [ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian, ExplicitVRBigEndian, RLELossless]
+)
+def test_every_lossless_syntax_that_needs_no_plug_in_is_read(dicom_series: Write, syntax: str) -> None:
+    def change(data: Dataset) -> None:
+        if syntax == RLELossless:
+            data.compress(RLELossless, generate_instance_uid=False)
+            return
+        data.file_meta.TransferSyntaxUID = syntax
+        if syntax == ExplicitVRBigEndian:
+            data.PixelData = np.frombuffer(data.PixelData, "<i2").astype(">i2").tobytes()
+
+    np.testing.assert_array_equal(read_series(dicom_series(HU, edit=every(change))).voxels, HU)
+
+
+def stored(values: np.ndarray, **attributes: object) -> Callable[[Dataset, int], None]:
+    def edit(data: Dataset, at: int) -> None:
+        setting(**attributes)(data)
+        data.PixelData = values[at].tobytes()
+
+    return edit
+
+
+def test_unsigned_12_bit_with_overlay_bits_is_read(dicom_series: Write) -> None:
+    values = (HU + 1024).astype("<u2") | 0x3000
+    edit = stored(values, BitsStored=12, HighBit=11, PixelRepresentation=0)
+    np.testing.assert_array_equal(read_series(dicom_series(HU, edit=edit)).voxels, HU)
+
+
+def test_signed_12_bit_without_sign_extension_is_read(dicom_series: Write) -> None:
+    values = HU.astype("<u2") & 0x0FFF
+    edit = stored(values, BitsStored=12, HighBit=11, PixelRepresentation=1, RescaleIntercept="0")
+    np.testing.assert_array_equal(read_series(dicom_series(HU, edit=edit)).voxels, HU)
+
+
+def test_unsigned_16_bit_beyond_the_signed_range_is_read(dicom_series: Write) -> None:
+    values = (HU.astype(np.int32) + 40000).astype("<u2")
+    edit = stored(values, PixelRepresentation=0, RescaleIntercept="-40000")
+    np.testing.assert_array_equal(read_series(dicom_series(HU, edit=edit)).voxels, HU)
+    values = np.full(HU.shape, 50000, dtype="<u2")
+    edit = stored(values, PixelRepresentation=0, RescaleIntercept="-10000")
+    assert read_series(dicom_series(HU, edit=edit)).voxels.max() == 32767  # cannot be held: cut, not wrapped
+
+
+def test_a_slope_is_applied_per_slice(dicom_series: Write) -> None:
+    edit = only(2, setting(RescaleSlope="0.5", RescaleIntercept="-1000.25"))
+    volume = read_series(dicom_series(HU, edit=edit))
+    np.testing.assert_array_equal(volume.voxels[1], HU[1])
+    np.testing.assert_array_equal(volume.voxels[2], np.rint((HU[2] + 1024.0) * 0.5 - 1000.25))
+
+
+def test_other_files_and_objects_without_pixels_are_left_out(dicom_series: Write) -> None:
+    folder = dicom_series()
+    (folder / "plan.toml").write_text("text")
+    (folder / "README").write_text("text" * 50)
+    (folder / ".hidden.dcm").write_bytes(b"")
+    (folder / "sub").mkdir()
+    report = pydicom.dcmread(folder / "0000.dcm")
+    for keyword in ("Rows", "Columns", "PixelData"):
+        delattr(report, keyword)
+    report.SOPClassUID = report.file_meta.MediaStorageSOPClassUID = "1.2.840.10008.5.1.4.1.1.66.1"
+    report.Modality, report.SeriesInstanceUID = "REG", "1.2.3"
+    report.save_as(folder / "registration.dcm", enforce_file_format=True)
+    np.testing.assert_array_equal(read_series(folder).voxels, HU)
+
+
+def test_thick_slices_gaps_and_large_pixels_are_warned_about(dicom_series: Write) -> None:
+    path = dicom_series(HU, (3.0, 1.2, 1.2), edit=every(setting(SliceThickness="2.5")))
+    thick, gaps, pixels = read_series(path).warnings
+    assert "3.00 mm" in thick
+    assert "gaps" in gaps
+    assert "1.20 mm" in pixels
+
+
+def test_progress_reaches_one(dicom_series: Write) -> None:
+    shares: list[float] = []
+    read_series(dicom_series(), progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_the_patient_is_not_in_the_volume(dicom_series: Write) -> None:
+    assert "secret" not in repr(read_series(dicom_series())).lower()
+
+
+Spoil = Callable[[Path], None]
+
+
+def cut(name: str, size: int) -> Spoil:
+    return lambda folder: os.truncate(folder / name, size)
+
+
+def cut_by(name: str, missing: int) -> Spoil:
+    return lambda folder: os.truncate(folder / name, (folder / name).stat().st_size - missing)
+
+
+def moved(data: Dataset, sideways_mm: float, along_mm: float = 0.0) -> None:
+    x, y, z = (float(value) for value in data.ImagePositionPatient)
+    data.ImagePositionPatient = [x + sideways_mm, y, z + along_mm]
+
+
+EDITED = {
+    "mixed series": (only(2, setting(SeriesInstanceUID="1.2.3.4")), errors.SeriesMixed, "1.2.3.4"),
+    "another modality": (
+        every(setting(Modality="MR", SOPClassUID=MRImageStorage)),
+        errors.WrongModality,
+        "MR",
+    ),
+    "enhanced CT": (
+        every(setting(SOPClassUID="1.2.840.10008.5.1.4.1.1.2.1")),
+        errors.WrongModality,
+        "multi-frame",
+    ),
+    "two frames": (only(1, setting(FrameOfReferenceUID="1.2.3.9")), errors.FramesMixed, "1.2.3.9"),
+    "stated tilt": (every(setting(GantryDetectorTilt="12.5")), errors.GantryTilted, "12.5"),
+    "sheared stack": (
+        lambda data, at: moved(data, 0.05 * at),
+        errors.GantryTilted,
+        "stacked",
+    ),
+    "skewed orientation": (
+        every(setting(ImageOrientationPatient=["1", "0", "0", "0.1", "0.995", "0"])),
+        errors.OrientationUnusable,
+        "perpendicular",
+    ),
+    "turned slice": (
+        only(3, setting(ImageOrientationPatient=["0.8", "0.6", "0", "-0.6", "0.8", "0"])),
+        errors.OrientationUnusable,
+        "0003.dcm",
+    ),
+    "same place twice": (only(3, lambda data: moved(data, 0.0, -1.0)), errors.SliceDuplicated, "0003.dcm"),
+    "uneven spacing": (only(2, lambda data: moved(data, 0.0, 0.2)), errors.SpacingUneven, "0002.dcm"),
+    "shifted slice": (only(2, lambda data: moved(data, 0.3)), errors.SpacingUneven, "sideways"),
+    "other pixels": (only(2, setting(PixelSpacing=["0.5", "0.6"])), errors.SlicesDiffer, "0002.dcm"),
+    "no position": (
+        only(2, lambda data: data.pop("ImagePositionPatient")),
+        errors.AttributeMissing,
+        "0002.dcm",
+    ),
+    "no rescale": (only(2, lambda data: data.pop("RescaleSlope")), errors.AttributeMissing, "RescaleSlope"),
+    "slope zero": (only(2, setting(RescaleSlope="0")), errors.AttributeMissing, "RescaleSlope"),
+    "no frame": (
+        every(lambda data: data.pop("FrameOfReferenceUID")),
+        errors.AttributeMissing,
+        "FrameOfReferenceUID",
+    ),
+    "flat pixels": (every(setting(PixelSpacing=["0", "0.5"])), errors.AttributeMissing, "pixel spacing"),
+    "inverted": (
+        every(setting(PhotometricInterpretation="MONOCHROME1")),
+        errors.PixelsUnusable,
+        "MONOCHROME1",
+    ),
+    "bits beyond the word": (
+        every(setting(BitsStored=12, HighBit=17)),
+        errors.PixelsUnusable,
+        "bit 17",
+    ),
+}
+
+
+@pytest.mark.parametrize("defect", EDITED)
+def test_a_defect_in_the_headers_is_refused(dicom_series: Write, defect: str) -> None:
+    edit, error, named = EDITED[defect]
+    with pytest.raises(error, match=named) as caught:
+        read_series(dicom_series(HU, edit=edit))
+    assert isinstance(caught.value, DataError)
+    assert "secret" not in str(caught.value).lower()
+
+
+def test_a_mixed_series_is_refused_with_both_identifiers(dicom_series: Write) -> None:
+    with pytest.raises(errors.SeriesMixed, match=r"1\.2\.3\.4") as caught:
+        read_series(dicom_series(HU, edit=only(0, setting(SeriesInstanceUID="1.2.3.4"))))
+    assert "1.2.826.0.1.3680043.8.498.1" in str(caught.value)
+
+
+SPOILED = {
+    "no preamble": (cut("0002.dcm", 60), errors.FileDamaged, "0002.dcm"),
+    "nothing at all": (cut("0002.dcm", 0), errors.FileDamaged, "0002.dcm"),
+    "cut in the meta header": (cut("0002.dcm", 150), errors.FileDamaged, "0002.dcm"),
+    "cut in the header": (cut("0002.dcm", 600), errors.FileDamaged, "0002.dcm"),
+    "cut in the pixels": (cut_by("0002.dcm", 20), errors.FileDamaged, "0002.dcm"),
+    "a slice is missing": (
+        lambda folder: (folder / "0002.dcm").unlink(),
+        errors.SpacingUneven,
+        "1 slice missing",
+    ),
+    "two slices are left": (
+        lambda folder: [(folder / f"000{n}.dcm").unlink() for n in range(3)],
+        errors.SeriesTooShort,
+        "2 slices",
+    ),
+    "a copy": (
+        lambda folder: (folder / "copy.dcm").write_bytes((folder / "0003.dcm").read_bytes()),
+        errors.SliceDuplicated,
+        "copy.dcm",
+    ),
+    "empty folder": (
+        lambda folder: [path.unlink() for path in folder.iterdir()],
+        errors.SeriesEmpty,
+        "series",
+    ),
+    "not DICOM": (
+        lambda folder: [
+            path.rename(path.with_suffix(".txt")).write_text("x" * 200) for path in folder.iterdir()
+        ],
+        errors.SeriesEmpty,
+        "no DICOM image",
+    ),
+}
+
+
+@pytest.mark.parametrize("defect", SPOILED)
+def test_a_spoiled_folder_is_refused(dicom_series: Write, defect: str) -> None:
+    folder = dicom_series()
+    spoil, error, named = SPOILED[defect]
+    spoil(folder)
+    with pytest.raises(error, match=named):
+        read_series(folder)
+
+
+def test_different_matrix_sizes_are_refused(dicom_series: Write) -> None:
+    def smaller(data: Dataset) -> None:
+        data.Rows, data.PixelData = 5, data.PixelData[: 5 * 7 * 2]
+
+    with pytest.raises(errors.SlicesDiffer, match="5 x 7"):
+        read_series(dicom_series(HU, edit=only(1, smaller)))
+
+
+def test_a_truncated_file_at_any_length_is_named(dicom_series: Write) -> None:
+    folder = dicom_series()
+    whole = (folder / "0002.dcm").read_bytes()
+    for size in range(0, len(whole), 7):
+        (folder / "0002.dcm").write_bytes(whole[:size])
+        with pytest.raises((errors.FileDamaged, errors.AttributeMissing), match=r"0002\.dcm"):
+            read_series(folder)
+
+
+def test_a_compression_without_decoder_is_refused(dicom_series: Write) -> None:
+    def change(data: Dataset) -> None:
+        data.file_meta.TransferSyntaxUID = JPEG2000Lossless
+        data.PixelData = pydicom.encaps.encapsulate([b"\xff\x4f\xff\x51" + bytes(60)])
+        data["PixelData"].VR = "OB"
+        data["PixelData"].is_undefined_length = True
+
+    with pytest.raises((errors.CompressionUnknown, errors.FileDamaged), match=r"JPEG 2000|decoded"):
+        read_series(dicom_series(HU, edit=every(change)))
+
+
+@pytest.mark.parametrize("name", ["missing", "file"])
+def test_a_folder_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(errors.SeriesNotFound, match=name):
+        read_series(tmp_path / name)
