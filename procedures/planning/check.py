@@ -1,0 +1,139 @@
+"""A plan against what it is about: the CT series, the fiducials found in it, the arm's reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from procedures.planning.errors import (
+    NotReachable,
+    OutsideField,
+    WrongMarkerCount,
+    WrongOrientation,
+    WrongSeries,
+    raise_together,
+)
+from procedures.planning.schema import Plan
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+    from procedures.planning.reach import ArmSetting
+
+LEAST_SIDE_DIFFERENCE_MM = 6.0  # of a triangle of fiducials: below it three points are often ambiguous
+RECOMMENDED_MARKERS = 4  # with three, one that moved cannot be told from the others
+
+
+@dataclass(frozen=True)
+class PlanCheck:
+    """What a check found: `findings` refuse the plan, `warnings` are for the surgeon to weigh."""
+
+    plan: Plan
+    findings: tuple[RonnaError, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing refuses the plan."""
+        return not self.findings
+
+    def require(self) -> None:
+        """Raises the finding, or one error that lists all of them."""
+        raise_together(self.findings, "the plan")
+
+    def as_payload(self) -> dict[str, Any]:
+        """Plain values for a record or a script."""
+        return {
+            "passed": self.passed,
+            "series_instance_uid": self.plan.series_instance_uid,
+            "trajectories": [
+                {"id": one.id, "depth_mm": round(one.depth_mm, 3), "margin_mm": one.margin_mm}
+                for one in self.plan.trajectories
+            ],
+            "findings": [{"code": one.code, "what": one.what, "action": one.advice} for one in self.findings],
+            "warnings": list(self.warnings),
+        }
+
+
+def check_plan(
+    plan: Plan,
+    volume: Volume,
+    *,
+    fiducials_mm: ArrayLike | None = None,
+    arm: ArmSetting | None = None,
+) -> PlanCheck:
+    """Check a plan against its CT series, and against the fiducials (n, 3) in LPS mm and the arm if given.
+
+    Never raises for a wrong plan: all findings come back together; `PlanCheck.require` raises them.
+    """
+    findings: list[RonnaError] = []
+    warnings: list[str] = []
+    if plan.series_instance_uid != volume.series_instance_uid:
+        findings.append(
+            WrongSeries(
+                "the plan belongs to another CT series",
+                awaited=plan.series_instance_uid,
+                last=volume.series_instance_uid,
+            )
+        )
+    else:
+        findings += _outside(plan, volume)
+    if not volume.patient_position:
+        warnings.append("the series does not say how the patient lay; compare left and right by eye")
+    elif volume.patient_position != plan.patient_orientation.value:
+        findings.append(
+            WrongOrientation(
+                "the CT was taken in another patient position",
+                awaited=plan.patient_orientation.value,
+                last=volume.patient_position,
+            )
+        )
+    if plan.implanted < RECOMMENDED_MARKERS:
+        warnings.append(f"{plan.implanted} fiducials: one that moves cannot be found out")
+    if fiducials_mm is not None:
+        points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+        if len(points) != plan.implanted:
+            findings.append(
+                WrongMarkerCount(
+                    "the CT shows another number of fiducials",
+                    awaited=str(plan.implanted),
+                    last=str(len(points)),
+                )
+            )
+        warnings += _side_warning(points)
+    if arm is not None:
+        unmet = arm.check_reach(tuple(one.trajectory for one in plan.trajectories))
+        findings += [NotReachable(f"{one.pose}: {one.reason}") for one in unmet]
+    return PlanCheck(plan, tuple(findings), tuple(warnings))
+
+
+def _outside(plan: Plan, volume: Volume) -> list[RonnaError]:
+    """Points beyond the outer faces of the outermost voxels; indices name voxel centres."""
+    found: list[RonnaError] = []
+    last = np.array(volume.geometry.shape) - 0.5
+    for one in plan.trajectories:
+        for name, point in (("entry", one.entry_mm), ("target", one.target_mm)):
+            index = volume.geometry.to_index(point)
+            if np.any(index < -0.5) or np.any(index > last):
+                where = ", ".join(f"{value:.1f}" for value in point)
+                found.append(
+                    OutsideField(f"the {name} of trajectory {one.id} at ({where}) mm is outside the CT")
+                )
+    return found
+
+
+def _side_warning(points: np.ndarray) -> list[str]:
+    if len(points) != 3:
+        return []
+    sides = sorted(float(np.linalg.norm(points[a] - points[b])) for a, b in combinations(range(3), 2))
+    smallest = min(sides[1] - sides[0], sides[2] - sides[1])
+    if smallest >= LEAST_SIDE_DIFFERENCE_MM:
+        return []
+    return [
+        f"two sides of the triangle of fiducials differ by {smallest:.1f} mm"
+        f" (at least {LEAST_SIDE_DIFFERENCE_MM:g} mm tell them apart)"
+    ]

@@ -1,0 +1,120 @@
+"""What can be wrong with a plan.
+
+    PlanUnreadable        PLAN-001  the file is missing, not readable or not TOML
+    PlanMistakes          PLAN-002  keys or values are wrong, or mistakes of several kinds; all are listed
+    WrongSeries           PLAN-003  the plan belongs to another CT series; both UIDs are given
+    BadTrajectoryGeometry PLAN-004  entry and target are one point, or the depth is impossible
+    DuplicateTrajectory   PLAN-005  two trajectories have one id
+    OutsideField          PLAN-006  an entry or a target lies outside the CT
+    NotReachable          PLAN-007  the arm cannot take a pose or follow a line
+    WrongMarkerCount      PLAN-008  the CT shows another number of fiducials than were implanted
+    WrongOrientation      PLAN-009  the CT was taken in another patient position than the plan says
+    PlanNotWritten        PLAN-010  the plan file cannot be written
+
+All but PLAN-007, -001 and -010 mean that the plan is wrong. Several findings of one check are raised as one
+error; when they are of one kind it has that kind's code, else PLAN-002.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ronna_hw.errors import ConfigurationError, DataError, RefusedError, RonnaError
+
+
+class PlanUnreadable(ConfigurationError):
+    """The plan file is missing, not readable or not TOML."""
+
+    code = "PLAN-001"
+    action = "Give the path of a plan.toml that this account may read."
+
+
+class PlanError(DataError):
+    """Base of everything that is wrong inside a plan."""
+
+
+class PlanMistakes(PlanError):
+    """Keys or values of the plan are wrong, or mistakes of several kinds; all are listed."""
+
+    code = "PLAN-002"
+    action = "Correct every line named here; the reference lists every key."
+
+
+class WrongSeries(PlanError):
+    """The plan was made on another CT series."""
+
+    code = "PLAN-003"
+    action = "Load the series that the plan was made on, or plan again on this one."
+
+
+class BadTrajectoryGeometry(PlanError):
+    """Entry and target are one point, or the depth is impossible."""
+
+    code = "PLAN-004"
+    action = "Correct entry and target; coordinates are LPS millimetres of the series."
+
+
+class DuplicateTrajectory(PlanError):
+    """Two trajectories have one id, so that neither can be named."""
+
+    code = "PLAN-005"
+    action = "Give every trajectory an id of its own."
+
+
+class OutsideField(PlanError):
+    """An entry or a target lies outside the CT, where nothing can be planned."""
+
+    code = "PLAN-006"
+    action = "Check the coordinates: LPS millimetres of this series, not of another frame or in RAS."
+
+
+class NotReachable(RefusedError):
+    """The arm cannot take a pose of the procedure, or cannot follow the line to it."""
+
+    code = "PLAN-007"
+    action = "Change the free angle of the trajectory, or move the cart or the head, and check again."
+
+
+class WrongMarkerCount(PlanError):
+    """The CT shows another number of fiducials than were implanted."""
+
+    code = "PLAN-008"
+    action = "Look at the candidates in the CT; correct the count in the plan only after counting the screws."
+
+
+class WrongOrientation(PlanError):
+    """The CT was taken in another patient position than the plan says."""
+
+    code = "PLAN-009"
+    action = "Find out which is right before anything else: left and right may be exchanged."
+
+
+class PlanNotWritten(ConfigurationError):
+    """The plan file cannot be written."""
+
+    code = "PLAN-010"
+    action = "Choose a folder that this account may write to, with free space."
+
+
+def raise_together(findings: Sequence[RonnaError], what: str) -> None:
+    """Raise nothing for no findings, the finding for one, and one error that lists them for several."""
+    if not findings:
+        return
+    if len(findings) == 1:
+        raise findings[0]
+    kinds = {type(finding) for finding in findings}
+    if len(kinds) == 1:
+        kind = kinds.pop()
+        raise kind(f"{what}, {len(findings)} mistakes: " + "; ".join(brief(one, False) for one in findings))
+    raise PlanMistakes(
+        f"{what}, {len(findings)} mistakes: " + "; ".join(brief(one, True) for one in findings)
+    )
+
+
+def brief(finding: RonnaError, with_code: bool) -> str:
+    """What happened, with its values, without the advice."""
+    parts = [f"{finding.code} {finding.what}" if with_code else finding.what]
+    for label, value in (("awaited", finding.awaited), ("limit", finding.limit), ("found", finding.last)):
+        if value:
+            parts.append(f"{label} {value}")
+    return ", ".join(parts)

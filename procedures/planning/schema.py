@@ -1,0 +1,100 @@
+"""The plan: what was planned on which CT, for which patient position, with which tool.
+
+Strict: unknown keys are errors, nothing that decides about a side or a patient has a default.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.calibration import Strict
+
+SCHEMA_VERSION = 1
+FEWEST_MARKERS, MOST_MARKERS = 3, 8
+LEAST_DEPTH_MM = 1.0  # entry and target nearer than this are one point to every instrument here
+MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; more is a slip of the pen
+UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
+ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # usable in file and record names
+
+Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class PatientPosition(StrEnum):
+    """How the patient lay in the scanner, in DICOM's words: head or feet first; supine, prone, on a side."""
+
+    HFS = "HFS"
+    HFP = "HFP"
+    HFDR = "HFDR"
+    HFDL = "HFDL"
+    FFS = "FFS"
+    FFP = "FFP"
+    FFDR = "FFDR"
+    FFDL = "FFDL"
+
+
+class FiducialKind(StrEnum):
+    """Single spheres on screws, or the x-shaped frame with four of them."""
+
+    FREE = "free"
+    XFRAME = "xframe"
+
+
+class PlannedTrajectory(Strict):
+    """One trajectory: entry and target in CT coordinates (LPS, mm), the angle about the axis, the margin.
+
+    `margin_mm` is the target error the surgeon accepts; a larger predicted error refuses the trajectory.
+    """
+
+    id: Annotated[str, Field(min_length=1, max_length=32, pattern=ID_PATTERN)]
+    entry_mm: Point
+    target_mm: Point
+    free_angle_deg: Annotated[float, Field(allow_inf_nan=False, ge=-360.0, le=360.0)] = 0.0
+    margin_mm: Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=20.0)]
+
+    @model_validator(mode="after")
+    def _has_a_way(self) -> PlannedTrajectory:
+        if self.depth_mm < LEAST_DEPTH_MM:
+            raise PydanticCustomError("trajectory_geometry", "entry and target are one point")
+        if self.depth_mm > MOST_DEPTH_MM:
+            raise PydanticCustomError(
+                "trajectory_geometry",
+                "the target is {depth} mm deep, limit {limit} mm",
+                {"depth": f"{self.depth_mm:.1f}", "limit": f"{MOST_DEPTH_MM:g}"},
+            )
+        return self
+
+    @property
+    def depth_mm(self) -> float:
+        """Distance from entry to target."""
+        return math.dist(self.entry_mm, self.target_mm)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The same for the strategies, angle in radians."""
+        return Trajectory(self.id, self.entry_mm, self.target_mm, math.radians(self.free_angle_deg))
+
+
+class Plan(Strict):
+    """A whole plan, as `plan.toml` holds it."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    series_instance_uid: Annotated[str, Field(max_length=64, pattern=UID_PATTERN)]
+    patient_orientation: PatientPosition
+    implanted: Annotated[int, Field(ge=FEWEST_MARKERS, le=MOST_MARKERS)]
+    fiducials: FiducialKind
+    tool: Annotated[str, Field(min_length=1, max_length=64)]
+    trajectories: Annotated[tuple[PlannedTrajectory, ...], Field(min_length=1, max_length=100)]
+
+    def trajectory(self, identifier: str) -> PlannedTrajectory:
+        """The trajectory with this id; raises KeyError."""
+        for one in self.trajectories:
+            if one.id == identifier:
+                return one
+        raise KeyError(identifier)
