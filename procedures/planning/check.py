@@ -17,7 +17,7 @@ from procedures.planning.errors import (
     WrongSeries,
     raise_together,
 )
-from procedures.planning.schema import Plan
+from procedures.planning.plan import Plan
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:

@@ -1,97 +1,100 @@
-"""Reading and writing `plan.toml`. All mistakes of a file are reported at once."""
+"""The plan: what was planned on which CT, for which patient position, with which tool.
+
+Strict: unknown keys are errors, nothing that decides about a side or a patient has a default.
+"""
 
 from __future__ import annotations
 
-import json
-import tomllib
-from collections import Counter
-from pathlib import Path
-from typing import Any
+import math
+from enum import StrEnum
+from typing import Annotated, Literal
 
-from pydantic import ValidationError
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 
-from procedures.planning.errors import (
-    BadTrajectoryGeometry,
-    DuplicateTrajectory,
-    PlanError,
-    PlanMistakes,
-    PlanNotWritten,
-    PlanUnreadable,
-    raise_together,
-)
-from procedures.planning.schema import Plan
-from ronna_hw.config import describe_mistakes
-from ronna_hw.records import write_whole
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.calibration import Strict
 
-__all__ = ["Plan", "parse_plan", "plan_text", "read_plan", "write_plan"]
+SCHEMA_VERSION = 1
+FEWEST_MARKERS, MOST_MARKERS = 3, 8
+LEAST_DEPTH_MM = 1.0  # entry and target nearer than this are one point to every instrument here
+MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; more is a slip of the pen
+UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
+ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # usable in file and record names
 
-LARGEST_FILE_BYTES = 1_000_000  # a hundred trajectories need some twenty thousand
+Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
-def read_plan(path: Path) -> Plan:
-    """Read and check a plan. Raises PLAN-001, PLAN-002, PLAN-004, PLAN-005 with every mistake in it."""
-    path = Path(path)
-    try:
-        if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise PlanUnreadable(f"{path.name} is too large for a plan", limit=f"{LARGEST_FILE_BYTES} bytes")
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise PlanUnreadable(f"{path.name} is not TOML: {error}") from error
-    return parse_plan(content, path.name)
+class PatientPosition(StrEnum):
+    """How the patient lay in the scanner, in DICOM's words: head or feet first; supine, prone, on a side."""
+
+    HFS = "HFS"
+    HFP = "HFP"
+    HFDR = "HFDR"
+    HFDL = "HFDL"
+    FFS = "FFS"
+    FFP = "FFP"
+    FFDR = "FFDR"
+    FFDL = "FFDL"
 
 
-def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
-    """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005 with every mistake in it."""
-    found: list[PlanError] = []
-    plan: Plan | None = None
-    try:
-        # TOML has lists where the model has tuples and text where it has words; strict JSON mode takes both.
-        plan = Plan.model_validate_json(json.dumps(content, default=str))
-    except ValidationError as error:
-        for mistake, line in zip(error.errors(include_url=False), describe_mistakes(error), strict=True):
-            kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
-            found.append(kind(line))
-    found += [
-        DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
-        for identifier, count in _ids(content).items()
-        if count > 1
-    ]
-    raise_together(found, name)
-    if plan is None:
-        raise PlanMistakes(f"{name} is not a plan")
-    return plan
+class FiducialKind(StrEnum):
+    """Single spheres on screws, or the x-shaped frame with four of them."""
+
+    FREE = "free"
+    XFRAME = "xframe"
 
 
-def _ids(content: dict[str, Any]) -> Counter[str]:
-    """How often each id occurs; looks at the raw content, because other mistakes may hide the model."""
-    rows = content.get("trajectories")
-    if not isinstance(rows, list):
-        return Counter()
-    return Counter(row["id"] for row in rows if isinstance(row, dict) and isinstance(row.get("id"), str))
+class PlannedTrajectory(Strict):
+    """One trajectory: entry and target in CT coordinates (LPS, mm), the angle about the axis, the margin.
+
+    `margin_mm` is the target error the surgeon accepts; a larger predicted error refuses the trajectory.
+    """
+
+    id: Annotated[str, Field(min_length=1, max_length=32, pattern=ID_PATTERN)]
+    entry_mm: Point
+    target_mm: Point
+    free_angle_deg: Annotated[float, Field(allow_inf_nan=False, ge=-360.0, le=360.0)] = 0.0
+    margin_mm: Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=20.0)]
+
+    @model_validator(mode="after")
+    def _has_a_way(self) -> PlannedTrajectory:
+        if self.depth_mm < LEAST_DEPTH_MM:
+            raise PydanticCustomError("trajectory_geometry", "entry and target are one point")
+        if self.depth_mm > MOST_DEPTH_MM:
+            raise PydanticCustomError(
+                "trajectory_geometry",
+                "the target is {depth} mm deep, limit {limit} mm",
+                {"depth": f"{self.depth_mm:.1f}", "limit": f"{MOST_DEPTH_MM:g}"},
+            )
+        return self
+
+    @property
+    def depth_mm(self) -> float:
+        """Distance from entry to target."""
+        return math.dist(self.entry_mm, self.target_mm)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The same for the strategies, angle in radians."""
+        return Trajectory(self.id, self.entry_mm, self.target_mm, math.radians(self.free_angle_deg))
 
 
-def write_plan(plan: Plan, path: Path) -> None:
-    """Write a plan whole or not at all; `read_plan` gives an equal one back. Raises PLAN-010."""
-    path = Path(path)
-    try:
-        write_whole(path, plan_text(plan).encode())
-    except OSError as error:
-        raise PlanNotWritten(f"cannot write {path}: {error.strerror}") from error
+class Plan(Strict):
+    """A whole plan, as `plan.toml` holds it."""
 
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    series_instance_uid: Annotated[str, Field(max_length=64, pattern=UID_PATTERN)]
+    patient_orientation: PatientPosition
+    implanted: Annotated[int, Field(ge=FEWEST_MARKERS, le=MOST_MARKERS)]
+    fiducials: FiducialKind
+    tool: Annotated[str, Field(min_length=1, max_length=64)]
+    trajectories: Annotated[tuple[PlannedTrajectory, ...], Field(min_length=1, max_length=100)]
 
-def plan_text(plan: Plan) -> str:
-    """The plan as TOML."""
-    content = plan.model_dump(mode="json", by_alias=True)
-    trajectories = content.pop("trajectories")
-    lines = [f"{key} = {_value(value)}" for key, value in content.items()]
-    for trajectory in trajectories:
-        lines += ["", "[[trajectories]]"]
-        lines += [f"{key} = {_value(value)}" for key, value in trajectory.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _value(value: Any) -> str:
-    # Texts, finite numbers and lists of them look alike in JSON and TOML; only DEL must be escaped by hand.
-    return json.dumps(value, allow_nan=False, ensure_ascii=False).replace("\x7f", "\\u007f")
+    def trajectory(self, identifier: str) -> PlannedTrajectory:
+        """The trajectory with this id; raises KeyError."""
+        for one in self.trajectories:
+            if one.id == identifier:
+                return one
+        raise KeyError(identifier)

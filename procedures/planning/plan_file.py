@@ -1,0 +1,95 @@
+"""Reading and writing `plan.toml`. All mistakes of a file are reported at once."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from procedures.planning.errors import (
+    BadTrajectoryGeometry,
+    DuplicateTrajectory,
+    PlanError,
+    PlanMistakes,
+    PlanNotWritten,
+    PlanUnreadable,
+    raise_together,
+)
+from procedures.planning.plan import Plan
+from ronna_hw.config import describe_mistakes
+from ronna_hw.records import write_whole
+
+LARGEST_FILE_BYTES = 1_000_000  # a hundred trajectories need some twenty thousand
+
+
+def read_plan(path: Path) -> Plan:
+    """Read and check a plan. Raises PLAN-001, PLAN-002, PLAN-004, PLAN-005 with every mistake in it."""
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST_FILE_BYTES:
+            raise PlanUnreadable(f"{path.name} is too large for a plan", limit=f"{LARGEST_FILE_BYTES} bytes")
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise PlanUnreadable(f"{path.name} is not TOML: {error}") from error
+    return parse_plan(content, path.name)
+
+
+def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
+    """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005 with every mistake in it."""
+    found: list[PlanError] = []
+    plan: Plan | None = None
+    try:
+        # TOML has lists where the model has tuples and text where it has words; strict JSON mode takes both.
+        plan = Plan.model_validate_json(json.dumps(content, default=str))
+    except ValidationError as error:
+        for mistake, line in zip(error.errors(include_url=False), describe_mistakes(error), strict=True):
+            kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
+            found.append(kind(line))
+    found += [
+        DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
+        for identifier, count in _ids(content).items()
+        if count > 1
+    ]
+    raise_together(found, name)
+    if plan is None:
+        raise PlanMistakes(f"{name} is not a plan")
+    return plan
+
+
+def _ids(content: dict[str, Any]) -> Counter[str]:
+    """How often each id occurs; looks at the raw content, because other mistakes may hide the model."""
+    rows = content.get("trajectories")
+    if not isinstance(rows, list):
+        return Counter()
+    return Counter(row["id"] for row in rows if isinstance(row, dict) and isinstance(row.get("id"), str))
+
+
+def write_plan(plan: Plan, path: Path) -> None:
+    """Write a plan whole or not at all; `read_plan` gives an equal one back. Raises PLAN-010."""
+    path = Path(path)
+    try:
+        write_whole(path, plan_text(plan).encode())
+    except OSError as error:
+        raise PlanNotWritten(f"cannot write {path}: {error.strerror}") from error
+
+
+def plan_text(plan: Plan) -> str:
+    """The plan as TOML."""
+    content = plan.model_dump(mode="json", by_alias=True)
+    trajectories = content.pop("trajectories")
+    lines = [f"{key} = {_value(value)}" for key, value in content.items()]
+    for trajectory in trajectories:
+        lines += ["", "[[trajectories]]"]
+        lines += [f"{key} = {_value(value)}" for key, value in trajectory.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _value(value: Any) -> str:
+    # Texts, finite numbers and lists of them look alike in JSON and TOML; only DEL must be escaped by hand.
+    return json.dumps(value, allow_nan=False, ensure_ascii=False).replace("\x7f", "\\u007f")
