@@ -1,0 +1,114 @@
+"""The control law that brings the tool centre point onto a sphere: from a measured residual to the next pose.
+
+The residual is the sphere's centre in the tool frame. The loop that moves the arm and takes the images is
+not here; it holds a `ServoState` and asks it after each measurement.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.relocalization.errors import BadMeasurement, ServoDiverges, ServoExhausted
+from ronna_hw.frames import Frame, FrameMismatch, Transform
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ServoSettings:
+    """`tolerance_mm` is the end condition (thesis: 0.03 mm); `gain` the share of the residual per step."""
+
+    tolerance_mm: float = 0.03
+    steps: int = 15
+    gain: float = 1.0
+    step_limit_mm: float = 10.0  # one step never moves the tool further: a wrong residual stays harmless
+    shrink: float = 0.8  # the residual must fall to this share ...
+    trend_steps: int = 2  # ... within this many steps
+    noise_mm: float = 0.06  # below this the arm's repeatability hides the trend
+
+
+@dataclass(frozen=True)
+class ServoState:
+    """The residuals so far, mm, oldest first. Immutable: every measurement makes a new state."""
+
+    settings: ServoSettings = ServoSettings()
+    residuals_mm: tuple[float, ...] = field(default=())
+
+    @property
+    def converged(self) -> bool:
+        """True when the last residual meets the end condition."""
+        return bool(self.residuals_mm) and self.residuals_mm[-1] <= self.settings.tolerance_mm
+
+    @property
+    def steps_made(self) -> int:
+        """Motions between the measurements so far."""
+        return max(0, len(self.residuals_mm) - 1)
+
+    def measured(self, residual_mm: ArrayLike) -> ServoState:
+        """The state after one more residual (3,) in the tool frame.
+
+        Raises STE-007 when the residuals do not shrink, STE-008 when the steps are used up.
+        """
+        length = float(np.linalg.norm(_vector(residual_mm)))
+        state = replace(self, residuals_mm=(*self.residuals_mm, length))
+        if state.converged:
+            return state
+        state._require_trend()
+        if state.steps_made >= self.settings.steps:
+            raise ServoExhausted(
+                f"the servo is not at its end after {state.steps_made} steps",
+                awaited=f"a residual of at most {self.settings.tolerance_mm} mm",
+                last=f"{length:.3f} mm",
+            )
+        return state
+
+    def next_pose(self, tool_pose: Transform, residual_mm: ArrayLike) -> Transform:
+        """The pose ROBOT <- TOOL to move to: the tool shifted by the residual, orientation kept."""
+        _require_tool_pose(tool_pose)
+        step = self.settings.gain * _vector(residual_mm)
+        length = float(np.linalg.norm(step))
+        if length > self.settings.step_limit_mm:
+            step *= self.settings.step_limit_mm / length
+        return Transform.of(
+            tool_pose.target,
+            tool_pose.source,
+            translation_mm=tool_pose.apply(step),
+            quaternion_wxyz=tool_pose.quaternion_wxyz,
+        )
+
+    def _require_trend(self) -> None:
+        span = self.settings.trend_steps
+        if len(self.residuals_mm) <= span:
+            return
+        before, now = self.residuals_mm[-1 - span], self.residuals_mm[-1]
+        if now > self.settings.noise_mm and now > self.settings.shrink * before:
+            raise ServoDiverges(
+                f"the residual does not shrink within {span} steps",
+                awaited=f"at most {self.settings.shrink * before:.3f} mm",
+                last=" ".join(f"{value:.3f}" for value in self.residuals_mm) + " mm",
+            )
+
+
+def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
+    """The sphere's centre in the robot's frame, (3,) mm: nominal tool pose applied to the last residual.
+
+    Adding what is measured instead of driving it to zero makes the end condition free of cost in accuracy.
+    """
+    _require_tool_pose(tool_pose)
+    return tool_pose.apply(_vector(residual_mm))
+
+
+def _vector(residual_mm: ArrayLike) -> Array:
+    residual = np.array(residual_mm, dtype=float)
+    if residual.shape != (3,) or not all(math.isfinite(value) for value in residual):
+        raise BadMeasurement("a residual is three finite numbers in mm", last=str(residual_mm))
+    return residual
+
+
+def _require_tool_pose(pose: Transform) -> None:
+    if (pose.target, pose.source) != (Frame.ROBOT, Frame.TOOL):
+        raise FrameMismatch(f"a tool pose is robot <- tool, not {pose.target} <- {pose.source}")

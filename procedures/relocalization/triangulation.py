@@ -1,0 +1,138 @@
+"""The sphere's centre in the tool frame from its outlines in both images."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.relocalization.camera import Camera
+from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, WrongCamera, WrongSize
+from procedures.relocalization.sphere import SphereImage, SphereStatus
+from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
+from ronna_hw.frames import Frame
+
+Array = NDArray[np.float64]
+
+SPHERE_DIAMETER_MM = 11.5  # the thesis' retro-reflective spheres
+RAY_GAP_LIMIT_MM = 1.0  # a mount twisted by 0.2 degrees; two spheres are much further apart
+SIZE_TOLERANCE = 0.1  # of the radius: a sphere of 11.5 mm is never one of 10 or 13
+ITERATIONS = 5
+STEP_END_MM = 1e-9
+
+
+@dataclass(frozen=True)
+class StereoPoint:
+    """Centre of a sphere in the tool frame, mm, with covariance (3, 3) and two checks on itself.
+
+    `ray_gap_mm` is the distance at which the two lines of sight pass each other; `radius_mm` what the
+    outlines say at that distance. `reliable` is False when either outline was UNRELIABLE.
+    """
+
+    position_mm: Array
+    covariance_mm2: Array
+    ray_gap_mm: float
+    radius_mm: float
+    reliable: bool
+
+    @property
+    def distance_mm(self) -> float:
+        """Distance from the tool centre point, the residual of the servo."""
+        return float(np.linalg.norm(self.position_mm))
+
+
+def triangulate(
+    left: SphereImage,
+    right: SphereImage,
+    calibration: StereoHeadCalibration,
+    *,
+    sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
+    ray_gap_limit_mm: float = RAY_GAP_LIMIT_MM,
+) -> StereoPoint:
+    """Centre of the sphere in the tool frame; both outlines in pixels of the full sensors.
+
+    Removes distortion and the perspective bias, then finds the point with the least weighted distance to
+    both pixels. Raises STE-005 when the lines of sight pass each other by more than the limit, STE-006
+    when the outlines do not fit a sphere of this diameter, STE-004 for numbers that are none.
+    """
+    cameras = (
+        Camera(calibration.left, Frame.CAMERA_LEFT),
+        Camera(calibration.right, Frame.CAMERA_RIGHT),
+    )
+    outlines = (left, right)
+    _check(outlines)
+    centres = [camera.centre_of(outline) for camera, outline in zip(cameras, outlines, strict=True)]
+    start, gap = _nearest_point(cameras, centres)
+    if gap > ray_gap_limit_mm:
+        raise RaysDoNotMeet(
+            "the lines of sight do not meet", limit=f"{ray_gap_limit_mm} mm", last=f"{gap:.3f} mm"
+        )
+    pixels = [camera.pixel_of(centre) for camera, centre in zip(cameras, centres, strict=True)]
+    position, covariance = _weighted_point(cameras, outlines, pixels, start)
+    radii = [
+        math.sin(camera.angular_radius_rad(outline)) * float(np.linalg.norm(position - camera.centre_mm))
+        for camera, outline in zip(cameras, outlines, strict=True)
+    ]
+    expected = 0.5 * sphere_diameter_mm
+    for radius in radii:
+        if abs(radius - expected) > SIZE_TOLERANCE * expected:
+            raise WrongSize(
+                "this is not a sphere of the expected size",
+                awaited=f"radius {expected:.2f} mm",
+                limit=f"{SIZE_TOLERANCE:.0%}",
+                last=f"{radius:.2f} mm",
+            )
+    reliable = all(outline.status is SphereStatus.OK for outline in outlines)
+    return StereoPoint(position, covariance, gap, sum(radii) / len(radii), reliable)
+
+
+def check_serial(calibration: CameraCalibration, serial: str) -> None:
+    """Raise STE-010 unless the calibration is that of the camera with this serial number."""
+    if calibration.serial != serial:
+        raise WrongCamera("calibration of another camera", awaited=calibration.serial, last=serial)
+
+
+def _check(outlines: tuple[SphereImage, SphereImage]) -> None:
+    for outline in outlines:
+        numbers = np.array([*outline.centre_px, *outline.axes_px, *np.ravel(outline.covariance_px2)])
+        if not np.all(np.isfinite(numbers)) or min(outline.axes_px) <= 0:
+            raise BadMeasurement("an outline has numbers that are none", last=str(numbers))
+
+
+def _nearest_point(cameras: tuple[Camera, Camera], centres: list[Array]) -> tuple[Array, float]:
+    """Middle of the shortest connection of both lines of sight, and its length."""
+    (first, second), (a, b) = cameras, [c.direction(p) for c, p in zip(cameras, centres, strict=True)]
+    between = second.centre_mm - first.centre_mm
+    across = np.cross(a, b)
+    square = float(across @ across)
+    if square < 1e-9:
+        raise RaysDoNotMeet("the lines of sight are parallel")
+    along_a = float(np.cross(between, b) @ across) / square
+    along_b = float(np.cross(between, a) @ across) / square
+    near_a, near_b = first.centre_mm + along_a * a, second.centre_mm + along_b * b
+    return 0.5 * (near_a + near_b), float(np.linalg.norm(near_b - near_a))
+
+
+def _weighted_point(
+    cameras: tuple[Camera, Camera],
+    outlines: tuple[SphereImage, SphereImage],
+    pixels: list[Array],
+    start: Array,
+) -> tuple[Array, Array]:
+    """Least squares over both images, each weighted by its covariance; Gauss-Newton from `start`."""
+    weights = [np.linalg.inv(np.array(outline.covariance_px2)) for outline in outlines]
+    point = start
+    normal = np.eye(3)
+    for _ in range(ITERATIONS):
+        normal, gradient = np.zeros((3, 3)), np.zeros(3)
+        for camera, weight, pixel in zip(cameras, weights, pixels, strict=True):
+            projected, slope = camera.project(point)
+            normal += slope.T @ weight @ slope
+            gradient += slope.T @ weight @ (pixel - projected)
+        step = np.linalg.solve(normal, gradient)
+        point = point + step
+        if float(np.abs(step).max()) < STEP_END_MM:
+            break
+    return point, np.asarray(np.linalg.inv(normal), dtype=float)

@@ -1,0 +1,152 @@
+"""The control law of the visual servo, the recorded point, and the search pattern."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from procedures.relocalization import (
+    ServoSettings,
+    ServoState,
+    recorded_point,
+    search_offsets_mm,
+    search_pose,
+)
+from procedures.relocalization.errors import (
+    BadMeasurement,
+    ServoDiverges,
+    ServoExhausted,
+    SphereNotInView,
+)
+from ronna_hw.frames import Frame, FrameMismatch, Transform
+
+SPHERE_MM = np.array([612.0, -40.0, 310.0])
+
+
+def tool_pose(translation=(610.0, -43.0, 312.0), seed=3):
+    quaternion = Rotation.random(rng=np.random.default_rng(seed)).as_quat(scalar_first=True)
+    return Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=translation, quaternion_wxyz=quaternion)
+
+
+def residual_seen(pose, twist):
+    """What a head with a turned mounting measures; the end of the servo does not depend on it."""
+    return twist.apply(pose.inverse().apply(SPHERE_MM))
+
+
+def run(settings, twist, repeatability_mm=0.0, start=None):
+    generator = np.random.default_rng(5)
+    pose, state = start or tool_pose(), ServoState(settings)
+    while True:
+        residual = residual_seen(pose, twist)
+        state = state.measured(residual)
+        if state.converged:
+            return state, pose, residual
+        pose = state.next_pose(pose, residual)
+        shift = generator.normal(0.0, repeatability_mm, 3)
+        pose = Transform.of(
+            Frame.ROBOT,
+            Frame.TOOL,
+            translation_mm=pose.translation_mm + shift,
+            quaternion_wxyz=pose.quaternion_wxyz,
+        )
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    direction=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)),
+)
+def test_the_servo_converges_within_eight_steps_from_five_millimetres(seed, direction):
+    length = np.linalg.norm(direction)
+    start_mm = SPHERE_MM + (
+        5.0 / length * np.array(direction) if length > 1e-3 else np.array([5.0, 0.0, 0.0])
+    )
+    twist = Rotation.from_rotvec([0.02, -0.03, 0.02])
+    state, pose, residual = run(ServoSettings(), twist, 0.008, tool_pose(start_mm, seed))
+    assert state.steps_made <= 8
+    assert state.residuals_mm[-1] <= 0.03
+    assert np.linalg.norm(pose.translation_mm - SPHERE_MM) < 0.035
+    assert np.linalg.norm(recorded_point(pose, residual) - SPHERE_MM) < 0.003
+
+
+def test_the_orientation_is_kept():
+    pose = tool_pose()
+    moved = ServoState().next_pose(pose, [1.0, 2.0, 2.0])
+    assert moved.quaternion_wxyz == pytest.approx(pose.quaternion_wxyz)
+    assert np.linalg.norm(moved.translation_mm - pose.translation_mm) == pytest.approx(3.0)
+
+
+def test_a_smaller_gain_takes_a_smaller_step():
+    moved = ServoState(ServoSettings(gain=0.5)).next_pose(tool_pose(), [1.0, 2.0, 2.0])
+    assert np.linalg.norm(moved.translation_mm - tool_pose().translation_mm) == pytest.approx(1.5)
+
+
+def test_one_step_never_exceeds_its_limit():
+    moved = ServoState().next_pose(tool_pose(), [0.0, 300.0, 400.0])
+    assert np.linalg.norm(moved.translation_mm - tool_pose().translation_mm) == pytest.approx(10.0)
+
+
+def test_a_reversed_head_is_noticed_after_two_steps():
+    with pytest.raises(ServoDiverges, match="STE-007"):
+        run(ServoSettings(), Rotation.from_euler("x", 180, degrees=True))
+
+
+def test_a_servo_that_stays_above_its_end_is_exhausted():
+    state = ServoState(ServoSettings(steps=5))
+    for _ in range(5):
+        state = state.measured([0.0, 0.0, 0.05])
+    with pytest.raises(ServoExhausted, match="STE-008"):
+        state.measured([0.0, 0.0, 0.05])
+
+
+@pytest.mark.parametrize("residual", [[np.nan, 0.0, 0.0], [1.0, 2.0], [[0.0, 0.0, 0.0]]])
+def test_a_residual_that_is_none_is_refused(residual):
+    with pytest.raises(BadMeasurement, match="STE-004"):
+        ServoState().measured(residual)
+
+
+def test_the_recorded_point_is_pose_applied_to_residual():
+    pose = tool_pose()
+    assert recorded_point(pose, pose.inverse().apply(SPHERE_MM)) == pytest.approx(SPHERE_MM)
+
+
+def test_a_pose_of_other_frames_is_refused():
+    flange = Transform.of(Frame.ROBOT, Frame.FLANGE)
+    with pytest.raises(FrameMismatch):
+        recorded_point(flange, [0.0, 0.0, 0.0])
+    with pytest.raises(FrameMismatch):
+        ServoState().next_pose(flange, [0.0, 0.0, 0.0])
+
+
+def test_the_search_goes_outwards_in_rings_across_the_tool_axis():
+    offsets = search_offsets_mm()
+    radius = np.hypot(offsets[:, 0], offsets[:, 1])
+    assert len(offsets) == 6 + 12 + 18
+    assert np.all(offsets[:, 2] == 0.0)
+    assert np.all(np.diff(radius) > -1e-9)
+    assert sorted(set(np.round(radius, 9))) == [5.0, 10.0, 15.0]
+
+
+def test_the_search_never_jumps_and_leaves_no_hole():
+    offsets = search_offsets_mm()
+    assert np.linalg.norm(np.diff(offsets, axis=0), axis=1).max() < 5.5
+    x, y = np.meshgrid(np.linspace(-15, 15, 61), np.linspace(-15, 15, 61))
+    places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    places = places[np.hypot(places[:, 0], places[:, 1]) <= 15.0]
+    looks = np.vstack([np.zeros(3), offsets])
+    nearest = np.linalg.norm(places[:, None] - looks, axis=2).min(axis=1)
+    assert nearest.max() < 3.5
+
+
+def test_a_search_pose_keeps_the_orientation_and_shifts_in_the_tool_frame():
+    start = tool_pose()
+    look = search_pose(start, 0)
+    assert start.inverse().apply(look.translation_mm) == pytest.approx([5.0, 0.0, 0.0])
+    assert look.quaternion_wxyz == pytest.approx(start.quaternion_wxyz)
+
+
+def test_after_the_last_look_the_sphere_is_not_in_view():
+    with pytest.raises(SphereNotInView, match="STE-009"):
+        search_pose(tool_pose(), 36)
