@@ -135,6 +135,16 @@ class PathMotion:
         self._profile = self._profiler.move(self._state, [1.0], self._bounds)
         self._time_s = 0.0
 
+    def restart_from_rest(self) -> None:
+        """The arm was brought to rest at the last point by somebody else: go on from there at speed zero."""
+        self._next = None
+        self._state = State.resting([min(max(self._state.position[0], 0.0), 1.0)])
+        self._time_s = 0.0
+        if self._stopping:
+            self._profile = self._profiler.stop(self._state, self._bounds)
+        else:
+            self._profile = self._profiler.move(self._state, [1.0], self._bounds)
+
     def _at(self, state: State) -> JointVector:
         return self._path.joints(min(max(state.position[0], 0.0), 1.0), self._joints)
 

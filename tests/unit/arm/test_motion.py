@@ -124,6 +124,29 @@ def test_less_speed_on_the_way_keeps_the_path_and_the_end() -> None:
     assert cycles > 2 * len(_run(_motion(plan), START))
 
 
+@pytest.mark.parametrize("stopping", [False, True])
+def test_after_an_interruption_the_motion_goes_on_from_rest(stopping: bool) -> None:
+    target = radians6(40, -70, 70, 20, 50, 30)
+    motion = _motion(plan_joint_move(MODEL, START, target, LIMITS))
+    for _ in range(150):
+        here = motion.prepare().go_rad
+        motion.take_go()
+    if stopping:
+        here = motion.prepare().stop_rad
+        motion.take_stop()
+    motion.restart_from_rest()
+    monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, START), START)
+    for _ in range(3):
+        monitor.sent(here)
+    while not motion.finished:
+        prepared = motion.prepare()
+        assert monitor.check(prepared.go_rad) is None
+        motion.take_go()
+        monitor.sent(prepared.go_rad)
+    assert monitor.last_rad == (here if stopping else target)
+    assert motion.stopped_early is stopping
+
+
 def test_a_new_target_on_the_way_is_reached_without_a_jump() -> None:
     first = JointMotion(MODEL, State.resting(list(START)), radians6(40, -70, 70, 20, 50, 30), LIMITS, CYCLE_S)
     monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, START), START)

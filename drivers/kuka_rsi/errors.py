@@ -1,0 +1,235 @@
+"""Errors of the robot link.
+
+RSI-001 LinkNotStarted      the real-time process did not start, or its port is taken
+RSI-002 NoTelegram          the controller sends nothing
+RSI-003 LinkSilent          telegrams ceased while the stream was running
+RSI-004 LinkStopped         replies were ceased on request
+RSI-005 MotionTripped       the monitor stopped the arm
+RSI-006 HeartbeatLate       this program was late, and the real-time process stopped the arm
+RSI-007 LinkProcessDied     the real-time process ended
+RSI-008 ControllerRestarted another run of the controller's program took over
+RSI-009 ProtectiveStop      a protective stop was asked for
+RSI-010 MotionStopped       a motion was stopped before its end
+RSI-011 MotionNotFinished   a motion did not end, or the arm did not settle, in time
+RSI-012 MotionRefused       the real-time process refused a motion
+RSI-013 BadOptions          the driver's options in the theatre file are wrong
+RSI-014 BadTelegram         bytes from the controller are no telegram of ours
+RSI-015 PoseDisagrees       RSI and EKI report different axes
+RSI-016 PathFailed          a path had no solution on the way
+EKI-001 ControllerNotFound  nothing answers at the address
+EKI-002 ControllerLost      the connection broke
+EKI-003 NoAnswer            a command was not answered in time
+EKI-004 BadEkiTelegram      bytes from the controller are no telegram
+EKI-005 WrongController     cycle, mode, HOLDON, context or arm are not what the driver was made for
+EKI-006 Unverified          the controller cannot say what it runs
+EKI-007 ControllerNotReady  mode, drives, emergency stop, guard or a message forbid motion
+EKI-008 CommandRefused      the controller refused a command
+EKI-009 DrivesOff           the drives were switched off on request
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import (
+    ConfigurationError,
+    ConnectError,
+    DeviceError,
+    LimitError,
+    LinkTimeout,
+    ProtocolError,
+    RefusedError,
+    StateError,
+)
+
+
+@dataclass(frozen=True)
+class RecordedCycle:
+    """One cycle of the flight recorder of the real-time process."""
+
+    cycle: int
+    IPOC: int
+    received_ns: int  # host monotonic
+    turnaround_us: float
+    choice: str  # "go", "stop" or "hold"
+    measured_rad: JointVector
+    sent_rad: JointVector
+
+
+class LinkNotStarted(ConnectError):
+    """The real-time process did not start, or its port is taken."""
+
+    code = "RSI-001"
+    action = "Free the port of endpoint rsi, or choose another one in the theatre file and the Ethernet file."
+
+
+class NoTelegram(LinkTimeout):
+    """The controller was started but sends nothing here."""
+
+    code = "RSI-002"
+    action = (
+        "Check the address and port in the Ethernet file, the subnet of the RSI interface and the firewall."
+    )
+
+
+class LinkSilent(LinkTimeout):
+    """Telegrams ceased while the stream was running."""
+
+    code = "RSI-003"
+    action = "Check the controller's message window and the cable, then recover the arm."
+
+
+class LinkStopped(StateError):
+    """Replies were ceased on request; the controller ends the stream by its Timeout."""
+
+    code = "RSI-004"
+    action = "Find out why, then recover the arm."
+
+
+class MotionTripped(LimitError):
+    """The monitor stopped the arm. `cycles` holds the last cycles before, oldest first."""
+
+    code = "RSI-005"
+    action = "Read the recorded cycles, find the cause, then recover the arm."
+    cycles: tuple[RecordedCycle, ...] = ()
+
+
+class HeartbeatLate(LinkTimeout):
+    """The real-time process heard nothing from this program and stopped the arm."""
+
+    code = "RSI-006"
+    action = "Relieve the computer, or find what blocked the program; then recover the arm."
+
+
+class LinkProcessDied(DeviceError):
+    """The real-time process ended by itself."""
+
+    code = "RSI-007"
+    action = "The controller stops the arm by its Timeout. Recover the arm; report the message if it repeats."
+
+
+class ControllerRestarted(DeviceError):
+    """The telegrams come from another run than the one that was started."""
+
+    code = "RSI-008"
+    action = "Check who started the program, then recover the arm."
+
+
+class ProtectiveStop(StateError):
+    """A protective stop was asked for and is latched."""
+
+    code = "RSI-009"
+    action = "Find out why, then recover the arm."
+
+
+class MotionStopped(StateError):
+    """A motion was stopped before its end; the arm is at rest on its path."""
+
+    code = "RSI-010"
+    action = "Resume and plan a new motion from here; an interrupted path is not continued."
+
+
+class MotionNotFinished(LinkTimeout):
+    """A motion did not end, or the arm did not settle, in its time limit."""
+
+    code = "RSI-011"
+    action = "Give the motion more time, or check the servo's stiffness and option settle_tolerance_deg."
+
+
+class MotionRefused(RefusedError):
+    """The real-time process refused a motion."""
+
+    code = "RSI-012"
+    action = "Wait for the present motion to end, and plan from where the arm is."
+
+
+class BadOptions(ConfigurationError):
+    """The driver's options in the theatre file are wrong."""
+
+    code = "RSI-013"
+    action = "Correct the named options; the driver's page lists them."
+
+
+class BadTelegram(ProtocolError):
+    """Bytes from the controller are no telegram of the agreed form."""
+
+    code = "RSI-014"
+    action = "Load the Ethernet file of this driver on the controller."
+
+
+class PoseDisagrees(DeviceError):
+    """RSI and EKI report different axes: they do not belong to one controller."""
+
+    code = "RSI-015"
+    action = "Check that the endpoints rsi and eki_project lead to the same controller."
+
+
+class PathFailed(LimitError):
+    """A path had no solution on the way; the arm was stopped by its joints."""
+
+    code = "RSI-016"
+    action = "Recover the arm and move away from the singular pose by a joint move."
+
+
+class ControllerNotFound(ConnectError):
+    """Nothing answers at the controller's address, or not with the awaited telegrams."""
+
+    code = "EKI-001"
+    action = "Check the address, the cable and that the EKI server program runs on the controller."
+
+
+class ControllerLost(ProtocolError):
+    """The connection to the controller broke."""
+
+    code = "EKI-002"
+    action = "Recover the arm: that opens a new session and reads everything again."
+
+
+class NoAnswer(LinkTimeout):
+    """A command was not answered in time."""
+
+    code = "EKI-003"
+    action = "Check that the submit interpreter of the controller runs."
+
+
+class BadEkiTelegram(ProtocolError):
+    """Bytes from the controller are no telegram of the agreed form."""
+
+    code = "EKI-004"
+    action = "Load the EKI file of this driver on the controller."
+
+
+class WrongController(ConnectError):
+    """The controller runs another context, cycle, mode or arm than the driver was made for."""
+
+    code = "EKI-005"
+    action = "Load the files of drivers/kuka_rsi/controller on the controller, or correct option variant."
+
+
+class Unverified(ConnectError):
+    """The controller cannot say which context it runs."""
+
+    code = "EKI-006"
+    action = "Load the EKI program of this driver, which reports it."
+
+
+class ControllerNotReady(RefusedError):
+    """Mode, drives, emergency stop, guard or an active message forbid motion."""
+
+    code = "EKI-007"
+    action = "Bring the controller to EXT with drives on and no message, then recover the arm."
+
+
+class CommandRefused(DeviceError):
+    """The controller refused a command."""
+
+    code = "EKI-008"
+    action = "Read the code and the controller's message window."
+
+
+class DrivesOff(StateError):
+    """The drives were switched off on request; the fault is latched."""
+
+    code = "EKI-009"
+    action = "Find out why, then recover the arm."

@@ -1,0 +1,188 @@
+"""The driver's end of the real-time process: starts it, keeps it alive by a heartbeat, orders and waits."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied, RecordedCycle
+from drivers.kuka_rsi.mailbox import (
+    CHOICES,
+    Command,
+    CommandKind,
+    LinkState,
+    Mailbox,
+    Phase,
+    StopOrder,
+)
+from drivers.kuka_rsi.settings import LinkSettings
+from ronna_hw.arm.planning import MotionPlan
+
+START_TIMEOUT_S = 10.0
+HEARTBEAT_S = 0.05
+END_TIMEOUT_S = 2.0  # for the process to bring the arm to rest and end, after its input was closed
+LONGEST_MESSAGE = 4000
+
+Condition = Callable[[LinkState], bool]
+
+
+class LinkClient:
+    """One real-time process and its mailbox. All calls may come from any thread."""
+
+    def __init__(
+        self, settings: Callable[[int, int], LinkSettings], timeout_s: float = START_TIMEOUT_S
+    ) -> None:
+        """`settings` is called with the descriptors of mailbox and event. Raises RSI-001."""
+        self._memory_fd = os.memfd_create("kuka_rsi")
+        self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        Mailbox.initialise(self._memory_fd)
+        self._mailbox = Mailbox(self._memory_fd)
+        self._settings = settings(self._memory_fd, self._event_fd)
+        self._lock = threading.Lock()
+        self._changed = threading.Condition()
+        self._commands = 0
+        self._stops = 0
+        self._closing = threading.Event()
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "drivers.kuka_rsi.link_process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            pass_fds=(self._memory_fd, self._event_fd),
+        )
+        self._pulse = threading.Thread(target=self._beat, name="rsi heartbeat", daemon=True)
+        try:
+            self._begin(timeout_s)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def state(self) -> LinkState:
+        """What the process last said of itself."""
+        return self._mailbox.read_state()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process.poll() is None
+
+    @property
+    def stop_number(self) -> int:
+        """Number of the last stop ordered."""
+        return self._stops
+
+    def command(
+        self, kind: CommandKind, plan: MotionPlan | None = None, stop_number: int | None = None
+    ) -> int:
+        """Give a command; returns its number. A motion is overtaken by any stop after `stop_number`."""
+        with self._lock:
+            self._commands += 1
+            seen = self._stops if stop_number is None else stop_number
+            self._mailbox.write_command(Command(self._commands, kind, plan, seen))
+            return self._commands
+
+    def stop(self, kind: StopOrder) -> int:
+        """Order a stop; it acts on the next reply. Returns its number."""
+        with self._lock:
+            self._stops += 1
+            self._mailbox.order_stop(self._stops, kind)
+            return self._stops
+
+    def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
+        """The first state that fulfils the condition, or None after the time limit (host time).
+
+        Raises RSI-007 when the process has ended.
+        """
+        deadline = time.monotonic() + timeout_s
+        with self._changed:
+            while True:
+                state = self.state
+                if condition(state):
+                    return state
+                if not self.alive:
+                    raise LinkProcessDied(f"the real-time process ended: {self._last_words()}")
+                rest = deadline - time.monotonic()
+                if rest <= 0.0:
+                    return None
+                self._changed.wait(min(rest, HEARTBEAT_S))
+
+    def histogram(self) -> tuple[int, ...]:
+        """Turnaround counts since the session began; edges are in `drivers.kuka_rsi.turnaround`."""
+        return self._mailbox.histogram()
+
+    def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
+        """The last cycles, oldest first; they stand still while a fault is latched."""
+        return tuple(
+            RecordedCycle(
+                r.cycle,
+                r.IPOC,
+                r.received_ns,
+                r.turnaround_us,
+                CHOICES[r.choice],
+                r.measured_rad,
+                r.sent_rad,
+            )
+            for r in self._mailbox.records()
+        )
+
+    def close(self) -> None:
+        """End the process: it stops the arm first. Bounded in time, never raises, may be called twice."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        with contextlib.suppress(OSError):
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_TIMEOUT_S)
+        if self.alive:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stderr is not None:
+            self._process.stderr.close()
+        if self._pulse.is_alive():
+            self._pulse.join()
+        self._mailbox.close()
+        os.close(self._memory_fd)
+        os.close(self._event_fd)
+
+    def _begin(self, timeout_s: float) -> None:
+        stdin = self._process.stdin
+        with contextlib.suppress(BrokenPipeError):
+            if stdin is not None:
+                stdin.write(self._settings.to_json().encode() + b"\n")
+                stdin.flush()
+        self._pulse.start()
+        try:
+            state = self.wait(lambda s: s.phase is not Phase.STARTING, timeout_s)
+        except LinkProcessDied as error:
+            raise LinkNotStarted(str(error.what)) from None
+        where = f"udp://{self._settings.host}:{self._settings.port}"
+        if state is None:
+            raise LinkNotStarted(f"the real-time process for {where} says nothing", limit=f"{timeout_s:g} s")
+        if state.phase is Phase.FAILED:
+            raise LinkNotStarted(f"cannot listen on {where}: {os.strerror(state.errno)}")
+
+    def _beat(self) -> None:
+        count = 0
+        while not self._closing.is_set():
+            count += 1
+            self._mailbox.beat(count)
+            ready, _, _ = select.select([self._event_fd], [], [], HEARTBEAT_S)
+            if ready:
+                with contextlib.suppress(BlockingIOError):
+                    os.eventfd_read(self._event_fd)
+                with self._changed:
+                    self._changed.notify_all()
+
+    def _last_words(self) -> str:
+        stream = self._process.stderr
+        text = stream.read(LONGEST_MESSAGE).decode(errors="replace").strip() if stream else ""
+        return text.splitlines()[-1] if text else f"exit code {self._process.returncode}"

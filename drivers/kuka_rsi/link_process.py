@@ -1,0 +1,77 @@
+"""The real-time process: `python -P -m drivers.kuka_rsi.link_process`, started by the driver only.
+
+Standard input carries one line of settings and then nothing: when it closes, the parent is gone. Orders and
+state go through the mailbox, whose descriptor is inherited. Nothing is written to standard output.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+
+from drivers.kuka_rsi.link_loop import LinkLoop, bind
+from drivers.kuka_rsi.mailbox import NO_STATE, Mailbox, Phase
+from drivers.kuka_rsi.real_time import (
+    PARENT_DEATH_SIGNAL,
+    lock_memory,
+    run_first,
+    stop_collecting,
+    tell_parent_death,
+)
+from drivers.kuka_rsi.settings import LinkSettings
+
+EXIT_NOT_STARTED = 2
+
+
+def main() -> int:
+    """Serve until the parent is gone; 2 when the settings or the port are no good."""
+    try:
+        settings = LinkSettings.from_json(sys.stdin.readline())
+        mailbox = Mailbox(settings.mailbox_fd)
+    except (TypeError, ValueError, OSError) as error:
+        print(f"this process is started by the driver only: {error}", file=sys.stderr)  # noqa: T201
+        return EXIT_NOT_STARTED
+    try:
+        link = bind(settings.host, settings.port)
+    except OSError as error:
+        mailbox.write_state(NO_STATE._replace(phase=Phase.FAILED, errno=error.errno or 0))
+        os.eventfd_write(settings.event_fd, 1)
+        return EXIT_NOT_STARTED
+    locked = lock_memory()
+    loop = LinkLoop(settings, link, mailbox, real_time=run_first(settings.real_time_priority), locked=locked)
+    _watch_parent(loop, settings.parent_pid)
+    stop_collecting()
+    loop.run()
+    link.close()
+    return 0
+
+
+def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
+    def lifeline() -> None:
+        while os.read(0, 1):
+            pass
+        loop.session.parent_gone = True
+
+    def parent_died(_signal: int, _frame: FrameType | None) -> None:
+        # The system says so also when only the thread that started us has ended.
+        if os.getppid() != parent_pid:
+            loop.session.parent_gone = True
+
+    def terminated(_signal: int, _frame: FrameType | None) -> None:
+        loop.session.parent_gone = True
+
+    signal.signal(PARENT_DEATH_SIGNAL, parent_died)
+    signal.signal(signal.SIGTERM, terminated)
+    # An interrupt on the terminal goes to the whole group; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tell_parent_death()
+    if os.getppid() != parent_pid:
+        loop.session.parent_gone = True
+    threading.Thread(target=lifeline, name="lifeline", daemon=True).start()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

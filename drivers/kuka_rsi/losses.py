@@ -1,0 +1,58 @@
+"""Counts what goes missing on the real-time link, and says when the arm should go slower."""
+
+from __future__ import annotations
+
+DEGRADED_ABOVE = 3  # lost cycles in one stretch
+STRETCH_CYCLES = 250  # without a loss for so long, the count of the stretch begins anew (1 s at 4 ms)
+RECOVERED_CYCLES = 1000  # without a loss for so long, full working speed is allowed again
+IPOC_WRAP = 2**32
+RESTART_MS = 10_000  # a jump of the time stamp beyond this is another run, not a gap
+
+
+class Losses:
+    """Fed with every telegram's time stamp and the controller's own count of late packets."""
+
+    def __init__(self, cycle_ms: int) -> None:
+        self._cycle_ms = cycle_ms
+        self._last_ipoc: int | None = None
+        self._last_delay = 0
+        self._stretch = 0
+        self._clean = 0
+        self.lost = 0
+        self.late = 0
+        self.degraded = False
+
+    def count(self, ipoc: int, delay: int) -> int | None:
+        """Cycles missing before this telegram; -1 for a repeated one, None when another run began."""
+        if self._last_ipoc is None:
+            self._last_ipoc, self._last_delay = ipoc, max(delay, 0)
+            return 0
+        step = ipoc - self._last_ipoc
+        if step < -IPOC_WRAP // 2:
+            step += IPOC_WRAP
+        if step == 0:
+            return -1
+        if not 0 < step < RESTART_MS:
+            return None
+        self._last_ipoc = ipoc
+        missing = max(round(step / self._cycle_ms) - 1, 0)
+        late = 0
+        if delay >= 0:
+            late = max(delay - self._last_delay, 0)
+            self._last_delay = delay
+        self.lost += missing
+        self.late += late
+        self._judge(max(missing, late))
+        return missing
+
+    def _judge(self, losses: int) -> None:
+        if losses:
+            self._stretch += losses
+            self._clean = 0
+            self.degraded |= self._stretch > DEGRADED_ABOVE
+            return
+        self._clean += 1
+        if self._clean >= STRETCH_CYCLES:
+            self._stretch = 0
+        if self._clean >= RECOVERED_CYCLES:
+            self.degraded = False

@@ -1,0 +1,339 @@
+"""What the real-time process does with each telegram, without any input or output of its own.
+
+Reply k carries a point prepared after reply k-1. When a telegram comes, orders and measured axes are looked
+at, and that only decides between the point to go on and the first point of a stop.
+"""
+
+from __future__ import annotations
+
+from math import degrees, radians
+
+from drivers.kuka_rsi.losses import Losses
+from drivers.kuka_rsi.mailbox import (
+    NO_STATE,
+    Command,
+    CommandKind,
+    Fault,
+    LinkState,
+    Orders,
+    Phase,
+    Result,
+    StopOrder,
+)
+from drivers.kuka_rsi.set_points import Choice, SetPoints
+from drivers.kuka_rsi.settings import LinkSettings
+from drivers.kuka_rsi.telegram import ReplyWriter, Telegram
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.monitor import Violation
+from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
+
+SETTLE_CYCLES = 10  # in a row within the tolerance
+DEGRADED_SPEED = 0.5  # part of the planned speed after losses
+HELD_AFTER_CYCLES = 3  # missing cycles after which the arm stands still at the held point
+START_TOLERANCE_RAD = 1e-9  # between where a motion was planned from and the last point sent
+RANGE_TOLERANCE_DEG = 0.01  # of the first telegram's axes: an arm may stand at its end switch
+
+_STOP_FAULTS = {
+    StopOrder.PROTECTIVE: Fault.PROTECTIVE,
+    StopOrder.LINK: Fault.LINK_STOP,
+    StopOrder.DRIVES_OFF: Fault.DRIVES_OFF,
+}
+_SESSION_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
+
+
+class Session:
+    """State of the link across cycles. `answer`, send, `after_reply`; `idle` when nothing comes."""
+
+    def __init__(self, settings: LinkSettings) -> None:
+        self._settings = settings
+        self._model = arm_model(settings.variant)
+        self._limits = working_limits(self._model, settings.speed_fraction)
+        self._cycle_s = settings.cycle_ms / 1000.0
+        self._tolerance = radians(settings.settle_tolerance_deg)
+        self._silence_ns = round(settings.silence_limit_s * 1e9)
+        self._heartbeat_ns = round(settings.heartbeat_limit_s * 1e9)
+        self._writer = ReplyWriter(
+            settings.sentype, settings.receive_tags, settings.axis_tags, settings.stop_tag
+        )
+        self.phase = Phase.IDLE
+        self.fault = Fault.NONE
+        self.result = Result.NONE
+        self.violation: Violation | None = None
+        self.rejected = 0
+        self.dropped = 0
+        self.cycles = 0
+        self.parent_gone = False
+        self.choice = Choice.GO
+        self._heartbeat = (0, 0)  # value, and when it was first seen
+        self._stop_number = 0
+        self._command_number = 0
+        self._ipoc = 0
+        self._received_ns = 0
+        self._measured: JointVector = NO_STATE.measured_rad
+        self._losses = Losses(settings.cycle_ms)
+        self._stopping = False
+        self._settled_cycles = 0
+        self._speed = 1.0
+        self._base_deg: JointVector = NO_STATE.base_rad
+        self._points: SetPoints | None = None
+        self._heads = (b"", b"", b"")
+
+    @property
+    def moving(self) -> bool:
+        """Whether set-points change."""
+        return self._points is not None and self._points.moving
+
+    @property
+    def sent_rad(self) -> JointVector:
+        """The last set-point sent."""
+        return self._points.last_rad if self._points else NO_STATE.commanded_rad
+
+    @property
+    def measured_rad(self) -> JointVector:
+        """Axes of the last telegram."""
+        return self._measured
+
+    def answer(self, telegram: Telegram, orders: Orders, now_ns: int, new_peer: bool = False) -> bytes | None:
+        """The reply up to its IPOC, or None when this telegram is not to be answered.
+
+        `new_peer`: it came from another address than the one before.
+        """
+        a, b, c, d, e, f = telegram.axes_deg
+        self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
+        self._received_ns = now_ns
+        self._watch_heartbeat(orders.heartbeat, now_ns)
+        ipoc = int(telegram.ipoc)
+        if self.phase is Phase.ARMED:
+            self._losses.count(ipoc, telegram.delay)
+            self._ipoc = ipoc
+            return self._begin(telegram.axes_deg)
+        if self.phase not in _SESSION_PHASES or self._points is None:
+            self._ipoc = ipoc
+            return None
+        missing = self._losses.count(ipoc, telegram.delay)
+        if missing == -1:
+            return None
+        self._ipoc = ipoc
+        if missing is None or new_peer:
+            # Corrections of ours mean nothing to a run that we did not start: it gets no reply at all.
+            self._latch(Fault.RESTARTED)
+            self._cease(self._points)
+            return None
+        self._look_at_stop(orders.stop_word)
+        if self.phase is Phase.SILENT:
+            return None
+        points = self._points
+        if points.violation is not None:
+            self._trip(points.violation)
+        elif points.path_failed:
+            self._latch(Fault.PATH)
+        following = points.monitor.check_measured(self._measured)
+        if following is not None:
+            self._trip(following)
+        if missing > HELD_AFTER_CYCLES and points.moving:
+            self.choice = Choice.HOLD
+        else:
+            self.choice = Choice.STOP if self._stopping else Choice.GO
+        return self._heads[self.choice]
+
+    def after_reply(self, command: Command | None) -> None:
+        """The reply was sent: commit it, take a new command, prepare the next one."""
+        points = self._points
+        if points is None:
+            return
+        self.cycles += 1
+        points.commit(self.choice)
+        self._follow_motion(points)
+        if command is not None:
+            self.take(command)
+        if self._losses.degraded != (self._speed < 1.0):
+            self._speed = DEGRADED_SPEED if self._losses.degraded else 1.0
+            points.limit_speed(self._speed)
+        points.prepare()
+        self._write_heads(points)
+
+    def take(self, command: Command) -> None:
+        """Act on a command that has not been seen before."""
+        if command.number == self._command_number:
+            return
+        self._command_number = command.number
+        if command.kind is CommandKind.MOVE and command.plan is not None:
+            self.result = self._start(command.plan, command.stop_number)
+        elif command.kind is CommandKind.OPEN and self.phase is Phase.IDLE:
+            self.phase, self.fault, self.result = Phase.ARMED, Fault.NONE, Result.NONE
+            self.violation = None
+            self.cycles = self.rejected = self.dropped = 0
+            self._losses = Losses(self._settings.cycle_ms)
+            self._stopping, self._speed, self._points = False, 1.0, None
+        elif command.kind is CommandKind.END and not self.moving:
+            self.phase = Phase.ENDING if self._points is not None else Phase.IDLE
+        elif command.kind is CommandKind.CLOSE and not self.moving:
+            self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
+
+    def idle(self, orders: Orders, now_ns: int) -> None:
+        """Nothing has come for a while: watch silence and heartbeat, and take stops."""
+        self._watch_heartbeat(orders.heartbeat, now_ns)
+        if self.phase not in _SESSION_PHASES or self._points is None:
+            self._stop_number = orders.stop_word >> 3
+            return
+        self._look_at_stop(orders.stop_word)
+        if now_ns - self._received_ns > self._silence_ns:
+            # The controller has long held the last point: the arm stands there.
+            self._points.abandon()
+            self._follow_motion(self._points)
+            self._points.prepare()
+            self._write_heads(self._points)
+            if self.phase is Phase.RUNNING:
+                self._latch(Fault.SILENCE)
+
+    def silent_for_ns(self, now_ns: int) -> int:
+        """Host time since the last telegram."""
+        return now_ns - self._received_ns
+
+    def state(self, *, real_time: bool, locked: bool) -> LinkState:
+        """For the mailbox."""
+        violation = self.violation
+        return LinkState(
+            self.cycles,
+            self._ipoc,
+            self._received_ns,
+            self.phase,
+            self.fault,
+            self.result,
+            self._losses.degraded,
+            self.moving,
+            self._settled_cycles >= SETTLE_CYCLES,
+            real_time,
+            locked,
+            self._command_number,
+            self._stop_number,
+            self._losses.late,
+            self._losses.lost,
+            self.rejected,
+            self.dropped,
+            self._measured,
+            self.sent_rad,
+            NO_STATE.base_rad if self._points is None else self._base_rad,
+            violation.kind if violation else "",
+            violation.axis if violation else 0,
+            violation.value if violation else 0.0,
+            violation.limit if violation else 0.0,
+            0,
+        )
+
+    def _begin(self, axes_deg: JointVector) -> bytes:
+        """First reply of a run: corrections count from here, and the first one is zero."""
+        lower, upper = self._model.lower_rad, self._model.upper_rad
+        for low, angle, high in zip(lower, axes_deg, upper, strict=True):
+            if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
+                self._latch(Fault.BASE)
+        self._base_deg = axes_deg
+        self._base_rad = self._measured
+        self._points = SetPoints(self._model, self._limits, self._cycle_s, self._measured)
+        self._settled_cycles = 0
+        self.choice = Choice.GO
+        if self.phase is Phase.ARMED:
+            self.phase = Phase.RUNNING if self.fault is Fault.NONE else Phase.FAULT
+        self._write_heads(self._points)
+        return self._heads[Choice.GO]
+
+    def _start(self, plan: MotionPlan, stop_number: int) -> Result:
+        points = self._points
+        if self.phase is not Phase.RUNNING or points is None:
+            return Result.REFUSED_PHASE
+        if stop_number != self._stop_number:
+            return Result.REFUSED_STOP
+        if points.moving or self._stopping:
+            return Result.REFUSED_BUSY
+        gap = max(abs(x - y) for x, y in zip(plan.start_rad, points.last_rad, strict=True))
+        if not gap <= START_TOLERANCE_RAD:
+            return Result.REFUSED_START
+        try:
+            points.start(plan, self._speed)
+        except RonnaError:
+            return Result.REFUSED_NUMBERS
+        self._settled_cycles = 0
+        return Result.RUNNING
+
+    def _follow_motion(self, points: SetPoints) -> None:
+        if points.moving:
+            self._settled_cycles = 0
+            return
+        if self._stopping and self.phase is not Phase.FAULT:
+            self._stopping = False
+        last = points.last_rad
+        near = all(abs(x - y) <= self._tolerance for x, y in zip(self._measured, last, strict=True))
+        self._settled_cycles = self._settled_cycles + 1 if near else 0
+        if self.result is Result.RUNNING:
+            if points.stopped_early and (self._settled_cycles >= SETTLE_CYCLES or self.fault):
+                self.result = Result.STOPPED
+            elif self._settled_cycles >= SETTLE_CYCLES:
+                self.result = Result.DONE
+        if self.phase in (Phase.RUNNING, Phase.FAULT) and (self.parent_gone or self.fault is Fault.HEARTBEAT):
+            self.phase = Phase.ENDING
+
+    def _look_at_stop(self, stop_word: int) -> None:
+        number = stop_word >> 3
+        if number == self._stop_number:
+            return
+        self._stop_number = number
+        kind = StopOrder(stop_word & 7)
+        if kind is not StopOrder.HOLD:
+            self._latch(_STOP_FAULTS[kind])
+        if kind is StopOrder.LINK and self._points is not None:
+            self._cease(self._points)
+        self._stopping = self.moving
+
+    def _cease(self, points: SetPoints) -> None:
+        """Reply no more: the controller holds the last point and ends the run by its Timeout."""
+        self.phase = Phase.SILENT
+        points.abandon()
+        self._follow_motion(points)
+
+    def _watch_heartbeat(self, value: int, now_ns: int) -> None:
+        seen, since = self._heartbeat
+        if value != seen or not since:
+            self._heartbeat = (value, now_ns)
+        elif now_ns - since > self._heartbeat_ns and self.phase in (Phase.ARMED, Phase.RUNNING):
+            self._latch(Fault.HEARTBEAT)
+        if self.parent_gone:
+            self._stopping = self.moving
+
+    def _trip(self, violation: Violation) -> None:
+        if self.violation is None:
+            self.violation = violation
+        self._latch(Fault.MONITOR)
+
+    def _latch(self, fault: Fault) -> None:
+        if self.fault is Fault.NONE:
+            self.fault = fault
+        if self.phase in (Phase.ARMED, Phase.RUNNING):
+            self.phase = Phase.FAULT
+        self._stopping = self.moving
+
+    def _write_heads(self, points: SetPoints) -> None:
+        ending = self.phase is Phase.ENDING
+        hold = self._head(points.last_rad, ending)
+        if points.moving:
+            self._heads = (self._head(points.go_rad, False), self._head(points.stop_rad, False), hold)
+        else:
+            self._heads = (hold, hold, hold)
+
+    def _head(self, joints_rad: JointVector, stop: bool) -> bytes:
+        base = self._base_deg
+        a, b, c, d, e, f = joints_rad
+        # The sum with zero turns a negative zero into a plain one.
+        return self._writer.head(
+            (
+                round(degrees(a) - base[0], 6) + 0.0,
+                round(degrees(b) - base[1], 6) + 0.0,
+                round(degrees(c) - base[2], 6) + 0.0,
+                round(degrees(d) - base[3], 6) + 0.0,
+                round(degrees(e) - base[4], 6) + 0.0,
+                round(degrees(f) - base[5], 6) + 0.0,
+            ),
+            stop,
+        )

@@ -1,0 +1,128 @@
+"""The set-points of one session: prepared between telegrams, judged, and one of them sent.
+
+Generator and monitor meet here and nowhere else. If the path's own stop does not please the monitor, a stop
+of the joints, made from what was really sent, takes its place.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.monitor import Monitor, Violation, monitor_limits
+from ronna_hw.arm.motion import PathMotion, StopMotion, state_from_history
+from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
+
+
+class Choice(IntEnum):
+    """What a reply carries."""
+
+    GO = 0
+    STOP = 1
+    HOLD = 2  # the last point again: right only when the controller has held it for some cycles already
+
+
+class SetPoints:
+    """Use in turn: `prepare`, then one `commit` with what was sent."""
+
+    def __init__(self, model: ArmModel, limits: MotionLimits, cycle_s: float, start_rad: JointVector) -> None:
+        self._model = model
+        self._limits = limits
+        self._cycle_s = cycle_s
+        self.monitor = Monitor(monitor_limits(model, limits, cycle_s, start_rad), start_rad)
+        self._motion: PathMotion | StopMotion | None = None
+        self._joint_stop: StopMotion | None = None
+        self.go_rad = start_rad
+        self.stop_rad = start_rad
+        self.violation: Violation | None = None  # why go is not allowed
+        self.path_failed = False
+        self.stopped_early = False  # of the last motion
+
+    @property
+    def last_rad(self) -> JointVector:
+        """The last point sent."""
+        return self.monitor.last_rad
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is under way."""
+        return self._motion is not None
+
+    def start(self, plan: MotionPlan, speed: float) -> None:
+        """Begin a motion from rest; `speed` scales the planned one. Raises as the path and ruckig do."""
+        self.stopped_early = False
+        if plan.is_standstill:
+            return
+        motion = PathMotion(plan.path(self._model), plan.start_rad, plan.limits, self._cycle_s)
+        if speed < 1.0:
+            motion.limit_speed(speed)
+        self._motion = motion
+
+    def limit_speed(self, speed: float) -> None:
+        """Go on at a part of the planned speed."""
+        if isinstance(self._motion, PathMotion):
+            self._motion.limit_speed(speed)
+
+    def prepare(self) -> None:
+        """Compute and judge both points of the next reply."""
+        self._joint_stop = None
+        motion = self._motion
+        if motion is None:
+            self.go_rad = self.stop_rad = self.last_rad
+            return
+        try:
+            self.go_rad, self.stop_rad = motion.prepare()
+        except RonnaError:
+            self.path_failed = True
+            self._use_joint_stop()
+            self.go_rad = self.stop_rad
+            return
+        judged = self.monitor.check(self.go_rad)
+        if self.stop_rad is self.go_rad:
+            bad_stop = judged
+        else:
+            bad_stop = self.monitor.check(self.stop_rad)
+        if judged is not None and self.violation is None:
+            self.violation = judged
+        if bad_stop is not None and not isinstance(motion, StopMotion):
+            self._use_joint_stop()
+
+    def commit(self, choice: Choice) -> None:
+        """This one was sent."""
+        if choice is Choice.HOLD:
+            for _ in self.monitor.history_rad:
+                self.monitor.sent(self.last_rad)
+            if isinstance(self._motion, PathMotion):
+                self._motion.restart_from_rest()
+            elif self._motion is not None:
+                self._motion = None
+                self.stopped_early = True
+        elif choice is Choice.GO:
+            if self._motion is not None:
+                self._motion.take_go()
+            self.monitor.sent(self.go_rad)
+        else:
+            if self._joint_stop is not None:
+                self._motion = self._joint_stop
+            if self._motion is not None:
+                self._motion.take_stop()
+            self.monitor.sent(self.stop_rad)
+        if self._motion is not None and self._motion.finished:
+            self.stopped_early = not isinstance(self._motion, PathMotion) or self._motion.stopped_early
+            self._motion = None
+
+    def abandon(self) -> None:
+        """The arm has been at rest at the last point for long: forget the motion."""
+        if self._motion is not None:
+            self.stopped_early = True
+        self._motion = None
+        for _ in self.monitor.history_rad:
+            self.monitor.sent(self.last_rad)
+
+    def _use_joint_stop(self) -> None:
+        state = state_from_history(self.monitor.history_rad, self._cycle_s)
+        self._joint_stop = StopMotion(state, self._limits, self._cycle_s)
+        self.stop_rad = self._joint_stop.prepare().stop_rad

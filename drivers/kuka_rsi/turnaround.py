@@ -1,0 +1,34 @@
+"""Bins of the turnaround histogram: telegram received to reply sent, in microseconds of host time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import log
+
+from drivers.kuka_rsi.mailbox import HISTOGRAM_BINS
+
+FIRST_EDGE_US = 2.0
+RATIO = 1.25  # a bin is a quarter wider than the one before: the last of 64 ends above 3 s
+_SCALE = 1.0 / log(RATIO)
+
+EDGES_US = (0.0, *(FIRST_EDGE_US * RATIO**k for k in range(HISTOGRAM_BINS)))
+
+
+def bin_of(turnaround_us: float) -> int:
+    """Number of the bin that holds a turnaround; the last one takes everything longer."""
+    if turnaround_us < FIRST_EDGE_US:
+        return 0
+    return min(1 + int(log(turnaround_us / FIRST_EDGE_US) * _SCALE), HISTOGRAM_BINS - 1)
+
+
+def percentile_us(counts: Sequence[int], share: float) -> float:
+    """Turnaround below which `share` (0..1) of the cycles lie, interpolated in its bin; 0 without cycles."""
+    total = sum(counts)
+    if not total:
+        return 0.0
+    wanted, seen = share * total, 0
+    for k, count in enumerate(counts):
+        if count and seen + count >= wanted:
+            return EDGES_US[k] + (EDGES_US[k + 1] - EDGES_US[k]) * (wanted - seen) / count
+        seen += count
+    return EDGES_US[-1]
