@@ -67,6 +67,15 @@ class Calibrations(Strict):
     tracker_frame: TrackerFrameCalibration
 
 
+class ProcedureSettings(Strict):
+    """What the procedure may assume of this theatre, and how it works in it."""
+
+    arm_error_mm: Annotated[float, Field(ge=0)] = 0.15  # local error of the arm per axis, one sigma
+    servo_area_px: tuple[int, int] = (1024, 1024)  # part of each sensor that the visual servo reads
+    standoff_mm: Annotated[float, Field(gt=0)] = 60.0  # of approach and retreat, outside the entry
+    coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = 3.0  # beyond it the sphere is another one
+
+
 class TheatreFile(Strict):
     """A whole theatre. Robots are named, never assumed to be one."""
 
@@ -78,6 +87,7 @@ class TheatreFile(Strict):
     robot: dict[str, DeviceConfig] = Field(default_factory=dict)
     stereo: DeviceConfig | None = None
     calibration: Calibrations | None = None
+    procedure: ProcedureSettings = ProcedureSettings()
 
 
 def read_theatre_file(path: Path) -> TheatreFile:

@@ -20,6 +20,7 @@ import typer
 
 from ronna_hw.command_line.errors import UsageMistake, as_ronna_error
 from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, RonnaError
+from ronna_hw.own_packages import require_own_packages
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,6 +48,7 @@ def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
     """Run a command, print any error as a message, and return the exit code. Never raises."""
     _unwind_on_signals()
     try:
+        require_own_packages()
         code = _invoke(app, arguments)
         sys.stdout.flush()
     except KeyboardInterrupt:

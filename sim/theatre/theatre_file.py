@@ -52,10 +52,10 @@ def theatre_content(
             "options": {
                 "left_serial": scene.left.serial,
                 "right_serial": scene.right.serial,
-                "servo_area_px": list(scene.servo_area_px),
             },
         },
         "calibration": _calibrations(scene),
+        "procedure": {"servo_area_px": list(scene.servo_area_px)},
     }
 
 

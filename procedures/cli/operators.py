@@ -1,0 +1,79 @@
+"""Who answers the procedure's questions: a person at the terminal, or the script of a simulated case."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from typing import Any
+
+from procedures.engine.errors import NotConfirmed, RoomUnreachable
+from procedures.engine.operator import Question
+from ronna_hw.endpoints import parse_endpoint
+
+ROOM_TIMEOUT_S = 5.0  # host time, for one request to the theatre's control port
+
+
+class ScriptedOperator:
+    """The only one who talks to the control port of a simulated theatre. Says yes to every question."""
+
+    def __init__(self, control: str) -> None:
+        address = parse_endpoint(control).require("tcp")
+        try:
+            self._socket = socket.create_connection((address.host, address.port), ROOM_TIMEOUT_S)
+        except OSError as error:
+            raise RoomUnreachable(f"no control port at {control}: {error.strerror}") from error
+        self._answers = self._socket.makefile("rb")
+
+    def announce(self, step: str) -> None:
+        """Name the running step to the room."""
+        self._ask({"do": "step", "name": step})
+
+    def confirm(self, question: Question) -> bool:
+        """Say yes; what was shown is in the journal."""
+        return bool(question.subject)
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Hang the other tool on the mount."""
+        self._ask({"do": "mount", "number": number})
+
+    def close(self) -> None:
+        """Leave the room."""
+        self._answers.close()
+        self._socket.close()
+
+    def _ask(self, request: dict[str, Any]) -> None:
+        try:
+            self._socket.sendall(json.dumps(request).encode() + b"\n")
+            answer = json.loads(self._answers.readline() or b"{}")
+        except (OSError, ValueError) as error:
+            raise RoomUnreachable(f"the theatre's control port does not answer: {error}") from error
+        if not answer.get("ok"):
+            raise RoomUnreachable(f"the theatre refused {request['do']}: {answer.get('reason', 'no answer')}")
+
+
+class TerminalOperator:
+    """A person at the terminal. Without a terminal every answer is no."""
+
+    def announce(self, step: str) -> None:
+        """Nothing to do: the person sees the progress."""
+
+    def confirm(self, question: Question) -> bool:
+        """Show the value and wait for a typed `yes`; anything else, or no answer in time, is no."""
+        if not sys.stdin.isatty():
+            return False
+        sys.stderr.write(f"{question.subject}\n  {question.value}\nType yes to confirm: ")
+        sys.stderr.flush()
+        return _line_within(question.timeout_s).strip().lower() == "yes"
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Ask for the exchange and wait until it is confirmed."""
+        if not self.confirm(Question("change the tool", f"mount {description} (tool {number})")):
+            raise NotConfirmed("the tool was not changed")
+
+
+def _line_within(timeout_s: float) -> str:
+    import select
+
+    ready, _, _ = select.select([sys.stdin], [], [], timeout_s)
+    return sys.stdin.readline() if ready else ""

@@ -1,0 +1,76 @@
+"""What a person sees while a case runs, and at its end."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from procedures.cli.console import message_console, on_terminal, print_json, print_table
+from procedures.cli.run_case import Watcher
+
+if TYPE_CHECKING:
+    from procedures.engine.step import Outcome, StepKey
+
+
+@contextlib.contextmanager
+def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
+    """Follow a run: a live line on a terminal, one line per step with `verbose` elsewhere."""
+    if quiet or not on_terminal(sys.stderr):
+        yield Watcher(listener=_write_line) if verbose else Watcher()
+        return
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = message_console()
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("starting", total=1.0)
+
+        def progress(share: float, text: str) -> None:
+            bar.update(task, completed=share, description=text)
+
+        def listener(key: StepKey, outcome: Outcome) -> None:
+            console.print(f"[green]✓[/green] {key!s:<26} {outcome.summary}", highlight=False)
+
+        yield Watcher(progress, listener, lambda text: progress(0.0, text))
+
+
+def _write_line(key: StepKey, outcome: Outcome) -> None:
+    sys.stderr.write(f"{key}: {outcome.summary}\n")
+
+
+def show_outcome(outcome: dict[str, Any], *, as_json: bool) -> None:
+    """Print the table of target errors, or the whole object as JSON."""
+    if as_json:
+        print_json(outcome)
+        return
+    print_table(
+        f"Run {outcome['run']}: error of the needle tip against truth",
+        ("target", "depth mm", "predicted mm", "error mm"),
+        [
+            (
+                row["id"],
+                f"{row['depth_mm']:.1f}",
+                f"{row['predicted_tre_mm']:.3f}",
+                f"{row['application_error_mm']:.3f}",
+            )
+            for row in outcome["targets"]
+        ],
+    )
+    lines = []
+    if outcome["mean_application_error_mm"] is not None:
+        lines.append(
+            f"mean {outcome['mean_application_error_mm']:.3f} mm, "
+            f"largest {outcome['max_application_error_mm']:.3f} mm; "
+            f"{outcome['sim_s']:.0f} s of theatre time in {outcome['wall_s']:.0f} s"
+        )
+    lines.append(f"report {outcome['report']}")
+    sys.stdout.write("\n".join(lines) + "\n")

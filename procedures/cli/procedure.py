@@ -1,0 +1,199 @@
+"""`ronna-procedure`: run a case, step through it, look at its steps, its state chart and its links."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from procedures.cli.console import JsonOption, VerboseOption, run, set_up_logging
+from procedures.engine.errors import NotYet
+from ronna_hw.command_line.errors import UsageMistake
+
+app = typer.Typer(
+    name="ronna-procedure",
+    help="The procedure of a frameless stereotactic robot, from the CT to the needle tip. "
+    "Research software, not a medical device.",
+    epilog="Example: ronna-procedure run --sim",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+class FiducialChoice(StrEnum):
+    """Kind of markers on the patient."""
+
+    FREE = "free"
+    XFRAME = "xframe"
+
+
+class StrategyChoice(StrEnum):
+    """How the tool is oriented while the spheres are localized."""
+
+    OCS = "ocs"
+    NOS = "nos"
+    JDMS = "jdms"
+    BEST = "best"
+
+
+class SpeedChoice(StrEnum):
+    """Pace of the simulated theatre."""
+
+    MAX = "max"
+    REAL = "1"
+
+
+SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
+SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")]
+MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head (default 5).")]
+TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories (default 3).")]
+SpeedOption = Annotated[SpeedChoice, typer.Option(help="max: as fast as the devices go; 1: real time.")]
+FaultsOption = Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")]
+ConfigOption = Annotated[Path | None, typer.Option(help="Theatre file with the endpoints to use.")]
+CaseOption = Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")]
+OutOption = Annotated[Path, typer.Option(help="Folder for runs; each run makes one subfolder.")]
+
+
+@app.command("run")
+def run_command(
+    sim: SimOption = False,
+    config: ConfigOption = None,
+    case: CaseOption = None,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    markers: MarkersOption = None,
+    targets: TargetsOption = None,
+    fiducials: Annotated[FiducialChoice, typer.Option(help="Kind of markers.")] = FiducialChoice.FREE,
+    strategy: Annotated[StrategyChoice, typer.Option(help="Localization strategy.")] = StrategyChoice.OCS,
+    calibrated: Annotated[bool, typer.Option("--calibrated", help="Use calibrated kinematics.")] = False,
+    speed: SpeedOption = SpeedChoice.MAX,
+    faults: FaultsOption = None,
+    out: OutOption = Path("runs"),
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Run the whole case and end with the errors at the targets and a report."""
+    if fiducials is FiducialChoice.XFRAME:
+        raise NotYet("--fiducials xframe is not yet available")
+    if strategy is not StrategyChoice.OCS:
+        raise NotYet(f"--strategy {strategy.value} is not yet available")
+    if calibrated:
+        raise NotYet("--calibrated is not yet available")
+    set_up_logging(verbose)
+    from procedures.cli.present import following, show_outcome
+    from procedures.cli.run_case import run_case
+
+    request = _request(sim, config, case, scene, seed, markers, targets, speed, faults, out)
+    with following(quiet=as_json, verbose=verbose) as watcher:
+        outcome = run_case(request, watcher)
+    show_outcome(outcome, as_json=as_json)
+
+
+@app.command("step")
+def step_command(
+    sim: SimOption = False,
+    config: ConfigOption = None,
+    case: CaseOption = None,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    markers: MarkersOption = None,
+    targets: TargetsOption = None,
+    speed: SpeedOption = SpeedChoice.MAX,
+    faults: FaultsOption = None,
+    out: OutOption = Path("runs"),
+    verbose: VerboseOption = False,
+) -> None:
+    """Step through the case by hand: list, next, to STEP, why [STEP], quit."""
+    set_up_logging(verbose)
+    from procedures.cli.stepping import step_through
+
+    step_through(_request(sim, config, case, scene, seed, markers, targets, speed, faults, out))
+
+
+@app.command("steps")
+def steps_command(as_json: JsonOption = False) -> None:
+    """List the steps of the procedure and what each one needs."""
+    from procedures.cli.console import print_json, print_table
+    from procedures.steps.catalogue import STEPS
+
+    if as_json:
+        rows = [
+            {
+                "name": step.name,
+                "title": step.title,
+                "needs": [*step.needs, *step.needs_all_trajectories],
+                "per_trajectory": step.per_trajectory,
+                "moves": step.moves,
+            }
+            for step in STEPS.values()
+        ]
+        print_json({"steps": rows})
+        return
+    print_table(
+        "Steps of the procedure",
+        ("step", "what it does", "for each trajectory", "moves the arm", "needs"),
+        [
+            (
+                step.name,
+                step.title,
+                "yes" if step.per_trajectory else "",
+                "yes" if step.moves else "",
+                ", ".join((*step.needs, *step.needs_all_trajectories)),
+            )
+            for step in STEPS.values()
+        ],
+    )
+
+
+@app.command("graph")
+def graph_command() -> None:
+    """Print the state chart of the procedure as mermaid text."""
+    import sys
+
+    from procedures.engine.machine import mermaid
+
+    sys.stdout.write(mermaid())
+
+
+@app.command("doctor")
+def doctor_command(
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Look at this computer and, with --config, at every endpoint of a theatre file."""
+    from procedures.cli.doctor import examine, show
+
+    show(examine(config), as_json=as_json)
+
+
+def _request(  # type: ignore[no-untyped-def]
+    sim: bool, config, case, scene, seed, markers, targets, speed, faults, out
+):
+    from procedures.cli.run_case import CaseRequest
+    from procedures.cli.simulated_case import SceneChoice
+
+    if sim == (config is not None):
+        raise UsageMistake("give either --sim or --config", action="See ronna-procedure run --help.")
+    if config is not None and case is None:
+        raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
+    return CaseRequest(
+        out=out,
+        choice=SceneChoice(scene, seed, markers, targets),
+        speed=speed.value,
+        faults=faults,
+        config=config,
+        case=case,
+    )
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    run(app)
+
+
+if __name__ == "__main__":
+    main()

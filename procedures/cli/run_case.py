@@ -1,0 +1,216 @@
+"""Runs one case from the command line: theatre, engine, verification, report."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import secrets
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from procedures.cli.operators import ScriptedOperator, TerminalOperator
+from procedures.cli.simulated_case import SceneChoice, SimulatedCase
+from procedures.engine.errors import RoomUnreachable
+from procedures.engine.step import Progress
+from ronna_hw.child_process import command
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine, Listener
+
+VERIFY_TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True)
+class CaseRequest:
+    """What the command line asks for."""
+
+    out: Path
+    choice: SceneChoice = field(default_factory=SceneChoice)
+    strategy: str = "ocs"
+    speed: str = "max"
+    faults: Path | None = None
+    config: Path | None = None  # a theatre file of configured endpoints, instead of a simulated theatre
+    case: Path | None = None  # folder with ct/ and plan.toml, with `config`
+
+
+@dataclass(frozen=True)
+class Watcher:
+    """Who follows a run while it runs."""
+
+    progress: Progress = lambda _share, _text: None
+    listener: Listener = lambda _key, _outcome: None
+    status: Callable[[str], None] = lambda _text: None
+
+
+def new_run_folder(out: Path, seed: int) -> Path:
+    """Make `OUT/<run id>`; the id is the moment, the seed and four random hex digits."""
+    name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-s{seed}-{secrets.token_hex(2)}"
+    folder = out / name
+    folder.mkdir(parents=True)
+    return folder
+
+
+@contextlib.contextmanager
+def opened_engine(request: CaseRequest, folder: Path, watcher: Watcher) -> Iterator[Engine]:
+    """The engine of a case, ready to run its first step. Whatever happens, everything ends with it."""
+    operator: ScriptedOperator | TerminalOperator = TerminalOperator()
+    with contextlib.ExitStack() as stack:
+        if request.config is not None:
+            series = (request.case or Path()) / "ct"
+            plan = (request.case or Path()) / "plan.toml"
+            theatre_file = request.config
+        else:
+            simulated = stack.enter_context(
+                SimulatedCase(request.choice, folder, speed=request.speed, faults=request.faults)
+            )
+            watcher.status("making the phantom CT")
+            simulated.await_patient()
+            watcher.status("opening the theatre")
+            simulated.await_theatre()
+            series, plan, theatre_file = simulated.series, simulated.plan, simulated.theatre_file
+            operator = stack.enter_context(contextlib.closing(ScriptedOperator(simulated.control)))
+        engine = _make_engine(request, folder, (series, plan, theatre_file), operator, watcher)
+        ending = _Ending()
+        stack.callback(lambda: engine.close(ending.outcome))
+        try:
+            yield engine
+        except KeyboardInterrupt:
+            ending.outcome = "interrupted"
+            raise
+        except BaseException:
+            ending.outcome = "failed"
+            raise
+
+
+@dataclass
+class _Ending:
+    outcome: str = "done"
+
+
+def _make_engine(
+    request: CaseRequest,
+    folder: Path,
+    inputs: tuple[Path, Path, Path],
+    operator: ScriptedOperator | TerminalOperator,
+    watcher: Watcher,
+) -> Engine:
+    from procedures.engine.case import Case
+    from procedures.engine.devices import make_devices
+    from procedures.engine.engine import Engine
+    from procedures.engine.journal import Entry, Journal
+    from procedures.planning.plan_file import read_plan
+    from procedures.steps.catalogue import STEPS
+    from procedures.strategies.catalogue import strategy_named
+    from ronna_hw.clock import open_clock
+    from ronna_hw.config import read_theatre_file
+
+    series, plan_path, theatre_path = inputs
+    strategy_named(request.strategy)
+    theatre = read_theatre_file(theatre_path)
+    plan = read_plan(plan_path)
+    clock = open_clock(theatre.clock.endpoint)
+    journal = Journal(folder)
+    journal.write(
+        Entry.OPENED,
+        clock.now_s(),
+        theatre=theatre.theatre,
+        banner=theatre.banner,
+        strategy=request.strategy,
+        seed=request.choice.seed if request.config is None else None,
+    )
+    return Engine(
+        steps=STEPS,
+        trajectories=tuple(trajectory.id for trajectory in plan.trajectories),
+        case=Case(folder, series, plan_path),
+        theatre=theatre,
+        devices=make_devices(theatre, clock),
+        clock=clock,
+        operator=operator,
+        journal=journal,
+        progress=watcher.progress,
+        listener=watcher.listener,
+    )
+
+
+def run_case(request: CaseRequest, watcher: Watcher) -> dict[str, Any]:
+    """Run a whole case and return what `--json` prints; raises what a step raises."""
+    began = time.monotonic()
+    folder = new_run_folder(request.out, request.choice.seed)
+    with opened_engine(request, folder, watcher) as engine:
+        engine.run_to()
+        sim_s = engine.clock.now_s()
+        results = _results(engine)
+    truth = verify(folder) if request.config is None else {"ct": None, "targets": []}
+    outcome = _outcome(request, folder, results, truth)
+    outcome["sim_s"] = round(sim_s, 3)
+    outcome["report"] = str(_report(folder, outcome))
+    outcome["wall_s"] = round(time.monotonic() - began, 3)
+    return outcome
+
+
+def verify(folder: Path) -> dict[str, Any]:
+    """Have the theatre's verifier compare the run with the truth."""
+    answer = subprocess.run(
+        command("sim.cli", "verify", str(folder), "--json"),
+        capture_output=True,
+        text=True,
+        timeout=VERIFY_TIMEOUT_S,
+        check=False,
+    )
+    if answer.returncode != 0:
+        raise RoomUnreachable("the run could not be verified: " + " ".join(answer.stderr.split()))
+    content: dict[str, Any] = json.loads(answer.stdout)
+    return content
+
+
+def _results(engine: Engine) -> dict[str, Any]:
+    """What the run itself knows: residuals and predictions per trajectory, and the link's health."""
+    case, trajectories = engine.case, engine.trajectories
+    fits = {name: case.get("registration", name).payload for name in trajectories}
+    link = case.get("retreat", trajectories[-1]).payload["link"]
+    return {
+        "n": fits[trajectories[0]]["pairs"],
+        "fre_mm": [fits[name]["fre_mm"] for name in trajectories],
+        "predicted": {name: fits[name]["predicted_tre_mm"] for name in trajectories},
+        "markers": len(case.get("fiducial_localization").payload["markers"]),
+        "late_cycles": link["late_cycles"] + link["lost_cycles"],
+    }
+
+
+def _outcome(
+    request: CaseRequest, folder: Path, results: dict[str, Any], truth: dict[str, Any]
+) -> dict[str, Any]:
+    targets = [
+        {
+            "id": row["id"],
+            "depth_mm": row["depth_mm"],
+            "predicted_tre_mm": results["predicted"][row["id"]],
+            "application_error_mm": row["application_error_mm"],
+        }
+        for row in truth["targets"]
+    ]
+    errors = [row["application_error_mm"] for row in targets]
+    return {
+        "run": folder.name,
+        "outcome": "done",
+        "seed": request.choice.seed,
+        "strategy": request.strategy,
+        "markers": results["markers"],
+        "ct": truth["ct"],
+        "registration": {"n": results["n"], "fre_mm": results["fre_mm"]},
+        "targets": targets,
+        "mean_application_error_mm": sum(errors) / len(errors) if errors else None,
+        "max_application_error_mm": max(errors) if errors else None,
+        "late_cycles": results["late_cycles"],
+    }
+
+
+def _report(folder: Path, outcome: dict[str, Any]) -> Path:
+    from procedures.reporting.report import write_report
+
+    return write_report(folder, outcome)

@@ -1,0 +1,87 @@
+"""A simulated theatre with its patient, started as commands: what `--sim` means and nothing more."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from procedures.engine.errors import RoomUnreachable
+from ronna_hw.child_process import ChildProcess, command
+
+PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
+
+
+@dataclass(frozen=True)
+class SceneChoice:
+    """What the theatre and the phantom are drawn from; both get the same."""
+
+    scene: str = "default"
+    seed: int = 0
+    markers: int | None = None
+    targets: int | None = None
+
+    def arguments(self) -> list[str]:
+        """As options of `ronna-sim theatre` and `ronna-sim phantom`."""
+        options = ["--scene", self.scene, "--seed", str(self.seed)]
+        for name, value in (("--markers", self.markers), ("--targets", self.targets)):
+            if value is not None:
+                options += [name, str(value)]
+        return options
+
+
+class SimulatedCase:
+    """Theatre and phantom in a run folder: `theatre/theatre.toml`, `case/ct/`, `case/plan.toml`."""
+
+    def __init__(self, choice: SceneChoice, folder: Path, *, speed: str, faults: Path | None) -> None:
+        self.series = folder / "case" / "ct"
+        self.plan = folder / "case" / "plan.toml"
+        arguments = [*choice.arguments(), "--speed", speed, "--out", str(folder / "theatre")]
+        if faults is not None:
+            arguments += ["--faults", str(faults)]
+        self._theatre = ChildProcess.begun("ronna-sim theatre", command("sim.cli", "theatre", *arguments))
+        self._phantom = subprocess.Popen(
+            command("sim.cli", "phantom", *choice.arguments(), "--out", str(folder / "case")),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def await_patient(self) -> None:
+        """Return when the CT series and the plan are written; raises PRO-010 with the command's words."""
+        try:
+            _, messages = self._phantom.communicate(timeout=PHANTOM_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            raise RoomUnreachable("the phantom CT was not ready in time") from None
+        if self._phantom.returncode != 0:
+            raise RoomUnreachable("the phantom CT could not be made: " + " ".join(messages.split()))
+
+    def await_theatre(self) -> None:
+        """Return when every device of the theatre is ready; raises PRC-001 with the command's words."""
+        self._theatre.await_ready()
+
+    @property
+    def theatre_file(self) -> Path:
+        """The theatre file that was written."""
+        return Path(self._theatre.ready["file"])
+
+    @property
+    def control(self) -> str:
+        """Endpoint of the control port."""
+        return str(self._theatre.ready["endpoints"]["control"])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._phantom.poll() is None:
+            self._phantom.kill()
+            self._phantom.wait()
+        if self._phantom.stderr is not None:
+            self._phantom.stderr.close()
+        self._theatre.stop()

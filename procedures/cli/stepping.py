@@ -1,0 +1,110 @@
+"""`ronna-procedure step`: the case by hand, one command per line on standard input."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from procedures.cli.console import fail_with, on_terminal
+from procedures.cli.run_case import CaseRequest, Watcher, new_run_folder, opened_engine
+from ronna_hw.errors import RefusedError, RonnaError
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+    from procedures.engine.step import Outcome, StepKey
+
+HELP = "list | next | run STEP | to STEP | why [STEP] | help | quit"
+PROMPT = "step> "
+
+
+def step_through(request: CaseRequest) -> None:
+    """Read commands until `quit` or the end of the input; a refusal is told and the case goes on.
+
+    Any other error of a step is told too and ends the case: its state chart is then in `fault`.
+    """
+    folder = new_run_folder(request.out, request.choice.seed)
+    with opened_engine(request, folder, Watcher(listener=_told)) as engine:
+        _say(f"run {folder.name}; {HELP}")
+        while (line := _ask()) is not None:
+            name, _, argument = line.strip().partition(" ")
+            if name in ("quit", "q"):
+                return
+            command = COMMANDS.get(name)
+            if command is None:
+                _say(HELP)
+                continue
+            try:
+                command(engine, argument.strip())
+            except RonnaError as error:
+                fail_with(error)
+                if engine.machine.state == "fault":
+                    raise
+                if not isinstance(error, RefusedError) and error.code != "PRO-005":
+                    raise
+
+
+def _list(engine: Engine, _argument: str) -> None:
+    for key in engine.sequence:
+        mark = "done" if key in engine.finished else "next" if key == engine.upcoming else ""
+        _say(f"{mark:<5} {key!s:<24} {engine.steps[key.name].title}")
+
+
+def _next(engine: Engine, _argument: str) -> None:
+    if engine.upcoming is None:
+        _say("the case is finished")
+        return
+    engine.run_step(engine.upcoming)
+
+
+def _run(engine: Engine, argument: str) -> None:
+    engine.run_step(engine.find(argument))
+
+
+def _to(engine: Engine, argument: str) -> None:
+    key = engine.find(argument)
+    if key in engine.finished:
+        _say(f"{key} is done already")
+        return
+    engine.run_to(key)
+
+
+def _why(engine: Engine, argument: str) -> None:
+    key = engine.find(argument) if argument else engine.upcoming
+    if key is None:
+        _say("the case is finished")
+        return
+    unmet = engine.why_refused(key)
+    _say(f"{key}: " + ("may begin" if not unmet else "refused: " + "; ".join(unmet)))
+
+
+def _help(_engine: Engine, _argument: str) -> None:
+    _say(HELP)
+
+
+COMMANDS: dict[str, Callable[[Engine, str], None]] = {
+    "list": _list,
+    "next": _next,
+    "run": _run,
+    "to": _to,
+    "why": _why,
+    "help": _help,
+    "": _help,
+}
+
+
+def _told(key: StepKey, outcome: Outcome) -> None:
+    _say(f"done {key}: {outcome.summary}")
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def _ask() -> str | None:
+    if on_terminal(sys.stdin):
+        sys.stdout.write(PROMPT)
+        sys.stdout.flush()
+    line = sys.stdin.readline()
+    return line if line else None

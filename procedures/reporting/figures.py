@@ -1,0 +1,77 @@
+"""Figures of the report, as PNG bytes. matplotlib is imported only when one is drawn."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Mean application error of published work on phantoms, mm. Sources in docs/reference/published-figures.md.
+PUBLISHED_MM = (
+    ("RONNA, OCS, 5 fiducials, phantom", 0.260),
+    ("RONNA, JDMS, 5 fiducials, phantom", 0.369),
+    ("RONNA, NOS, 5 fiducials, phantom", 1.327),
+    ("RONNA G3, targets < 50 mm deep, phantom", 0.43),
+    ("RONNA G3, targets 50-120 mm deep, phantom", 0.88),
+)
+OURS_COLOUR, PREDICTED_COLOUR, PUBLISHED_COLOUR = "#1f6f8b", "#9cc5d3", "#b9b9b9"
+DOTS_PER_INCH = 110
+
+
+def target_errors(targets: list[dict[str, Any]], simulated: bool) -> bytes:
+    """Bars: error at each target against truth, prediction beside it, published means below."""
+    figure, axes = _figure(7.6, 0.42 * (2 * len(targets) + len(PUBLISHED_MM)) + 1.2)
+    labels: list[str] = []
+    values: list[float] = []
+    colours: list[str] = []
+    for row in targets:
+        labels += [f"{row['id']}, {row['depth_mm']:.0f} mm deep", f"{row['id']}, predicted (rms)"]
+        values += [row["application_error_mm"], row["predicted_tre_mm"]]
+        colours += [OURS_COLOUR, PREDICTED_COLOUR]
+    for label, value in PUBLISHED_MM:
+        labels.append(label)
+        values.append(value)
+        colours.append(PUBLISHED_COLOUR)
+    places = np.arange(len(labels))[::-1]
+    bars = axes.barh(places, values, color=colours)
+    axes.bar_label(bars, fmt="%.2f", padding=3, fontsize=8)
+    axes.set_yticks(places, labels, fontsize=8)
+    axes.set_xlim(0, 1.15 * max(values))
+    axes.set_xlabel("error of the needle tip, mm" + (" (this run: simulated)" if simulated else ""))
+    return _png(figure)
+
+
+def cycle_histogram(link: dict[str, Any]) -> bytes:
+    """Histogram of the turnaround of the robot link."""
+    figure, axes = _figure(7.6, 2.6)
+    edges = np.array(link["histogram_edges_us"])
+    counts = np.array(link["histogram_counts"])
+    axes.bar(edges[:-1], counts, width=np.diff(edges), align="edge", color=OURS_COLOUR)
+    axes.set_yscale("symlog", linthresh=1)
+    if edges[0] > 0:
+        axes.set_xscale("log")
+    axes.set_xlabel("turnaround of a telegram, µs of host time")
+    axes.set_ylabel("cycles")
+    return _png(figure)
+
+
+def _figure(width_in: float, height_in: float) -> tuple[Figure, Any]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    return figure, axes
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
+    return buffer.getvalue()

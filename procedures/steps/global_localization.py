@@ -1,0 +1,88 @@
+"""Global localization: the tracker reads the reference frame on the tool and all stray spheres.
+
+The arm rests and RSI is off. Exactly FRAMES consecutive frames are taken and averaged.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from procedures.engine.errors import GateFailed
+from procedures.engine.step import Outcome, StepContext, StepSpec
+from procedures.registration.strays import group_strays
+from procedures.steps.arm_frames import stereo_tool_in_flange, tool_pose
+from procedures.steps.payloads import points_payload, pose_payload
+from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.frames import Frame, Transform
+
+FRAMES = 60  # one second of a 60 Hz tracker
+LEAST_FRAMES_WITH_TOOL = 30
+SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
+
+
+def run(context: StepContext) -> Outcome:
+    """Measure all strays in the robot frame by way of the reference frame M."""
+    tracker = context.devices.tracker
+    tracker.activate()
+    try:
+        frames = []
+        for number in range(FRAMES):
+            frames.append(tracker.read_frame())
+            context.progress((number + 1) / FRAMES, "reading the tracker")
+    finally:
+        tracker.deactivate()
+    calibration = context.calibrations.tracker_frame
+    tracker_from_marker = _average_pose(frames, calibration.tool)
+    groups = group_strays(
+        [
+            np.array([s.position_mm for s in frame.strays if s.validity is Validity.OK]).reshape(-1, 3)
+            for frame in frames
+        ]
+    )
+    spread = max((float(group.spread_mm) for group in groups), default=0.0)
+    if spread > SPREAD_LIMIT_MM:
+        raise GateFailed(
+            "a sphere moved while the tracker looked", limit=f"{SPREAD_LIMIT_MM} mm", last=f"{spread:.2f} mm"
+        )
+    joints = context.devices.arm.read_state().joints_rad
+    robot_from_tool = tool_pose(context, joints, stereo_tool_in_flange(context))
+    tool_from_marker = calibration.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+    robot_from_tracker = robot_from_tool @ tool_from_marker @ tracker_from_marker.inverse()
+    points = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
+    return Outcome(
+        payload={
+            "frames": FRAMES,
+            "points_robot_mm": points_payload(robot_from_tracker.apply(points) if len(points) else points),
+            "points_tracker_mm": points_payload(points),
+            "spread_mm": [float(group.spread_mm) for group in groups],
+            "counts": [int(group.count) for group in groups],
+            "robot_from_tracker": pose_payload(robot_from_tracker),
+            "joints_rad": list(joints),
+        },
+        parents=(context.case.get("set_up"),),
+        summary=f"{len(groups)} stray spheres in {FRAMES} frames, largest spread {spread:.2f} mm",
+    )
+
+
+def _average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
+    """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it."""
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+    readings = [frame.tool(tool) for frame in frames]
+    poses = [
+        reading.transform(Frame.TRACKER, Frame.MARKER)
+        for reading in readings
+        if reading.validity is Validity.OK
+    ]
+    if len(poses) < LEAST_FRAMES_WITH_TOOL:
+        raise GateFailed(
+            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames",
+            limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
+            action="Clear the line of sight between tracker and tool, then repeat the step.",
+        )
+    rotation = Rotation.from_matrix(np.array([pose.rotation_matrix for pose in poses])).mean()
+    translation = np.mean([pose.translation_mm for pose in poses], axis=0)
+    return Transform(Frame.TRACKER, Frame.MARKER, RigidTransform.from_components(translation, rotation))
+
+
+STEP = StepSpec("global_localization", "Localize all spheres with the tracker", needs=("set_up",), run=run)

@@ -1,0 +1,86 @@
+"""Check every pose and line of the whole procedure before anything moves: reach, limits, one branch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from procedures.engine.step import Outcome, StepContext, StepSpec
+from procedures.planning.reach import ArmSetting, PathCheck, VisitKind, check_paths
+from procedures.steps.arm_frames import guide_in_flange, model_of, stereo_tool_in_flange
+from procedures.steps.payloads import points_from, pose_from, pose_payload
+from procedures.steps.plan_check import planned
+from procedures.strategies.catalogue import strategy_named
+from ronna_hw.devices.readings import JointVector
+
+STRATEGY = "ocs"
+
+
+def run(context: StepContext) -> Outcome:
+    """Choose joints for every localization and target; raises PLAN-007 with every pose that fails."""
+    correspondence = context.case.get("correspondence")
+    localization = context.case.get("fiducial_localization")
+    plan = context.case.get("plan_check")
+    markers = localization.payload["markers"]
+    matched = [int(pair[0]) for pair in correspondence.payload["pairs"]]
+    home: JointVector = tuple(context.case.get("set_up").payload["home_rad"])
+    setting = ArmSetting(
+        model=model_of(context),
+        robot_from_ct=pose_from(correspondence.payload["robot_from_ct"]),
+        flange_from_tool=guide_in_flange(context),
+        strategy=strategy_named(STRATEGY),
+        flange_from_stereo=stereo_tool_in_flange(context),
+        start_rad=home,
+        approach_mm=context.theatre.procedure.standoff_mm,
+    )
+    trajectories = [one.trajectory for one in planned(context).trajectories]
+    centres = points_from([markers[index]["centre_mm"] for index in matched])
+    context.progress(0.0, "checking every path")
+    check = check_paths(setting, trajectories, centres)
+    check.require()
+    return Outcome(
+        payload={
+            "strategy": STRATEGY,
+            "branch_status": None if check.branch is None else check.branch.status,
+            "joint_ranges_rad": [list(limits) for limits in check.joint_ranges_rad],
+            "largest_move_rad": max(move.largest_rad for move in check.moves),
+            "localizations": _localizations(check, matched),
+            "targets": _targets(check),
+        },
+        parents=(correspondence, plan, context.case.get("set_up")),
+        summary=f"{len(check.reached)} poses in one branch",
+    )
+
+
+def _localizations(check: PathCheck, matched: list[int]) -> dict[str, list[dict[str, Any]]]:
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for reached in check.reached:
+        visit = reached.visit
+        if visit.kind is VisitKind.LOCALIZATION and visit.fiducial is not None:
+            rows.setdefault(visit.trajectory, []).append(
+                {
+                    "fiducial": matched[visit.fiducial],  # index in the list of the CT
+                    "tool_pose": pose_payload(visit.pose),
+                    "joints_rad": list(reached.at_rad),
+                }
+            )
+    return rows
+
+
+def _targets(check: PathCheck) -> dict[str, dict[str, Any]]:
+    return {
+        reached.visit.trajectory: {
+            "tool_pose": pose_payload(reached.visit.pose),
+            "standoff_rad": list(reached.approach_rad),
+            "joints_rad": list(reached.at_rad),
+        }
+        for reached in check.reached
+        if reached.visit.kind is VisitKind.TARGET
+    }
+
+
+STEP = StepSpec(
+    "path_check",
+    "Check every path",
+    needs=("correspondence", "plan_check", "set_up"),
+    run=run,
+)

@@ -1,0 +1,117 @@
+"""Register CT and robot for one trajectory, and say what error to expect at its target.
+
+The residual of the fit is never shown as accuracy; the operator accepts the predicted target error.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.engine.errors import GateFailed
+from procedures.engine.step import Outcome, StepContext, StepSpec
+from procedures.registration import Registration, RoomPoint, register, verify_two_way
+from procedures.steps.payloads import points_from, pose_from, pose_payload
+from procedures.steps.plan_check import trajectory_of
+from ronna_hw.frames import Frame
+
+Array = NDArray[np.float64]
+
+REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
+
+
+def run(context: StepContext) -> Outcome:
+    """Fit with the covariances of CT, stereo head and arm; gate the residual; predict; have it accepted."""
+    localization = context.case.get("fiducial_localization")
+    fine = context.result("relocalization")
+    correspondence = context.case.get("correspondence")
+    trajectory = trajectory_of(context)
+    markers = localization.payload["markers"]
+    fiducials = [int(index) for index in fine.payload["fiducials"]]
+    image = points_from([markers[index]["centre_mm"] for index in fiducials])
+    physical = points_from(fine.payload["points_robot_mm"])
+    coarse = pose_from(correspondence.payload["robot_from_ct"])
+    ct = np.array([markers[index]["covariance_mm2"] for index in fiducials])
+    stereo = np.array(fine.payload["covariances_mm2"])
+    arm_mm = context.theatre.procedure.arm_error_mm
+    own = np.eye(3) * (arm_mm**2 + REPEATABILITY_MM**2)
+    rotation = coarse.rotation_matrix
+    covariance = rotation @ ct @ rotation.T + stereo + own
+    fit = register(image, physical, covariance_mm2=covariance)
+    fit.require_sound()
+    gate = fit.gate(confidence=GATE_CONFIDENCE)
+    if not gate.passed:
+        raise GateFailed(
+            f"the fit does not agree with its own error budget at {context.key.trajectory}",
+            limit=f"{gate.limit_mm:.3f} mm",
+            last=f"{gate.fre_mm:.3f} mm",
+            action="A sphere has moved or the budget is wrong; localize again or leave that sphere out.",
+        )
+    predicted = fit.predict_tre(np.array([trajectory.target_mm]))
+    tip_mm = context.calibrations.tool_tip.stated_error_mm
+    head_mm = context.calibrations.stereo_head.stated_error_mm
+    # The fit does not know of the guide: its record's error and the arm's at the target come on top.
+    rest_mm2 = tip_mm**2 + head_mm**2 + 3 * (arm_mm**2 + REPEATABILITY_MM**2)
+    rms_mm = float(np.hypot(predicted.rms_mm[0], rest_mm2**0.5))
+    limit_mm = float(np.hypot(predicted.limit_mm[0], LIMIT_OVER_RMS * rest_mm2**0.5))
+    if rms_mm > trajectory.margin_mm:
+        raise GateFailed(
+            f"the predicted error at {trajectory.id} exceeds the plan's margin",
+            limit=f"{trajectory.margin_mm:g} mm",
+            last=f"{rms_mm:.2f} mm",
+        )
+    context.confirm(
+        f"accept the registration for {trajectory.id}",
+        f"predicted target error {rms_mm:.2f} mm rms, {limit_mm:.2f} mm at {predicted.confidence:.0%}",
+    )
+    tracker = context.case.get("global_localization")
+    points = [RoomPoint(index, _three(point)) for index, point in zip(fiducials, physical, strict=True)]
+    table = verify_two_way(
+        points_from([marker["centre_mm"] for marker in markers]),
+        points_from(tracker.payload["points_robot_mm"]),
+        correspondence.payload["pairs"],
+        coarse.rigid,
+        fine=fit,
+        stereo=points,
+        ct_disagreement_mm={index: float(marker["agreement_mm"]) for index, marker in enumerate(markers)},
+    )
+    return Outcome(
+        payload={
+            **_fit_payload(fit),
+            "predicted_tre_mm": rms_mm,
+            "predicted_tre_limit_mm": limit_mm,
+            "confidence": predicted.confidence,
+            "two_way": table.as_payload(),
+        },
+        parents=(localization, fine, correspondence),
+        summary=f"predicted target error {rms_mm:.2f} mm rms",
+    )
+
+
+def _fit_payload(fit: Registration) -> dict[str, Any]:
+    return {
+        "robot_from_ct": pose_payload(fit.between(Frame.ROBOT, Frame.CT)),
+        "pairs": fit.pairs,
+        "fre_mm": float(fit.fre_mm),
+        "residuals_mm": fit.residuals_mm.tolist(),
+        "leave_one_out_mm": list(fit.leave_one_out_mm),
+    }
+
+
+def _three(point: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in point)
+    return (x, y, z)
+
+
+GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand registrations
+LIMIT_OVER_RMS = 1.61  # 95 % radius of an isotropic 3-D normal error over its rms: sqrt(chi2_95(3) / 3)
+
+STEP = StepSpec(
+    "registration",
+    "Register CT and robot",
+    needs=("relocalization", "correspondence", "fiducial_localization", "plan_check"),
+    run=run,
+    per_trajectory=True,
+)

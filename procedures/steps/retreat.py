@@ -1,0 +1,56 @@
+"""Retreat along the axis, and park after the last target."""
+
+from __future__ import annotations
+
+from procedures.engine.step import Outcome, StepContext, StepSpec
+from procedures.steps.guide_path import flange_of, standoff_pose
+from procedures.steps.payloads import pose_from
+from ronna_hw.devices.readings import JointVector
+
+
+def run(context: StepContext) -> Outcome:
+    """Back out along the trajectory; after the last one to the pose where the case began."""
+    arm = context.devices.arm
+    positioning = context.result("positioning")
+    target = pose_from(positioning.payload["tool_pose"])
+    reached = arm.move_linear(
+        flange_of(context, standoff_pose(context, target)),
+        tool_in_flange_mm=context.calibrations.tool_tip.flange_from_tool.translation_mm,
+    )
+    last = context.key.trajectory == context.trajectories[-1]
+    payload: dict[str, object] = {"parked": last}
+    if last:
+        home: JointVector = tuple(context.case.get("set_up").payload["home_rad"])
+        reached = arm.move_joints(home)
+        payload["link"] = _link(context)
+        arm.deactivate()
+    return Outcome(
+        payload={**payload, "joints_rad": list(reached.joints_rad)},
+        parents=(positioning,),
+        summary="parked" if last else "outside the entry",
+    )
+
+
+def _link(context: StepContext) -> dict[str, object]:
+    """Health of the real-time link since the arm was last activated, for the report."""
+    statistics = context.devices.arm.link_statistics()
+    return {
+        "cycles": statistics.cycles,
+        "late_cycles": statistics.late_cycles,
+        "lost_cycles": statistics.lost_cycles,
+        "rejected_telegrams": statistics.rejected_telegrams,
+        "turnaround_median_us": statistics.turnaround_median_us,
+        "turnaround_p99_us": statistics.turnaround_p99_us,
+        "histogram_edges_us": list(statistics.histogram_edges_us),
+        "histogram_counts": list(statistics.histogram_counts),
+    }
+
+
+STEP = StepSpec(
+    "retreat",
+    "Retreat along the axis",
+    needs=("positioning", "at_target"),
+    run=run,
+    per_trajectory=True,
+    moves=True,
+)

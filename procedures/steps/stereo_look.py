@@ -1,0 +1,73 @@
+"""One look of the stereo head at a sphere: a triggered pair, two outlines, one point in the tool frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from procedures.engine.step import StepContext
+from procedures.relocalization.camera import Camera
+from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, WrongSize
+from procedures.relocalization.sphere import SphereImage, SphereStatus, measure_sphere
+from procedures.relocalization.triangulation import StereoPoint, triangulate
+from ronna_hw.calibration import CameraCalibration
+from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
+
+# What a look may end with when the sphere is not there, or is another thing; everything else is a fault.
+NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
+OFFSET_STEP_PX = 16  # of the older firmware of the camera family; newer firmware takes any
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one look gave; `point` is None when no sphere could be measured in both images."""
+
+    reading: StereoReading
+    left: SphereImage | None
+    right: SphereImage | None
+    point: StereoPoint | None
+    reason: str = ""
+
+
+def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> AreaOfInterest:
+    """The area of that size whose middle is where the tool centre point appears, inside the sensor."""
+    columns, rows = camera.sensor_px
+    width, height = min(size_px[0], columns), min(size_px[1], rows)
+    (x, y), _ = Camera(camera).project((0.0, 0.0, 0.0))
+    return AreaOfInterest(
+        offset_x=_offset(x, width, columns), offset_y=_offset(y, height, rows), width=width, height=height
+    )
+
+
+def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
+    """The area of the whole sensor."""
+    columns, rows = camera.sensor_px
+    return AreaOfInterest(0, 0, columns, rows)
+
+
+def look(context: StepContext) -> Look:
+    """Trigger the pair once and measure the sphere in it."""
+    reading = context.devices.stereo.grab_pair()
+    if reading.validity is not Validity.OK or reading.left is None or reading.right is None:
+        return Look(reading, None, None, None, f"the pair is {reading.validity}")
+    try:
+        left, right = _measure(reading.left), _measure(reading.right)
+    except NOT_SEEN as error:
+        return Look(reading, None, None, None, error.what)
+    if SphereStatus.UNRELIABLE in (left.status, right.status):
+        return Look(reading, left, right, None, "too much of the rim is hidden")
+    try:
+        point = triangulate(left, right, context.calibrations.stereo_head)
+    except NOT_SEEN as error:
+        return Look(reading, left, right, None, error.what)
+    return Look(reading, left, right, point)
+
+
+def _measure(image: CameraImage) -> SphereImage:
+    """The sphere in pixels of the whole sensor."""
+    return measure_sphere(image.pixels).shifted(image.area.offset_x, image.area.offset_y)
+
+
+def _offset(centre_px: float, size: int, whole: int) -> int:
+    wanted = round((centre_px - size / 2) / OFFSET_STEP_PX) * OFFSET_STEP_PX
+    largest = (whole - size) // OFFSET_STEP_PX * OFFSET_STEP_PX
+    return max(0, min(wanted, largest))

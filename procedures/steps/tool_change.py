@@ -1,0 +1,41 @@
+"""Exchange the stereo head for the guide, with the arm parked and its correction stream off."""
+
+from __future__ import annotations
+
+from procedures.engine.errors import WrongTool
+from procedures.engine.step import Outcome, StepContext, StepSpec
+from ronna_hw.devices.readings import JointVector
+
+
+def run(context: StepContext) -> Outcome:
+    """Park, stop RSI, have the tool changed, then let the controller's inputs say what hangs there."""
+    devices, calibration = context.devices, context.calibrations.tool_tip
+    set_up = context.case.get("set_up")
+    home: JointVector = tuple(set_up.payload["home_rad"])
+    devices.arm.move_joints(home)
+    devices.arm.deactivate()
+    devices.stereo.deactivate()
+    context.operator.change_tool(calibration.tool_number, "the surgical guide")
+    mounted = devices.arm.read_tool_identity().number
+    if mounted != calibration.tool_number:
+        raise WrongTool("the guide is not mounted", awaited=str(calibration.tool_number), last=str(mounted))
+    context.confirm(
+        "tip calibration of the guide",
+        f"{calibration.identifier}, made {calibration.created:%Y-%m-%d}, "
+        f"stated error {calibration.stated_error_mm:.2f} mm",
+    )
+    return Outcome(
+        payload={"tool_number": mounted, "calibration": calibration.identifier},
+        parents=(set_up,),
+        summary=f"tool {mounted} mounted",
+    )
+
+
+STEP = StepSpec(
+    "tool_change",
+    "Exchange the stereo head for the guide",
+    needs=("set_up",),
+    needs_all_trajectories=("registration",),
+    run=run,
+    moves=True,
+)
