@@ -1,1 +1,5 @@
-"""NDI Polaris over a serial line or TCP."""
+"""NDI Polaris optical tracker (Spectra, Vicra) over serial or TCP."""
+
+from drivers.ndi_polaris.driver import PolarisTracker
+
+__all__ = ["PolarisTracker"]

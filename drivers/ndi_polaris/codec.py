@@ -1,0 +1,91 @@
+"""Frames of the Polaris link: commands out, ASCII and binary replies in, every CRC checked.
+
+Pure functions on bytes. Nothing is decoded further here: see `tx_reply`, `bx_reply`.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+
+from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply, UnitError, error_for
+from ronna_hw.wire.polaris import (
+    ASCII_CRC_DIGITS,
+    BX_CRC_BYTES,
+    BX_HEADER_BYTES,
+    BX_START,
+    CR,
+    REPLY_WARNING,
+    WARNING_MEANINGS,
+    crc16,
+)
+
+BX_START_BYTES = struct.pack("<H", BX_START)
+
+_HEADER = struct.Struct("<HHH")
+_CRC = struct.Struct("<H")
+_ERROR = re.compile(r"ERROR([0-9A-F]{2})")
+_WARNING = re.compile(rf"{REPLY_WARNING}([0-9A-F]{{2}})?")
+
+
+def encode_command(name: str, argument: str = "") -> bytes:
+    """`NAME:argument` + CRC + CR: the form that the unit checks before it acts."""
+    text = f"{name}:{argument}".encode("ascii")
+    return b"%b%04X\r" % (text, crc16(text))
+
+
+def open_ascii(line: bytes) -> str:
+    """The text of one ASCII reply, given without its CR; raises NDI-005."""
+    text, digits = line[:-ASCII_CRC_DIGITS], line[-ASCII_CRC_DIGITS:]
+    # an empty text is legal (an empty parameter list has the CRC 0000)
+    if len(line) < ASCII_CRC_DIGITS or digits != b"%04X" % crc16(text):
+        raise BadReplyCrc("an ASCII reply has a wrong CRC", awaited=f"{crc16(text):04X}", wire=line)
+    try:
+        return text.decode("ascii")
+    except UnicodeDecodeError as error:
+        raise MalformedReply("an ASCII reply holds other bytes than ASCII", wire=line) from error
+
+
+def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
+    """Split off the first reply that ends in CR: (line without CR, rest), or None while incomplete."""
+    line, end, rest = buffer.partition(CR)
+    return (line, rest) if end else None
+
+
+def binary_reply_bytes(header: bytes) -> int:
+    """Length of a whole binary reply from its first six bytes; raises NDI-005 or NDI-006."""
+    start, length, crc = _HEADER.unpack_from(header)
+    if start != BX_START:
+        raise MalformedReply("a binary reply begins with other bytes than C4 A5", wire=header)
+    if crc != crc16(header[: BX_HEADER_BYTES - BX_CRC_BYTES]):
+        raise BadReplyCrc("the header of a binary reply has a wrong CRC", wire=header[:BX_HEADER_BYTES])
+    return BX_HEADER_BYTES + int(length) + BX_CRC_BYTES
+
+
+def open_binary(reply: bytes) -> bytes:
+    """The body of one whole binary reply; raises NDI-005 or NDI-006."""
+    if len(reply) < BX_HEADER_BYTES or len(reply) != binary_reply_bytes(reply):
+        raise MalformedReply("a binary reply has not the length that it announces", wire=reply)
+    body = reply[BX_HEADER_BYTES:-BX_CRC_BYTES]
+    (crc,) = _CRC.unpack_from(reply, len(reply) - BX_CRC_BYTES)
+    if crc != crc16(body):
+        raise BadReplyCrc(
+            "the body of a binary reply has a wrong CRC", awaited=f"{crc16(body):04X}", wire=reply
+        )
+    return body
+
+
+def unit_error(text: str, command: str = "") -> UnitError | None:
+    """The typed error when the reply is ERRORhh, else None."""
+    match = _ERROR.fullmatch(text)
+    return error_for(int(match[1], 16), command) if match else None
+
+
+def warning_meaning(text: str) -> str | None:
+    """What a WARNING reply says, or None when the reply is none. A warned command was carried out."""
+    match = _WARNING.fullmatch(text)
+    if not match:
+        return None
+    if match[1] is None:
+        return "a warning without a code (older firmware)"
+    return WARNING_MEANINGS.get(int(match[1], 16), f"warning {match[1]}, which the vendor does not list")

@@ -1,0 +1,111 @@
+"""Find a unit on a line: at power-up's rate or the one it was left at, by a break if need be; then INIT."""
+
+from __future__ import annotations
+
+from drivers.ndi_polaris.codec import encode_command, open_ascii
+from drivers.ndi_polaris.errors import (
+    BadReplyCrc,
+    MalformedReply,
+    NotAPolaris,
+    NothingAnswers,
+    PortUnavailable,
+    UnitError,
+)
+from drivers.ndi_polaris.session import RESET_TEXT, Session
+from ronna_hw.errors import LinkTimeout, ProtocolError
+from ronna_hw.wire.polaris import BITS_PER_BYTE_ON_LINE, DEFAULT_BAUD
+
+PROBE_LIMIT_S = 0.3  # an idle unit answers a harmless command in a few milliseconds
+PROBES = 2  # the first command may be spoilt by what the unit still holds of an earlier one
+RESET_LIMIT_S = 7.0  # from a break to the unit's RESET, the longest that any client waits
+PROBE_COMMAND = "APIREV"  # has no effect, and every unit answers it in some way
+PROBE_REPLY_BYTES = 32
+# Rates a unit may have been left at, the likeliest first.
+LIKELY_BAUDS = (DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 14400)
+
+
+def find_unit(session: Session, deadline_s: float) -> None:
+    """Leave the line at a rate at which the unit answers.
+
+    Raises NDI-002 when nothing answers, NDI-003 when what answers is no Polaris unit.
+    """
+    transport = session.transport
+    heard = bytearray()
+    bauds = LIKELY_BAUDS if transport.baud is not None else (DEFAULT_BAUD,)
+    for baud in bauds:
+        try:
+            transport.set_baud(baud)
+        except PortUnavailable:  # this adapter cannot do that rate
+            continue
+        if answers(session, deadline_s, heard):
+            return
+    if transport.baud is not None:
+        transport.set_baud(DEFAULT_BAUD)
+        transport.send_break()
+        if await_reset(session, deadline_s) or answers(session, deadline_s, heard):
+            return
+    if heard:
+        raise NotAPolaris("something answers, but with no valid CRC", wire=bytes(heard))
+    tried = f"{len(bauds)} rates and a break" if transport.baud is not None else "the connection"
+    raise NothingAnswers(f"no unit answers: tried {tried}", awaited=f"a reply to {PROBE_COMMAND}")
+
+
+def answers(session: Session, deadline_s: float, heard: bytearray | None = None) -> bool:
+    """True when a unit answers at the present rate; bytes that came are added to `heard`."""
+    for _ in range(PROBES):
+        answered, came = _probe(session, deadline_s)
+        if heard is not None:
+            heard += came
+        if answered or not came:
+            return answered
+    return False
+
+
+def await_reset(session: Session, deadline_s: float) -> bool:
+    """True when the unit says RESET within its time after a break or the RESET command."""
+    until_s = min(deadline_s, session.now_s() + RESET_LIMIT_S)
+    heard = b""
+    while (left_s := until_s - session.now_s()) > 0:
+        heard += session.transport.read(left_s)
+        if RESET_TEXT in heard:
+            return True
+    return False
+
+
+def initialise(session: Session, deadline_s: float) -> None:
+    """INIT; when the unit cannot, RESET it once and try again. Raises NDI-03x, NDI-005 to NDI-008."""
+    try:
+        session.ask("INIT", deadline_s=deadline_s)
+    except (UnitError, LinkTimeout, ProtocolError):
+        if session.now_s() >= deadline_s:
+            raise
+        session.transport.write(encode_command("RESET", "0"))
+        if session.transport.baud is not None:
+            session.transport.set_baud(DEFAULT_BAUD)
+        await_reset(session, deadline_s)
+        session.drain(deadline_s=deadline_s)
+        session.ask("INIT", deadline_s=deadline_s)
+
+
+def _probe(session: Session, deadline_s: float) -> tuple[bool, bytes]:
+    """(a reply with a valid CRC came, all bytes heard)."""
+    transport = session.transport
+    session.drain(deadline_s=deadline_s)
+    command = encode_command(PROBE_COMMAND)
+    transfer_s = (len(command) + PROBE_REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or 1e9)
+    transport.write(command)
+    until_s = min(deadline_s, session.now_s() + PROBE_LIMIT_S + transfer_s)
+    heard = b""
+    while (left_s := until_s - session.now_s()) > 0:
+        heard += transport.read(left_s)
+        for line in heard.split(b"\r")[:-1]:
+            if _intact(line):
+                return True, heard
+    return False, heard
+
+
+def _intact(line: bytes) -> bool:
+    try:
+        return bool(open_ascii(line))
+    except (BadReplyCrc, MalformedReply):
+        return False

@@ -1,0 +1,349 @@
+"""The NDI Polaris as an `OpticalTracker`: Spectra, Vicra and what speaks like them, on serial or TCP."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from drivers.ndi_polaris.assembly import assemble, frame_number
+from drivers.ndi_polaris.bx_reply import decode_bx
+from drivers.ndi_polaris.discovery import find_unit, initialise
+from drivers.ndi_polaris.errors import (
+    HandleRefused,
+    HardwareFailure,
+    LinkLost,
+    SensorBumped,
+    TemperatureHold,
+    UnitError,
+    UnitRestarted,
+    WrongMode,
+    WrongUnit,
+)
+from drivers.ndi_polaris.identity import check_identity, read_identity
+from drivers.ndi_polaris.options import read_options
+from drivers.ndi_polaris.session import Session
+from drivers.ndi_polaris.setup import (
+    LoadedTool,
+    choose_volume,
+    free_handle,
+    leave_line,
+    load_tools,
+    raise_baud,
+    set_illuminator_rate,
+)
+from drivers.ndi_polaris.status import alarm, clear_bump
+from drivers.ndi_polaris.tracking_reply import TrackingReply
+from drivers.ndi_polaris.transport import Transport, open_transport
+from drivers.ndi_polaris.tx_reply import decode_tx
+from drivers.ndi_polaris.volume import MeasuringVolume
+from ronna_hw.clock import Clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.readings import Stamp, TrackerFrame
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire.polaris import (
+    BX_CRC_BYTES,
+    BX_HEADER_BYTES,
+    MAXIMUM_STRAYS,
+    TSTART_RESET_FRAME_COUNTER,
+    ReplyOption,
+)
+
+CLOSE_LIMIT_S = 1.5  # for all farewell commands together; a dead peer costs no more
+FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
+BYTES_PER_HANDLE = 80  # of TX, the longer form
+BYTES_PER_STRAY = 21
+
+_FAULTS = (HardwareFailure, LinkLost, SensorBumped, UnitRestarted)  # latched; left only by `recover`
+
+T = TypeVar("T")
+OpenTransport = Callable[[Endpoint, float], Transport]
+
+
+@dataclass
+class TrackingStatistics:
+    """Counts since `activate`, from the unit's frame numbers."""
+
+    frames: int = 0
+    repeated: int = 0
+    missed: int = 0  # measurements that the unit made between two of our requests
+
+
+class PolarisTracker:
+    """One unit. Calls are synchronous; one thread at a time. Time limits are host time, in seconds."""
+
+    wire_protocol = "ndi-polaris"  # which byte-level conformance cases apply
+
+    def __init__(
+        self,
+        name: str,
+        config: DeviceConfig,
+        clock: Clock,
+        *,
+        transport: OpenTransport = open_transport,
+        monotonic: Callable[[], float] = time.monotonic,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Check options and tool definitions; nothing is opened yet.
+
+        Raises NDI-010, NDI-011, NDI-012, and CFG-001 or CFG-002 for the endpoint.
+        """
+        self._name = name
+        self._clock = clock
+        self._endpoint = config.address().require("serial", "tcp")
+        self._options = read_options(config)
+        self._definitions = self._options.definitions()
+        self._open_transport = transport
+        self._monotonic = monotonic
+        self._pause = pause
+        self._guard = LifecycleGuard(name)
+        self._session: Session | None = None
+        self._identity: Identity | None = None
+        self._loaded: tuple[LoadedTool, ...] = ()
+        self._volume: MeasuringVolume | None = None
+        self._binary = self._options.reply != "TX"
+        self._sequence = 0
+        self._last_frame: int | None = None
+        self._notices: list[str] = []
+        self.statistics = TrackingStatistics()
+
+    @staticmethod
+    def conformance_options() -> dict[str, Any]:
+        """Options for a conformance run on a unit about which nothing else is known."""
+        return {"tools": [{"name": "robot_frame", "rom": "robot_frame.rom"}]}
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    @property
+    def state(self) -> Lifecycle:
+        return self._guard.state
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """What latched FAULT, if anything."""
+        return self._guard.fault
+
+    @property
+    def tools(self) -> tuple[str, ...]:
+        return tuple(self._definitions)
+
+    @property
+    def identity(self) -> Identity | None:
+        """Who answered at `connect`."""
+        return self._identity
+
+    @property
+    def baud(self) -> int | None:
+        """Present rate of the serial line; None over TCP or while not connected."""
+        return self._session.transport.baud if self._session else None
+
+    @property
+    def volume(self) -> MeasuringVolume | None:
+        """The measuring volume in use; None until `configure`, or when the unit cannot say."""
+        return self._volume
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the unit said at `configure` that is no error but should be known."""
+        return tuple(self._notices)
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        """Find the unit at whatever rate it was left, initialise it and check who it is.
+
+        Raises NDI-001 to NDI-004 (no port, no answer, another device) and the errors of the link.
+        """
+        self._guard.require("connect", {Lifecycle.DISCONNECTED})
+        self._identity = self._open(self._monotonic() + timeout_s)
+        self._guard.enter(Lifecycle.CONNECTED)
+        return self._identity
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        """Fastest common rate, volume, illuminators, and all tools loaded and enabled.
+
+        Raises NDI-03x when the unit refuses a tool or an option, and the errors of the link.
+        """
+        self._guard.require("configure", {Lifecycle.CONNECTED})
+        self._guarded(self._set_up, self._monotonic() + timeout_s)
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def activate(self, timeout_s: float = 10.0) -> None:
+        """Start tracking; the unit's frame number begins at 0."""
+        self._guard.require("activate", {Lifecycle.CONFIGURED})
+        self._guarded(self._start, self._monotonic() + timeout_s)
+        self._sequence = 0
+        self._last_frame = None
+        self.statistics = TrackingStatistics()
+        self._guard.enter(Lifecycle.ACTIVE)
+
+    def deactivate(self, timeout_s: float = 10.0) -> None:
+        """Stop tracking; the tools stay loaded."""
+        self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
+        self._guarded(self._stop, self._monotonic() + timeout_s)
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
+        """The next frame: one request to the unit, one more only when its reply was disturbed.
+
+        Raises NDI-005 to NDI-007 for a reading that was lost (the next call first gets back in step),
+        NDI-022 while the unit withholds poses for its temperature (state HOLD, left by itself), and, with
+        FAULT latched, NDI-008 (link lost), NDI-009 (restarted), NDI-020 (hardware), NDI-021 (bumped).
+        """
+        self._guard.require("read_frame", {Lifecycle.ACTIVE, Lifecycle.HOLD})
+        deadline_s = self._monotonic() + timeout_s
+        reply = self._guarded(self._request, deadline_s)
+        theatre_time_s = self._clock.now_s()
+        self._guarded(lambda limit_s: self._judge(reply, limit_s), deadline_s)
+        number = frame_number(reply)
+        repeated = number == self._last_frame
+        self._count(number, repeated)
+        self._sequence += 1
+        return assemble(
+            reply,
+            self._loaded,
+            stamp=Stamp(self._sequence, number, theatre_time_s),
+            repeated=repeated,
+            volume=self._volume,
+            stray_to_marker_mm=self._options.stray_to_marker_mm,
+        )
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        """FAULT -> CONFIGURED by a new session with the same unit; a bump is cleared on the way.
+
+        Raises NDI-004 when another unit answers; FAULT then stays latched.
+        """
+        self._guard.require("recover", {Lifecycle.FAULT})
+        if not acknowledged_by.strip():
+            raise ValueError("a recovery needs the name of the person who acknowledges the fault")
+        deadline_s = self._monotonic() + timeout_s
+        before, cause = self._identity, self._guard.fault
+        self._let_go()
+        identity = self._open(deadline_s)
+        if before is not None and identity.serial != before.serial:
+            self._let_go()
+            raise WrongUnit("another unit answers than before", awaited=before.serial, last=identity.serial)
+        if isinstance(cause, SensorBumped):
+            clear_bump(self._link, deadline_s)
+        self._set_up(deadline_s)
+        self._identity = identity
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def close(self) -> None:
+        """Stop tracking, free the tools, leave the line at power-up's rate. At most 3 s; never raises."""
+        if self._guard.state is Lifecycle.CLOSED:
+            return
+        if self._session is not None:
+            # a peer that is gone, or does not listen, gets no farewell
+            with contextlib.suppress(RonnaError, OSError):
+                self._farewell(self._session, self._monotonic() + CLOSE_LIMIT_S)
+            self._let_go()
+        self._guard.enter(Lifecycle.CLOSED)
+
+    @property
+    def _link(self) -> Session:
+        assert self._session is not None, "the lifecycle allows this call only with a session"
+        return self._session
+
+    def _guarded(self, work: Callable[[float], T], deadline_s: float) -> T:
+        """Do one piece of work; latch the faults that only `recover` may leave."""
+        try:
+            return work(deadline_s)
+        except _FAULTS as fault:
+            self._guard.latch(fault)
+            raise
+
+    def _open(self, deadline_s: float) -> Identity:
+        transport = self._open_transport(self._endpoint, max(0.1, deadline_s - self._monotonic()))
+        session = Session(transport, limits_s=self._options.limits_s(), monotonic=self._monotonic)
+        try:
+            find_unit(session, deadline_s)
+            initialise(session, deadline_s)
+            identity = read_identity(session, deadline_s)
+            check_identity(identity, self._options.expected_model, self._options.expected_serial)
+        except BaseException:
+            transport.close()
+            raise
+        self._session = session
+        return identity
+
+    def _set_up(self, deadline_s: float) -> None:
+        link = self._link
+        self._notices.clear()
+        raise_baud(link, self._options.maximum_baud, deadline_s, self._pause)
+        note = set_illuminator_rate(link, self._options.illuminator_rate_hz, deadline_s)
+        if note is not None:
+            self._notices.append(note)
+        self._volume = choose_volume(link, self._options.volume, deadline_s)
+        if self._volume is None:
+            self._notices.append("the unit does not tell its volume: strays are judged by its own bits")
+        wanted = ((tool, self._definitions[tool.name]) for tool in self._options.tools)
+        self._loaded = load_tools(link, wanted, deadline_s, self._notices.append)
+
+    def _start(self, deadline_s: float) -> None:
+        try:
+            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+        except WrongMode:  # already tracking: an earlier start was carried out, its answer lost
+            self._link.ask("TSTOP", deadline_s=deadline_s, retry=False)
+            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+
+    def _stop(self, deadline_s: float) -> None:
+        try:
+            self._link.ask("TSTOP", deadline_s=deadline_s)
+        except WrongMode:  # it had stopped by itself, or the answer to the first try was lost
+            return
+
+    def _request(self, deadline_s: float) -> TrackingReply:
+        options = f"{FRAME_OPTIONS.value:04X}"
+        size = BX_HEADER_BYTES + BX_CRC_BYTES + len(self._loaded) * BYTES_PER_HANDLE
+        size += MAXIMUM_STRAYS * BYTES_PER_STRAY
+        try:
+            if self._binary:
+                try:
+                    return decode_bx(
+                        self._link.ask_binary("BX", options, deadline_s=deadline_s, reply_bytes=size)
+                    )
+                except UnitError as error:
+                    if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
+                        raise
+                    self._binary = False  # this unit has no binary reply
+            return decode_tx(self._link.ask("TX", options, deadline_s=deadline_s, reply_bytes=size))
+        except WrongMode as error:
+            raise UnitRestarted("the unit is no longer tracking") from error
+
+    def _judge(self, reply: TrackingReply, deadline_s: float) -> None:
+        problem = alarm(reply.system_status, self._link, deadline_s)
+        if problem is None:
+            self._guard.enter(Lifecycle.ACTIVE)
+            return
+        if isinstance(problem, TemperatureHold):
+            self._guard.enter(Lifecycle.HOLD)
+        raise problem
+
+    def _count(self, number: int, repeated: bool) -> None:
+        self.statistics.frames += 1
+        self.statistics.repeated += repeated
+        if self._last_frame is not None and not repeated:
+            step = number - self._last_frame
+            self.statistics.missed += max(0, step // self._options.frames_per_measurement - 1)
+        self._last_frame = number
+
+    def _farewell(self, session: Session, deadline_s: float) -> None:
+        if isinstance(self._guard.fault, LinkLost):
+            return
+        if self._guard.state in (Lifecycle.ACTIVE, Lifecycle.HOLD, Lifecycle.FAULT):
+            self._stop(deadline_s)
+        for tool in self._loaded:
+            free_handle(session, tool.handle, deadline_s)
+        if session.transport.baud is not None:
+            leave_line(session)
+
+    def _let_go(self) -> None:
+        if self._session is not None:
+            self._session.transport.close()
+        self._session = None
+        self._loaded = ()

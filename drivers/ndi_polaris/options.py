@@ -1,0 +1,94 @@
+"""The tracker's options in the theatre file.
+
+[tracker.options]
+tools = [{ name = "robot_frame", rom = "robot_frame.rom" }]
+expected_model = "spectra"
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from drivers.ndi_polaris.errors import BadOptions
+from drivers.ndi_polaris.geometry import check_distinct
+from drivers.ndi_polaris.rom import ToolDefinition, read_definition
+from ronna_hw.calibration import Strict
+from ronna_hw.config import DeviceConfig, describe_mistakes
+from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S, FRAME_RATE_HZ
+
+SHIPPED_DEFINITIONS = Path(__file__).parent / "definitions"
+
+
+class ToolOption(Strict):
+    """One passive tool to load. `rom` is a path, or the name of a definition that comes with the driver."""
+
+    name: Annotated[str, Field(min_length=1)]
+    rom: Annotated[str, Field(min_length=1)]
+    priority: Literal["S", "D"] = "D"  # S for a tool that hardly moves, D for one that does
+
+    def definition(self) -> ToolDefinition:
+        """The definition that `rom` names; raises NDI-011."""
+        path = Path(self.rom)
+        shipped = SHIPPED_DEFINITIONS / self.rom
+        if not path.exists() and path.name == self.rom and shipped.exists():
+            path = shipped
+        return read_definition(path)
+
+
+class PolarisOptions(Strict):
+    """Everything that may be said about a Polaris unit; all of it has a default that works."""
+
+    tools: tuple[ToolOption, ...] = ()  # without any, a dummy tool is loaded so that strays are seen
+    expected_model: Literal["spectra", "vicra", "vega"] | None = None
+    expected_serial: str | None = None
+    illuminator_rate_hz: Literal[20, 30, 60] = 60
+    maximum_baud: int = 921600  # the fastest rate to try; the unit may do less
+    reply: Literal["auto", "BX", "TX"] = "auto"  # auto: binary, or text when the unit has no BX
+    volume: Annotated[int, Field(ge=1, le=9)] | None = None  # from 1; none leaves the unit's choice
+    stray_to_marker_mm: Annotated[float, Field(gt=0)] = 5.75  # a stray this near to a tool's marker is it
+    time_limits_s: dict[str, Annotated[float, Field(gt=0)]] = Field(default_factory=dict)  # per command
+
+    @model_validator(mode="after")
+    def _checks(self) -> Self:
+        names = [tool.name for tool in self.tools]
+        if doubled := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"tools has the name {', '.join(doubled)} more than once")
+        if self.maximum_baud not in COMM_BAUD_CODES.values():
+            rates = ", ".join(str(rate) for rate in sorted(COMM_BAUD_CODES.values()))
+            raise ValueError(f"maximum_baud is none of {rates}")
+        if unknown := sorted(set(self.time_limits_s) - set(COMMAND_TIMEOUT_S)):
+            raise ValueError(f"time_limits_s names the unknown command {', '.join(unknown)}")
+        return self
+
+    def definitions(self) -> dict[str, ToolDefinition]:
+        """The definition of each tool by name; raises NDI-011 and NDI-012."""
+        tools = {tool.name: tool.definition() for tool in self.tools}
+        check_distinct(tools)
+        return tools
+
+    def limits_s(self) -> dict[str, float]:
+        """The unit's time limits per command with the changes of the theatre file."""
+        return {**COMMAND_TIMEOUT_S, **self.time_limits_s}
+
+    @property
+    def frames_per_measurement(self) -> int:
+        """Counts of the 60 Hz frame number from one measurement to the next."""
+        return round(FRAME_RATE_HZ / self.illuminator_rate_hz)
+
+
+def read_options(config: DeviceConfig) -> PolarisOptions:
+    """Check the options of the theatre file; raises NDI-010 with every mistake in them."""
+    try:
+        # by way of JSON: strict types, but a list may stand for a tuple
+        return PolarisOptions.model_validate_json(json.dumps(config.options))
+    except ValidationError as error:
+        mistakes = describe_mistakes(error)
+        raise BadOptions(
+            f"tracker options have {len(mistakes)} mistake(s): " + "; ".join(mistakes)
+        ) from error
+    except TypeError as error:
+        raise BadOptions(f"tracker options: {error}") from error

@@ -1,0 +1,73 @@
+"""Judge the system status of a reply: a fault, a hold, or nothing that forbids using it."""
+
+from __future__ import annotations
+
+from drivers.ndi_polaris.errors import HardwareFailure, MalformedReply, SensorBumped, TemperatureHold
+from drivers.ndi_polaris.session import Session
+from ronna_hw.errors import DeviceError
+from ronna_hw.wire.polaris import (
+    PARAMETER_BUMP_CLEAR,
+    PARAMETER_BUMPED,
+    PARAMETER_NEW_ALERTS,
+    Alert,
+    SystemStatus,
+)
+
+FAILURE_ALERTS = (
+    Alert.FATAL_PARAMETER
+    | Alert.SENSOR_PARAMETER
+    | Alert.MAIN_VOLTAGE
+    | Alert.SENSOR_VOLTAGE
+    | Alert.ILLUMINATOR_VOLTAGE
+    | Alert.ILLUMINATOR_CURRENT
+    | Alert.LEFT_SENSOR_TEMPERATURE
+    | Alert.RIGHT_SENSOR_TEMPERATURE
+    | Alert.MAIN_BOARD_TEMPERATURE
+    | Alert.FIRMWARE_INCOMPATIBLE
+)
+TEMPERATURE_ALERTS = Alert.TOO_HOT | Alert.TOO_COLD
+DOUBTFUL_STATUS = (
+    SystemStatus.SYNC_ERROR
+    | SystemStatus.TOO_MUCH_INFRARED
+    | SystemStatus.CRC_ERROR
+    | SystemStatus.RECOVERABLE_EXCEPTION
+)
+
+
+def alarm(status: SystemStatus, session: Session, deadline_s: float) -> DeviceError | None:
+    """The fault or hold that the status means, or None.
+
+    When diagnostics are pending the alerts are read, which is also what makes the unit give poses again.
+    """
+    alerts = read_new_alerts(session, deadline_s) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
+    if SystemStatus.HARDWARE_FAILURE in status or alerts & FAILURE_ALERTS:
+        return HardwareFailure("the unit reports a hardware fault", last=_names(status, alerts))
+    if Alert.BUMP in alerts:
+        return SensorBumped("the unit was bumped", last=_names(status, alerts))
+    if SystemStatus.TEMPERATURE in status or alerts & TEMPERATURE_ALERTS:
+        return TemperatureHold(
+            "the unit withholds poses: temperature out of range", last=_names(status, alerts)
+        )
+    return None
+
+
+def read_new_alerts(session: Session, deadline_s: float | None) -> Alert:
+    """Alerts that came up since they were last read; reading clears the pending mark."""
+    text = session.ask("GET", PARAMETER_NEW_ALERTS, deadline_s=deadline_s)
+    value = text.partition("=")[2].strip()
+    if not value.isdecimal():
+        raise MalformedReply("the alerts have an unknown form", wire=text.encode())
+    return Alert(int(value))
+
+
+def clear_bump(session: Session, deadline_s: float) -> None:
+    """Acknowledge a bump; raises NDI-021 when the unit still reports one afterwards."""
+    session.ask("SET", f"{PARAMETER_BUMP_CLEAR}=1", deadline_s=deadline_s)
+    read_new_alerts(session, deadline_s)
+    if session.ask("GET", PARAMETER_BUMPED, deadline_s=deadline_s).partition("=")[2].strip() == "1":
+        raise SensorBumped("the unit still reports a bump after it was cleared")
+
+
+def _names(status: SystemStatus, alerts: Alert) -> str:
+    text = f"system status {status.value:04X}"
+    return f"{text}, alerts {alerts.name or hex(alerts.value)}" if alerts else text

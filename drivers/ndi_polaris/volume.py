@@ -1,0 +1,72 @@
+"""The measuring volume: read from the unit, then used to judge each position for ourselves."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from drivers.ndi_polaris.errors import MalformedReply
+from ronna_hw.devices.readings import Vector3
+from ronna_hw.wire.polaris import (
+    LF,
+    SFLIST_DIMENSION_CHARACTERS,
+    SFLIST_DIMENSION_SCALE,
+    SFLIST_DIMENSIONS,
+)
+
+PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the shape whose formula is known
+NO_CAP_MM = 9999.99
+SLOPE_PER = 1000.0  # slopes are sent per 1000
+
+_DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")
+
+
+@dataclass(frozen=True)
+class MeasuringVolume:
+    """One volume in tracker coordinates (mm): a pyramid with a knee. Everything inside has negative z."""
+
+    shape: str
+    far_z_mm: float  # D1
+    knee_z_mm: float  # D2
+    near_z_mm: float  # D3
+    knee_half_y_mm: float  # D4
+    knee_half_x_mm: float  # D5
+    slope_y_front: float  # D6: growth of half y per mm of depth, in front of the knee
+    slope_y_behind: float  # D7
+    slope_x: float  # D8, on both sides
+    cap_y_mm: float  # D9
+    cap_x_mm: float  # D10
+
+    def contains(self, position_mm: Vector3) -> bool | None:
+        """True inside, False outside, None when the formula of this shape is not known."""
+        if self.shape != PYRAMID_SHAPE:
+            return None
+        x, y, z = position_mm
+        if not self.far_z_mm <= z <= self.near_z_mm:
+            return False
+        behind_knee_mm = self.knee_z_mm - z
+        slope_y = self.slope_y_behind if behind_knee_mm > 0 else self.slope_y_front
+        half_y = min(self.knee_half_y_mm + behind_knee_mm * slope_y, self.cap_y_mm)
+        half_x = min(self.knee_half_x_mm + behind_knee_mm * self.slope_x, self.cap_x_mm)
+        return abs(x) <= half_x and abs(y) <= half_y
+
+
+def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:
+    """The answer to SFLIST 03: one digit count, then one record per volume. Raises NDI-006."""
+    count, records = text[:1], text[1:].strip(LF).split(LF)
+    if not count.isdecimal() or int(count) != len(records):
+        raise MalformedReply(f"SFLIST announces {count or 'no'} volumes and sends {len(records)}")
+    return tuple(_parse(record) for record in records)
+
+
+def _parse(record: str) -> MeasuringVolume:
+    fields = [
+        record[1 + k * SFLIST_DIMENSION_CHARACTERS : 1 + (k + 1) * SFLIST_DIMENSION_CHARACTERS]
+        for k in range(SFLIST_DIMENSIONS)
+    ]
+    if not all(_DIMENSION.fullmatch(field) for field in fields):
+        raise MalformedReply("a volume of SFLIST has an unknown form", wire=record.encode("ascii", "replace"))
+    d1, d2, d3, d4, d5, d6, d7, d8, d9, d10 = (int(field) / SFLIST_DIMENSION_SCALE for field in fields)
+    return MeasuringVolume(
+        record[0], d1, d2, d3, d4, d5, d6 / SLOPE_PER, d7 / SLOPE_PER, d8 / SLOPE_PER, d9, d10
+    )

@@ -1,0 +1,163 @@
+"""Frames and replies against the examples of the protocol's reference."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.ndi_polaris.bx_reply import decode_bx
+from drivers.ndi_polaris.codec import (
+    ascii_line,
+    binary_reply_bytes,
+    encode_command,
+    open_ascii,
+    open_binary,
+    unit_error,
+    warning_meaning,
+)
+from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply
+from drivers.ndi_polaris.tracking_reply import HandleState
+from drivers.ndi_polaris.tx_reply import decode_tx
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire.polaris import PortStatus, SystemStatus, crc16
+
+# one tool at (10.50, -20.25, -1500.00), no rotation, error 0.125, frame 300
+TX_VALID = "0101+10000+00000+00000+00000+001050-002025-150000+01250000000310000012C\n0000"
+TX_MISSING = "0101MISSING000000310000012D\n0000"
+BX_VALID = bytes.fromhex(
+    "C4A52D00304301"
+    "01010000803F0000000000000000000000000000284100"
+    "00A2C10080BBC40000003E310000002C01000000001D2D"
+)
+BX_MISSING = bytes.fromhex("C4A50D002983010102310000002D01000000009E7D")
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "line"),
+    [
+        ("INIT", "", b"INIT:E3A5\r"),
+        ("COMM", "50000", b"COMM:500000048\r"),
+        ("PHRQ", "*********1****", b"PHRQ:*********1****A4C1\r"),
+        ("TSTART", "80", b"TSTART:801B0B\r"),
+        ("BX", "1801", b"BX:1801FCED\r"),
+    ],
+)
+def test_commands_carry_the_published_crc(name: str, argument: str, line: bytes) -> None:
+    assert encode_command(name, argument) == line
+
+
+def test_an_ascii_reply_gives_its_text() -> None:
+    assert open_ascii(b"OKAYA896") == "OKAY"
+    assert ascii_line(b"OKAYA896\rrest") == (b"OKAYA896", b"rest")
+    assert ascii_line(b"OKAYA8") is None
+
+
+@pytest.mark.parametrize("line", [b"OKAYA897", b"OKAYa896", b"A896", b"OK", b"", b"OKAZA896"])
+def test_an_ascii_reply_with_a_wrong_crc_is_refused(line: bytes) -> None:
+    with pytest.raises(BadReplyCrc):
+        open_ascii(line)
+
+
+def test_errors_and_warnings_are_told_from_other_texts() -> None:
+    error = unit_error("ERROR0C", "PHSR")
+    assert error is not None
+    assert error.vendor_code == 0x0C
+    assert unit_error("OKAY") is None
+    assert warning_meaning("OKAY") is None
+    assert "geometry" in (warning_meaning("WARNING02") or "")
+    assert warning_meaning("WARNING")
+    assert warning_meaning("WARNING77")
+
+
+def test_a_tx_reply_gives_pose_status_and_frame() -> None:
+    assert crc16(TX_VALID.encode()) == 0x361F
+    reply = decode_tx(TX_VALID, strays=False)
+    (report,) = reply.handles
+    assert report.state is HandleState.VALID
+    assert report.handle == 1
+    assert report.rotation == (1.0, 0.0, 0.0, 0.0)
+    assert report.position_mm == (10.5, -20.25, -1500.0)
+    assert report.fit_error_mm == 0.125
+    assert report.port_status == PortStatus.OCCUPIED | PortStatus.INITIALISED | PortStatus.ENABLED
+    assert report.frame == 300
+    assert reply.system_status == SystemStatus(0)
+
+
+def test_a_tx_reply_keeps_status_and_frame_of_a_missing_tool() -> None:
+    assert crc16(TX_MISSING.encode()) == 0xC380
+    (report,) = decode_tx(TX_MISSING, strays=False).handles
+    assert report.state is HandleState.MISSING
+    assert report.frame == 301
+    assert report.rotation is None
+
+
+@pytest.mark.parametrize("word", ["DISABLED", "UNOCCUPIED", "DISABLED0000000100000001"])
+def test_a_tx_reply_may_give_an_absent_handle_with_or_without_status(word: str) -> None:
+    (report,) = decode_tx(f"0102{word}\n0000", strays=False).handles
+    assert report.state.value == word.split("0")[0].lower()
+    assert report.frame is None
+
+
+def test_tx_strays_carry_positions_and_bits_padded_at_the_front() -> None:
+    strays = "+001000+002000-150000" + "-001000-002000-250000" + "+000000+000000-100000"
+    reply = decode_tx(f"0101MISSING000000310000012D\n033{strays}0002")
+    assert reply.strays_mm == ((10, 20, -1500), (-10, -20, -2500), (0, 0, -1000))
+    assert reply.stray_outside == (False, True, True)
+    assert reply.system_status == SystemStatus.TOO_MUCH_INFRARED
+
+
+def test_tx_strays_outside_may_be_left_out_by_the_unit() -> None:
+    reply = decode_tx("0101MISSING000000310000012D\n024+001000+002000-1500000000".replace("024", "022"))
+    assert reply.strays_mm == ((10, 20, -1500),)
+    assert reply.stray_outside is None
+
+
+def test_a_bx_reply_gives_the_same_as_the_tx_reply_of_that_frame() -> None:
+    body = open_binary(BX_VALID)
+    assert binary_reply_bytes(BX_VALID) == len(BX_VALID) == 53
+    assert decode_bx(body, strays=False) == decode_tx(TX_VALID, strays=False)
+    assert decode_bx(open_binary(BX_MISSING), strays=False) == decode_tx(TX_MISSING, strays=False)
+
+
+def test_every_single_bit_error_in_a_binary_reply_is_noticed() -> None:
+    for position in range(len(BX_VALID)):
+        for bit in range(8):
+            broken = bytearray(BX_VALID)
+            broken[position] ^= 1 << bit
+            with pytest.raises((BadReplyCrc, MalformedReply)):
+                open_binary(bytes(broken))
+
+
+def test_a_binary_reply_of_another_length_is_refused() -> None:
+    for reply in (BX_VALID[:-1], BX_VALID + b"\0", BX_VALID[:4], b""):
+        with pytest.raises((BadReplyCrc, MalformedReply)):
+            open_binary(reply)
+
+
+@settings(max_examples=1500, deadline=None)
+@given(st.binary(max_size=120), st.booleans())
+def test_any_body_is_decoded_or_refused_with_an_error_of_ours(body: bytes, strays: bool) -> None:
+    try:
+        reply = decode_bx(body, strays=strays)
+    except RonnaError:
+        return
+    assert len(reply.handles) == body[0]
+
+
+@settings(max_examples=1500, deadline=None)
+@given(
+    st.text(alphabet="0123456789ABCDEF+-\nMISNGDBLU", max_size=120)
+    | st.integers(0, len(TX_VALID)).flatmap(
+        lambda at: st.text(max_size=3).map(lambda extra: TX_VALID[:at] + extra + TX_VALID[at + 1 :])
+    ),
+    st.booleans(),
+)
+def test_any_text_is_decoded_or_refused_with_an_error_of_ours(text: str, strays: bool) -> None:
+    try:
+        reply = decode_tx(text, strays=strays)
+    except RonnaError:
+        return
+    for report in reply.handles:
+        if report.position_mm is not None:
+            assert all(math.isfinite(value) for value in report.position_mm)

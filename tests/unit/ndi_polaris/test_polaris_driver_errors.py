@@ -1,0 +1,235 @@
+"""Every code of the tracker driver is raised by what it stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.ndi_polaris import PolarisTracker, errors
+from drivers.ndi_polaris.robot_frame import robot_frame
+from drivers.ndi_polaris.rom import encode_definition
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.endpoints import BadEndpoint, parse_endpoint
+from ronna_hw.errors import EXIT_LINK_LOST, EXIT_NOT_FOUND, EXIT_SAFETY_STOP, RonnaError, concrete_errors
+from ronna_hw.wire.polaris import ERROR_MEANINGS
+
+Make = Callable[..., PolarisTracker]
+
+
+@pytest.mark.parametrize("vendor_code", sorted(ERROR_MEANINGS))
+def test_each_vendor_error_becomes_a_typed_error_with_its_meaning(vendor_code: int) -> None:
+    error = errors.error_for(vendor_code, "PINIT")
+    assert isinstance(error, errors.UnitError)
+    assert error.vendor_code == vendor_code
+    assert ERROR_MEANINGS[vendor_code] in str(error)
+    assert str(error).startswith(error.code)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("ERROR23", errors.CommandRejected),
+        ("ERROR04", errors.CommandGarbled),
+        ("ERROR0C", errors.WrongMode),
+        ("ERROR2D", errors.HandleRefused),
+        ("ERROR13", errors.ToolRefused),
+        ("ERROR40", errors.ToolRefused),
+        ("ERROR33", errors.NotOffered),
+        ("ERROR1A", errors.UnitFault),
+        ("ERROREE", errors.UnitFault),
+    ],
+)
+def test_an_error_of_the_unit_reaches_the_caller_by_type(
+    make_tracker: Make, unit: Any, text: str, kind: type[errors.UnitError]
+) -> None:
+    device = make_tracker()
+    device.connect()
+    unit.answers_to["PHRQ"] = text
+    with pytest.raises(kind):
+        device.configure(60.0)
+    assert device.state is Lifecycle.CONNECTED
+
+
+def test_the_unit_that_cannot_initialise_says_so(make_tracker: Make, unit: Any) -> None:
+    unit.answers_to["INIT"] = "ERROR10"
+    with pytest.raises(errors.NotInitialised):
+        make_tracker().connect(60.0)
+
+
+def test_a_port_that_cannot_be_opened(tmp_path: Path) -> None:
+    for endpoint in (f"serial://{tmp_path}/none", "serial:///dev/null", "tcp://127.0.0.1:1"):
+        device = PolarisTracker("tracker", DeviceConfig(driver="ndi_polaris", endpoint=endpoint), _Still())
+        with pytest.raises(errors.PortUnavailable) as caught:
+            device.connect(1.0)
+        assert caught.value.exit_code == EXIT_NOT_FOUND
+        device.close()
+        assert device.state is Lifecycle.CLOSED
+
+
+def test_an_endpoint_of_another_kind() -> None:
+    with pytest.raises(BadEndpoint):
+        PolarisTracker("t", DeviceConfig(driver="ndi_polaris", endpoint="udp://127.0.0.1:1"), _Still())
+    assert parse_endpoint("serial:///dev/ttyUSB0").scheme == "serial"
+
+
+def test_nothing_answers(make_tracker: Make, unit: Any) -> None:
+    unit.silent, unit.breaks_work = True, False
+    device = make_tracker()
+    with pytest.raises(errors.NothingAnswers):
+        device.connect()
+    assert unit.now_s <= 10.1
+    assert device.state is Lifecycle.DISCONNECTED
+
+
+def test_another_program_on_the_port(make_tracker: Make, unit: Any) -> None:
+    unit.breaks_work = False
+    unit.deliver = lambda name, reply: [(0.01, b"login: ")]
+    with pytest.raises(errors.NotAPolaris) as caught:
+        make_tracker().connect()
+    assert caught.value.wire
+
+
+def test_a_device_of_another_make(make_tracker: Make, unit: Any) -> None:
+    unit.answers_to["VER"] = "Aurora Control Firmware"
+    with pytest.raises(errors.NotAPolaris, match="Aurora"):
+        make_tracker().connect()
+
+
+@pytest.mark.parametrize("wish", [{"expected_model": "vicra"}, {"expected_serial": "P7-99999"}])
+def test_another_unit_than_expected(make_tracker: Make, wish: dict[str, str]) -> None:
+    with pytest.raises(errors.WrongUnit):
+        make_tracker(**wish).connect()
+
+
+def test_a_lost_link_latches_a_fault(tracker: PolarisTracker, unit: Any) -> None:
+    unit.closed = True
+    with pytest.raises(errors.LinkLost) as caught:
+        tracker.read_frame()
+    assert caught.value.exit_code == EXIT_LINK_LOST
+    assert tracker.state is Lifecycle.FAULT
+    assert tracker.fault is caught.value
+
+
+def test_a_restarted_unit_latches_a_fault_and_a_recovery_makes_a_new_session(
+    tracker: PolarisTracker, unit: Any
+) -> None:
+    unit.restart()
+    unit.unit_baud = unit.baud
+    with pytest.raises(errors.UnitRestarted):
+        tracker.read_frame()
+    assert tracker.state is Lifecycle.FAULT
+    unit.restart()
+    tracker.recover("tester")
+    assert tracker.state is Lifecycle.CONFIGURED
+    tracker.activate()
+    assert tracker.read_frame().tool("robot_frame").position_mm
+
+
+def test_tracking_that_stopped_by_itself_is_a_restart(tracker: PolarisTracker, unit: Any) -> None:
+    unit.tracking = False
+    with pytest.raises(errors.UnitRestarted, match="no longer tracking"):
+        tracker.read_frame()
+
+
+def test_a_hardware_fault_latches(tracker: PolarisTracker, unit: Any) -> None:
+    unit.system_status = 0x0010
+    with pytest.raises(errors.HardwareFailure, match="0010"):
+        tracker.read_frame()
+    assert tracker.state is Lifecycle.FAULT
+
+
+def test_a_bump_latches_and_is_cleared_by_the_recovery(tracker: PolarisTracker, unit: Any) -> None:
+    unit.system_status = 0x0100
+    unit.parameters["Info.Status.New Alerts"] = str(1 << 21)
+    unit.parameters["Param.Bump Detector.Bumped"] = "1"
+    with pytest.raises(errors.SensorBumped) as caught:
+        tracker.read_frame()
+    assert caught.value.exit_code == EXIT_SAFETY_STOP
+    assert tracker.state is Lifecycle.FAULT
+    with pytest.raises(ValueError, match="acknowledges"):
+        tracker.recover(" ")
+    tracker.recover("tester")
+    assert unit.parameters["Param.Bump Detector.Bumped"] == "0"
+    assert tracker.state is Lifecycle.CONFIGURED
+
+
+def test_a_recovery_with_another_unit_is_refused(tracker: PolarisTracker, unit: Any) -> None:
+    unit.closed = True
+    with pytest.raises(errors.LinkLost):
+        tracker.read_frame()
+    unit.closed = False
+    unit.restart()
+    unit.answers_to["VER"] = "Polaris Spectra Control Firmware\nNDI S/N: P7-77777"
+    with pytest.raises(errors.WrongUnit):
+        tracker.recover("tester")
+    assert tracker.state is Lifecycle.FAULT
+
+
+def test_a_wrong_temperature_holds_and_passes_by_itself(tracker: PolarisTracker, unit: Any) -> None:
+    unit.system_status = 0x0200
+    with pytest.raises(errors.TemperatureHold):
+        tracker.read_frame()
+    assert tracker.state is Lifecycle.HOLD
+    unit.system_status = 0
+    assert tracker.read_frame().tool("robot_frame").position_mm
+    assert tracker.state is Lifecycle.ACTIVE
+
+
+def test_an_alert_that_harms_no_pose_is_read_and_tracking_goes_on(tracker: PolarisTracker, unit: Any) -> None:
+    unit.system_status = 0x0100
+    unit.parameters["Info.Status.New Alerts"] = str(1 << 20)
+    tracker.read_frame()
+    assert tracker.state is Lifecycle.ACTIVE
+    assert unit.parameters["Info.Status.New Alerts"] == "0"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tools": "robot_frame.rom"}, "tools"),
+        ({"tools": [{"name": "a", "rom": "robot_frame.rom"}] * 2}, "more than once"),
+        ({"illuminator_rate_hz": 50}, "illuminator_rate_hz"),
+        ({"maximum_baud": 12345}, "maximum_baud"),
+        ({"colour": "green"}, "colour"),
+        ({"time_limits_s": {"NOPE": 1.0}}, "NOPE"),
+        ({"tools": [], "reply": "XML", "volume": 0}, "2 mistake"),
+    ],
+)
+def test_wrong_options_are_all_told_at_once(make_tracker: Make, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(errors.BadOptions, match=words):
+        make_tracker(**options)
+
+
+def test_a_wrong_tool_file_is_told_before_anything_is_opened(
+    make_tracker: Make, unit: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "tool.rom").write_bytes(b"NDI\0" + bytes(748))
+    with pytest.raises(errors.BadToolFile):
+        make_tracker(tools=[{"name": "tool", "rom": str(tmp_path / "tool.rom")}])
+    assert unit.commands == []
+
+
+def test_two_tools_of_one_geometry(make_tracker: Make, tmp_path: Path) -> None:
+    (tmp_path / "twin.rom").write_bytes(encode_definition(robot_frame()))
+    tools = [{"name": "M", "rom": "robot_frame.rom"}, {"name": "twin", "rom": str(tmp_path / "twin.rom")}]
+    with pytest.raises(errors.SameGeometry):
+        make_tracker(tools=tools)
+
+
+def test_the_codes_are_unique_and_each_has_an_action() -> None:
+    ours = [kind for kind in concrete_errors() if kind.code.startswith("NDI-")]
+    codes = [kind.code for kind in ours]
+    assert len(set(codes)) == len(codes) >= 20
+    assert all(kind.action and issubclass(kind, RonnaError) for kind in ours)
+
+
+class _Still:
+    def now_s(self) -> float:
+        return 0.0
+
+    def sleep(self, duration_s: float) -> None:
+        return
