@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pydicom
@@ -220,8 +221,10 @@ def make_scan() -> type[Scan]:
 def dicom_series(tmp_path: Path) -> Callable[..., Path]:
     """Writes a series under the folder of the test."""
 
-    def write(voxels: NDArray[np.int16] | None = None, *args: object, **options: object) -> Path:
+    def write(
+        voxels: NDArray[np.int16] | None = None, *args: Any, name: str = "series", **options: Any
+    ) -> Path:
         plain = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 100
-        return write_series(tmp_path / "series", plain if voxels is None else voxels, *args, **options)
+        return write_series(tmp_path / name, plain if voxels is None else voxels, *args, **options)
 
     return write

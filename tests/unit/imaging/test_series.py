@@ -10,11 +10,12 @@ import numpy as np
 import pydicom
 import pytest
 from pydicom.dataset import Dataset
+from pydicom.encaps import encapsulate
 from pydicom.uid import (
+    MPEG2MPML,
     DeflatedExplicitVRLittleEndian,
     ExplicitVRBigEndian,
     ImplicitVRLittleEndian,
-    JPEG2000Lossless,
     MRImageStorage,
     RLELossless,
 )
@@ -335,14 +336,21 @@ def test_a_truncated_file_at_any_length_is_named(dicom_series: Write) -> None:
             read_series(folder)
 
 
-def test_a_compression_without_decoder_is_refused(dicom_series: Write) -> None:
+@pytest.mark.parametrize(
+    ("syntax", "error"),
+    [(MPEG2MPML, errors.CompressionUnknown), (RLELossless, errors.FileDamaged)],
+    ids=["no decoder exists", "the decoder finds nonsense"],
+)
+def test_compressed_pixels_that_cannot_be_decoded_are_refused(
+    dicom_series: Write, syntax: str, error: type[DataError]
+) -> None:
     def change(data: Dataset) -> None:
-        data.file_meta.TransferSyntaxUID = JPEG2000Lossless
-        data.PixelData = pydicom.encaps.encapsulate([b"\xff\x4f\xff\x51" + bytes(60)])
+        data.file_meta.TransferSyntaxUID = syntax
+        data.PixelData = encapsulate([bytes(60)])
         data["PixelData"].VR = "OB"
         data["PixelData"].is_undefined_length = True
 
-    with pytest.raises((errors.CompressionUnknown, errors.FileDamaged), match=r"JPEG 2000|decoded"):
+    with pytest.raises(error, match=r"0000\.dcm"):
         read_series(dicom_series(HU, edit=every(change)))
 
 

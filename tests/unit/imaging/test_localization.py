@@ -1,0 +1,263 @@
+"""Spheres are found where they are, to a few micrometres, and the localizer knows how well it knows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from procedures.imaging import Localization, Volume, VoxelGeometry, errors, localize, read_series
+
+Array = NDArray[np.float64]
+Make = Callable[..., Any]  # builds the Scan of conftest
+
+GOOD = {"spacing_mm": (1.0, 0.5, 0.5), "noise_hu": 20.0, "shape": (40, 80, 160)}
+POOR = {"spacing_mm": (2.0, 0.7, 0.7), "noise_hu": 50.0, "shape": (20, 58, 114)}
+CONTRAST_HU, RADIUS_MM, BLUR_MM = 1150.0, 5.75, 0.42
+
+
+def as_volume(scan: Any) -> Volume:
+    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
+    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+
+
+def matched(found: Localization, centres: Array) -> tuple[Array, Array]:
+    """Errors (n, 3) and covariances (n, 3, 3) of the markers nearest to the true centres."""
+    assert len(found.markers) == len(centres), [one.describe() for one in found.candidates]
+    nearest = [int(np.argmin(np.linalg.norm(found.centres_mm - centre, axis=1))) for centre in centres]
+    assert sorted(nearest) == list(range(len(centres)))
+    return found.centres_mm[nearest] - centres, found.covariances_mm2[nearest]
+
+
+def pairs_of_markers(make_scan: Make, protocol: dict[str, Any], kind: str, scans: int) -> tuple[Array, Array]:
+    """Errors and covariances of two markers at random places in each of several scans."""
+    errors_mm, covariances = [], []
+    for seed in range(scans):
+        random = np.random.default_rng(seed)
+        scan = make_scan(seed=seed, **protocol)
+        centres = np.array([[20.0, 20.0, 20.0], [20.0, 20.0, 60.0]]) + random.uniform(-1.0, 1.0, (2, 3))
+        for centre in centres:
+            direction = random.standard_normal(3)
+            if kind == "clean":
+                scan.ball(centre)
+            else:
+                scan.marker(centre, direction, skin=False)
+            if kind == "streaks":
+                metal = centre + 9.75 * direction / np.linalg.norm(direction)
+                scan.streaks(metal, phase_rad=random.uniform(0.0, 2.0 * np.pi))
+        error, covariance = matched(localize(as_volume(scan), expected=2), centres)
+        errors_mm.append(error)
+        covariances.append(covariance)
+    return np.concatenate(errors_mm), np.concatenate(covariances)
+
+
+def rms(errors_mm: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors_mm**2, axis=1))))
+
+
+@pytest.mark.parametrize(
+    ("protocol", "kind", "limit_mm"),
+    [(GOOD, "post", 0.010), (POOR, "post", 0.025), (GOOD, "streaks", 0.035), (POOR, "streaks", 0.050)],
+    ids=["good", "poor", "good with streaks", "poor with streaks"],
+)
+def test_markers_on_posts_are_localized_and_the_covariance_is_honest(
+    make_scan: Make, protocol: dict[str, Any], kind: str, limit_mm: float
+) -> None:
+    error, covariance = pairs_of_markers(make_scan, protocol, kind, scans=5)
+    assert rms(error) <= limit_mm
+    squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
+    assert 0.4 <= squared.mean() / 3.0 <= 2.5
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
+def test_plain_balls_come_near_the_cramer_rao_bound(make_scan: Make) -> None:
+    error, _ = pairs_of_markers(make_scan, GOOD, "clean", scans=5)
+    voxel_mm3 = float(np.prod(GOOD["spacing_mm"]))
+    information = voxel_mm3 * 2.0 * np.sqrt(np.pi) * BLUR_MM * 3.0 / (4.0 * np.pi * RADIUS_MM**2)
+    bound_mm = np.sqrt(3.0) * GOOD["noise_hu"] / CONTRAST_HU * np.sqrt(information)
+    assert rms(error) <= 3.0 * bound_mm  # the noise is correlated: the bound for white noise is out of reach
+
+
+def test_a_ball_at_a_voxel_centre_is_not_half_a_voxel_off(
+    make_scan: Make, dicom_series: Callable[..., Path]
+) -> None:
+    scan = make_scan(spacing_mm=(1.25, 0.7, 0.5), shape=(32, 58, 80))
+    scan.ball(np.array([16 * 1.25, 29 * 0.7, 40 * 0.5]))  # the centre of voxel (16, 29, 40)
+    folder = dicom_series(scan.voxels(), scan.spacing_mm, origin_mm=(100.0, -50.0, 25.0))
+    marker = localize(read_series(folder)).markers[0]
+    expected = [100 + 40 * 0.5, -50 + 29 * 0.7, 25 + 16 * 1.25]
+    np.testing.assert_allclose(marker.centre_mm, expected, atol=0.02)
+
+
+def test_an_oblique_or_reversed_series_gives_the_same_patient_points(
+    make_scan: Make, dicom_series: Callable[..., Path]
+) -> None:
+    scan = make_scan(shape=(40, 80, 120))
+    centres = np.array([[17.3, 21.2, 18.4], [22.1, 17.9, 41.3]])
+    for centre in centres:
+        scan.marker(centre, np.array([0.2, 1.0, 0.3]), skin=False)
+    voxels = scan.voxels()
+    row = np.array([0.8, 0.6, 0.0])
+    column = np.array([-0.36, 0.48, -0.8])
+    normal = np.cross(row, column)
+    origin = np.array([12.0, -34.0, 56.0])
+    expected = origin + centres @ np.array([normal, column, row])
+    options = {"row_direction": tuple(row), "column_direction": tuple(column), "origin_mm": tuple(origin)}
+    straight = localize(read_series(dicom_series(voxels, **options)), expected=2)
+    error, covariance = matched(straight, expected)
+    assert rms(error) < 0.015
+    squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
+    assert squared.max() < 30.0  # the covariance is turned with the axes
+    again = read_series(dicom_series(voxels, name="reversed", reverse=True, **options))
+    reversed_order = localize(again, expected=2)
+    np.testing.assert_array_equal(straight.centres_mm, reversed_order.centres_mm)
+
+
+def test_markers_run_from_superior_to_inferior_and_repeat_bit_for_bit(make_scan: Make) -> None:
+    scan = make_scan(shape=(60, 80, 100))
+    scan.ball(np.array([14.0, 20.0, 14.0]))
+    scan.ball(np.array([44.0, 20.0, 34.0]))
+    volume = as_volume(scan)
+    first, second = localize(volume), localize(volume)
+    # the axes of this volume are (slice, row, column) = (L, P, S)
+    assert [round(float(marker.centre_mm[2])) for marker in first.markers] == [34, 14]
+    np.testing.assert_array_equal(first.centres_mm, second.centres_mm)
+    np.testing.assert_array_equal(first.covariances_mm2, second.covariances_mm2)
+
+
+def test_cylinder_large_ball_and_metal_ball_are_rejected_with_reasons(make_scan: Make) -> None:
+    scan = make_scan(shape=(56, 100, 200))
+    scan.rod(np.array([2.0, 12.0, 12.0]), np.array([1.0, 0.1, 0.1]), 52.0, 6.0, 150.0)
+    scan.ball(np.array([28.0, 25.0, 40.0]), radius_mm=8.0)
+    scan.ball(np.array([28.0, 25.0, 64.0]), hu=2500.0)
+    scan.marker(np.array([28.0, 25.0, 85.0]), np.array([0.0, 1.0, 0.0]), skin=False)
+    result = localize(as_volume(scan), expected=1)
+    np.testing.assert_allclose(result.markers[0].centre_mm, [28.0, 25.0, 85.0], atol=0.02)
+    reasons = " ".join(candidate.reason for candidate in result.candidates if not candidate.accepted)
+    assert "of a sphere's surface" in reasons
+    assert "has radius 7.8" in reasons
+    assert "no surface of a polymer sphere" in reasons
+
+
+def test_a_close_pair_is_told_apart_and_flagged(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 100))
+    centres = np.array([[20.2, 19.7, 17.4], [20.2, 19.7, 31.4]])
+    for centre in centres:
+        scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
+    result = localize(as_volume(scan), expected=2)
+    error, _ = matched(result, centres)
+    assert rms(error) < 0.02
+    assert all("near_another" in marker.flags for marker in result.markers)
+
+
+def test_a_marker_over_skin_is_localized(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 100, 80))
+    centre = np.array([20.3, 15.6, 20.1])
+    scan.marker(centre, np.array([0.3, 1.0, -0.2]))
+    error, _ = matched(localize(as_volume(scan)), centre[None, :])
+    assert rms(error) < 0.02
+
+
+@pytest.mark.parametrize(("depth_mm", "accepted"), [(3.0, True), (-3.0, False)])
+def test_a_ball_cut_by_the_field_is_flagged_or_rejected(
+    make_scan: Make, depth_mm: float, accepted: bool
+) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    scan.ball(np.array([20.0, depth_mm, 20.0]))
+    if accepted:
+        marker = localize(as_volume(scan), expected=1).markers[0]
+        assert "cut_by_field" in marker.flags
+        assert marker.quality < 0.8
+    else:
+        with pytest.raises(errors.MarkerCountWrong) as caught:
+            localize(as_volume(scan), expected=1)
+        assert all(not candidate.accepted for candidate in caught.value.candidates)
+
+
+def test_padding_outside_the_round_field_counts_as_not_scanned(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    scan.ball(np.array([20.0, 14.0, 20.0]))
+    volume = as_volume(scan)
+    padded = volume.voxels.copy()
+    padded[:, :20, :] = -3024  # four millimetres of the ball are missing
+    cut = Volume(padded, volume.geometry, "1.2.3", "1.2.4")
+    marker = localize(cut, expected=1).markers[0]
+    assert "cut_by_field" in marker.flags
+    np.testing.assert_allclose(marker.centre_mm, [20.0, 14.0, 20.0], atol=0.05)
+
+
+def test_a_misshapen_ball_is_flagged_and_made_uncertain(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    centre = np.array([20.0, 20.0, 20.0])
+    scan.ball(centre)
+    scan.ball(centre + np.array([0.0, 1.0, 0.0]), radius_mm=5.4)  # a lump on one side
+    marker = localize(as_volume(scan), expected=1).markers[0]
+    assert "estimators_disagree" in marker.flags
+    assert marker.agreement_mm > 0.06
+    assert marker.quality < 0.5
+    error_mm = float(np.linalg.norm(marker.centre_mm - centre))
+    assert error_mm < 3.0 * float(np.sqrt(marker.covariance_mm2.trace()))
+
+
+def test_a_dent_and_a_bubble_do_not_pull_the_centre(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 120))
+    dented, hollow = np.array([20.0, 20.0, 18.0]), np.array([20.0, 20.0, 42.0])
+    scan.ball(dented)
+    scan.rod(dented + np.array([0.0, 3.9, 0.0]), np.array([0.0, 1.0, 0.0]), 4.0, 4.4, -1000.0)
+    scan.ball(hollow)
+    scan.ball(hollow + np.array([0.0, -2.0, 2.0]), radius_mm=2.0, hu=-1000.0)
+    error, _ = matched(localize(as_volume(scan), expected=2), np.array([dented, hollow]))
+    assert np.abs(error).max() < 0.03
+
+
+def test_another_diameter_can_be_asked_for(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    scan.ball(np.array([20.3, 19.6, 20.2]), radius_mm=4.0)
+    with pytest.raises(errors.MarkerCountWrong):
+        localize(as_volume(scan))
+    marker = localize(as_volume(scan), diameter_mm=8.0).markers[0]
+    np.testing.assert_allclose(marker.centre_mm, [20.3, 19.6, 20.2], atol=0.02)
+    assert marker.radius_mm == pytest.approx(4.0, abs=0.05)
+
+
+def test_another_count_than_expected_is_refused_with_all_candidates(make_scan: Make) -> None:
+    scan = make_scan()
+    scan.ball(np.array([20.0, 20.0, 20.0]))
+    with pytest.raises(errors.MarkerCountWrong, match="1 markers found, 3 expected") as caught:
+        localize(as_volume(scan), expected=3)
+    assert caught.value.exit_code == 3
+    (candidate,) = caught.value.candidates
+    assert candidate.accepted
+    np.testing.assert_allclose(candidate.centre_mm, [20.0, 20.0, 20.0], atol=0.02)
+    assert "(20.0, 20.0, 20.0) is a marker" in str(caught.value)
+
+
+def test_an_empty_scan_is_refused_unless_nothing_is_expected(make_scan: Make) -> None:
+    volume = as_volume(make_scan())
+    with pytest.raises(errors.MarkerCountWrong, match="no marker found"):
+        localize(volume)
+    assert localize(volume, expected=0).centres_mm.shape == (0, 3)
+
+
+@pytest.mark.parametrize("request_", [{"diameter_mm": 1.0}, {"diameter_mm": float("nan")}, {"expected": -1}])
+def test_impossible_requests_are_refused(make_scan: Make, request_: dict[str, Any]) -> None:
+    with pytest.raises(errors.LocalizationMisused):
+        localize(as_volume(make_scan(shape=(20, 40, 40))), **request_)
+
+
+def test_spheres_larger_than_the_scan_are_refused(make_scan: Make) -> None:
+    with pytest.raises(errors.LocalizationMisused, match="do not fit"):
+        localize(as_volume(make_scan(shape=(20, 40, 40))), diameter_mm=30.0)
+
+
+def test_progress_runs_from_nothing_to_one(make_scan: Make) -> None:
+    scan = make_scan()
+    scan.ball(np.array([20.0, 20.0, 20.0]))
+    shares: list[float] = []
+    localize(as_volume(scan), progress=shares.append)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert shares == sorted(shares)

@@ -1,0 +1,47 @@
+"""Pictures of markers show the planes the right way round."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+
+from procedures.imaging import Volume, VoxelGeometry, localize
+from procedures.imaging.pictures import HALF_WIDTH_MM, _planes_through, marker_pictures
+
+
+def volume_with_balls(make_scan: Callable[..., Any]) -> Volume:
+    scan = make_scan(shape=(40, 80, 140))
+    for column_mm in (20.0, 50.0):
+        scan.ball(np.array([20.0, 20.0, column_mm]))
+    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
+    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+
+
+def test_every_marker_has_a_png_of_three_planes(make_scan: Callable[..., Any]) -> None:
+    volume = volume_with_balls(make_scan)
+    result = localize(volume, expected=2)
+    pictures = marker_pictures(volume, result)
+    assert len(pictures) == 2
+    for picture in pictures:
+        pixels = cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR)
+        assert pixels is not None
+        assert pixels.shape == (360, 960, 3)
+        assert pixels.std() > 30  # black air, bright balls
+
+
+def test_each_plane_has_the_sphere_in_its_middle(make_scan: Callable[..., Any]) -> None:
+    planes = _planes_through(volume_with_balls(make_scan), np.array([20.0, 20.0, 20.0]))
+    for plane in planes:
+        bright = np.argwhere(plane > -400)
+        step_mm = 2 * HALF_WIDTH_MM / (len(plane) - 1)
+        np.testing.assert_allclose(bright.mean(axis=0), (len(plane) - 1) / 2, atol=1.0)
+        np.testing.assert_allclose(len(bright) * step_mm**2, np.pi * 5.75**2, rtol=0.03)
+
+
+def test_the_ring_around_a_marker_at_the_border_shows_air(make_scan: Callable[..., Any]) -> None:
+    volume = volume_with_balls(make_scan)
+    planes = _planes_through(volume, np.array([20.0, 2.0, 20.0]))
+    assert all(np.isfinite(plane).all() for plane in planes)
