@@ -13,6 +13,7 @@ from procedures.imaging.slice_headers import SliceHeader, read_dicom
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset
+    from pydicom.uid import UID
 
 HU_LIMITS = (-32768, 32767)
 
@@ -70,12 +71,21 @@ def _stored_by_library(data: FileDataset, name: str, shape: tuple[int, ...]) -> 
             warnings.simplefilter("ignore")
             stored = np.asarray(data.pixel_array)
     except Exception as problem:
-        if isinstance(problem, (RuntimeError, NotImplementedError)) and syntax.is_compressed:
+        if not _can_decode(syntax):
             raise CompressionUnknown(f"{name} is compressed with {syntax.name}") from problem
         raise FileDamaged(f"{name}: its pixel data cannot be decoded ({problem})") from problem
     if stored.shape != shape or stored.dtype.kind not in "iu":
         raise PixelsUnusable(f"{name} decodes to shape {stored.shape} of {stored.dtype}")
     return stored
+
+
+def _can_decode(syntax: UID) -> bool:
+    from pydicom.pixels.decoders.base import get_decoder
+
+    try:
+        return bool(get_decoder(syntax).is_available)
+    except NotImplementedError:
+        return False
 
 
 def _rescale_into(target: NDArray[np.int16], stored: NDArray[np.integer], header: SliceHeader) -> None:
