@@ -1,0 +1,60 @@
+"""When the unit measures: 60 counts per second of theatre time, whatever the illuminator rate.
+
+On a clock that follows the host, a request gets the latest frame, and the same one again when it asks too
+fast. On a clock that its users advance, each request awaits the next frame, so it gets exactly one.
+"""
+
+from __future__ import annotations
+
+from ronna_hw.clock import SharedClock
+from ronna_hw.wire.polaris import FRAME_RATE_HZ
+
+NANOSECONDS_PER_SECOND = 1_000_000_000
+COUNTS_PER_SECOND = int(FRAME_RATE_HZ)
+
+
+class FrameCounter:
+    """The frame number. It counts from power-up, or from the last start that set it back to zero."""
+
+    def __init__(self, clock: SharedClock) -> None:
+        self._clock = clock
+        self._epoch_ns = clock.now_ns()
+        self._begin = 0
+        self.last = 0  # number of the frame that the last request got
+        self._counts_per_frame = 1
+
+    def start(self, *, restart: bool, rate_hz: int) -> None:
+        """Tracking starts now; with `restart` the number starts at zero."""
+        now_ns = self._clock.now_ns()
+        if restart:
+            self._epoch_ns = now_ns
+        self._counts_per_frame = COUNTS_PER_SECOND // rate_hz
+        self._begin = self.last = self._count_at(now_ns)
+
+    def number(self) -> int:
+        """Number of the frame that a request gets; waits for it if this clock can be advanced."""
+        if self._clock.paced:
+            self.last = self._measured(self._count_at(self._clock.now_ns()))
+            return self.last
+        latest = self._measured(max(self.last, self._count_at(self._clock.now_ns())))
+        self.last = latest + self._counts_per_frame
+        self._clock.wait_until_ns(self._moment_ns(self.last))
+        return self.last
+
+    @property
+    def repeats(self) -> bool:
+        """True when two requests may get the same frame."""
+        return self._clock.paced
+
+    def since_start(self, frame: int) -> int:
+        """Frames from the start of tracking to this one; the counter of the noise."""
+        return frame - self._begin
+
+    def _measured(self, count: int) -> int:
+        return count - (count - self._begin) % self._counts_per_frame
+
+    def _count_at(self, moment_ns: int) -> int:
+        return (moment_ns - self._epoch_ns) * COUNTS_PER_SECOND // NANOSECONDS_PER_SECOND
+
+    def _moment_ns(self, count: int) -> int:
+        return self._epoch_ns - (-count * NANOSECONDS_PER_SECOND // COUNTS_PER_SECOND)

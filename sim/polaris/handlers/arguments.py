@@ -1,0 +1,43 @@
+"""Checks of command arguments that several commands share."""
+
+from __future__ import annotations
+
+import string
+
+from ronna_hw.wire.polaris import HANDLE_DIGITS
+from sim.polaris.ports import Port
+from sim.polaris.refusal import ErrorCode, Refusal
+from sim.polaris.unit import Unit
+
+_HEXADECIMAL = frozenset(string.hexdigits)
+
+
+def hexadecimal(text: str, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
+    """The value of hexadecimal digits, either case; raises `refusal` for anything else."""
+    if not text or not _HEXADECIMAL.issuperset(text):
+        raise Refusal(refusal)
+    return int(text, 16)
+
+
+def need_length(argument: str, *lengths: int) -> None:
+    """Raise Refusal unless the argument has one of these lengths."""
+    if len(argument) not in lengths:
+        raise Refusal(ErrorCode.PARAMETER_COUNT)
+
+
+def no_argument(argument: str) -> None:
+    """Raise Refusal when a command that takes none was given an argument."""
+    need_length(argument.strip(), 0)
+
+
+def digit_within(argument: str, low: int, high: int, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
+    """The value of one decimal digit; raises Refusal when it is none or out of range."""
+    need_length(argument, 1)
+    if argument not in string.digits or not low <= int(argument) <= high:
+        raise Refusal(refusal)
+    return int(argument)
+
+
+def port_of(unit: Unit, argument: str) -> Port:
+    """The port whose handle the argument begins with."""
+    return unit.ports.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))

@@ -1,0 +1,86 @@
+"""Serves the unit to hosts, one at a time, until it is told to end."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import time
+
+from ronna_hw.endpoints import Endpoint
+from sim.errors import EndpointTaken
+from sim.polaris.channel import Channel, Connection, PseudoTerminal
+from sim.polaris.framing import LineBuffer
+from sim.polaris.session import Session
+
+WAITING_HOSTS = 4  # further hosts wait until the one before them hangs up
+
+
+class EndSignal:
+    """Wakes a waiting server from a signal handler or another thread."""
+
+    def __init__(self) -> None:
+        self._reader, self._writer = os.pipe()
+        self.given = False
+
+    def give(self) -> None:
+        """Tell the server to end."""
+        self.given = True
+        os.write(self._writer, b"\0")
+
+    def fileno(self) -> int:
+        return self._reader
+
+
+class Server:
+    """Carries the bytes between hosts and a session."""
+
+    def __init__(self, session: Session, end: EndSignal, longest_command: int) -> None:
+        self._session = session
+        self._end = end
+        self._longest_command = longest_command
+
+    def serve_line(self, line: PseudoTerminal) -> None:
+        """Serve a serial line."""
+        self._converse(line)
+
+    def serve_network(self, listener: socket.socket) -> None:
+        """Serve connections, one after another; the unit's state outlives them."""
+        waiting = self._poll(listener.fileno())
+        while self._wait(waiting):
+            connection = Connection(listener.accept()[0])
+            try:
+                self._converse(connection)
+            finally:
+                connection.close()
+
+    def _converse(self, channel: Channel) -> None:
+        lines = LineBuffer(self._longest_command)
+        waiting = self._poll(channel.fileno())
+        session = self._session
+        while self._wait(waiting):
+            received = channel.receive()
+            if not received:
+                return
+            for line in lines.feed(received, time.monotonic()):
+                answer = session.answer(line)
+                channel.send(answer, len(line) + 1, session.reply_baud)
+
+    def _poll(self, file: int) -> select.poll:
+        poll = select.poll()
+        poll.register(file, select.POLLIN)
+        poll.register(self._end.fileno(), select.POLLIN)
+        return poll
+
+    def _wait(self, poll: select.poll) -> bool:
+        """Wait for a host; False when told to end."""
+        poll.poll()
+        return not self._end.given
+
+
+def listen(endpoint: Endpoint) -> socket.socket:
+    """Open the network address; raises SIM-004 when it cannot be had."""
+    try:
+        return socket.create_server((endpoint.host, endpoint.port), backlog=WAITING_HOSTS)
+    except OSError as error:
+        raise EndpointTaken(f"cannot listen on {endpoint}: {error.strerror}") from error

@@ -1,0 +1,57 @@
+"""The volumes in which the unit measures, and how it tells clients about them.
+
+Tracker frame: origin at the sensor, z backwards, so everything measured has a negative z. A volume is a
+pyramid with a knee; the ten numbers are those of the feature list (SFLIST 03), in its own units: lengths
+in 1/100 mm, slopes in 1/100 000.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ronna_hw.wire.polaris import LF, SFLIST_DIMENSION_SCALE
+
+SLOPE_SCALE = 100_000  # slopes are given per 1000 mm, in hundredths
+NO_CAP = 999_999
+
+
+@dataclass(frozen=True)
+class Volume:
+    """One volume: shape code, the ten numbers D1..D10, wavelength codes."""
+
+    name: str
+    shape: str
+    dimensions: tuple[int, int, int, int, int, int, int, int, int, int]
+    wavelengths: str
+
+    def holds(self, x_mm: float, y_mm: float, z_mm: float) -> bool:
+        """True for a marker inside."""
+        far, knee, near, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.dimensions
+        if not far <= z_mm * SFLIST_DIMENSION_SCALE <= near:
+            return False
+        before_knee_mm = z_mm - knee / SFLIST_DIMENSION_SCALE
+        y_slope = y_front if before_knee_mm >= 0.0 else y_behind
+        y_half_mm = y_knee / SFLIST_DIMENSION_SCALE - before_knee_mm * y_slope / SLOPE_SCALE
+        x_half_mm = x_knee / SFLIST_DIMENSION_SCALE - before_knee_mm * x_slope / SLOPE_SCALE
+        return abs(y_mm) <= min(y_half_mm, y_cap / SFLIST_DIMENSION_SCALE) and abs(x_mm) <= min(
+            x_half_mm, x_cap / SFLIST_DIMENSION_SCALE
+        )
+
+    def feature_line(self) -> str:
+        """The 74 characters of this volume in the feature list, and the line feed."""
+        numbers = "".join(f"{value:+07d}" for value in self.dimensions)
+        return f"{self.shape}{numbers}{len(self.wavelengths)}{self.wavelengths}{LF}"
+
+
+PYRAMID = Volume(
+    name="Pyramid",
+    shape="5",
+    dimensions=(-240000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, NO_CAP),
+    wavelengths="40",
+)
+EXTENDED_PYRAMID = Volume(
+    name="Extended Pyramid",
+    shape="5",
+    dimensions=(-300000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, 73500),
+    wavelengths="40",
+)
