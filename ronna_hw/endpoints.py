@@ -18,7 +18,7 @@ from ronna_hw.errors import ConfigurationError
 SCHEMES = ("udp", "tcp", "serial", "gev", "shm", "host")
 
 
-class BadEndpoint(ConfigurationError):
+class BadEndpoint(ConfigurationError, ValueError):
     """A text is not an endpoint, or is one of the wrong kind."""
 
     code = "CFG-002"

@@ -39,7 +39,11 @@ def built_in_scene(
         raise BadScene(f"there is no scene {name!r}", awaited=", ".join(SCENES))
     mini = name == "mini"
     generator = np.random.Generator(np.random.Philox(key=seed))
-    head = draw_head(generator, markers or (3 if mini else 5), targets or (1 if mini else 3))
+    head = draw_head(
+        generator,
+        (3 if mini else 5) if markers is None else markers,
+        (1 if mini else 3) if targets is None else targets,
+    )
     left, right = draw_cameras(generator)
     return Scene(
         name=name,

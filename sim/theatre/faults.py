@@ -3,7 +3,8 @@
     at 12.5 s: tracker occlude marker 3 for 2 s
     when step == relocalization: robot drop 5 % for 1 s
 
-Times are theatre time. A fault of `when` begins with the step. Each device asks its own board.
+Times are theatre time. A fault of `when` begins with the step; `relocalization:T1` is the step of one
+trajectory, `relocalization` that of each. Each device asks its own board.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ statement: trigger ":" fault "for" NUMBER "s"
       | "tracker" "occlude" "tool" NAME   -> occlude_tool
       | "robot" "drop" NUMBER "%"         -> drop
 _NEWLINE: /\r?\n/
-NAME: /[A-Za-z_][A-Za-z0-9_.-]*/
+NAME: /[A-Za-z_][A-Za-z0-9_.-]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?/
 COMMENT: /#[^\n]*/
 %import common.NUMBER
 %import common.INT
@@ -54,7 +55,7 @@ class Fault:
         """True while the fault acts."""
         if self.at_s is not None:
             begin = self.at_s
-        elif step == self.step:
+        elif self.step in (step, step.partition(":")[0]):
             begin = step_started_s
         else:
             return False

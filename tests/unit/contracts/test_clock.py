@@ -1,0 +1,81 @@
+import mmap
+import os
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from ronna_hw.clock import ClockUnavailable, SharedClock, open_clock
+from ronna_hw.wire.theatre_clock import CLOCK_BYTES
+
+CYCLE_NS = 4_000_000
+
+
+def _block(paced: bool) -> tuple[int, str]:
+    file = os.memfd_create("clock")
+    os.ftruncate(file, CLOCK_BYTES)
+    with mmap.mmap(file, CLOCK_BYTES) as memory:
+        SharedClock.initialise(memory, paced=paced)
+    return file, f"/proc/{os.getpid()}/fd/{file}"
+
+
+@pytest.fixture
+def path() -> Iterator[str]:
+    file, path = _block(paced=False)
+    yield path
+    os.close(file)
+
+
+def test_while_nothing_streams_a_wait_advances_the_time_for_everybody(path: str) -> None:
+    one, other = SharedClock(path), SharedClock(path)
+    one.sleep(1.5)
+    assert other.now_s() == 1.5
+
+
+def test_while_a_device_streams_its_cycles_alone_advance_the_time(path: str) -> None:
+    robot, camera = SharedClock(path), SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    waited = threading.Event()
+
+    def wait() -> None:
+        camera.wait_until_ns(4 * CYCLE_NS)
+        waited.set()
+
+    threading.Thread(target=wait, daemon=True).start()
+    while not robot.somebody_waits():
+        pass
+    assert robot.now_ns() == CYCLE_NS
+    for _ in range(3):
+        robot.advance_cycle(CYCLE_NS)
+    assert waited.wait(5.0)
+    assert not robot.somebody_waits()
+
+
+def test_when_the_stream_ends_a_wait_goes_on_by_itself(path: str) -> None:
+    robot = SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    robot.end_stream()
+    SharedClock(path).sleep(1.0)
+    assert robot.now_ns() == CYCLE_NS + 1_000_000_000
+
+
+def test_a_paced_clock_follows_the_host() -> None:
+    file, path = _block(paced=True)
+    clock = SharedClock(path)
+    before = clock.now_ns()
+    clock.advance_cycle(10**12)
+    assert before <= clock.now_ns() < before + 10**12
+    os.close(file)
+
+
+def test_a_file_that_is_no_clock_is_refused(tmp_path: object) -> None:
+    file = os.memfd_create("not a clock")
+    os.ftruncate(file, CLOCK_BYTES)
+    with pytest.raises(ClockUnavailable, match="CLK-001"):
+        open_clock(f"shm:///proc/{os.getpid()}/fd/{file}")
+    os.close(file)
+
+
+def test_a_clock_that_has_gone_is_refused() -> None:
+    with pytest.raises(ClockUnavailable):
+        open_clock("shm:///proc/self/fd/9999")

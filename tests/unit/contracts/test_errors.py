@@ -1,0 +1,36 @@
+import importlib
+import pkgutil
+import re
+
+import drivers
+import procedures
+import ronna_hw
+import sim
+from ronna_hw.errors import RonnaError, concrete_errors
+
+PACKAGES = (ronna_hw, drivers, sim, procedures)
+
+
+def _load_all_error_modules() -> None:
+    for package in PACKAGES:
+        for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+            if module.name.endswith("errors"):
+                importlib.import_module(module.name)
+
+
+def test_every_code_is_given_once_and_every_error_says_what_to_do() -> None:
+    _load_all_error_modules()
+    seen: dict[str, str] = {}
+    for error in concrete_errors():
+        assert re.fullmatch(r"[A-Z]{2,5}-\d{3}", error.code), error
+        assert error.action, error
+        assert error.code not in seen, f"{error.code} is {error.__name__} and {seen[error.code]}"
+        seen[error.code] = error.__name__
+    assert len(seen) > 20
+
+
+def test_an_error_is_one_line_with_what_was_awaited_the_limit_and_what_to_do() -> None:
+    error = RonnaError(
+        "no answer", awaited="OKAY", limit="2 s", last="nothing", action="Try.", wire=b"\x01\xff"
+    )
+    assert str(error) == "no answer; awaited OKAY; limit 2 s; last value nothing; last bytes 01 ff. Try."

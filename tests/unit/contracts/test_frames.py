@@ -1,0 +1,32 @@
+import numpy as np
+import pytest
+
+from ronna_hw.frames import Frame, FrameMismatch, Transform
+
+
+def test_composing_across_meeting_frames_maps_points_through_both() -> None:
+    robot_from_tool = Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=(1.0, 2.0, 3.0))
+    half_turn = Transform.of(Frame.TOOL, Frame.MARKER, quaternion_wxyz=(0.0, 0.0, 0.0, 1.0))
+    mapped = (robot_from_tool @ half_turn).apply((1.0, 0.0, 0.0))
+    assert mapped == pytest.approx((0.0, 2.0, 3.0))
+
+
+def test_composing_across_frames_that_do_not_meet_is_refused() -> None:
+    robot_from_tool = Transform.of(Frame.ROBOT, Frame.TOOL)
+    with pytest.raises(FrameMismatch, match="FRM-001"):
+        robot_from_tool @ Transform.of(Frame.CT, Frame.ROBOT)
+
+
+@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 1.0, 1.0, 1.0]), np.eye(3)])
+def test_a_matrix_that_is_not_a_proper_rotation_is_refused(matrix: np.ndarray) -> None:
+    with pytest.raises(FrameMismatch):
+        Transform.from_matrix(Frame.ROBOT, Frame.CT, matrix)
+
+
+def test_the_inverse_swaps_frames_and_undoes_the_motion() -> None:
+    transform = Transform.of(
+        Frame.ROBOT, Frame.CT, translation_mm=(10.0, -4.0, 2.0), quaternion_wxyz=(0.9, 0.1, -0.3, 0.2)
+    )
+    both = transform @ transform.inverse()
+    assert (both.target, both.source) == (Frame.ROBOT, Frame.ROBOT)
+    assert both.as_matrix() == pytest.approx(np.eye(4), abs=1e-12)

@@ -1,0 +1,38 @@
+import pytest
+
+from ronna_hw.devices import Lifecycle, LifecycleGuard
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.errors import LinkTimeout
+
+
+def test_a_device_cannot_become_active_before_it_is_configured() -> None:
+    guard = LifecycleGuard("tracker")
+    guard.enter(Lifecycle.CONNECTED)
+    with pytest.raises(WrongState, match="cannot go from connected to active"):
+        guard.enter(Lifecycle.ACTIVE)
+
+
+def test_a_latched_fault_keeps_its_first_cause_and_names_it() -> None:
+    guard = LifecycleGuard("arm")
+    guard.latch(LinkTimeout("silence"))
+    guard.latch(LinkTimeout("something later"))
+    with pytest.raises(WrongState, match="silence"):
+        guard.require("move_joints", [Lifecycle.ACTIVE])
+
+
+def test_a_fault_is_left_only_towards_a_state_that_was_read_again() -> None:
+    guard = LifecycleGuard("arm")
+    guard.latch(LinkTimeout("silence"))
+    with pytest.raises(WrongState):
+        guard.enter(Lifecycle.ACTIVE)
+    guard.enter(Lifecycle.CONNECTED)
+    assert guard.fault is None
+
+
+def test_closed_is_final() -> None:
+    guard = LifecycleGuard("stereo")
+    guard.enter(Lifecycle.CLOSED)
+    guard.latch(LinkTimeout("late"))
+    assert guard.state is Lifecycle.CLOSED
+    with pytest.raises(WrongState):
+        guard.enter(Lifecycle.CONNECTED)

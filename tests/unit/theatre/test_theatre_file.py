@@ -1,0 +1,68 @@
+from pathlib import Path
+
+import numpy as np
+
+from ronna_hw.config import read_theatre_file
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.rigid import inverse, matrix_of
+from sim.theatre.scene import Scene
+from sim.theatre.theatre_file import theatre_content, write_theatre_file
+
+ENDPOINTS = {
+    "polaris": "serial:///dev/pts/9",
+    "kuka": {
+        "rsi": "udp://127.0.0.1:59152",
+        "eki": "tcp://127.0.0.1:54600",
+        "eki_project": "tcp://127.0.0.1:54602",
+    },
+    "basler": {"left": "gev://127.77.0.1", "right": "gev://127.77.0.2"},
+}
+
+
+def _written(scene: Scene, folder: Path) -> Path:
+    path = folder / "theatre.toml"
+    write_theatre_file(
+        theatre_content(scene, ENDPOINTS, "host:", {"robot_frame": "robot_frame.rom"}, 2.0), path
+    )
+    return path
+
+
+def test_the_written_theatre_file_is_a_valid_one(tmp_path: Path) -> None:
+    theatre = read_theatre_file(_written(built_in_scene("mini", seed=4), tmp_path))
+    assert theatre.banner
+    assert theatre.calibration is not None
+
+
+def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path: Path) -> None:
+    found = []
+    for seed in range(30):
+        scene = built_in_scene("mini", seed=seed)
+        record = read_theatre_file(_written(scene, tmp_path)).calibration
+        assert record is not None
+        tip = np.subtract(
+            record.tool_tip.flange_from_tool.translation_mm,
+            scene.mount.flange_from_tool_nominal.translation_mm,
+        )
+        found.append(float(tip @ tip))
+        assert not np.allclose(tip, 0.0)
+    stated = read_theatre_file(tmp_path / "theatre.toml").calibration
+    assert stated is not None
+    assert 0.7 < np.sqrt(np.mean(found)) / stated.tool_tip.stated_error_mm < 1.3
+
+
+def test_the_record_of_the_head_holds_the_nominal_mount_not_the_true_one(tmp_path: Path) -> None:
+    scene = built_in_scene("mini", seed=4)
+    record = read_theatre_file(_written(scene, tmp_path)).calibration
+    assert record is not None
+    assert record.stereo_head.flange_from_tool == scene.mount.flange_from_tool_nominal
+    assert record.stereo_head.flange_from_tool != scene.mount.flange_from_tool_true
+
+
+def test_a_cameras_record_sees_the_tool_centre_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+    scene = built_in_scene("mini", seed=4)
+    record = read_theatre_file(_written(scene, tmp_path)).calibration
+    assert record is not None
+    true = matrix_of(scene.left.camera_from_tool)
+    stated = matrix_of(record.stereo_head.left.camera_from_tool)
+    shift = (inverse(true) @ stated)[:3, 3]
+    assert 0.0 < float(np.linalg.norm(shift)) < 0.1
