@@ -9,7 +9,7 @@ import math
 from enum import StrEnum
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from procedures.strategies.trajectory import Trajectory
@@ -17,6 +17,7 @@ from ronna_hw.calibration import Strict
 
 SCHEMA_VERSION = 1
 FEWEST_MARKERS, MOST_MARKERS = 3, 8
+MOST_TRAJECTORIES = 100  # ten times a large implantation of electrodes
 LEAST_DEPTH_MM = 1.0  # entry and target nearer than this are one point to every instrument here
 MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; more is a slip of the pen
 UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
@@ -81,6 +82,13 @@ class PlannedTrajectory(Strict):
         return Trajectory(self.id, self.entry_mm, self.target_mm, math.radians(self.free_angle_deg))
 
 
+def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
+    # Not a length constraint of the field: that also complains when every trajectory is wrong in itself.
+    if not 1 <= len(trajectories) <= MOST_TRAJECTORIES:
+        raise ValueError(f"1 to {MOST_TRAJECTORIES} trajectories are needed, not {len(trajectories)}")
+    return trajectories
+
+
 class Plan(Strict):
     """A whole plan, as `plan.toml` holds it."""
 
@@ -90,7 +98,7 @@ class Plan(Strict):
     implanted: Annotated[int, Field(ge=FEWEST_MARKERS, le=MOST_MARKERS)]
     fiducials: FiducialKind
     tool: Annotated[str, Field(min_length=1, max_length=64)]
-    trajectories: Annotated[tuple[PlannedTrajectory, ...], Field(min_length=1, max_length=100)]
+    trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)]
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
         """The trajectory with this id; raises KeyError."""

@@ -56,6 +56,8 @@ def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
         for identifier, count in _ids(content).items()
         if count > 1
     ]
+    if len(found) == 1:
+        raise type(found[0])(f"{name}: {found[0].what}")
     raise_together(found, name)
     if plan is None:
         raise PlanMistakes(f"{name} is not a plan")

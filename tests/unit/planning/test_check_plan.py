@@ -1,0 +1,101 @@
+"""A plan against its series, its fiducials and the arm."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from procedures.planning.check import check_plan
+from procedures.planning.errors import (
+    NotReachable,
+    OutsideField,
+    PlanMistakes,
+    WrongMarkerCount,
+    WrongOrientation,
+    WrongSeries,
+)
+from procedures.planning.plan_file import read_plan
+from ronna_hw.errors import EXIT_REFUSED
+
+FOUR = [[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]]
+
+
+@pytest.fixture
+def plan(plan_text, plan_path):
+    return read_plan(plan_path(plan_text))
+
+
+def test_a_plan_that_fits_passes(plan, make_volume, make_arm):
+    result = check_plan(plan, make_volume(), fiducials_mm=FOUR, arm=make_arm())
+    assert result.passed
+    assert result.findings == result.warnings == ()
+    result.require()
+    payload = json.loads(json.dumps(result.as_payload(), allow_nan=False))
+    assert payload["passed"] is True
+    assert [one["id"] for one in payload["trajectories"]] == ["T1", "T2"]
+
+
+def test_another_series_is_refused_with_both_uids(plan, make_volume):
+    with pytest.raises(WrongSeries, match="PLAN-003") as caught:
+        check_plan(plan, make_volume(series_instance_uid="1.2.3.4")).require()
+    assert plan.series_instance_uid in str(caught.value)
+    assert "1.2.3.4" in str(caught.value)
+
+
+def test_points_outside_the_field_are_named(plan_text, plan_path, make_volume):
+    plan = read_plan(
+        plan_path(plan_text.replace("entry_mm = [10.0, -50.0, 60.0]", "entry_mm = [10, -20, 100.5]"))
+    )
+    with pytest.raises(OutsideField, match=r"PLAN-006.*entry of trajectory T1"):
+        check_plan(plan, make_volume()).require()
+
+
+def test_the_field_ends_at_the_faces_of_the_outermost_voxels(plan_text, plan_path, make_volume):
+    plan = read_plan(
+        plan_path(plan_text.replace("entry_mm = [10.0, -50.0, 60.0]", "entry_mm = [10, -20, 99.9]"))
+    )
+    assert check_plan(plan, make_volume()).passed
+
+
+def test_another_patient_position_is_refused(plan, make_volume):
+    with pytest.raises(WrongOrientation, match=r"PLAN-009.*HFS.*HFP"):
+        check_plan(plan, make_volume(patient_position="HFP")).require()
+
+
+def test_a_series_that_does_not_say_how_the_patient_lay_is_warned_about(plan, make_volume):
+    result = check_plan(plan, make_volume(patient_position=""))
+    assert result.passed
+    assert "left and right" in result.warnings[0]
+
+
+def test_another_number_of_fiducials_is_refused(plan, make_volume):
+    with pytest.raises(WrongMarkerCount, match=r"PLAN-008.*awaited 4.*3"):
+        check_plan(plan, make_volume(), fiducials_mm=FOUR[:3]).require()
+
+
+def test_three_fiducials_of_nearly_equal_sides_are_warned_about(plan_text, plan_path, make_volume):
+    plan = read_plan(plan_path(plan_text.replace("implanted = 4", "implanted = 3")))
+    triangle = np.array([[0, 0, 0], [80, 0, 0], [41, 68, 0]])
+    warnings = check_plan(plan, make_volume(), fiducials_mm=triangle).warnings
+    assert any("moves" in one for one in warnings)
+    assert any("sides" in one for one in warnings)
+    spread = np.array([[0, 0, 0], [80, 0, 0], [20, 110, 0]])
+    assert not any("sides" in one for one in check_plan(plan, make_volume(), fiducials_mm=spread).warnings)
+
+
+def test_an_unreachable_target_is_refused(plan, make_volume, make_arm):
+    with pytest.raises(NotReachable, match=r"PLAN-007.*T1/target.*ARM-001") as caught:
+        check_plan(plan, make_volume(), arm=make_arm((1400.0, 0.0, 250.0))).require()
+    assert caught.value.exit_code == EXIT_REFUSED
+
+
+def test_everything_wrong_comes_in_one_error(plan, make_volume):
+    volume = make_volume(series_instance_uid="1.2.3.4", patient_position="FFS")
+    result = check_plan(plan, volume, fiducials_mm=FOUR[:3])
+    assert [one.code for one in result.findings] == ["PLAN-003", "PLAN-009", "PLAN-008"]
+    with pytest.raises(PlanMistakes) as caught:
+        result.require()
+    for code in ("PLAN-003", "PLAN-009", "PLAN-008"):
+        assert code in str(caught.value)

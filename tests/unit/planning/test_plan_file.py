@@ -1,0 +1,143 @@
+"""plan.toml: read strictly, all mistakes at once, written so that it reads back equal."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from procedures.planning.errors import (
+    BadTrajectoryGeometry,
+    DuplicateTrajectory,
+    PlanMistakes,
+    PlanNotWritten,
+    PlanUnreadable,
+)
+from procedures.planning.plan import FiducialKind, PatientPosition
+from procedures.planning.plan_file import read_plan, write_plan
+from ronna_hw.errors import EXIT_USAGE
+
+
+def test_a_plan_is_read(plan_text, plan_path):
+    plan = read_plan(plan_path(plan_text))
+    assert plan.patient_orientation is PatientPosition.HFS
+    assert plan.fiducials is FiducialKind.FREE
+    assert plan.implanted == 4
+    assert [one.id for one in plan.trajectories] == ["T1", "T2"]
+    second = plan.trajectory("T2")
+    assert second.entry_mm == (-20.0, -40.0, 70.0)
+    assert second.depth_mm == pytest.approx(math.dist((-20, -40, 70), (-15.5, -10, 25)))
+    assert second.trajectory.free_angle_rad == pytest.approx(math.radians(30.0))
+    with pytest.raises(KeyError):
+        plan.trajectory("T3")
+
+
+def test_what_is_written_reads_back_equal(plan_text, plan_path, tmp_path):
+    plan = read_plan(plan_path(plan_text.replace('"guide"', r'"guide \"A\" \u00e9 \U0001F600 \t\u007f"')))
+    write_plan(plan, tmp_path / "again.toml")
+    assert read_plan(tmp_path / "again.toml") == plan
+
+
+def test_a_plan_that_cannot_be_written_says_so(plan_text, plan_path, tmp_path):
+    plan = read_plan(plan_path(plan_text))
+    with pytest.raises(PlanNotWritten, match="PLAN-010"):
+        write_plan(plan, tmp_path / "absent" / "plan.toml")
+
+
+@pytest.mark.parametrize(
+    "content", ["schema = ", "\x00", "a = " + "[" * 5000, "x = 1\nx = 2", "n = 0\n" * 200_000]
+)
+def test_what_is_not_toml_is_unreadable(content, plan_path):
+    with pytest.raises(PlanUnreadable, match="PLAN-001") as caught:
+        read_plan(plan_path(content))
+    assert caught.value.exit_code == EXIT_USAGE
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_unreadable(tmp_path):
+    for path in (tmp_path / "absent.toml", tmp_path):
+        with pytest.raises(PlanUnreadable, match="PLAN-001"):
+            read_plan(path)
+
+
+def test_bytes_that_are_no_text_are_unreadable(tmp_path):
+    (tmp_path / "plan.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(PlanUnreadable, match="PLAN-001"):
+        read_plan(tmp_path / "plan.toml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("schema = 1", "schema = 2", "schema"),
+        ("schema = 1\n", "", "schema"),
+        ("schema = 1", "schema_version = 1", "schema_version"),
+        ('"HFS"', '"supine"', "patient_orientation"),
+        ("implanted = 4", "implanted = 2", "implanted"),
+        ("implanted = 4", "implanted = 4.0", "implanted"),
+        ("implanted = 4", 'implanted = "4"', "implanted"),
+        ('"free"', '"glued"', "fiducials"),
+        ('tool = "guide"', 'tool = ""', "tool"),
+        ('tool = "guide"', 'tool = "guide"\nside = "left"', "side"),
+        ('series_instance_uid = "1.2', 'series_instance_uid = "CT 1.2', "series_instance_uid"),
+        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, -20.0]", "trajectories.0.target_mm"),
+        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, nan, 20.0]", "trajectories.0.target_mm"),
+        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, 1e9, 20.0]", "trajectories.0.target_mm"),
+        ("margin_mm = 1.5", "", "trajectories.0.margin_mm"),
+        ("margin_mm = 1.5", "margin_mm = 0", "trajectories.0.margin_mm"),
+        ('id = "T1"', 'id = "../T1"', "trajectories.0.id"),
+        ('id = "T1"', "", "trajectories.0.id"),
+        ("free_angle_deg = 30.0", "free_angle_deg = inf", "trajectories.1.free_angle_deg"),
+        ("free_angle_deg = 30.0", "free_angle = 30.0", "trajectories.1.free_angle"),
+    ],
+)
+def test_each_mistake_is_named_where_it_is(old, new, said, plan_text, plan_path):
+    assert old in plan_text
+    with pytest.raises(PlanMistakes, match="PLAN-002") as caught:
+        read_plan(plan_path(plan_text.replace(old, new, 1)))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("trajectories", ["trajectories = []", "trajectories = 3", ""])
+def test_a_plan_without_trajectories_is_a_mistake(trajectories, plan_text, plan_path):
+    head = plan_text.split("[[trajectories]]")[0]
+    with pytest.raises(PlanMistakes, match=r"PLAN-002.*trajectories"):
+        read_plan(plan_path(head + trajectories))
+
+
+def test_entry_and_target_must_differ(plan_text, plan_path):
+    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*trajectories\.0.*one point"):
+        read_plan(
+            plan_path(plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60.2]"))
+        )
+
+
+def test_a_depth_beyond_any_head_is_refused(plan_text, plan_path):
+    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*deep"):
+        read_plan(plan_path(plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5, 140, 20]")))
+
+
+def test_ids_must_differ(plan_text, plan_path):
+    with pytest.raises(DuplicateTrajectory, match=r"PLAN-005.*'T1'"):
+        read_plan(plan_path(plan_text.replace('"T2"', '"T1"')))
+
+
+def test_all_mistakes_come_in_one_error_with_their_codes(plan_text, plan_path):
+    text = plan_text.replace('"T2"', '"T1"').replace("implanted = 4", "implanted = 9")
+    text = text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60]")
+    with pytest.raises(PlanMistakes) as caught:
+        read_plan(plan_path(text))
+    message = str(caught.value)
+    for part in ("3 mistakes", "PLAN-002 implanted", "PLAN-004 trajectories.0", "PLAN-005"):
+        assert part in message
+
+
+def test_several_mistakes_of_one_kind_keep_their_code(plan_text, plan_path):
+    text = plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60]")
+    text = text.replace("target_mm = [-15.5, -10.0, 25.0]", "target_mm = [-20, -40, 70]")
+    with pytest.raises(
+        BadTrajectoryGeometry, match=r"PLAN-004.*2 mistakes.*trajectories\.0.*trajectories\.1"
+    ):
+        read_plan(plan_path(text))
