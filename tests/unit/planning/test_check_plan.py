@@ -59,6 +59,7 @@ def test_the_field_ends_at_the_faces_of_the_outermost_voxels(plan_text, plan_pat
     assert check_plan(plan, make_volume()).passed
 
 
+@pytest.mark.hazard(7)
 def test_another_patient_position_is_refused(plan, make_volume):
     with pytest.raises(WrongOrientation, match=r"PLAN-009.*HFS.*HFP"):
         check_plan(plan, make_volume(patient_position="HFP")).require()
@@ -85,6 +86,7 @@ def test_three_fiducials_of_nearly_equal_sides_are_warned_about(plan_text, plan_
     assert not any("sides" in one for one in check_plan(plan, make_volume(), fiducials_mm=spread).warnings)
 
 
+@pytest.mark.hazard(23)
 def test_an_unreachable_target_is_refused(plan, make_volume, make_arm):
     with pytest.raises(NotReachable, match=r"PLAN-007.*T1/target.*ARM-001") as caught:
         check_plan(plan, make_volume(), arm=make_arm((1400.0, 0.0, 250.0))).require()

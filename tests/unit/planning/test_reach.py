@@ -103,6 +103,7 @@ def test_the_branch_that_serves_most_poses_is_tried_first(make_arm, checked):
     assert len(set(ranked_branches(setting.model, flanges, overhead))) == 8
 
 
+@pytest.mark.hazard(23)
 def test_unmet_preconditions_name_pose_and_reason(make_arm):
     far = [*FIDUCIALS[:2], [5.0, -40.0, -600.0]]
     result = check_paths(make_arm(), TRAJECTORIES, far)

@@ -63,6 +63,7 @@ def test_the_gate_rejects_five_percent_of_sound_registrations(simulated):
     assert np.mean(np.sqrt(squares) > limit_mm) == pytest.approx(0.05, abs=0.01)
 
 
+@pytest.mark.hazard(28)
 def test_fre_tells_nothing_about_the_target_error(simulated):
     _, squares, error = simulated
     assert abs(np.corrcoef(np.sqrt(squares), error)[0, 1]) < 0.05

@@ -77,6 +77,7 @@ def test_a_scalene_triangle_is_unique(random, any_pose):
     assert pairs_of(result) == {(0, 1), (1, 2), (2, 0)}
 
 
+@pytest.mark.hazard(10)
 @pytest.mark.parametrize("symmetric", ["square", "cube", "tetrahedron"])
 def test_symmetric_sets_are_ambiguous(symmetric, random, any_pose):
     points = {
@@ -89,6 +90,7 @@ def test_symmetric_sets_are_ambiguous(symmetric, random, any_pose):
     assert result.runner_up is not None
 
 
+@pytest.mark.hazard(7)
 @pytest.mark.parametrize("count", [4, 5, 6])
 def test_a_mirrored_set_is_refused(count, random, fiducials, any_pose):
     tried = 0
@@ -170,6 +172,7 @@ def test_one_pair_too_many_is_judged_by_every_subset(random, fiducials, any_pose
     assert pairs_of(result) == {(k, k) for k in range(6) if k != 2}
 
 
+@pytest.mark.hazard(11)
 def test_a_marker_that_moved_is_left_out_after_the_fine_localization(random, fiducials, any_pose):
     points, truth = fiducials(5, random), any_pose(random)
     physical = truth.apply(points)

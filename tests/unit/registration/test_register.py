@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration import Finding, drop_one_explanations, register
-from procedures.registration.errors import BadParameter, UnsoundRegistration
+from procedures.registration.errors import BadParameter, CollinearPoints, DuplicatePoints, UnsoundRegistration
 from ronna_hw.frames import Frame
 
 EXACT = 1e-12
@@ -42,7 +42,10 @@ def test_coplanar_points_give_a_proper_rotation(count, random, any_pose):
 def test_no_points_whatever_give_a_reflection(seed, count):
     random = np.random.default_rng(seed)
     image, physical = random.normal(size=(2, count, 3)) * 100.0
-    found = register(image + np.arange(count)[:, None] * 5.0, physical + np.arange(count)[:, None] * 5.0)
+    try:
+        found = register(image, physical)
+    except (CollinearPoints, DuplicatePoints):
+        assume(False)
     assert np.linalg.det(found.transform.as_matrix()[:3, :3]) == pytest.approx(1.0)
 
 
@@ -130,6 +133,7 @@ def test_weighting_lowers_the_target_error(spread_mm, least_gain, random, fiduci
     assert weighted == pytest.approx(np.sqrt(np.mean(np.square(predicted))), rel=0.15)
 
 
+@pytest.mark.hazard(11)
 def test_leave_one_out_shows_the_fiducial_that_moved(random, fiducials, any_pose):
     points = fiducials(5, random)
     measured = any_pose(random).apply(points) + random.normal(size=points.shape) * 0.05
@@ -154,6 +158,7 @@ def test_no_single_removal_explains_two_moved_fiducials(random, fiducials):
     assert drop_one_explanations(register(points, measured), fle_mm=0.1) == ()
 
 
+@pytest.mark.hazard(7)
 def test_a_mirrored_set_is_fitted_properly_but_not_sound(random, fiducials):
     points = fiducials(6, random)
     found = register(points, points * [-1.0, 1.0, 1.0])
