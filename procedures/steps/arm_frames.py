@@ -5,14 +5,14 @@ from __future__ import annotations
 from procedures.engine.devices import MASTER
 from procedures.engine.step import StepContext
 from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import ArmModel, arm_model
+from ronna_hw.arm.model import ArmModel, ArmVariant, arm_model
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 
 
 def model_of(context: StepContext) -> ArmModel:
     """The arm model that the theatre file names for the master arm."""
-    return arm_model(str(context.theatre.robot[MASTER].options.get("variant", "sixx")))
+    return arm_model(str(context.theatre.robot[MASTER].options.get("variant", ArmVariant.SIXX)))
 
 
 def stereo_tool_in_flange(context: StepContext) -> Transform:

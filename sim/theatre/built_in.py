@@ -1,7 +1,7 @@
 """The built-in scenes: `default`, `mini` and `bench`, each drawn from a seed.
 
-The room: the robot's base is the origin, x forward, z up. The patient lies on the back with the vertex
-towards the robot, tilted up; the tracker looks at the head from above and the side.
+The room: the robot's base is the origin, x forward, z up. The patient half sits, the vertex up and towards
+the robot; the tracker looks at the head from above and the side.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from sim.theatre.scene import CalibrationError, CameraTruth, Scene
 from sim.theatre.stereo_head import WORKING_DISTANCE_MM
 
 RECORD_LIFE = timedelta(days=30)
+VARIANT_NAMES = {"sixx": "r900_sixx", "r900_2": "r900_2"}
 MADE_BY = "ronna-sim theatre"
 BANNER = "SIMULATED THEATRE"
 
@@ -43,7 +44,10 @@ def theatre_content(
             "master": {
                 "driver": "kuka_rsi",
                 "endpoints": {key: endpoints["kuka"][key] for key in ("rsi", "eki_project")},
-                "options": {"variant": scene.arm.variant, "silence_limit_s": silence_limit_s},
+                "options": {
+                    "variant": f"kr6_{VARIANT_NAMES[scene.arm.variant]}",
+                    "silence_limit_s": silence_limit_s,
+                },
             }
         },
         "stereo": {
