@@ -1,0 +1,95 @@
+"""A bench with a unit on it, spoken to line by line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pytest
+
+from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
+from sim.polaris.definition import write_definition
+from sim.polaris.profile import SPECTRA, Profile
+from sim.polaris.session import Session
+from sim.polaris.unit import Unit
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene import Scene, TrackerTool
+from sim.theatre.world import World
+
+POINTER = TrackerTool(
+    name="pointer",
+    part_number="8700340",
+    markers_mm=((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (25.0, 100.0, 0.0), (-25.0, 135.0, 0.0)),
+)
+ROM_BYTES_SENT = 768  # clients pad to whole blocks
+
+
+@dataclass
+class Bench:
+    """One unit and one host that sends whole lines."""
+
+    world: World
+    unit: Unit
+    session: Session
+
+    def send(self, line: str) -> str:
+        """Answer to a line in the form without CRC, its own CRC checked and cut off."""
+        return text_of(self.session.answer(line.encode("latin-1")))
+
+    def send_with_crc(self, line: str) -> str:
+        """The same in the form with CRC; the line includes the colon."""
+        return text_of(self.session.answer(f"{line}{crc16(line.encode()):04X}".encode()))
+
+    def raw(self, line: str) -> bytes:
+        """The bytes of an answer."""
+        return self.session.answer(line.encode("latin-1"))
+
+    def load(self, content: bytes) -> int:
+        """Request a handle and write a definition to it."""
+        handle = int(self.send("PHRQ *********1****"), 16)
+        padded = content.ljust(ROM_BYTES_SENT, b"\0")
+        for address in range(0, ROM_BYTES_SENT, PVWR_BLOCK_BYTES):
+            block = padded[address : address + PVWR_BLOCK_BYTES].hex()
+            assert self.send(f"PVWR {handle:02X}{address:04X}{block}") == "OKAY"
+        return handle
+
+    def enable(self, tool: TrackerTool) -> int:
+        """Load, initialise and enable a tool."""
+        handle = self.load(write_definition(tool))
+        assert self.send(f"PINIT {handle:02X}") == "OKAY"
+        assert self.send(f"PENA {handle:02X}D") == "OKAY"
+        return handle
+
+
+def text_of(reply: bytes) -> str:
+    """The text of an ASCII answer; its CRC must be right."""
+    assert reply.endswith(b"\r")
+    content, crc = reply[:-5], reply[-5:-1]
+    assert crc == b"%04X" % crc16(content)
+    return content.decode("latin-1")
+
+
+@pytest.fixture
+def make_bench() -> Callable[..., Bench]:
+    """Make a bench from a scene; its clock is advanced by requests, so every frame is a new one."""
+
+    def make(scene: Scene | None = None, *, paced: bool = False, profile: Profile = SPECTRA) -> Bench:
+        world = World.create(scene or built_in_scene("bench"), paced=paced)
+        unit = Unit(world, profile)
+        return Bench(world, unit, Session(unit))
+
+    return make
+
+
+@pytest.fixture
+def pointer() -> TrackerTool:
+    """A tool that is not the reference frame."""
+    return POINTER
+
+
+@pytest.fixture
+def bench(make_bench: Callable[..., Bench]) -> Bench:
+    """An initialised unit on the bench."""
+    bench = make_bench()
+    assert bench.send("INIT ") == "OKAY"
+    return bench

@@ -1,0 +1,70 @@
+"""Tool definitions: what is written is read again, what is wrong is named."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+
+from ronna_hw.wire import polaris_rom
+from sim.polaris.definition import BadDefinition, checksum, parse_definition, write_definition
+from sim.theatre.built_in import robot_frame
+from sim.theatre.scene import TrackerTool
+
+
+def changed(offset: int, value: bytes) -> bytes:
+    """The reference frame's definition with some bytes replaced and a right checksum."""
+    content = bytearray(write_definition(robot_frame()))
+    content[offset : offset + len(value)] = value
+    struct.pack_into("<H", content, polaris_rom.CHECKSUM_OFFSET, checksum(bytes(content)))
+    return bytes(content)
+
+
+def test_a_written_definition_is_read_again() -> None:
+    tool = robot_frame()
+    content = write_definition(tool)
+    read = parse_definition(content)
+    assert len(content) == 752
+    assert np.allclose(read.markers_mm, tool.markers_mm)
+    assert np.allclose(read.normals, [tool.normal] * 4)
+    assert (read.part_number, read.manufacturer, read.main_type) == ("RONNA-M", "RONNA", 1)
+    assert (read.minimum_markers, read.maximum_angle_deg, read.maximum_error_mm) == (3, 90.0, 2.0)
+    assert read.serial != 0
+
+
+def test_the_bytes_that_clients_pad_with_do_not_matter() -> None:
+    content = write_definition(robot_frame())
+    for size in (768, 1024, 2048):
+        assert parse_definition(content.ljust(size, b"\0")).part_number == "RONNA-M"
+
+
+def test_the_serial_number_is_the_four_bytes_of_the_file() -> None:
+    content = changed(polaris_rom.SERIAL_OFFSET, bytes.fromhex("03148034"))
+    assert parse_definition(content).serial == 0x34801403
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "0 bytes"),
+        (changed(0, b"XDI"), "does not begin"),
+        (write_definition(robot_frame())[:-1] + b"\1", "checksum"),
+        (changed(polaris_rom.MARKER_COUNT_OFFSET, b"\2"), "2 markers"),
+        (changed(polaris_rom.MARKER_COUNT_OFFSET, b"\x15"), "21 markers"),
+        (changed(polaris_rom.MINIMUM_MARKER_COUNT_OFFSET, b"\5"), "5 of 4"),
+        (changed(polaris_rom.MAXIMUM_ERROR_OFFSET, struct.pack("<f", float("nan"))), "maximum 3D error"),
+        (changed(polaris_rom.MARKER_POSITIONS_OFFSET, struct.pack("<f", float("inf"))), "positions"),
+        (changed(polaris_rom.MARKER_NORMALS_OFFSET, bytes(12)), "no normal"),
+    ],
+)
+def test_each_defect_of_a_definition_is_named(content: bytes, said: str) -> None:
+    with pytest.raises(BadDefinition, match=said):
+        parse_definition(content)
+
+
+def test_a_tool_with_too_many_markers_is_not_written() -> None:
+    tool = TrackerTool(name="t", part_number="t", markers_mm=tuple((float(k), 0.0, 0.0) for k in range(21)))
+    with pytest.raises(BadDefinition) as refused:
+        write_definition(tool)
+    assert refused.value.limits

@@ -1,0 +1,87 @@
+"""Single markers, the volume, and the fit of a definition to its markers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim.polaris.fit import fit_body
+from sim.polaris.optics import MID_VOLUME_MM, Optics
+from sim.polaris.volume import EXTENDED_PYRAMID, PYRAMID, Volume
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.noise import noise
+from sim.theatre.rigid import rotation_from_vector
+
+
+@pytest.mark.parametrize(
+    ("volume", "z", "x", "y"),
+    [
+        (PYRAMID, -950.0, 224.72, 240.57),
+        (PYRAMID, -1532.0, 398.00, 572.00),
+        (PYRAMID, -2000.0, 537.34, 685.74),
+        (PYRAMID, -2400.0, 656.43, 782.95),
+        (EXTENDED_PYRAMID, -2664.0, 735.0, 847.11),
+        (EXTENDED_PYRAMID, -3000.0, 735.0, 928.77),
+    ],
+)
+def test_a_volume_has_the_published_sections(volume: Volume, z: float, x: float, y: float) -> None:
+    assert volume.holds(x - 0.01, y - 0.01, z)
+    assert volume.holds(-x + 0.01, -y + 0.01, z)
+    assert not volume.holds(x + 0.01, 0.0, z)
+    assert not volume.holds(0.0, -y - 0.01, z)
+
+
+@pytest.mark.parametrize("z", [-949.9, -2400.1, 1500.0])
+def test_nothing_is_inside_before_or_behind_the_volume(z: float) -> None:
+    assert not PYRAMID.holds(0.0, 0.0, z)
+
+
+def test_a_fit_finds_the_pose_it_was_made_with() -> None:
+    generator = np.random.default_rng(11)
+    for _ in range(50):
+        body = generator.uniform(-80.0, 80.0, (4, 3))
+        rotation = rotation_from_vector(generator.uniform(-2.0, 2.0, 3))
+        shift = generator.uniform(-500.0, 500.0, 3)
+        found = fit_body(body, body @ rotation.T + shift)
+        assert np.allclose(found[0], rotation, atol=1e-9)
+        assert np.allclose(found[1], shift, atol=1e-7)
+        assert found[2].max() < 1e-9
+
+
+def test_a_mirror_image_is_never_fitted() -> None:
+    body = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 90.0, 0.0], [10.0, 20.0, 40.0]])
+    rotation, _, distances = fit_body(body, body * (1.0, 1.0, -1.0))
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    assert distances.max() > 5.0
+
+
+def test_a_planar_body_is_fitted_without_a_flip() -> None:
+    body = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 90.0, 0.0], [-44.0, 40.0, 0.0]])
+    rotation, _, distances = fit_body(body, body + np.random.default_rng(3).normal(0.0, 0.1, (4, 3)))
+    assert np.linalg.norm(rotation - np.eye(3)) < 0.02
+    assert distances.max() < 0.5
+
+
+def test_depth_is_measured_worse_and_everything_worsens_with_the_square_of_depth() -> None:
+    truth = built_in_scene("bench").tracker
+    optics = Optics(truth, seed=5)
+    points = np.array([[0.0, 0.0, -MID_VOLUME_MM], [0.0, 0.0, -2.0 * MID_VOLUME_MM]])
+    sight = optics.sight(points)
+    draws = np.array([sight.measured(noise(5, "test", k).standard_normal((2, 3))) for k in range(4000)])
+    spread = draws.std(axis=0)
+    assert spread[0] == pytest.approx([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm], rel=0.05)
+    assert spread[1] == pytest.approx(4.0 * spread[0], rel=0.06)
+
+
+def test_the_bias_is_smooth_fixed_and_of_the_stated_size() -> None:
+    truth = built_in_scene("bench").tracker
+    field = Optics(truth, seed=5)
+    generator = np.random.default_rng(2)
+    box = generator.uniform((-650.0, -780.0, -2400.0), (650.0, 780.0, -950.0), (20_000, 3))
+    inside = np.array([point for point in box if PYRAMID.holds(*point)])
+    bias = field.bias(inside)
+    assert np.sqrt((bias**2).sum(axis=1).mean()) == pytest.approx(truth.bias_mm, rel=0.15)
+    beside = field.bias(inside + np.array([10.0, 0.0, 0.0]))
+    assert np.linalg.norm(beside - bias, axis=1).max() < 0.1 * truth.bias_mm
+    assert np.array_equal(Optics(truth, seed=5).bias(inside), bias)
+    assert not np.allclose(Optics(truth, seed=6).bias(inside), bias)

@@ -1,0 +1,96 @@
+"""User parameters, alerts and the feature list."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sim.theatre.scene import TrackerTool
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("GET Features.Hardware.Model", "Features.Hardware.Model=Polaris Spectra"),
+        ("GET PS-0.Features.Firmware.Version", "Features.Firmware.Version=007.000.012"),
+        ("GET Info.Timeout.PINIT", "Info.Timeout.PINIT=6"),
+        ("GET Features.Nothing", "ERROR34"),
+        ("GET Nothing*", "ERROR34"),
+        ("GET ", "ERROR07"),
+        ("SET Param.Tracking.Sensitivity=7", "OKAY"),
+        ("SET Param.Tracking.Sensitivity=8", "ERROR36"),
+        ("SET Param.Tracking.Sensitivity=99999999999999999999", "ERROR36"),
+        ("SET Param.Tracking.Sensitivity=high", "ERROR35"),
+        ("SET Param.Tracking.Sensitivity", "ERROR07"),
+        ("SET Features.Hardware.Model=Vega", "ERROR39"),
+        ("SET Param.Nothing=1", "ERROR34"),
+        ("SET Param.User.String0=" + "x" * 256, "ERROR38"),
+    ],
+)
+def test_parameters_answer_by_name(bench: Bench, line: str, answer: str) -> None:
+    assert bench.send(line) == answer
+
+
+def test_a_wildcard_lists_every_parameter_that_begins_so(bench: Bench) -> None:
+    lines = bench.send("GET Info.Timeout.*").split("\n")
+    assert len(lines) > 50
+    assert all(line.startswith("Info.Timeout.") for line in lines)
+
+
+def test_parameter_information_has_seven_fields(bench: Bench) -> None:
+    answer = bench.send_with_crc("GETINFO:Features.Firmware.Version")
+    assert answer.startswith("Features.Firmware.Version=007.000.012;")
+    for line in bench.send("GETINFO *").split("\n"):
+        assert len(line.split(";")) == 7
+
+
+def test_the_rate_and_volume_commands_set_the_parameters(bench: Bench) -> None:
+    assert bench.send("IRATE 1") == "OKAY"
+    assert bench.send("GET Param.Tracking.Illuminator Rate") == "Param.Tracking.Illuminator Rate=1"
+    assert bench.send("VSEL 2") == "OKAY"
+    assert bench.send("GET Param.Tracking.Selected Volume") == "Param.Tracking.Selected Volume=1"
+
+
+def test_settings_hold_still_while_tracking(bench: Bench) -> None:
+    bench.send("TSTART 80")
+    assert bench.send("SET Param.Tracking.Sensitivity=5") == "ERROR0C"
+    assert bench.send("SET Param.User.String0=note") == "OKAY"
+    assert bench.send("GET Param.User.String0") == "Param.User.String0=note"
+
+
+def test_the_feature_list_tells_both_volumes(bench: Bench) -> None:
+    first, second, rest = bench.send("SFLIST 03").split("\n")
+    pyramid = "5-240000-153200-095000+057200+039800+056946+024303+029773+999999+999999"
+    assert first[:72] == "2" + pyramid
+    assert second[:71] == pyramid.replace("-240000", "-300000")[:-7] + "+073500"
+    assert (len(first), len(second), rest) == (75, 74, "")
+
+
+def test_an_alert_withholds_transforms_until_it_is_read(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    assert "MISSING" not in bench.send("TX 0001")
+    assert bench.send(f"SET Param.Simulated Alerts={1 << 21}") == "OKAY"
+    answer = bench.send("TX 0001")
+    assert "MISSING" in answer
+    assert answer.endswith("0100")
+    assert bench.send("GET Param.Bump Detector.Bumped").endswith("=1")
+    assert bench.send("GET Info.Status.New Alerts").endswith(f"={1 << 21}")
+    assert bench.send("GET Info.Status.New Alerts").endswith("=0")
+    assert "MISSING" not in bench.send("TX 0001")
+    assert bench.send("SET Param.Bump Detector.Clear=1") == "OKAY"
+    assert bench.send("GET Info.Status.Alerts").endswith("=0")
+
+
+@pytest.mark.parametrize(("bit", "status"), [(0, "0010"), (29, "0200")])
+def test_a_hardware_fault_or_a_cold_unit_shows_in_the_system_status(
+    bench: Bench, bit: int, status: str
+) -> None:
+    bench.send(f"SET Param.Simulated Alerts={1 << bit}")
+    bench.send("GET Info.Status.New Alerts")
+    bench.send("TSTART 80")
+    assert bench.send("TX 0001") == f"00{status}"

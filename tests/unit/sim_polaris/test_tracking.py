@@ -1,0 +1,349 @@
+"""What the unit tells of the bench and of a theatre, frame by frame."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from sim.polaris.definition import write_definition
+from sim.polaris.profile import SPECTRA
+from sim.theatre.built_in import built_in_scene, robot_frame
+from sim.theatre.rigid import (
+    apply,
+    inverse,
+    matrix_from,
+    matrix_of,
+    quaternion_from_rotation,
+    rotation_from_vector,
+)
+from sim.theatre.scene import Scene, TrackerTool
+from sim.theatre.world import ArmState
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+MARKER_IN_TRACKER = matrix_from((50.0, -80.0, -1600.0), rotation_from_vector((0.2, -0.3, 0.5)))
+
+
+def frame_number(answer: str) -> int:
+    return int(answer.split("\n")[0][-8:], 16)
+
+
+def position(answer: str, tool: int = 0) -> np.ndarray:
+    """Position of one tool in an answer to TX:0801 or TX:1801."""
+    record = answer[2:].split("\n")[tool][2:]
+    return np.array([float(record[24 + 7 * k : 31 + 7 * k]) / 100.0 for k in range(3)])
+
+
+def strays(answer: str) -> np.ndarray:
+    """Positions of the strays in an answer to TX:1801."""
+    block = answer.rsplit("\n", 1)[1]
+    count = int(block[:2], 16)
+    digits = -(-count // 4)
+    text = block[2 + digits : -4]
+    return np.array([float(text[k : k + 7]) / 100.0 for k in range(0, len(text), 7)]).reshape(count, 3)
+
+
+def put_arm(bench: Bench) -> None:
+    """Let an arm carry the reference frame to where the tracker sees it well."""
+    mount = bench.world.scene.mount
+    flange_from_marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
+    pose = matrix_of(bench.world.scene.tracker.robot_from_tracker) @ MARKER_IN_TRACKER
+    bench.world.publish_arm(ArmState((0.0,) * 6, pose @ inverse(flange_from_marker), 0, True))
+
+
+def at_depth(depth_mm: float) -> Scene:
+    """The bench with its first place moved along the axis of the tracker."""
+    scene = built_in_scene("bench")
+    place = scene.tracker.places[0].model_copy(update={"translation_mm": (0.0, 0.0, -depth_mm)})
+    tracker = scene.tracker.model_copy(update={"places": (place,)})
+    return scene.model_copy(update={"tracker": tracker})
+
+
+def test_each_loaded_tool_of_the_bench_has_a_place_of_its_own(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.enable(robot_frame())
+    bench.send("TSTART 80")
+    answer = bench.send("TX 0801")
+    places = bench.world.scene.tracker.places
+    assert position(answer, 0) == pytest.approx(places[0].translation_mm, abs=1.0)
+    assert position(answer, 1) == pytest.approx(places[1].translation_mm, abs=1.0)
+
+
+def test_the_place_of_a_freed_tool_is_taken_by_the_next(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.enable(pointer)
+    bench.send("PHF 01")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    answer = bench.send("TX 0801")
+    assert position(answer, 0) == pytest.approx((-150.0, -300.0, -1500.0), abs=1.0)
+    assert position(answer, 1) == pytest.approx((-150.0, -100.0, -1500.0), abs=1.0)
+
+
+def test_the_bench_has_three_strays_without_identity(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    truth = np.array(bench.world.scene.tracker.strays_mm)
+    orders = set()
+    for _ in range(30):
+        found = strays(bench.send("TX 1801"))
+        nearest = [int(np.argmin(np.linalg.norm(truth - stray, axis=1))) for stray in found]
+        assert np.abs(found - truth[nearest]).max() < 1.5
+        orders.add(tuple(nearest))
+    assert sorted(nearest) == [0, 1, 2]
+    assert len(orders) == 6
+
+
+def test_strays_are_seen_only_while_a_tool_makes_the_illuminators_fire(bench: Bench) -> None:
+    bench.send("TSTART 80")
+    assert bench.send("TX 1801") == "00" + "00" + "0000"
+
+
+def test_text_and_bytes_of_one_frame_agree(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
+    bench = make_bench(paced=True)
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    for _ in range(100):
+        text, raw = bench.send("TX 1801"), bench.raw("BX 1801")
+        number = struct.unpack_from("<I", raw, 6 + 1 + 2 + 36)[0]
+        if frame_number(text) == number:
+            break
+    values = struct.unpack_from("<8f", raw, 6 + 1 + 2)
+    assert position(text) == pytest.approx(values[4:7], abs=0.005)
+    record = text[4:28]
+    quaternion = [float(record[k : k + 6]) / 1e4 for k in range(0, 24, 6)]
+    assert quaternion == pytest.approx(values[:4], abs=5e-5)
+    assert np.linalg.norm(quaternion) == pytest.approx(1.0, abs=1e-3)
+    points = struct.unpack_from("<9f", raw, 6 + 45 - 2 + 2)
+    assert strays(text).ravel() == pytest.approx(points, abs=0.005)
+
+
+def test_each_request_gets_exactly_one_new_frame_of_a_clock_that_waits(
+    bench: Bench, pointer: TrackerTool
+) -> None:
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    began_ns = bench.world.clock.now_ns()
+    numbers = [frame_number(bench.send("TX 0001")) for _ in range(60)]
+    assert numbers == list(range(1, 61))
+    assert bench.world.clock.now_ns() - began_ns == pytest.approx(1e9, abs=1)
+    bench.world.clock.sleep(1.0)
+    assert frame_number(bench.send("TX 0001")) == 121
+
+
+def test_a_paced_clock_gives_sixty_frames_per_second_and_repeats_them(
+    make_bench: Callable[..., Bench], pointer: TrackerTool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = make_bench(paced=True)
+    moments = [0.0]
+    monkeypatch.setattr(bench.world.clock, "now_ns", lambda: round(moments[0] * 1e9))
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    answers = []
+    for k in range(121):
+        moments[0] = k / 120.0 + 1e-4
+        answers.append(bench.raw("TX 0801"))
+    assert answers[2] == answers[3]
+    assert len(set(answers)) == 61
+    assert frame_number(answers[120].decode()) == 60
+
+
+@pytest.mark.parametrize(("rate", "step"), [("0", 3), ("1", 2), ("2", 1)])
+def test_a_slower_illuminator_leaves_out_counts(
+    bench: Bench, pointer: TrackerTool, rate: str, step: int
+) -> None:
+    bench.send(f"IRATE {rate}")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    assert [frame_number(bench.send("TX 0001")) for _ in range(4)] == [step * k for k in range(1, 5)]
+
+
+def test_only_option_80_sets_the_frame_number_back(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    for _ in range(10):
+        bench.send("TX 0001")
+    bench.send("TSTOP ")
+    bench.send("TSTART ")
+    assert frame_number(bench.send("TX 0001")) == 11
+    bench.send("TSTOP ")
+    bench.send("TSTART 80")
+    assert frame_number(bench.send("TX 0001")) == 1
+
+
+def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    def record(scene: Scene, skipped: int) -> list[bytes]:
+        bench = make_bench(scene)
+        bench.send("INIT ")
+        bench.enable(pointer)
+        bench.send("TSTART 80")
+        bench.world.clock.sleep((skipped + 0.5) / 60.0)
+        return [bench.raw("BX 1803") for _ in range(20)]
+
+    scene = built_in_scene("bench")
+    assert record(scene, 0) == record(scene, 0)
+    # frames that nobody asked for change nothing in those that follow
+    assert record(scene, 5) == record(scene, 0)[5:] + record(scene, 20)[:5]
+    assert record(built_in_scene("bench", seed=1), 0) != record(scene, 0)
+
+
+def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    errors = []
+    for _ in range(300):
+        raw = bench.raw("BX 0801")
+        errors.append(struct.unpack_from("<f", raw, 6 + 1 + 2 + 28)[0])
+    truth = bench.world.scene.tracker
+    scale = (1500.0 / 1675.0) ** 2
+    # 4 markers give 12 numbers, 6 of which the pose takes away: half of the variance is left
+    left = scale * np.sqrt((2 * truth.noise_xy_mm**2 + truth.noise_z_mm**2) / 2)
+    assert 0.5 * left < np.mean(errors) < 1.5 * left
+    assert np.std(errors) > 0.1 * left
+
+
+def test_the_reference_frame_hangs_on_the_arm(make_bench: Callable[..., Bench]) -> None:
+    scene = built_in_scene("default")
+    bench = make_bench(scene)
+    put_arm(bench)
+    bench.send("INIT ")
+    bench.enable(robot_frame())
+    bench.send("TSTART 80")
+    answer = bench.send("TX 0001")
+    assert position(answer) == pytest.approx(MARKER_IN_TRACKER[:3, 3], abs=1.0)
+    quaternion = [float(answer[k : k + 6]) / 1e4 for k in range(4, 28, 6)]
+    assert quaternion == pytest.approx(quaternion_from_rotation(MARKER_IN_TRACKER[:3, :3]), abs=0.01)
+
+
+def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> None:
+    scene = built_in_scene("mini", seed=4)
+    bench = make_bench(scene)
+    put_arm(bench)
+    bench.send("INIT ")
+    bench.enable(robot_frame())
+    bench.send("TSTART 80")
+    answer = bench.send("TX 1801")
+    assert "MISSING" not in answer
+    tracker_from_ct = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(
+        scene.head.robot_from_ct
+    )
+    truth = apply(tracker_from_ct, [fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
+    found = strays(answer)
+    assert len(found) == len(truth) == 3
+    for centre in truth:
+        assert np.linalg.norm(found - centre, axis=1).min() < 1.5
+
+
+def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    bench = make_bench(built_in_scene("mini", seed=4))
+    put_arm(bench)
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    answer = bench.send("TX 1801")
+    assert answer.startswith("0101MISSING00000031")  # the pointer is not in this room
+    assert answer.split("\n")[1].startswith("07")
+
+
+def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(built_in_scene("mini", seed=4))
+    put_arm(bench)
+    bench.send("INIT ")
+    tool = robot_frame()
+    bench.enable(tool.model_copy(update={"markers_mm": (*tool.markers_mm[:3], (-92.0, 30.0, 12.0))}))
+    bench.send("TSTART 80")
+    answer = bench.send("TX 1803")
+    assert answer.startswith("0101MISSING00000031")
+    assert answer.split("\n")[0][-22:-20] == "01"
+    assert answer.split("\n")[0][-20:-16].count("2") >= 2
+    assert len(strays(answer)) == 7
+
+
+@pytest.mark.parametrize("line", ["tracker occlude tool robot_frame", "tracker occlude marker 2"])
+def test_faults_hide_what_they_name_for_as_long_as_they_last(
+    make_bench: Callable[..., Bench], line: str
+) -> None:
+    bench = make_bench(built_in_scene("mini", seed=4))
+    put_arm(bench)
+    bench.send("INIT ")
+    bench.enable(robot_frame())
+    bench.world.set_fault_script(f"at 0.5 s: {line} for 0.5 s")
+    bench.send("TSTART 80")
+    seen = []
+    for _ in range(90):
+        answer = bench.send("TX 1801")
+        seen.append(("MISSING" in answer, len(strays(answer))))
+    usual, hidden = (False, 3), (True, 3) if "tool" in line else (False, 2)
+    assert seen[:29] == [usual] * 29
+    assert seen[30:59] == [hidden] * 29
+    assert seen[60:] == [usual] * 30
+
+
+def test_a_tool_behind_the_volume_is_missing_unless_asked_for(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    bench = make_bench(at_depth(2500.0))
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    assert bench.send("TX 0001").startswith("0101MISSING00000071")
+    assert position(bench.send("TX 0801"))[2] == pytest.approx(-2500.0, abs=2.0)
+    assert bench.send("TX 0803").split("\n")[0][-20:-16] == "5555"
+    bench.send("TSTOP ")
+    bench.send("VSEL 2")
+    bench.send("TSTART 80")
+    assert "00000031" in bench.send("TX 0001")
+
+
+def test_a_tool_half_out_of_the_volume_says_so(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    scene = built_in_scene("bench")
+    place = scene.tracker.places[0].model_copy(update={"translation_mm": (0.0, 490.0, -1500.0)})
+    tracker = scene.tracker.model_copy(update={"places": (place,)})
+    bench = make_bench(scene.model_copy(update={"tracker": tracker}))
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    assert "000000B1" in bench.send("TX 0001")
+
+
+@pytest.mark.parametrize(("turn_deg", "seen"), [(0.0, True), (80.0, True), (100.0, False), (180.0, False)])
+def test_a_tool_that_turns_its_markers_away_is_missing(
+    make_bench: Callable[..., Bench], pointer: TrackerTool, turn_deg: float, seen: bool
+) -> None:
+    scene = at_depth(1500.0)
+    half = np.radians(turn_deg) / 2
+    turned = (float(np.cos(half)), float(np.sin(half)), 0.0, 0.0)
+    place = scene.tracker.places[0].model_copy(update={"quaternion_wxyz": turned})
+    tracker = scene.tracker.model_copy(update={"places": (place,)})
+    bench = make_bench(scene.model_copy(update={"tracker": tracker}))
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    answer = bench.send("TX 0803")
+    assert ("MISSING" not in answer) is seen
+    assert answer.split("\n")[0][-20:-16] == ("3333" if seen else "1111")
+
+
+def test_what_no_paper_settles_is_a_parameter(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
+    from dataclasses import replace
+
+    from sim.polaris.refusal import ErrorCode
+
+    other = replace(SPECTRA, accepts_lower_case=True, bad_definition=ErrorCode.OUT_OF_RANGE)
+    bench = make_bench(profile=other)
+    assert bench.send("init ") == "OKAY"
+    bench.load(write_definition(pointer)[:-1] + b"\7")
+    assert bench.send("PINIT 01") == "ERROR23"
