@@ -1,4 +1,4 @@
-"""The built-in scenes are plans that a planner would accept: the arm reaches everything, away from singularities."""
+"""The built-in scenes are plans that a planner would accept: all within reach, away from singularities."""
 
 import math
 
