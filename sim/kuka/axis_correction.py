@@ -1,0 +1,67 @@
+"""AXISCORR and AXISCORRMON: corrections that add to joint angles, clamped, and watched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ronna_hw.wire.kuka_context import (
+    AXISCORR_DEFAULT_LIMIT_DEG,
+    AXISCORRMON_DEFAULT_MAX_DEG,
+    SOFTWARE_END_SWITCHES,
+    AxisCorrection,
+    AxisMonitor,
+)
+from sim.kuka.description import AXES, Description
+from sim.kuka.messages import Message, out_of_range
+
+ACTIVE_BIT = 1  # bit 0 of Stat; bit n says that axis n is at a limit
+
+
+class AxisCorrector:
+    """The two objects of one run, from RSI_ON on. Degrees, relative to the pose at RSI_ON."""
+
+    def __init__(
+        self,
+        arm: Description,
+        base_deg: Sequence[float],
+        correction: AxisCorrection | None,
+        monitor: AxisMonitor | None,
+        *,
+        relative: bool,
+    ) -> None:
+        down = [joint.lower_deg - base for joint, base in zip(arm.joints, base_deg, strict=True)]
+        up = [joint.upper_deg - base for joint, base in zip(arm.joints, base_deg, strict=True)]
+        widest = [max(abs(low), abs(high)) for low, high in zip(down, up, strict=True)]
+        self._lower_deg: Sequence[float] = (-AXISCORR_DEFAULT_LIMIT_DEG,) * AXES
+        self._upper_deg: Sequence[float] = (AXISCORR_DEFAULT_LIMIT_DEG,) * AXES
+        if correction is not None:
+            explicit = correction.limits != SOFTWARE_END_SWITCHES
+            self._lower_deg = correction.lower_deg if explicit else down
+            self._upper_deg = correction.upper_deg if explicit else up
+        self._largest_deg: Sequence[float] = (AXISCORRMON_DEFAULT_MAX_DEG,) * AXES
+        if monitor is not None:
+            self._largest_deg = widest if monitor.limits == SOFTWARE_END_SWITCHES else monitor.max_deg
+        self._axes = [joint.name for joint in arm.joints]
+        self._relative = relative
+        self.totals_deg: list[float] = [0.0] * AXES
+        self.stat = 0
+
+    def take(self, inputs_deg: Sequence[float]) -> Message | None:
+        """Add one cycle's inputs up; the monitor's message when the total is beyond its limit."""
+        wanted = (
+            [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
+            if self._relative
+            else list(inputs_deg)
+        )
+        self.stat = ACTIVE_BIT
+        for axis, (value, lower, upper) in enumerate(
+            zip(wanted, self._lower_deg, self._upper_deg, strict=True)
+        ):
+            if value < lower or value > upper:
+                wanted[axis] = lower if value < lower else upper
+                self.stat |= ACTIVE_BIT << (axis + 1)
+        self.totals_deg = wanted
+        for axis, (value, largest) in enumerate(zip(wanted, self._largest_deg, strict=True)):
+            if value > largest or value < -largest:
+                return out_of_range("AXISCORRMON", self._axes[axis], value, largest)
+        return None

@@ -1,0 +1,146 @@
+"""`ronna-sim kuka`: a KR C4 with a KR 6 R900 for any client of RSI and EKI."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from ronna_hw.endpoints import Endpoint
+    from ronna_hw.wire.kuka_context import RsiContext
+
+RSI_DEFAULT = "udp://127.0.0.1:59152"
+
+
+class Corrections(StrEnum):
+    """How corrections add up."""
+
+    ABSOLUTE = "absolute"
+    RELATIVE = "relative"
+
+
+class CycleMs(StrEnum):
+    """Sensor cycle: #IPO_FAST or #IPO."""
+
+    FAST = "4"
+    SLOW = "12"
+
+
+def kuka(
+    rsi: Annotated[
+        str | None,
+        typer.Option(help=f"Where the client listens [default: the Ethernet file's, or {RSI_DEFAULT}]."),
+    ] = None,
+    eki: Annotated[
+        str, typer.Option(help="EKI channel of the C++ SDK; port 0 takes a free one.")
+    ] = "tcp://127.0.0.1:54600",
+    eki_project: Annotated[
+        str, typer.Option(help="EKI channel of this project; port 0 takes a free one.")
+    ] = "tcp://127.0.0.1:54602",
+    rsi_config: Annotated[
+        Path | None, typer.Option(help="KUKA Ethernet file (XML): layout of the telegrams.")
+    ] = None,
+    rsi_context: Annotated[
+        Path | None, typer.Option(help="RSI context (TOML): wiring, limits, monitors.")
+    ] = None,
+    corrections: Annotated[
+        Corrections | None, typer.Option(help="Argument of RSI_ON [default: the context's].")
+    ] = None,
+    cycle_ms: Annotated[
+        CycleMs | None, typer.Option(help="Sensor cycle in ms [default: the context's].")
+    ] = None,
+    autostart: Annotated[
+        bool, typer.Option("--autostart", help="Stream and accept corrections without EKI.")
+    ] = False,
+    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
+    world: Annotated[str | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """A KUKA controller with its arm: RSI over UDP, EKI over TCP; runs until it is ended."""
+    import gc
+
+    from ronna_hw.endpoints import parse_endpoint
+    from sim.kuka.autostart import Autostart
+    from sim.kuka.controller import Controller
+    from sim.kuka.eki_server import EkiServer
+    from sim.kuka.manipulator import Manipulator
+    from sim.kuka.parameters import SUBMIT_CYCLE_S, ControllerParameters
+    from sim.kuka.rsi_socket import resolve
+    from sim.kuka.station import Station
+    from sim.kuka.telegram import TelegramWriter
+    from sim.theatre.process import announce, end_with_parent, open_world
+
+    context = _context(rsi_config, rsi_context, corrections, cycle_ms)
+    TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # refuses at the start
+    where = rsi or (_file_address(context) if rsi_config is not None else RSI_DEFAULT)
+    client = parse_endpoint(where).require("udp")
+    address = resolve(client)
+    room = open_world(world, scene)
+    parameters = ControllerParameters()
+    arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters)
+    controller = Controller(context, arm, room.mounted_tool, parameters)
+    project_server = EkiServer(_listening(eki_project))
+    sdk_server = EkiServer(_listening(eki), SUBMIT_CYCLE_S)
+    station = Station(
+        controller, room, address, project_server, sdk_server, Autostart(controller, wanted=autostart)
+    )
+    end_with_parent(station.end)
+    announce(
+        "kuka",
+        endpoints={"rsi": str(client), "eki": sdk_server.endpoint, "eki_project": project_server.endpoint},
+        **_summary(context, inferred=rsi_config is not None and rsi_context is None),
+    )
+    # What lives now lives to the end: the collector need not look at it during a cycle.
+    gc.collect()
+    gc.freeze()
+    station.run()
+
+
+def _context(
+    rsi_config: Path | None,
+    rsi_context: Path | None,
+    corrections: Corrections | None,
+    cycle_ms: CycleMs | None,
+) -> RsiContext:
+    from ronna_hw.wire.kuka_context import load_context
+    from sim.kuka.ethernet_file import read_ethernet_file
+
+    if rsi_config is not None:
+        context = read_ethernet_file(rsi_config, load_context(rsi_context) if rsi_context else None)
+    else:
+        context = load_context(rsi_context)
+    changes: dict[str, Any] = {}
+    if corrections is not None:
+        changes["corrections"] = corrections.value
+    if cycle_ms is not None:
+        changes["cycle_ms"] = int(cycle_ms.value)
+    return context.model_copy(update={"program": context.program.model_copy(update=changes)})
+
+
+def _summary(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
+    """What a client should know about the link, and whether the wiring was only inferred from tags."""
+    return {
+        "wiring": "inferred" if inferred else "context",
+        "wired": sorted({wire.object for wire in context.wiring}),
+        "corrections": context.program.corrections,
+        "cycle_ms": context.program.cycle_ms,
+        "timeout_packets": context.ethernet.timeout_packets,
+        "precision": context.ethernet.precision,
+    }
+
+
+def _file_address(context: RsiContext) -> str:
+    return f"udp://{context.ethernet.pc_ip}:{context.ethernet.pc_port}"
+
+
+def _listening(text: str) -> Endpoint:
+    """An endpoint to listen on, where port 0 asks for a free one."""
+    from dataclasses import replace
+
+    from ronna_hw.endpoints import parse_endpoint
+
+    if text.endswith(":0"):
+        return replace(parse_endpoint(text + "1").require("tcp"), port=0)
+    return parse_endpoint(text).require("tcp")

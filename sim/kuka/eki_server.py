@@ -1,0 +1,193 @@
+"""One EKI channel: a TCP server for a single client. Cuts requests out of the stream, writes answers whole.
+
+The stream has no framing: a request ends with its root element. What stands before a root (NUL padding,
+line ends, leftovers) is skipped, requests may come split or merged.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import time
+from collections import deque
+from typing import Protocol
+from xml.etree import ElementTree
+
+from ronna_hw.endpoints import Endpoint
+from sim.errors import EndpointTaken
+
+BUFFER_LIMIT_BYTES = 16384  # BUFFSIZE of an EKI channel
+UNREAD_LIMIT = 512  # BUFFERING Limit: more unread values destroy the connection
+READ_BYTES = 65536
+
+_TAG = re.compile(rb"<(/?)([A-Za-z_][\w.:-]*)(?:[^<>\"']|\"[^\"<]*\"|'[^'<]*')*?(/?)>")
+_OPENING = re.compile(rb"<[A-Za-z_]")
+
+
+class Peer(Protocol):
+    """What a channel talks to."""
+
+    def opened(self) -> None:
+        """A client has connected."""
+
+    def request(self, element: ElementTree.Element) -> None:
+        """A whole request has come."""
+
+    def closed(self) -> None:
+        """The client has gone."""
+
+
+class EkiServer:
+    """Non-blocking: the owner selects on `sockets` and calls `serve`, and `flush` when `due_s` has come."""
+
+    def __init__(self, endpoint: Endpoint, spacing_s: float = 0.0) -> None:
+        self._spacing_s = spacing_s
+        self._listener = _listen(endpoint)
+        self._client: socket.socket | None = None
+        self._peer: Peer | None = None
+        self._received = b""
+        self._outgoing: deque[bytes] = deque()
+        self._next_s = 0.0
+
+    def attach(self, peer: Peer) -> None:
+        """Say who answers."""
+        self._peer = peer
+
+    @property
+    def endpoint(self) -> str:
+        """Where clients connect; with port 0 asked for, the port that was given."""
+        host, port = self._listener.getsockname()[:2]
+        return f"tcp://{host}:{port}"
+
+    @property
+    def connected(self) -> bool:
+        """True while a client is there."""
+        return self._client is not None
+
+    @property
+    def sockets(self) -> tuple[socket.socket, ...]:
+        """What to wait on."""
+        return (self._listener,) if self._client is None else (self._listener, self._client)
+
+    @property
+    def due_s(self) -> float | None:
+        """Host time at which `flush` has something to write, or None."""
+        return self._next_s if self._outgoing else None
+
+    def serve(self, ready: socket.socket) -> None:
+        """Handle a socket that is ready to be read."""
+        if ready is self._listener:
+            self._accept()
+        elif ready is self._client:
+            self._read()
+
+    def send(self, text: str) -> None:
+        """Write one telegram, at once or as soon as the spacing allows."""
+        if self._client is not None:
+            self._outgoing.append(text.encode("utf-8"))
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is due; one write per telegram."""
+        while self._outgoing and self._client is not None:
+            now_s = time.monotonic()
+            if now_s < self._next_s:
+                return
+            telegram = self._outgoing.popleft()
+            self._next_s = now_s + self._spacing_s
+            try:
+                if self._client.send(telegram) != len(telegram):
+                    self.drop()  # the client does not read; half a telegram would break its framing
+            except OSError:
+                self.drop()
+
+    def drop(self) -> None:
+        """Let the client go."""
+        client, self._client = self._client, None
+        self._received = b""
+        self._outgoing.clear()
+        if client is not None:
+            client.close()
+            if self._peer is not None:
+                self._peer.closed()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self.drop()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            client, _ = self._listener.accept()
+            if self._client is not None:
+                client.close()  # one client per channel
+                return
+            client.setblocking(False)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client = client
+            self._next_s = time.monotonic() + self._spacing_s
+            if self._peer is not None:
+                self._peer.opened()
+
+    def _read(self) -> None:
+        assert self._client is not None
+        try:
+            data = self._client.recv(READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self.drop()
+            return
+        requests, self._received = cut_requests(self._received + data)
+        if len(requests) > UNREAD_LIMIT or len(self._received) > BUFFER_LIMIT_BYTES:
+            self.drop()
+            return
+        for request in requests:
+            if self._client is None or self._peer is None:
+                return
+            try:
+                element = ElementTree.fromstring(request)
+            except ElementTree.ParseError:
+                continue
+            self._peer.request(element)
+
+
+def cut_requests(stream: bytes) -> tuple[list[bytes], bytes]:
+    """Whole root elements in a stream, and the rest that may still become one."""
+    requests: list[bytes] = []
+    position = 0
+    while True:
+        opening = _OPENING.search(stream, position)
+        if opening is None:
+            tail = stream.rfind(b"<", position)  # the first letter of a name may still come
+            return requests, stream[tail:] if tail == len(stream) - 1 and tail >= 0 else b""
+        begin = cursor = opening.start()
+        depth = 0
+        while True:
+            tag = _TAG.search(stream, cursor)
+            if tag is None:
+                return requests, stream[begin:]
+            cursor = tag.end()
+            closing, _, empty = tag.groups()
+            depth += -1 if closing else (0 if empty else 1)
+            if depth <= 0:
+                break
+        requests.append(stream[begin:cursor])
+        position = cursor
+
+
+def _listen(endpoint: Endpoint) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    # A server that ended a moment ago leaves its port in TIME_WAIT; a living one is still refused.
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((endpoint.host, endpoint.port))
+        listener.listen(1)
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        raise EndpointTaken(f"cannot listen on {endpoint}: {error.strerror}") from error
+    return listener

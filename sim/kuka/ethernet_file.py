@@ -1,0 +1,132 @@
+"""Reads KUKA's Ethernet file: the telegram's layout, and where the client listens.
+
+The file says nothing about what the channels feed. That is in the RSI context; where none is given, the
+meaning is inferred from the tags that everybody uses.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from pydantic import ValidationError
+
+from ronna_hw.config import describe_mistakes
+from ronna_hw.wire.kuka_context import RsiContext
+from sim.kuka.errors import EthernetFileInvalid
+
+SECTIONS = ("SEND", "RECEIVE")
+INTERNAL = "INTERNAL"
+AXIS_GROUPS = ("AK", "AKorr")
+FRAME_GROUPS = ("RKorr",)
+STOP_TAGS = ("Stop",)
+# Of a link whose context is not known: what all public projects set.
+INFERRED_TIMEOUT_PACKETS = 100
+INFERRED_PRECISION = 4
+
+_TAG = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)?")
+
+
+def read_ethernet_file(path: Path, context: RsiContext | None) -> RsiContext:
+    """The effective context: layout from the file, the rest from `context` or inferred from the tags.
+
+    Raises KRC-001 with every mistake.
+    """
+    root = _root(path)
+    config = {name: _text(root, name) for name in ("IP_NUMBER", "PORT", "SENTYPE", "ONLYSEND")}
+    protocol = (root.findtext("CONFIG/PROTOCOL") or "UDP").strip().upper()
+    if protocol != "UDP":
+        raise EthernetFileInvalid(f"{path.name}: PROTOCOL {protocol} is not served", awaited="UDP")
+    elements = {
+        section: [_element(element, path, section) for element in root.findall(f"{section}/ELEMENTS/ELEMENT")]
+        for section in SECTIONS
+    }
+    content: dict[str, Any] = (
+        {"schema": 1, "name": "foreign", "program": _program(), "wiring": _inferred(elements["RECEIVE"])}
+        if context is None
+        else {**context.model_dump(by_alias=True)}
+    )
+    if context is None and any(wire["object"] == "STOP" for wire in content["wiring"]):
+        content["stop"] = {}
+    parameters = (
+        {"timeout_packets": INFERRED_TIMEOUT_PACKETS, "precision": INFERRED_PRECISION}
+        if context is None
+        else {**content["ethernet"]}
+    )
+    content["ethernet"] = {
+        **parameters,
+        "pc_ip": config["IP_NUMBER"],
+        "pc_port": _integer(config["PORT"], path, "PORT"),
+        "sentype": config["SENTYPE"],
+        "only_send": (config["ONLYSEND"] or "FALSE").upper() == "TRUE",
+    }
+    content["send"] = tuple(elements["SEND"])
+    content["receive"] = tuple(elements["RECEIVE"])
+    for element in content["send"]:
+        element.pop("holdon", None)
+    try:
+        return RsiContext.model_validate(content)
+    except ValidationError as error:
+        mistakes = describe_mistakes(error)
+        raise EthernetFileInvalid(
+            f"{path.name} has {len(mistakes)} mistake(s): " + "; ".join(mistakes)
+        ) from None
+
+
+def _root(path: Path) -> ElementTree.Element:
+    try:
+        root = ElementTree.fromstring(path.read_bytes())
+    except OSError as error:
+        raise EthernetFileInvalid(f"cannot read {path.name}: {error.strerror}") from error
+    except ElementTree.ParseError as error:
+        raise EthernetFileInvalid(f"{path.name} is not XML: {error}") from error
+    if root.tag != "ROOT" or root.find("CONFIG") is None:
+        raise EthernetFileInvalid(f"{path.name} is not an Ethernet file", awaited="ROOT > CONFIG")
+    return root
+
+
+def _text(root: ElementTree.Element, name: str) -> str:
+    return (root.findtext(f"CONFIG/{name}") or "").strip()
+
+
+def _element(element: ElementTree.Element, path: Path, section: str) -> dict[str, Any]:
+    tag = element.get("TAG", "")
+    if not _TAG.fullmatch(tag):
+        raise EthernetFileInvalid(f"{path.name}: {section} has an element with TAG {tag!r}")
+    indx = element.get("INDX", "")
+    return {
+        "tag": tag,
+        "type": element.get("TYPE", "").upper(),
+        "indx": INTERNAL if indx.upper() == INTERNAL else _integer(indx, path, f"INDX of {tag}"),
+        "holdon": _integer(element.get("HOLDON", "0"), path, f"HOLDON of {tag}"),
+    }
+
+
+def _integer(text: str, path: Path, what: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise EthernetFileInvalid(f"{path.name}: {what} is {text!r}", awaited="a whole number") from None
+
+
+def _program() -> dict[str, Any]:
+    return {"cycle_ms": 4, "corrections": "absolute", "variant": "kr6_r900_sixx"}
+
+
+def _inferred(receive: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
+    wires: dict[tuple[str, str], dict[str, Any]] = {}
+    for element in receive:
+        group, _, attribute = element["tag"].partition(".")
+        if group in AXIS_GROUPS and attribute in ("A1", "A2", "A3", "A4", "A5", "A6"):
+            place = ("AXISCORR", attribute)
+        elif group in FRAME_GROUPS and attribute in ("X", "Y", "Z", "A", "B", "C"):
+            place = ("POSCORR", attribute)
+        elif element["tag"] in STOP_TAGS:
+            place = ("STOP", "In1")
+        else:
+            continue
+        if element["indx"] != INTERNAL and place not in wires:
+            wires[place] = {"indx": element["indx"], "object": place[0], "input": place[1]}
+    return tuple(wires.values())

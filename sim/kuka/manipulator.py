@@ -1,0 +1,107 @@
+"""The arm in its world: drives, nominal geometry for the controller, true geometry for all who look."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import degrees, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.kuka.angles import frame_of
+from sim.kuka.chain import Chain
+from sim.kuka.description import description
+from sim.kuka.moving_arm import MovingArm
+from sim.kuka.parameters import ControllerParameters
+from sim.kuka.true_arm import TrueArm
+from sim.theatre.rigid import inverse
+from sim.theatre.scene import ArmTruth
+from sim.theatre.world import ArmState
+
+Matrix = NDArray[np.float64]
+NO_FRAME = np.eye(4)
+
+
+class Manipulator:
+    """Moves the arm and publishes where its flange truly is."""
+
+    def __init__(
+        self,
+        truth: ArmTruth,
+        seed: int,
+        publish: Callable[[ArmState], None],
+        parameters: ControllerParameters,
+    ) -> None:
+        self.description = description(truth.variant)
+        self.drives = MovingArm(self.description, truth.home_deg, parameters)
+        self._nominal = Chain(self.description)
+        self._true = TrueArm(truth, seed)
+        self._publish = publish
+        self._tool: Matrix | None = None  # $TOOL, None is the flange
+        self._base: Matrix | None = None  # $BASE in $ROBROOT, None is $ROBROOT
+        self._shown: list[float] | None = None
+        self._frame: list[float] = []
+        self._published: tuple[int, bool] | None = None
+        self.publish()
+
+    @property
+    def axes_deg(self) -> list[float]:
+        """Encoder angles."""
+        return self.drives.axes_deg
+
+    @property
+    def frame(self) -> list[float]:
+        """X Y Z (mm) A B C (deg) of the tool in BASE, as the controller believes it to be."""
+        if self._shown is not self.drives.axes_deg:
+            self._shown = self.drives.axes_deg
+            pose = self.tool_point()
+            self._frame = frame_of(pose if self._base is None else inverse(self._base) @ pose)
+        return self._frame
+
+    @property
+    def base(self) -> Matrix:
+        """$BASE in $ROBROOT, (4, 4)."""
+        return NO_FRAME if self._base is None else self._base
+
+    def tool_point(self) -> Matrix:
+        """Believed pose (4, 4) of the tool in $ROBROOT."""
+        flange = self._nominal.flange([radians(angle) for angle in self.drives.axes_deg])
+        return flange if self._tool is None else flange @ self._tool
+
+    def set_tool(self, tool: Matrix) -> None:
+        """Use another $TOOL, (4, 4) in the flange frame."""
+        self._tool, self._shown = tool, None
+
+    def set_base(self, base: Matrix) -> None:
+        """Use another $BASE, (4, 4) in $ROBROOT."""
+        self._base, self._shown = base, None
+
+    def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
+        """Joint angles (deg) that bring the tool to a believed pose; None where that fails."""
+        flange = tool_point if self._tool is None else tool_point @ inverse(self._tool)
+        joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
+        return None if joints is None else [degrees(angle) for angle in joints]
+
+    def follow(self, command_deg: list[float], *, heard: bool) -> None:
+        """One cycle towards a command."""
+        self.drives.step(command_deg, heard=heard)
+        self.publish()
+
+    def settle(self) -> None:
+        """One cycle of coming to rest without a command."""
+        self.drives.settle()
+        self.publish()
+
+    def publish(self) -> None:
+        """Tell the world where the flange is; nothing to tell while nothing has changed."""
+        drives = self.drives
+        if drives.at_rest and self._published == (id(drives.axes_deg), True):
+            return
+        encoders = [radians(angle) for angle in drives.axes_deg]
+        if drives.at_rest:
+            pose = self._true.at_rest(encoders, drives.flanks, drives.motion_number)
+        else:
+            pose = self._true.moving(encoders, drives.flanks)
+        A1, A2, A3, A4, A5, A6 = encoders
+        self._publish(ArmState((A1, A2, A3, A4, A5, A6), pose, drives.motion_number, drives.at_rest))
+        self._published = (id(drives.axes_deg), drives.at_rest)

@@ -1,0 +1,125 @@
+"""The drives: dead time, lag, coming to rest exactly, braking, and the count of motions.
+
+Angles are encoder degrees. A list of angles is never changed in place, so an unchanged command is the same
+object, and an arm at rest costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from math import exp
+
+from sim.kuka.description import AXES, Description
+from sim.kuka.parameters import ControllerParameters
+
+
+class MovingArm:
+    """Six axes that follow a command. `step` is called once per cycle."""
+
+    def __init__(
+        self, arm: Description, start_deg: Sequence[float], parameters: ControllerParameters
+    ) -> None:
+        self._parameters = parameters
+        self._braking_deg_s2 = [
+            joint.acceleration_deg_s2 * parameters.path_stop_share for joint in arm.joints
+        ]
+        self.axes_deg: list[float] = list(start_deg)
+        self.command_deg: list[float] = self.axes_deg
+        self.flanks: list[float] = [0.0] * AXES  # where each joint is in its backlash, -1 to 1
+        self.motion_number = 0
+        self.at_rest = True
+        self._speed_deg_s: list[float] = [0.0] * AXES
+        self._directions: list[float] = [0.0] * AXES
+        self._extremes_deg: list[float] = list(start_deg)
+        self._in_motion = False
+        self._braking = False
+        self._cycle_s = 0.0
+        self._pending: deque[list[float]] = deque()
+        self.start_cycles(0.004)
+
+    def start_cycles(self, cycle_s: float) -> None:
+        """Prepare for commands every `cycle_s`, from rest."""
+        self._cycle_s = cycle_s
+        self._share = 1.0 - exp(-cycle_s / self._parameters.lag_s)
+        self._pending = deque([self.command_deg] * self._parameters.dead_time_cycles)
+
+    def step(self, command_deg: list[float], *, heard: bool = True) -> None:
+        """One cycle. `heard` is false when no reply brought the command: then it says nothing new."""
+        if command_deg is self.command_deg:
+            if self.at_rest:
+                return
+            if heard:
+                self._in_motion = False
+        else:
+            self._note_movement(command_deg)
+        self._pending.append(command_deg)
+        follow_deg = self._pending.popleft()
+        share, before = self._share, self.axes_deg
+        axes = [y + share * (u - y) for u, y in zip(follow_deg, before, strict=True)]
+        self.flanks = [
+            flank + share * (direction - flank)
+            for direction, flank in zip(self._directions, self.flanks, strict=True)
+        ]
+        self.command_deg = command_deg
+        if follow_deg is command_deg and self._arrived(axes, command_deg):
+            # The pose at rest is exact: it depends on the command and the flanks, not on how long it took.
+            self.axes_deg = command_deg
+            self.flanks = list(self._directions)
+            self._speed_deg_s = [0.0] * AXES
+            self._pending = deque([command_deg] * self._parameters.dead_time_cycles)
+            self.at_rest = True
+            return
+        self.at_rest = False
+        self.axes_deg = axes
+        self._speed_deg_s = [(y - old) / self._cycle_s for y, old in zip(axes, before, strict=True)]
+
+    def brake(self) -> None:
+        """Stop along the ramps of the axes, whatever was commanded."""
+        self._braking = not self.at_rest
+
+    def settle(self) -> None:
+        """One cycle without a program: finish braking, or the way to the last command."""
+        if not self._braking:
+            self.step(self.command_deg)
+            return
+        speeds, axes = [], []
+        for angle, speed, limit in zip(self.axes_deg, self._speed_deg_s, self._braking_deg_s2, strict=True):
+            change = limit * self._cycle_s
+            slower = max(0.0, abs(speed) - change) * (1.0 if speed > 0 else -1.0)
+            speeds.append(slower)
+            axes.append(angle + slower * self._cycle_s)
+        self.axes_deg, self._speed_deg_s = axes, speeds
+        if not any(speeds):
+            self._braking = self._in_motion = False
+            self.command_deg = self.axes_deg
+            self.flanks = list(self._directions)
+            self._extremes_deg = list(axes)
+            self._pending = deque([axes] * self._parameters.dead_time_cycles)
+            self.at_rest = True
+
+    @property
+    def braking(self) -> bool:
+        """True while the arm comes to a stop of its own."""
+        return self._braking
+
+    def _arrived(self, axes_deg: list[float], command_deg: list[float]) -> bool:
+        limit = self._parameters.rest_error_deg
+        return all(-limit < u - y < limit for u, y in zip(command_deg, axes_deg, strict=True))
+
+    def _note_movement(self, command_deg: list[float]) -> None:
+        reversal, fastest = self._parameters.reversal_deg, 0.0
+        extremes, directions = self._extremes_deg, self._directions
+        for axis, (new, old) in enumerate(zip(command_deg, self.command_deg, strict=True)):
+            fastest = max(fastest, abs(new - old))
+            travelled = new - extremes[axis]
+            direction = directions[axis]
+            if direction * travelled > 0.0:
+                extremes[axis] = new
+            elif travelled > reversal or travelled < -reversal:
+                directions[axis] = 1.0 if travelled > 0.0 else -1.0
+                extremes[axis] = new
+        moving = fastest > self._parameters.motion_speed_deg_s * self._cycle_s
+        if moving and not self._in_motion:
+            self.motion_number += 1
+        self._in_motion = moving

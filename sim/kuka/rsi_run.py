@@ -1,0 +1,200 @@
+"""One run of the RSI program, from RSI_ON to RSI_OFF: telegram out, reply in, command for the drives.
+
+No sockets and no clock here: the caller sends what `telegram` returns, hands every datagram to `read`, and
+ends each cycle with `finish`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.wire.kuka_context import RsiContext
+from ronna_hw.wire.kuka_eki import RsiState
+from sim.kuka.axis_correction import AxisCorrector
+from sim.kuka.description import Description
+from sim.kuka.messages import Message, rsi_bad, rsi_timeout
+from sim.kuka.parameters import ControllerParameters
+from sim.kuka.position_correction import PositionCorrector
+from sim.kuka.reply import Reply, ReplyReader
+from sim.kuka.signal_flow import EthernetOutputs, SignalFlow, inputs_of
+from sim.kuka.supervision import Supervision
+from sim.kuka.telegram import TelegramWriter
+
+Matrix = NDArray[np.float64]
+
+IPOC_RANGE = 1 << 32
+IPOC_OF_RUN = 2_654_435_761  # steps through the range unevenly: a new run may begin higher or lower
+IPOC_OFFSET = 4_208_163_632
+EXIT_MOVE_CORR = "ExitMoveCorr"
+INFO_MESSAGE = "InfoMessage"
+
+
+def first_ipoc(run_number: int, cycle_ms: int) -> int:
+    """Time stamp of a run's first telegram, a multiple of the cycle."""
+    stamp = (IPOC_OFFSET + run_number * IPOC_OF_RUN) % IPOC_RANGE
+    return stamp - stamp % cycle_ms
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """How a run was asked for."""
+
+    context: RsiContext
+    cycle_ms: int
+    relative: bool
+    number: int
+    counts_from_first_reply: bool  # an autostarted program waits for its first client
+
+
+@dataclass(frozen=True)
+class StartPose:
+    """Where the arm is at RSI_ON: axes (deg), X Y Z A B C in BASE, and TCP and BASE in $ROBROOT."""
+
+    axes_deg: Sequence[float]
+    frame: Sequence[float]
+    tool_point: Matrix
+    base: Matrix
+
+
+class RsiRun:
+    """The state of one run. `ended` says why it is over: a message, or None when the client asked for it."""
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        arm: Description,
+        start: StartPose,
+        inverse: Callable[[Matrix, Sequence[float]], list[float] | None],
+        parameters: ControllerParameters,
+    ) -> None:
+        context = settings.context
+        self.settings = settings
+        self.state = RsiState.ON
+        self.ipoc = first_ipoc(settings.number, settings.cycle_ms)
+        self.late = 0
+        self.over = False
+        self.message: Message | None = None
+        self.notice = ""  # last EStr
+        self._heard_once = self._held = False
+        self._late_in_a_row = 0
+        self._counting = not settings.counts_from_first_reply and not context.ethernet.only_send
+        self._cycles = 0
+        self._parameters = parameters
+        self._timeout = context.ethernet.timeout_packets
+        self._stop_mode = context.stop.mode if context.stop is not None else EXIT_MOVE_CORR
+        self._writer = TelegramWriter(context.send, context.ethernet.precision, start.axes_deg, start.frame)
+        self._reader = ReplyReader(context.receive, context.ethernet.sentype)
+        self._outputs = EthernetOutputs(context)
+        self._supervision = Supervision(arm, settings.cycle_ms / 1000.0, parameters)
+        relative = settings.relative
+        self._flow = SignalFlow(
+            inputs_of(context),
+            start.axes_deg,
+            lambda: AxisCorrector(
+                arm, start.axes_deg, context.axis_correction, context.axis_monitor, relative=relative
+            ),
+            lambda: PositionCorrector(
+                start.tool_point,
+                start.base[:3, :3],
+                start.axes_deg,
+                inverse,
+                context.position_correction,
+                context.position_monitor,
+                relative=relative,
+            ),
+            relative=relative,
+        )
+
+    @property
+    def command_deg(self) -> list[float]:
+        """The commanded axes; the same object while nothing changes."""
+        return self._flow.command_deg
+
+    @property
+    def correction_stats(self) -> tuple[int, int]:
+        """Stat outputs of AXISCORR and POSCORR: which limits clamp."""
+        return self._flow.stats
+
+    @property
+    def heard(self) -> bool:
+        """True when a client has answered at least once."""
+        return self._heard_once
+
+    def telegram(self, frame: Sequence[float], axes_deg: Sequence[float]) -> bytes:
+        """The telegram of this cycle."""
+        return self._writer.write(frame, axes_deg, self.late, self.ipoc)
+
+    def read(self, data: bytes) -> Reply | None:
+        """A reply that belongs to this cycle, or None: broken, foreign, or of another cycle."""
+        reply = self._reader.read(data)
+        return reply if reply is not None and reply.ipoc == self.ipoc else None
+
+    def finish(self, reply: Reply | None) -> None:
+        """End the cycle with the reply that came, or without one; sets `over` when the run ends."""
+        self.ipoc = (self.ipoc + self.settings.cycle_ms) % IPOC_RANGE
+        self._cycles += 1
+        if self.settings.context.ethernet.only_send:
+            reply = None
+        elif reply is None:
+            if self._count_late():
+                self._end(rsi_timeout(self.late))
+                return
+        else:
+            self._late_in_a_row = 0
+            self._counting = self._heard_once = True
+            if reply.message:
+                self.notice = reply.message
+        values = self._outputs.take(reply.values if reply is not None else None)
+        if self._flow.stop_rises(values) and not self._stop_asked():
+            return
+        if self.state is RsiState.MOVECORR:
+            self._correct(values)
+        elif not self._held and self._cycles >= self._parameters.movecorr_after_cycles:
+            self.state = RsiState.MOVECORR
+
+    def hold(self) -> None:
+        """The program is stopped but not cancelled: it keeps streaming, corrections act no more."""
+        self._held = True
+        self.state = RsiState.ON
+
+    @property
+    def held(self) -> bool:
+        """True after `hold`."""
+        return self._held
+
+    def _correct(self, values: list[float]) -> None:
+        before = self._flow.command_deg
+        message = self._flow.correct(values) or self._supervision.judge(self._flow.command_deg, before)
+        if message is not None:
+            self._flow.command_deg = before
+            self._end(message)
+
+    def _stop_asked(self) -> bool:
+        """A rising edge at STOP; True when the run goes on."""
+        if self._stop_mode == INFO_MESSAGE:
+            self.notice = "STOP1"
+            return True
+        if self._stop_mode != EXIT_MOVE_CORR:
+            self.hold()
+            return True
+        if self.state is not RsiState.MOVECORR:
+            self._end(rsi_bad("STOP1"))
+        else:
+            self._end(None)
+        return False
+
+    def _count_late(self) -> bool:
+        if not self._counting:
+            return False
+        self.late += 1
+        self._late_in_a_row += 1
+        consecutive = self._parameters.timeout_counting == "consecutive"
+        return (self._late_in_a_row if consecutive else self.late) >= self._timeout
+
+    def _end(self, message: Message | None) -> None:
+        self.over = True
+        self.message = message

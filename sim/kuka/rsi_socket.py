@@ -1,0 +1,48 @@
+"""The UDP socket of one run: its source port is the kernel's choice and stays for the whole run."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+
+from ronna_hw.endpoints import Endpoint
+from sim.kuka.errors import ClientAddressInvalid
+
+DATAGRAM_BYTES = 65535
+
+
+def resolve(endpoint: Endpoint) -> tuple[str, int]:
+    """Address of the client as numbers; raises KRC-002."""
+    try:
+        found = socket.getaddrinfo(endpoint.host, endpoint.port, socket.AF_INET, socket.SOCK_DGRAM)
+    except OSError as error:
+        raise ClientAddressInvalid(f"{endpoint} has no address: {error.strerror}") from error
+    address = found[0][4]
+    return str(address[0]), int(address[1])
+
+
+class RsiSocket:
+    """Sends to the client and takes datagrams from its host only."""
+
+    def __init__(self, client: tuple[str, int]) -> None:
+        self._client = client
+        self._host = client[0]
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setblocking(False)
+
+    def send(self, telegram: bytes) -> None:
+        """Send one telegram; what the network refuses is lost, as on any wire."""
+        with contextlib.suppress(OSError):
+            self.socket.sendto(telegram, self._client)
+
+    def receive(self) -> bytes | None:
+        """One waiting datagram from the client's host; None when nothing waits; empty when foreign."""
+        try:
+            data, source = self.socket.recvfrom(DATAGRAM_BYTES)
+        except OSError:
+            return None
+        return data if source[0] == self._host else b""
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.socket.close()

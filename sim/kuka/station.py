@@ -1,0 +1,232 @@
+"""The controller's loop: cycles in real time or in lock-step, and the EKI channels between them.
+
+One thread does everything, so nothing needs a lock and no other thread takes the interpreter away. Waiting
+is one `select` over the RSI socket and the channels.
+
+Real time: telegram k leaves at t0 + k cycles. Lock-step (a theatre at full speed): the next telegram leaves
+when the reply has come. There, a correction that has not changed for a while paces itself to real time, so
+that an idle world costs nothing, unless somebody waits for theatre time.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+
+from sim.kuka.autostart import Autostart
+from sim.kuka.controller import Controller
+from sim.kuka.eki_project import ProjectChannel
+from sim.kuka.eki_sdk import SdkChannel
+from sim.kuka.eki_server import EkiServer
+from sim.kuka.reply import Reply
+from sim.kuka.rsi_run import RsiRun
+from sim.kuka.rsi_socket import RsiSocket
+from sim.theatre.faults import FaultBoard
+from sim.theatre.noise import noise
+from sim.theatre.world import World
+
+IDLE_WAIT_S = 0.1  # longest wait without looking whether the process should end
+REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
+UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
+STALE_LIMIT = 256  # datagrams read in one cycle; a flood must not stop the clock
+DROP_NOISE = "robot drop"
+PERCENT = 100.0
+
+
+class Station:
+    """Runs a controller until `end` is called."""
+
+    def __init__(
+        self,
+        controller: Controller,
+        world: World,
+        client: tuple[str, int],
+        project_server: EkiServer,
+        sdk_server: EkiServer,
+        autostart: Autostart,
+    ) -> None:
+        self._controller = controller
+        self._clock = world.clock
+        self._seed = world.scene.seed
+        self._faults = FaultBoard(world, "robot")
+        self._client = client
+        self._servers = (project_server, sdk_server)
+        self._project = ProjectChannel(project_server, controller, autostart)
+        self._sdk = SdkChannel(sdk_server, controller, autostart)
+        self._autostart = autostart
+        self._ending = False
+        self._run: RsiRun | None = None
+        self._rsi: RsiSocket | None = None
+        self._deadline_s = 0.0
+        self._tick_s = 0.0
+        self._silent = False
+        self._unchanged = 0
+        self._last_command: list[float] = []
+        self.cycles = 0
+
+    def end(self) -> None:
+        """Leave `run` soon; may be called from a signal handler or another thread."""
+        self._ending = True
+
+    def run(self) -> None:
+        """Serve until `end`."""
+        self._autostart.begin()
+        try:
+            while not self._ending:
+                if self._controller.run is not None:
+                    self._cycle(self._controller.run)
+                elif self._rsi is not None or self._controller.moving:
+                    self._leave_run()
+                else:
+                    self._autostart.tick(time.monotonic())
+                    if self._controller.run is None:
+                        self._wait(time.monotonic() + IDLE_WAIT_S)
+        finally:
+            self._clock.end_stream()
+            if self._rsi is not None:
+                self._rsi.close()
+            for server in self._servers:
+                server.close()
+
+    # -- one cycle
+
+    def _cycle(self, run: RsiRun) -> None:
+        if run is not self._run:
+            self._enter_run(run)
+        assert self._rsi is not None
+        controller = self._controller
+        cycle_s = run.settings.cycle_ms / 1000.0
+        began_s = time.monotonic()
+        self._rsi.send(run.telegram(controller.arm.frame, controller.arm.axes_deg))
+        lock_step = not self._clock.paced and not run.settings.context.ethernet.only_send
+        if not lock_step:
+            # An absolute schedule; after a stall of the host it begins anew instead of hurrying.
+            self._deadline_s += cycle_s
+            if self._deadline_s < began_s:
+                self._deadline_s = began_s + cycle_s
+            reply = self._reply_until(run, self._deadline_s)
+            self._wait_until(run, self._deadline_s)
+        else:
+            limit_s = cycle_s if self._silent else REPLY_WAIT_S
+            reply = self._reply_until(run, began_s + limit_s)
+            self._silent = reply is None
+        if controller.run is not run:
+            return  # ended by a request while it waited
+        self.cycles += 1
+        controller.finish_cycle(self._after_faults(reply))
+        if not self._clock.paced:
+            self._clock.advance_cycle(run.settings.cycle_ms * 1_000_000)
+        if lock_step:
+            self._pace(run, began_s + cycle_s)
+
+    def _pace(self, run: RsiRun, next_s: float) -> None:
+        """Lock-step: an unchanged correction slows the world down to real time."""
+        if run.command_deg is not self._last_command:
+            self._last_command = run.command_deg
+            self._unchanged = 0
+        else:
+            self._unchanged += 1
+        idle = self._unchanged >= UNCHANGED_CYCLES and not self._controller.moving
+        if idle and not self._clock.somebody_waits():
+            self._wait_until(run, next_s)
+        else:
+            self._serve_timers(time.monotonic())
+
+    def _after_faults(self, reply: Reply | None) -> Reply | None:
+        shares = self._faults.active("drop")
+        if not shares or reply is None:
+            return reply
+        lost = noise(self._seed, DROP_NOISE, self.cycles).random() * PERCENT
+        return None if lost < max(float(share) for share in shares) else reply
+
+    def _enter_run(self, run: RsiRun) -> None:
+        if self._rsi is not None:
+            self._rsi.close()
+        self._run = run
+        self._rsi = RsiSocket(self._client)
+        self._deadline_s = time.monotonic()
+        self._silent = False
+        self._unchanged = 0
+        self._last_command = run.command_deg
+
+    def _leave_run(self) -> None:
+        """After RSI_OFF: the arm comes to rest before the pace of time is given back."""
+        if self._rsi is not None:
+            self._rsi.close()
+            self._rsi = self._run = None
+            self._deadline_s = time.monotonic()
+        cycle_s = self._controller.cycle_ms / 1000.0
+        if self._controller.moving:
+            self._controller.settle()
+            if self._clock.paced:
+                self._deadline_s = max(self._deadline_s + cycle_s, time.monotonic())
+                self._wait(self._deadline_s)
+            else:
+                self._clock.advance_cycle(round(cycle_s * 1e9))
+        if not self._controller.moving:
+            self._clock.end_stream()
+
+    # -- waiting
+
+    def _reply_until(self, run: RsiRun, limit_s: float) -> Reply | None:
+        """The reply of this cycle, or None when it has not come by `limit_s` (host time)."""
+        assert self._rsi is not None
+        budget = STALE_LIMIT
+        while True:
+            # The time is taken before looking: what lies in the socket at the limit has come in time.
+            now_s = time.monotonic()
+            if self._wait_once(max(0.0, limit_s - now_s), self._rsi.socket):
+                while budget:
+                    budget -= 1
+                    data = self._rsi.receive()
+                    if data is None:
+                        break
+                    reply = run.read(data)
+                    if reply is not None:
+                        return reply
+            if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
+                return None
+
+    def _wait_until(self, run: RsiRun, moment_s: float) -> None:
+        """Wait, serving the channels; ends early when the run does."""
+        while not self._ending and self._controller.run is run:
+            remaining_s = moment_s - time.monotonic()
+            if remaining_s <= 0.0:
+                return
+            self._wait_once(remaining_s, None)
+
+    def _wait(self, moment_s: float) -> None:
+        run = self._controller.run
+        remaining_s = moment_s - time.monotonic()
+        while remaining_s > 0.0 and not self._ending and self._controller.run is run:
+            self._wait_once(remaining_s, None)
+            remaining_s = moment_s - time.monotonic()
+
+    def _wait_once(self, timeout_s: float, rsi: socket.socket | None) -> bool:
+        """One `select`; serves channels and timers. True when the RSI socket has something."""
+        waiting: list[socket.socket] = [rsi] if rsi is not None else []
+        for server in self._servers:
+            waiting += server.sockets
+        now_s = time.monotonic()
+        timeout_s = min(timeout_s, IDLE_WAIT_S, max(0.0, self._tick_s - now_s))
+        ready, _, _ = select.select(waiting, (), (), timeout_s)
+        heard = False
+        for one in ready:
+            if one is rsi:
+                heard = True
+                continue
+            for server in self._servers:
+                server.serve(one)
+            self._tick_s = 0.0
+        self._serve_timers(time.monotonic())
+        return heard
+
+    def _serve_timers(self, now_s: float) -> None:
+        if now_s < self._tick_s:
+            return
+        for server in self._servers:
+            server.flush()
+        again_s = min(self._project.tick(now_s), self._sdk.tick(now_s))
+        due = [server.due_s for server in self._servers if server.due_s is not None]
+        self._tick_s = min([again_s, *due])
