@@ -23,7 +23,7 @@ BACKLASH_RAD = radians(0.02)
 SAG_RAD = radians(0.03)
 REPEATABILITY_MM = 0.015
 # Flange down, stereo head reaching forward: above the head, away from every singularity.
-HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 180.0)
+HOME_DEG = (0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 
 
 def draw_arm(generator: np.random.Generator) -> ArmTruth:

@@ -20,7 +20,10 @@ from sim.theatre.stereo_head import draw_cameras, draw_mount
 SCENES = ("default", "mini", "bench")
 MINI_CT = CtProtocol(pixel_mm=1.0, slice_mm=1.5, columns=256, rows=256, slices=134, noise_HU=20.0)
 MINI_AREA_PX = (800, 800)
-TRACKER_FROM_HEAD_MM = (500.0, 900.0, 1300.0)  # where the tracker stands, seen from the head
+# The tracker must see the head and, with the arm at home, the reference frame M half a metre above it.
+MARKER_FROM_HEAD_MM = (-150.0, 0.0, 500.0)
+TRACKER_DIRECTION = (500.0, 900.0, 1300.0)
+TRACKER_DISTANCE_MM = 1900.0  # from the middle between both
 # Four markers whose six distances differ by at least 8 mm, so that the frame has one pose only.
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
 BENCH_DISTANCE_MM = 1500.0
@@ -67,10 +70,12 @@ def robot_frame() -> TrackerTool:
 
 
 def _tracker(head_centre_mm: np.ndarray) -> TrackerTruth:
-    offset = np.array(TRACKER_FROM_HEAD_MM)
-    # z points backwards, away from the head; x lies across the housing, as nearly upright as it can be.
-    rotation = rotation_towards(offset, (0.0, 0.0, 1.0))
-    pose = pose_of(matrix_from(head_centre_mm + offset, rotation))
+    span = np.array(MARKER_FROM_HEAD_MM)
+    backwards = np.array(TRACKER_DIRECTION) / np.linalg.norm(TRACKER_DIRECTION)
+    position = head_centre_mm + span / 2 + backwards * TRACKER_DISTANCE_MM
+    # z points backwards, away from the head; the housing's long axis y lies along head and frame.
+    rotation = rotation_towards(backwards, np.cross(span, backwards))
+    pose = pose_of(matrix_from(position, rotation))
     return TrackerTruth(robot_from_tracker=pose, tools=(robot_frame(),))
 
 
