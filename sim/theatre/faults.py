@@ -27,6 +27,7 @@ statement: trigger ":" fault "for" NUMBER "s"
 ?fault: "tracker" "occlude" "marker" INT  -> occlude_marker
       | "tracker" "occlude" "tool" NAME   -> occlude_tool
       | "robot" "drop" NUMBER "%"         -> drop
+      | "camera" "drop" NUMBER "%"        -> camera_drop
 _NEWLINE: /\r?\n/
 NAME: /[A-Za-z_][A-Za-z0-9_.-]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?/
 COMMENT: /#[^\n]*/
@@ -37,7 +38,7 @@ COMMENT: /#[^\n]*/
 %ignore COMMENT
 """
 
-DEVICE_OF = {"occlude_marker": "tracker", "occlude_tool": "tracker", "drop": "robot"}
+DEVICE_OF = {"occlude_marker": "tracker", "occlude_tool": "tracker", "drop": "robot", "camera_drop": "camera"}
 
 
 @dataclass(frozen=True)

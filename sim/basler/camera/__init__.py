@@ -1,0 +1,1 @@
+"""One camera: its settings, what its features allow, and when it exposes."""

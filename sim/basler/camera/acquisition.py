@@ -1,0 +1,227 @@
+"""When a camera exposes: started and stopped, by trigger or running free, never faster than it can."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sim.basler.camera.photographer import FrameSource
+from sim.basler.camera.settings import (
+    AcquisitionMode,
+    FrameSettings,
+    Settings,
+    Trigger,
+    TriggerSettings,
+    TriggerSource,
+)
+from sim.basler.camera.timing import (
+    TheatreClock,
+    Ticks,
+    TriggerMoments,
+    free_running_period_us,
+    readout_us,
+    shortest_period_us,
+)
+from sim.basler.stream.block import Frame
+from sim.basler.stream.channel import StreamChannel
+
+IDLE_CHECK_S = 0.5
+FRAMES_UNDER_WAY = 2  # one being drawn or sent, one exposed
+FRAMES_LATE = 3  # of a free-running camera, until it leaves frames out
+
+
+@dataclass(frozen=True)
+class _Exposure:
+    """One frame to take: the session it belongs to, its number there, when and how."""
+
+    session: int
+    number: int
+    start_ns: int
+    frame: FrameSettings
+
+
+class Acquisition:
+    """Takes frames on a thread of its own and gives them to the stream channel.
+
+    `moments` is shared by the cameras of a pair. All public methods may be called from any thread.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        settings: Callable[[], Settings],
+        source: FrameSource,
+        channel: StreamChannel,
+        clock: TheatreClock,
+        ticks: Ticks,
+        moments: TriggerMoments,
+    ) -> None:
+        self._name = name
+        self._settings = settings
+        self._source = source
+        self._channel = channel
+        self._clock = clock
+        self._ticks = ticks
+        self._moments = moments
+        self._changed = threading.Condition()
+        self._waiting: deque[_Exposure] = deque()
+        self._session = 0
+        self._running = False
+        self._closed = False
+        self._taken = 0
+        self._permitted: int | None = None  # frames until the next AcquisitionStart trigger; None: no limit
+        self._ready_ns = 0
+        self._free_due_ns = 0
+        self._missed_triggers = 0
+        self._thread = threading.Thread(target=self._work, name=f"{name} acquisition", daemon=True)
+
+    def open(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread after at most the frame under way."""
+        with self._changed:
+            self._running, self._closed = False, True
+            self._changed.notify_all()
+
+    @property
+    def running(self) -> bool:
+        """True between AcquisitionStart and the end of the acquisition."""
+        return self._running
+
+    @property
+    def missed_triggers(self) -> int:
+        """Triggers since AcquisitionStart that came while the camera was busy."""
+        return self._missed_triggers
+
+    @property
+    def awaits_trigger(self) -> bool:
+        """True when a frame trigger would be obeyed now."""
+        with self._changed:
+            return (
+                self._running
+                and bool(self._settings().triggers[Trigger.FRAME_START].mode)
+                and self._permitted != 0
+                and not self._busy()
+            )
+
+    def start(self) -> None:
+        """AcquisitionStart; does nothing while already running."""
+        with self._changed:
+            if self._running or self._closed:
+                return
+            settings = self._settings()
+            self._session += 1
+            self._running = True
+            self._taken = self._missed_triggers = 0
+            self._ready_ns = self._free_due_ns = 0
+            self._permitted = 0 if settings.triggers[Trigger.ACQUISITION_START].mode else None
+            self._waiting.clear()
+            self._channel.begin()
+            self._changed.notify_all()
+
+    def stop(self) -> None:
+        """AcquisitionStop: a frame that is being sent is sent whole, no other follows."""
+        with self._changed:
+            self._running = False
+            self._session += 1
+            self._waiting.clear()
+
+    def software_trigger(self) -> None:
+        """TriggerSoftware: fires the trigger that TriggerSelector points at, if it listens to software."""
+        selected = Trigger(self._settings().trigger_selector)
+        self._fire(selected, TriggerSource.SOFTWARE)
+
+    def action(self) -> None:
+        """An action command that is meant for this camera."""
+        for trigger in Trigger:
+            self._fire(trigger, TriggerSource.ACTION_1)
+
+    def _fire(self, which: Trigger, source: TriggerSource) -> None:
+        with self._changed:
+            settings = self._settings()
+            trigger = settings.triggers[which]
+            if not self._running or not trigger.mode or trigger.source != source:
+                return
+            if which is Trigger.ACQUISITION_START:
+                if self._permitted == 0:
+                    self._permitted = settings.acquisition_frame_count
+                    self._changed.notify_all()
+                return
+            self._fire_frame(settings, trigger)
+
+    def _fire_frame(self, settings: Settings, trigger: TriggerSettings) -> None:
+        if self._permitted == 0 or self._busy():
+            self._missed_triggers += 1
+            return
+        moment_ns = self._moments.of(self._name) + round(trigger.delay_us * 1e3)
+        self._waiting.append(self._exposure(settings, max(moment_ns, self._ready_ns)))
+        self._changed.notify_all()
+
+    def _busy(self) -> bool:
+        return len(self._waiting) >= FRAMES_UNDER_WAY or self._clock.now_ns() < self._ready_ns
+
+    def _exposure(self, settings: Settings, start_ns: int) -> _Exposure:
+        """The next frame. Ends the acquisition or the permission when it is the last one."""
+        frame = settings.frame()
+        self._taken += 1
+        self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
+        if self._permitted is not None:
+            self._permitted -= 1
+        if settings.acquisition_mode == AcquisitionMode.SINGLE_FRAME:
+            self._running = False
+        return _Exposure(self._session, self._taken, start_ns, frame)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                while not self._closed and not self._waiting and not self._runs_free():
+                    self._changed.wait(IDLE_CHECK_S)
+                if self._closed:
+                    return
+                triggered = bool(self._waiting)
+                exposure = self._waiting[0] if triggered else self._next_free()
+            self._take(exposure, triggered)
+
+    def _runs_free(self) -> bool:
+        settings = self._settings()
+        return (
+            self._running
+            and not settings.triggers[Trigger.FRAME_START].mode
+            and self._permitted != 0
+            and self._channel.receiver is not None
+        )
+
+    def _next_free(self) -> _Exposure:
+        settings = self._settings()
+        now_ns = self._clock.now_ns()
+        period_ns = round(free_running_period_us(settings) * 1e3)
+        # A frame is sent while the next ones are taken; only a stall makes the camera leave frames out.
+        lag_ns = round((settings.exposure_us + readout_us(settings.frame())) * 1e3) + FRAMES_LATE * period_ns
+        start_ns = self._free_due_ns if now_ns - self._free_due_ns < lag_ns else now_ns
+        self._free_due_ns = start_ns + period_ns
+        return self._exposure(settings, start_ns)
+
+    def _take(self, exposure: _Exposure, triggered: bool) -> None:
+        begun_s = time.monotonic()
+        frame = exposure.frame
+        if triggered:
+            image = self._source.triggered(frame, exposure.number)
+        else:
+            frame, image = self._source.running(frame, exposure.number)
+        self._clock.wait_until_ns(exposure.start_ns + round((frame.exposure_us + readout_us(frame)) * 1e3))
+        with self._changed:
+            if exposure.session != self._session:
+                return
+            if triggered:
+                self._waiting.popleft()
+            stamp = self._ticks.stamp(exposure.start_ns)
+        self._channel.send(Frame(frame, image, stamp))
+        if not triggered and not self._clock.paced:
+            # Free running in lock-step advances the theatre, but never faster than life.
+            spare_s = free_running_period_us(self._settings()) * 1e-6 - (time.monotonic() - begun_s)
+            time.sleep(max(0.0, spare_s))

@@ -1,0 +1,139 @@
+"""One camera put together: settings, acquisition, stream, registers, control port."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from ronna_hw.wire.gige_vision import GevStatus
+from sim.basler.camera.acquisition import Acquisition
+from sim.basler.camera.photographer import FrameSource
+from sim.basler.camera.settings import Settings, UserSet
+from sim.basler.camera.timing import TheatreClock, Ticks, TriggerMoments
+from sim.basler.control.bootstrap import Identity, add_bootstrap
+from sim.basler.control.feature_registers import add_features
+from sim.basler.control.port import Actions, ControlPort
+from sim.basler.control.privilege import Privilege
+from sim.basler.control.registers import Refusal, RegisterMap
+from sim.basler.control.replay import ReplayCache
+from sim.basler.stream.channel import Losses, StreamChannel, no_losses
+
+
+class Camera:
+    """A GigE Vision camera without its control socket: `port` answers what arrives there.
+
+    `now_s` is the host's monotonic clock, which the heartbeat runs by.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        source: FrameSource,
+        clock: TheatreClock,
+        moments: TriggerMoments,
+        *,
+        losses: Losses = no_losses,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.identity = identity
+        self.settings = Settings()
+        self._user_sets: dict[int, Settings] = {UserSet.DEFAULT: Settings()}
+        self.privilege = Privilege(now_s, self._abandoned)
+        self.channel = StreamChannel(identity.address, self._owner_address, losses)
+        ticks = Ticks(clock)
+        self.acquisition = Acquisition(
+            identity.user_name, lambda: self.settings, source, self.channel, clock, ticks, moments
+        )
+        self.registers = RegisterMap()
+        add_bootstrap(
+            self.registers, identity, self.privilege, self.channel, ticks, lambda: self.acquisition.running
+        )
+        add_features(self.registers, self)
+        self.port = ControlPort(
+            self.registers,
+            self.privilege,
+            ReplayCache(now_s),
+            Actions(self.channel.repeat, self._act),
+            mac=identity.mac,
+            address=identity.address_bytes,
+        )
+
+    def open(self) -> None:
+        """Begin to serve."""
+        self.acquisition.open()
+
+    def close(self) -> None:
+        """Stop at once and let go of everything."""
+        self.acquisition.close()
+        self.channel.shut()
+
+    @property
+    def acquiring(self) -> bool:
+        """True while AcquisitionStart is in force."""
+        return self.acquisition.running
+
+    @property
+    def missed_triggers(self) -> int:
+        """Triggers that came while the camera was busy."""
+        return self.acquisition.missed_triggers
+
+    @property
+    def awaits_trigger(self) -> bool:
+        """True when a frame trigger would be obeyed now."""
+        return self.acquisition.awaits_trigger
+
+    @property
+    def packet_size(self) -> int:
+        """Size of a stream packet with its IP and UDP headers."""
+        return self.channel.packet_size
+
+    @packet_size.setter
+    def packet_size(self, value: int) -> None:
+        self.channel.packet_size = value
+
+    def start(self) -> None:
+        """AcquisitionStart."""
+        self.acquisition.start()
+
+    def stop(self) -> None:
+        """AcquisitionStop."""
+        self.acquisition.stop()
+
+    def software_trigger(self) -> None:
+        """TriggerSoftware."""
+        self.acquisition.software_trigger()
+
+    def load_user_set(self) -> None:
+        """Take over the selected user set; a set that was never saved holds the power-on values."""
+        selected, locked = self.settings.user_set_selector, self.settings.parameters_locked
+        settings = self._user_sets.get(selected, self._user_sets[UserSet.DEFAULT]).copy()
+        settings.user_set_selector, settings.parameters_locked = selected, locked
+        self.settings = settings
+
+    def save_user_set(self) -> None:
+        """Keep the present settings as the selected user set; the default set cannot be replaced."""
+        selected = self.settings.user_set_selector
+        if selected == UserSet.DEFAULT:
+            raise Refusal(GevStatus.WRITE_PROTECT)
+        self._user_sets[selected] = self.settings.copy()
+
+    def _owner_address(self) -> str | None:
+        owner = self.privilege.owner
+        return None if owner is None else owner[0]
+
+    def _abandoned(self) -> None:
+        """Control has ended: nothing may go on without an owner."""
+        self.acquisition.stop()
+        self.channel.shut()
+        self.settings.parameters_locked = 0
+
+    def _act(self, device_key: int, group_key: int, group_mask: int) -> bool:
+        settings = self.settings
+        meant = (
+            device_key == settings.action_device_key
+            and group_key == settings.action_group_key
+            and bool(group_mask & settings.action_group_mask)
+        )
+        if meant:
+            self.acquisition.action()
+        return meant

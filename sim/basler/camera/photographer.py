@@ -1,0 +1,122 @@
+"""Takes the pictures: one for a trigger, or from a ring of ready ones when the camera runs free."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Protocol
+
+from sim.basler.camera.pixels import depth_bits, test_image, to_wire
+from sim.basler.camera.settings import FrameSettings, TestImage
+from sim.basler.optics.picture import Optics
+from sim.basler.optics.sensor import Sensor
+from sim.basler.view import Pose, View
+from sim.theatre.noise import noise
+from sim.theatre.scene import CameraTruth
+from sim.theatre.world import World
+
+RING_SIZE = 6  # enough that consecutive frames never carry the same noise
+REFRESH_PAUSE_S = 0.05  # between two pictures for the ring: what it costs must leave time for the stream
+TRIGGERED_LANE, RING_LANE = 0, 1  # of the noise
+
+
+class FrameSource(Protocol):
+    """Where an acquisition gets its images from."""
+
+    def triggered(self, frame: FrameSettings, number: int) -> bytes:
+        """The image of trigger `number` since AcquisitionStart."""
+        ...
+
+    def running(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
+        """A frame without trigger, which may have been taken with settings of a moment ago."""
+        ...
+
+
+class Photographer:
+    """The pictures of one camera of the theatre.
+
+    The same trigger number, settings and pose of the head give the same bytes.
+    """
+
+    def __init__(self, world: World, camera: CameraTruth) -> None:
+        self._seed = world.scene.seed
+        self._serial = camera.serial
+        self._view = View(world, camera)
+        self._optics = Optics(camera, world.scene.seed)
+        self._sensor = Sensor(camera.read_noise_electrons, camera.full_well_electrons)
+        self._drawing = threading.Lock()
+        self._ring = Ring(self)
+
+    def triggered(self, frame: FrameSettings, number: int) -> bytes:
+        return self.draw(frame, self._view.pose(), number, TRIGGERED_LANE)
+
+    def running(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
+        if frame.test_image is not TestImage.OFF:
+            return frame, self.draw(frame, None, number, RING_LANE)
+        return self._ring.picture(frame, number)
+
+    def draw(self, frame: FrameSettings, pose: Pose | None, number: int, lane: int) -> bytes:
+        """Draw and read out one image."""
+        if frame.test_image is not TestImage.OFF:
+            return to_wire(test_image(frame, number), frame.pixel_format)
+        with self._drawing:
+            light = self._optics.light_on(frame.area, self._view.spheres(pose))
+        pixels = self._sensor.read(
+            light,
+            exposure_us=frame.exposure_us,
+            gain_raw=frame.gain_raw,
+            black_level_raw=frame.black_level_raw,
+            bits=depth_bits(frame.pixel_format),
+            noise=noise(self._seed, f"camera {self._serial}", number, lane),
+        )
+        return to_wire(pixels, frame.pixel_format)
+
+    def sight(self, frame: FrameSettings) -> tuple[object, Pose | None]:
+        """What a picture depends on, to compare, and the head's pose in it."""
+        pose = self._view.pose()
+        return (frame, None if pose is None else pose.tobytes(), self._view.head_mounted), pose
+
+
+class Ring:
+    """Ready pictures for a free-running camera, renewed in the background when the sight has changed.
+
+    Until then the stream goes on with the old ones: it never waits for the drawing.
+    """
+
+    def __init__(self, photographer: Photographer) -> None:
+        self._photographer = photographer
+        self._pictures: tuple[tuple[FrameSettings, bytes], ...] = ()
+        self._sight: object = None
+        self._painter: threading.Thread | None = None
+
+    def picture(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
+        """The picture for frame `number`; the first of a new format is drawn at once."""
+        geometry = (frame.area.width, frame.area.height, frame.pixel_format)
+        shown = self._pictures[0][0] if self._pictures else None
+        if shown is None or (shown.area.width, shown.area.height, shown.pixel_format) != geometry:
+            self._renew(frame)
+        elif (self._painter is None or not self._painter.is_alive()) and self._behind(frame):
+            self._painter = threading.Thread(target=self._paint, args=(frame,), daemon=True)
+            self._painter.start()
+        pictures = self._pictures
+        return pictures[number % len(pictures)]
+
+    def _behind(self, frame: FrameSettings) -> bool:
+        return len(self._pictures) < RING_SIZE or self._photographer.sight(frame)[0] != self._sight
+
+    def _paint(self, frame: FrameSettings) -> None:
+        if self._photographer.sight(frame)[0] != self._sight:
+            self._renew(frame)
+        else:
+            self._add(frame)
+        time.sleep(REFRESH_PAUSE_S)
+
+    def _renew(self, frame: FrameSettings) -> None:
+        sight, pose = self._photographer.sight(frame)
+        image = self._photographer.draw(frame, pose, 0, RING_LANE)
+        self._pictures, self._sight = ((frame, image),), sight
+
+    def _add(self, frame: FrameSettings) -> None:
+        _, pose = self._photographer.sight(frame)
+        image = self._photographer.draw(frame, pose, len(self._pictures), RING_LANE)
+        self._pictures = (*self._pictures, (frame, image))

@@ -1,0 +1,32 @@
+"""`ronna-sim basler`: the two cameras of the stereo head."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+CAMERAS = 2
+
+
+def basler(
+    address: Annotated[
+        list[str] | None,
+        typer.Option(help="IP address of the left, then of the right camera; a free pair when not given."),
+    ] = None,
+    scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
+    world: Annotated[str | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Two GigE Vision cameras that see the scene; runs until it is ended."""
+    from sim.basler.pair import CameraPair
+    from sim.theatre.process import announce, end_with_parent, open_world
+
+    addresses = address or []
+    if len(addresses) not in (0, CAMERAS):
+        raise typer.BadParameter("give two addresses, left then right, or none", param_hint="--address")
+    if len(set(addresses)) != len(addresses):
+        raise typer.BadParameter("the cameras need two different addresses", param_hint="--address")
+    pair = CameraPair(open_world(world, scene), addresses)
+    end_with_parent(pair.end)
+    announce("basler", endpoints=pair.endpoints)
+    pair.serve()

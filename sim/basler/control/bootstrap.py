@@ -1,0 +1,245 @@
+"""The registers that the standard gives every camera."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ronna_hw.wire.gige_vision import (
+    ACA2000_50GM_NIR,
+    BASLER,
+    DEVICE_MODE_BIG_ENDIAN,
+    DEVICE_MODE_UTF8,
+    GVCP_CONFIGURATION_EXTENDED_STATUS,
+    SCP_PORT_MASK,
+    SCPS_DO_NOT_FRAGMENT,
+    SCPS_FIRE_TEST,
+    SCPS_SIZE_MASK,
+    TEXT_BYTES,
+    TICK_FREQUENCY_HZ,
+    TIMESTAMP_LATCH,
+    TIMESTAMP_RESET,
+    URL_LOCAL,
+    Bootstrap,
+    GevStatus,
+    GvcpCapability,
+)
+from sim.basler.camera.timing import Ticks
+from sim.basler.control.privilege import Privilege
+from sim.basler.control.registers import Memory, Refusal, RegisterMap, Word
+from sim.basler.control.xml import camera_xml
+from sim.basler.stream.channel import (
+    LARGEST_PACKET_SIZE,
+    PACKET_SIZE_STEP,
+    SMALLEST_PACKET_SIZE,
+    StreamChannel,
+)
+
+XML_ADDRESS = 0x100000
+XML_NAME = "acA2000_50gmNIR.xml"
+VERSION = 1 << 16 | 2
+BASLER_MAC_PREFIX = bytes((0x00, 0x30, 0x53))
+SERIAL_DIGITS_IN_MAC = 24  # bits
+IP_CONFIGURATION_SUPPORTED, IP_CONFIGURATION = 7, 5  # persistent, DHCP, link-local; persistent, link-local
+NETMASK = 0xFF000000  # of the loopback network
+PENDING_TIMEOUT_MS = 5000
+STREAM_CHANNEL_CAPABILITY = 0x8000_0000
+DEVICE_VERSION = "1.0"
+CAPABILITIES = (
+    GvcpCapability.MULTIPLE_REGISTERS
+    | GvcpCapability.WRITEMEM
+    | GvcpCapability.PACKETRESEND
+    | GvcpCapability.ACTION
+    | GvcpCapability.EXTENDED_STATUS
+    | GvcpCapability.SERIAL_NUMBER
+    | GvcpCapability.USER_DEFINED_NAME
+)
+
+
+@dataclass
+class Identity:
+    """Who a camera is. `user_name` can be changed by the client."""
+
+    address: str
+    serial: str
+    user_name: str
+
+    @property
+    def mac(self) -> bytes:
+        """Hardware address: the vendor's prefix and the end of the serial number."""
+        number = int("".join(filter(str.isdigit, self.serial)) or "0") % (1 << SERIAL_DIGITS_IN_MAC)
+        return BASLER_MAC_PREFIX + number.to_bytes(3, "big")
+
+    @property
+    def address_bytes(self) -> bytes:
+        """IP address as four bytes."""
+        return socket.inet_aton(self.address)
+
+
+def add_bootstrap(
+    registers: RegisterMap,
+    identity: Identity,
+    privilege: Privilege,
+    channel: StreamChannel,
+    ticks: Ticks,
+    acquiring: Callable[[], bool],
+) -> None:
+    """Add the standard's registers of one camera. CCP is written by the control port itself."""
+    _add_identity(registers, identity)
+    _add_description(registers)
+    _add_control(registers, privilege)
+    _add_stream(registers, channel, acquiring)
+    _add_time(registers, ticks)
+
+
+def _add_identity(registers: RegisterMap, identity: Identity) -> None:
+    texts = {
+        Bootstrap.MANUFACTURER_NAME: BASLER,
+        Bootstrap.MODEL_NAME: ACA2000_50GM_NIR,
+        Bootstrap.DEVICE_VERSION: DEVICE_VERSION,
+        Bootstrap.MANUFACTURER_INFO: "none",
+        Bootstrap.SERIAL_NUMBER: identity.serial,
+    }
+    numbers = {
+        Bootstrap.VERSION: VERSION,
+        Bootstrap.DEVICE_MODE: DEVICE_MODE_BIG_ENDIAN | DEVICE_MODE_UTF8,
+        Bootstrap.MAC_HIGH: int.from_bytes(identity.mac[:2], "big"),
+        Bootstrap.MAC_LOW: int.from_bytes(identity.mac[2:], "big"),
+        Bootstrap.IP_CONFIGURATION_SUPPORTED: IP_CONFIGURATION_SUPPORTED,
+        Bootstrap.IP_CONFIGURATION: IP_CONFIGURATION,
+        Bootstrap.CURRENT_ADDRESS: int.from_bytes(identity.address_bytes, "big"),
+        Bootstrap.CURRENT_MASK: NETMASK,
+        Bootstrap.CURRENT_GATEWAY: 0,
+    }
+    content = bytearray(Bootstrap.USER_DEFINED_NAME)
+    for address, number in numbers.items():
+        struct.pack_into(">I", content, address, number)
+    for address, text in texts.items():
+        value = text.encode()[: TEXT_BYTES[address] - 1]
+        content[address : address + len(value)] = value
+    fixed = bytes(content)
+    registers.add_memory(Memory(0, len(fixed), lambda: fixed))
+
+    def name() -> bytes:
+        return identity.user_name.encode()
+
+    def rename(value: bytes) -> None:
+        identity.user_name = value.split(b"\0")[0].decode(errors="replace")
+
+    registers.add_memory(
+        Memory(
+            Bootstrap.USER_DEFINED_NAME,
+            TEXT_BYTES[Bootstrap.USER_DEFINED_NAME],
+            name,
+            rename,
+        )
+    )
+
+
+def _add_description(registers: RegisterMap) -> None:
+    xml = camera_xml()
+    padded = -(-len(xml) // 4) * 4
+    registers.add_memory(Memory(XML_ADDRESS, padded, lambda: xml))
+    url = f"{URL_LOCAL}{XML_NAME};{XML_ADDRESS:x};{len(xml):x}".encode()
+    registers.add_memory(Memory(Bootstrap.FIRST_URL, TEXT_BYTES[Bootstrap.FIRST_URL], lambda: url))
+    registers.add_memory(Memory(Bootstrap.SECOND_URL, TEXT_BYTES[Bootstrap.SECOND_URL], lambda: b""))
+
+
+def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
+    fixed = {
+        Bootstrap.NETWORK_INTERFACES: 1,
+        Bootstrap.PERSISTENT_ADDRESS: 0,
+        Bootstrap.PERSISTENT_MASK: 0,
+        Bootstrap.PERSISTENT_GATEWAY: 0,
+        Bootstrap.MESSAGE_CHANNELS: 0,
+        Bootstrap.STREAM_CHANNELS: 1,
+        Bootstrap.MESSAGE_CHANNEL_CAPABILITY: 0,
+        Bootstrap.STREAM_CHANNEL_CAPABILITY: STREAM_CHANNEL_CAPABILITY,
+        Bootstrap.GVCP_CAPABILITY: int(CAPABILITIES),
+        Bootstrap.PENDING_TIMEOUT_MS: PENDING_TIMEOUT_MS,
+    }
+    for address, value in fixed.items():
+        registers.add(address, _constant(value))
+
+    def set_heartbeat(value: int) -> None:
+        privilege.heartbeat_ms = value
+
+    registers.add(Bootstrap.HEARTBEAT_TIMEOUT_MS, Word(lambda: privilege.heartbeat_ms, set_heartbeat))
+    registers.add(Bootstrap.CCP, Word(lambda: privilege.value))
+    configuration = _Stored(allowed=GVCP_CONFIGURATION_EXTENDED_STATUS)
+    registers.add(Bootstrap.GVCP_CONFIGURATION, Word(configuration.read, configuration.write))
+
+
+def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Callable[[], bool]) -> None:
+    def set_port(value: int) -> None:
+        if value & SCP_PORT_MASK:
+            channel.port = value & SCP_PORT_MASK
+        else:
+            channel.shut()
+
+    def size() -> int:
+        return channel.packet_size | (SCPS_DO_NOT_FRAGMENT if channel.do_not_fragment else 0)
+
+    def set_size(value: int) -> None:
+        wanted = value & SCPS_SIZE_MASK
+        valid = SMALLEST_PACKET_SIZE <= wanted <= LARGEST_PACKET_SIZE and wanted % PACKET_SIZE_STEP == 0
+        if not valid:
+            raise Refusal(GevStatus.INVALID_PARAMETER)
+        if acquiring() and wanted != channel.packet_size:
+            raise Refusal(GevStatus.BUSY)
+        channel.packet_size = wanted
+        channel.do_not_fragment = bool(value & SCPS_DO_NOT_FRAGMENT)
+        if value & SCPS_FIRE_TEST:
+            channel.fire_test_packet(wanted)
+
+    def set_delay(value: int) -> None:
+        channel.delay_ticks = value
+
+    def destination() -> int:
+        return int.from_bytes(socket.inet_aton(channel.destination), "big")
+
+    def set_destination(value: int) -> None:
+        channel.destination = socket.inet_ntoa(value.to_bytes(4, "big"))
+
+    registers.add(Bootstrap.SCP, Word(lambda: channel.port, set_port))
+    registers.add(Bootstrap.SCPS, Word(size, set_size))
+    registers.add(Bootstrap.SCPD, Word(lambda: channel.delay_ticks, set_delay))
+    registers.add(Bootstrap.SCDA, Word(destination, set_destination))
+    registers.add(Bootstrap.SCSP, Word(lambda: channel.source_port))
+    registers.add(Bootstrap.SCC, Word(lambda: 0))
+    configuration = _Stored(allowed=0)  # clients offer modes here that this camera does not have
+    registers.add(Bootstrap.SCCFG, Word(configuration.read, configuration.write))
+
+
+def _add_time(registers: RegisterMap, ticks: Ticks) -> None:
+    def control(value: int) -> None:
+        if value & TIMESTAMP_RESET:
+            ticks.reset()
+        if value & TIMESTAMP_LATCH:
+            ticks.latch()
+
+    registers.add(Bootstrap.TICK_FREQUENCY_HIGH, Word(lambda: TICK_FREQUENCY_HZ >> 32))
+    registers.add(Bootstrap.TICK_FREQUENCY_LOW, Word(lambda: TICK_FREQUENCY_HZ & 0xFFFFFFFF))
+    registers.add(Bootstrap.TIMESTAMP_CONTROL, Word(lambda: 0, control))
+    registers.add(Bootstrap.TIMESTAMP_HIGH, Word(lambda: ticks.latched >> 32))
+    registers.add(Bootstrap.TIMESTAMP_LOW, Word(lambda: ticks.latched & 0xFFFFFFFF))
+
+
+def _constant(value: int) -> Word:
+    return Word(lambda: value)
+
+
+class _Stored:
+    """A register that keeps what is written, as far as it is allowed, and does nothing else."""
+
+    def __init__(self, allowed: int) -> None:
+        self._allowed = allowed
+        self._value = 0
+
+    def read(self) -> int:
+        return self._value
+
+    def write(self, value: int) -> None:
+        self._value = value & self._allowed

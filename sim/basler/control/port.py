@@ -1,0 +1,219 @@
+"""Answers the commands of the control protocol: one datagram in, at most one out. Knows no socket."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ronna_hw.wire.gige_vision import (
+    ACTION_COMMAND,
+    DISCOVERY_BYTES,
+    FORCEIP_ADDRESS_OFFSET,
+    FORCEIP_BYTES,
+    FORCEIP_MAC_OFFSET,
+    GVCP_ACK_HEADER,
+    GVCP_COMMAND_HEADER,
+    GVCP_HEADER_BYTES,
+    GVCP_KEY,
+    GVCP_PAYLOAD_LIMIT,
+    GVSP_PACKET_ID_MASK,
+    PACKETRESEND_COMMAND,
+    PACKETRESEND_EXTENDED,
+    READMEM_ACK_HEAD,
+    READMEM_COMMAND,
+    READMEM_LIMIT,
+    READREG_ACK_ITEM,
+    READREG_ITEM,
+    WRITE_ACK,
+    WRITEMEM_HEAD,
+    WRITEREG_ITEM,
+    Bootstrap,
+    GevStatus,
+    GvcpCommand,
+    GvcpFlag,
+)
+from sim.basler.control.privilege import Peer, Privilege
+from sim.basler.control.registers import Refusal, RegisterMap
+from sim.basler.control.replay import ReplayCache
+
+MAC_BYTES = 6
+ADDRESS_BYTES = 4
+
+
+class Ignored(Exception):
+    """A command that gets no answer at all."""
+
+
+@dataclass(frozen=True)
+class Actions:
+    """What commands do beyond registers."""
+
+    resend: Callable[[int, int, int], None]
+    """Block id, first and last packet."""
+    act: Callable[[int, int, int], bool]
+    """Device key, group key, group mask; True when the camera was meant."""
+
+
+class ControlPort:
+    """The control protocol of one camera. `mac` and `address` are its own."""
+
+    def __init__(
+        self,
+        registers: RegisterMap,
+        privilege: Privilege,
+        replay: ReplayCache,
+        actions: Actions,
+        *,
+        mac: bytes,
+        address: bytes,
+    ) -> None:
+        self._registers = registers
+        self._privilege = privilege
+        self._replay = replay
+        self._actions = actions
+        self._mac = mac
+        self._address = address
+        self._handlers: dict[int, Callable[[bytes, Peer, int], bytes]] = {
+            GvcpCommand.DISCOVERY: self._discovery,
+            GvcpCommand.FORCEIP: self._force_ip,
+            GvcpCommand.READREG: self._read_registers,
+            GvcpCommand.WRITEREG: self._write_registers,
+            GvcpCommand.READMEM: self._read_memory,
+            GvcpCommand.WRITEMEM: self._write_memory,
+            GvcpCommand.PACKETRESEND: self._packet_resend,
+            GvcpCommand.ACTION: self._action,
+        }
+
+    def answer(self, datagram: bytes, peer: Peer) -> bytes | None:
+        """The answer to a datagram, or None for what deserves none."""
+        if len(datagram) < GVCP_HEADER_BYTES or datagram[0] != GVCP_KEY:
+            return None
+        _, flags, command, length, request_id = struct.unpack_from(GVCP_COMMAND_HEADER, datagram)
+        payload = datagram[GVCP_HEADER_BYTES:]
+        if request_id == 0 or len(payload) != length or length > GVCP_PAYLOAD_LIMIT:
+            return None
+        self._privilege.sign_of_life(peer)
+        before = self._replay.find(peer, datagram)
+        if before is not None:
+            return before.answer
+        reply = self._execute(command, payload, peer, flags, request_id)
+        if not flags & GvcpFlag.ACK_REQUIRED:
+            reply = None
+        if command in (GvcpCommand.WRITEREG, GvcpCommand.WRITEMEM, GvcpCommand.ACTION):
+            self._replay.keep(peer, datagram, reply)
+        return reply
+
+    def _execute(self, command: int, payload: bytes, peer: Peer, flags: int, request_id: int) -> bytes | None:
+        handler = self._handlers.get(command)
+        if handler is None:
+            return _acknowledge(command + 1 & 0xFFFF, GevStatus.NOT_IMPLEMENTED, b"", request_id)
+        try:
+            content, status = handler(payload, peer, flags), GevStatus.SUCCESS
+        except Ignored:
+            return None
+        except Refusal as refusal:
+            status = refusal.status
+            # What a write command says beside its status: how far it came.
+            writes = command in (GvcpCommand.WRITEREG, GvcpCommand.WRITEMEM)
+            content = struct.pack(WRITE_ACK, 0, refusal.written) if writes else b""
+        except struct.error:
+            content, status = b"", GevStatus.INVALID_HEADER
+        return _acknowledge(command + 1, status, content, request_id)
+
+    def _discovery(self, _payload: bytes, _peer: Peer, _flags: int) -> bytes:
+        return self._registers.read(0, DISCOVERY_BYTES)
+
+    def _force_ip(self, payload: bytes, _peer: Peer, _flags: int) -> bytes:
+        """The address of a simulated camera is that of its socket: only what it has already is accepted."""
+        if len(payload) != FORCEIP_BYTES:
+            raise Refusal(GevStatus.INVALID_HEADER)
+        if payload[FORCEIP_MAC_OFFSET : FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
+            raise Ignored
+        if self._privilege.owner is not None:
+            raise Refusal(GevStatus.ACCESS_DENIED)
+        wanted = payload[FORCEIP_ADDRESS_OFFSET : FORCEIP_ADDRESS_OFFSET + ADDRESS_BYTES]
+        if wanted not in (self._address, bytes(ADDRESS_BYTES)):
+            raise Refusal(GevStatus.LOCAL_PROBLEM)
+        return b""
+
+    def _read_registers(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
+        self._check_readable(peer)
+        addresses = [address for (address,) in _items(READREG_ITEM, payload)]
+        return b"".join(
+            struct.pack(READREG_ACK_ITEM, self._registers.read_word(address)) for address in addresses
+        )
+
+    def _write_registers(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
+        pairs = _items(WRITEREG_ITEM, payload)
+        for index, (address, value) in enumerate(pairs):
+            try:
+                self._write_word(address, value, peer)
+            except Refusal as refusal:
+                raise Refusal(refusal.status, index) from refusal
+        return struct.pack(WRITE_ACK, 0, len(pairs))
+
+    def _read_memory(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
+        self._check_readable(peer)
+        address, _, count = struct.unpack(READMEM_COMMAND, payload)
+        if not 0 < count <= READMEM_LIMIT:
+            raise Refusal(GevStatus.INVALID_PARAMETER)
+        return struct.pack(READMEM_ACK_HEAD, address) + self._registers.read(address, count)
+
+    def _write_memory(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
+        (address,) = struct.unpack_from(WRITEMEM_HEAD, payload)
+        data = payload[struct.calcsize(WRITEMEM_HEAD) :]
+        if not data:
+            raise Refusal(GevStatus.INVALID_PARAMETER)
+        if address == Bootstrap.CCP and len(data) == ADDRESS_BYTES:
+            self._write_word(address, int.from_bytes(data, "big"), peer)
+        elif not self._privilege.may_write(peer):
+            raise Refusal(GevStatus.ACCESS_DENIED)
+        else:
+            self._registers.write(address, data)
+        return struct.pack(WRITE_ACK, 0, len(data))
+
+    def _packet_resend(self, payload: bytes, peer: Peer, flags: int) -> bytes:
+        # The stream's receiver asks from a port of its own, so the address alone must be the owner's.
+        owner = self._privilege.owner
+        if owner is None or owner[0] != peer[0]:
+            raise Ignored
+        if flags & GvcpFlag.EXTENDED_ID:
+            _, _, first, last, block_id = struct.unpack(PACKETRESEND_EXTENDED, payload)
+        else:
+            _, block_id, first, last = struct.unpack(PACKETRESEND_COMMAND, payload)
+            first, last = first & GVSP_PACKET_ID_MASK, last & GVSP_PACKET_ID_MASK
+        self._actions.resend(block_id, first, last)
+        raise Ignored
+
+    def _action(self, payload: bytes, _peer: Peer, flags: int) -> bytes:
+        keys = struct.unpack_from(ACTION_COMMAND, payload)
+        if flags & GvcpFlag.SCHEDULED:
+            raise Refusal(GevStatus.NO_REFERENCE_TIME)  # no clock is shared with the application
+        if self._privilege.owner is None or not self._actions.act(*keys):
+            raise Ignored
+        return b""
+
+    def _write_word(self, address: int, value: int, peer: Peer) -> None:
+        if address == Bootstrap.CCP:
+            status = self._privilege.request(peer, value)
+            if status is not GevStatus.SUCCESS:
+                raise Refusal(status)
+        elif not self._privilege.may_write(peer):
+            raise Refusal(GevStatus.ACCESS_DENIED)
+        else:
+            self._registers.write_word(address, value)
+
+    def _check_readable(self, peer: Peer) -> None:
+        if not self._privilege.may_read(peer):
+            raise Refusal(GevStatus.ACCESS_DENIED)
+
+
+def _items(layout: str, payload: bytes) -> list[tuple[int, ...]]:
+    if not payload:
+        raise Refusal(GevStatus.INVALID_PARAMETER)
+    return list(struct.iter_unpack(layout, payload))
+
+
+def _acknowledge(code: int, status: GevStatus, content: bytes, request_id: int) -> bytes:
+    return struct.pack(GVCP_ACK_HEADER, status, code, len(content), request_id) + content

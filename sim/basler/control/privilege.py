@@ -1,0 +1,91 @@
+"""Who may command a camera, and how long it goes on without a sign of life."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_EXCLUSIVE, CCP_OPEN, HEARTBEAT_MINIMUM_MS, GevStatus
+
+DEFAULT_HEARTBEAT_MS = 3000
+
+Peer = tuple[str, int]
+"""Address and port of an application."""
+
+
+class Privilege:
+    """The control channel privilege (CCP) and its heartbeat.
+
+    Any command of the owner is a sign of life. `released` is called when control ends, by the owner's will
+    or by its silence. `now_s` is the host's monotonic clock.
+    """
+
+    def __init__(self, now_s: Callable[[], float], released: Callable[[], None]) -> None:
+        self._now_s = now_s
+        self._released = released
+        self._heartbeat_ms = DEFAULT_HEARTBEAT_MS
+        self._owner: Peer | None = None
+        self._value = CCP_OPEN
+        self._last_sign_s = 0.0
+
+    @property
+    def owner(self) -> Peer | None:
+        """The application in control, if any."""
+        return self._owner
+
+    @property
+    def value(self) -> int:
+        """Content of the CCP register."""
+        return self._value
+
+    @property
+    def heartbeat_ms(self) -> int:
+        """Silence after which the owner loses control."""
+        return self._heartbeat_ms
+
+    @heartbeat_ms.setter
+    def heartbeat_ms(self, value: int) -> None:
+        self._heartbeat_ms = max(HEARTBEAT_MINIMUM_MS, value)
+
+    def may_read(self, peer: Peer) -> bool:
+        """True unless another application has exclusive access."""
+        return self._owner in (None, peer) or not self._value & CCP_EXCLUSIVE
+
+    def may_write(self, peer: Peer) -> bool:
+        """True for the owner only."""
+        return self._owner == peer
+
+    def request(self, peer: Peer, value: int) -> GevStatus:
+        """Write the CCP register."""
+        if self._owner not in (None, peer):
+            return GevStatus.ACCESS_DENIED
+        if value & ~(CCP_EXCLUSIVE | CCP_CONTROL):
+            return GevStatus.INVALID_PARAMETER  # no switch-over
+        if value == CCP_OPEN:
+            if self._owner is not None:
+                self._release()
+            return GevStatus.SUCCESS
+        self._owner, self._value = peer, value
+        self._last_sign_s = self._now_s()
+        return GevStatus.SUCCESS
+
+    def sign_of_life(self, peer: Peer) -> None:
+        """A command came from this application."""
+        if peer == self._owner:
+            self._last_sign_s = self._now_s()
+
+    def seconds_left(self) -> float | None:
+        """Time until the owner loses control; None without owner."""
+        if self._owner is None:
+            return None
+        return self._last_sign_s + self._heartbeat_ms / 1e3 - self._now_s()
+
+    def expire(self) -> None:
+        """Take control away from an owner that has been silent for too long."""
+        left_s = self.seconds_left()
+        if left_s is not None and left_s <= 0.0:
+            self._release()
+
+    def _release(self) -> None:
+        self._owner, self._value = None, CCP_OPEN
+        self._heartbeat_ms = DEFAULT_HEARTBEAT_MS
+        self._released()

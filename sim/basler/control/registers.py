@@ -1,0 +1,136 @@
+"""The registers of a camera: single words and blocks of memory, each with its own reading and writing."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ronna_hw.wire.gige_vision import REGISTER_BYTES, GevStatus
+
+
+class Refusal(Exception):
+    """An access that the camera answers with a status code; `written` counts the bytes done before."""
+
+    def __init__(self, status: GevStatus, written: int = 0) -> None:
+        super().__init__(status.name)
+        self.status = status
+        self.written = written
+
+
+@dataclass(frozen=True)
+class Word:
+    """A register of 32 bits. Without `write` it is read-only; `write` raises Refusal for a bad value."""
+
+    read: Callable[[], int]
+    write: Callable[[int], None] | None = None
+
+
+@dataclass(frozen=True)
+class Memory:
+    """A block of memory; its size is a multiple of 4. `write` gets the whole new content."""
+
+    address: int
+    size: int
+    read: Callable[[], bytes]
+    write: Callable[[bytes], None] | None = None
+
+    def content(self) -> bytes:
+        """What is stored, filled up with zeros."""
+        return self.read().ljust(self.size, b"\0")[: self.size]
+
+
+class RegisterMap:
+    """All registers of one camera, by address."""
+
+    def __init__(self) -> None:
+        self._words: dict[int, Word] = {}
+        self._blocks: list[Memory] = []
+
+    def add(self, address: int, word: Word) -> None:
+        """Add a register; an address may be taken only once."""
+        if address % REGISTER_BYTES or address in self._words:
+            raise ValueError(f"register address 0x{address:X} is odd or taken")
+        self._words[address] = word
+
+    def add_memory(self, block: Memory) -> None:
+        """Add a block of memory."""
+        self._blocks.append(block)
+        self._blocks.sort(key=lambda each: each.address)
+
+    def __contains__(self, address: int) -> bool:
+        return address in self._words or self._block(address) is not None
+
+    def read_word(self, address: int) -> int:
+        """One register; raises Refusal."""
+        _check_alignment(address)
+        word = self._words.get(address)
+        if word is not None:
+            return word.read() & 0xFFFFFFFF
+        block = self._block(address)
+        if block is None:
+            raise Refusal(GevStatus.INVALID_ADDRESS)
+        offset = address - block.address
+        return int.from_bytes(block.content()[offset : offset + REGISTER_BYTES], "big")
+
+    def write_word(self, address: int, value: int) -> None:
+        """Write one register; raises Refusal."""
+        _check_alignment(address)
+        word = self._words.get(address)
+        if word is None:
+            self._write_block(address, value.to_bytes(REGISTER_BYTES, "big"))
+        elif word.write is None:
+            raise Refusal(GevStatus.WRITE_PROTECT)
+        else:
+            word.write(value)
+
+    def read(self, address: int, count: int) -> bytes:
+        """`count` bytes, over as many registers and blocks as they span; raises Refusal."""
+        _check_alignment(address, count)
+        content = bytearray()
+        while len(content) < count:
+            here = address + len(content)
+            block = None if here in self._words else self._block(here)
+            if block is None:
+                content += self.read_word(here).to_bytes(REGISTER_BYTES, "big")
+            else:
+                content += block.content()[here - block.address :][: count - len(content)]
+        return bytes(content)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write bytes, register by register; raises Refusal with the number of bytes done before."""
+        _check_alignment(address, len(data))
+        done = 0
+        while done < len(data):
+            here = address + done
+            block = None if here in self._words else self._block(here)
+            try:
+                if block is None:
+                    self.write_word(here, int.from_bytes(data[done : done + REGISTER_BYTES], "big"))
+                    done += REGISTER_BYTES
+                else:
+                    part = data[done : done + block.address + block.size - here]
+                    self._write_block(here, part)
+                    done += len(part)
+            except Refusal as refusal:
+                raise Refusal(refusal.status, done) from refusal
+
+    def _write_block(self, address: int, data: bytes) -> None:
+        block = self._block(address)
+        if block is None:
+            raise Refusal(GevStatus.INVALID_ADDRESS)
+        if block.write is None:
+            raise Refusal(GevStatus.WRITE_PROTECT)
+        content, offset = block.content(), address - block.address
+        block.write(content[:offset] + data + content[offset + len(data) :])
+
+    def _block(self, address: int) -> Memory | None:
+        index = bisect_right(self._blocks, address, key=lambda each: each.address) - 1
+        if index >= 0 and address < self._blocks[index].address + self._blocks[index].size:
+            return self._blocks[index]
+        return None
+
+
+def _check_alignment(address: int, count: int = 0) -> None:
+    if address % REGISTER_BYTES or count % REGISTER_BYTES:
+        raise Refusal(GevStatus.BAD_ALIGNMENT)

@@ -1,0 +1,267 @@
+"""The GenICam description of the camera, made from the feature table and a list of standard registers."""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from xml.etree import ElementTree
+
+from ronna_hw.wire.gige_vision import (
+    ACA2000_50GM_NIR,
+    BASLER,
+    REGISTER_BYTES,
+    TEXT_BYTES,
+    TIMESTAMP_LATCH,
+    TIMESTAMP_RESET,
+    Bootstrap,
+)
+from sim.basler.camera.feature_table import FEATURES
+from sim.basler.camera.features import Feature, Kind
+from sim.basler.control.feature_registers import (
+    MAXIMUM_OFFSET,
+    MINIMUM_OFFSET,
+    STEP_OFFSET,
+    address_of,
+)
+
+NAMESPACE = "http://www.genicam.org/GenApi/Version_1_1"
+SCHEMA = f"{NAMESPACE} http://www.genicam.org/GenApi/GenApiSchema_Version_1_1.xsd"
+PORT = "Device"
+VERSION_PLACE = "00000000-0000-0000-0000-000000000000"
+LOCK = "TLParamsLocked"
+
+
+@dataclass(frozen=True)
+class Standard:
+    """A feature whose register belongs to the standard; `command` is the value that a command writes."""
+
+    name: str
+    category: str
+    kind: str
+    address: Bootstrap
+    about: str
+    access: str = "RO"
+    size: int = REGISTER_BYTES
+    command: int | None = None
+
+
+def _text(name: str, address: Bootstrap, about: str, access: str = "RO") -> Standard:
+    return Standard(name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address])
+
+
+STANDARD_FEATURES = (
+    _text("DeviceVendorName", Bootstrap.MANUFACTURER_NAME, "Who the camera says it is made by."),
+    _text("DeviceModelName", Bootstrap.MODEL_NAME, "Model."),
+    _text("DeviceManufacturerInfo", Bootstrap.MANUFACTURER_INFO, "More about the camera."),
+    _text("DeviceVersion", Bootstrap.DEVICE_VERSION, "Version of the camera."),
+    _text("DeviceFirmwareVersion", Bootstrap.DEVICE_VERSION, "Version of its firmware."),
+    _text("DeviceID", Bootstrap.SERIAL_NUMBER, "Serial number."),
+    _text("DeviceUserID", Bootstrap.USER_DEFINED_NAME, "Name given by the user.", "RW"),
+    Standard(
+        "GevHeartbeatTimeout",
+        "TransportLayer",
+        "Integer",
+        Bootstrap.HEARTBEAT_TIMEOUT_MS,
+        "Silence, in ms, after which control is lost.",
+        "RW",
+    ),
+    Standard("GevSCPD", "TransportLayer", "Integer", Bootstrap.SCPD, "Pause between packets, ticks.", "RW"),
+    Standard(
+        "GevTimestampTickFrequency",
+        "TransportLayer",
+        "Integer",
+        Bootstrap.TICK_FREQUENCY_HIGH,
+        "Ticks per second.",
+        size=8,
+    ),
+    Standard(
+        "GevTimestampControlLatch",
+        "TransportLayer",
+        "Command",
+        Bootstrap.TIMESTAMP_CONTROL,
+        "Keep the present time stamp for reading.",
+        "WO",
+        command=TIMESTAMP_LATCH,
+    ),
+    Standard(
+        "GevTimestampControlReset",
+        "TransportLayer",
+        "Command",
+        Bootstrap.TIMESTAMP_CONTROL,
+        "Count from zero again.",
+        "WO",
+        command=TIMESTAMP_RESET,
+    ),
+    Standard(
+        "GevTimestampValue",
+        "TransportLayer",
+        "Integer",
+        Bootstrap.TIMESTAMP_HIGH,
+        "The latched time stamp, ticks.",
+        size=8,
+    ),
+)
+
+
+@cache
+def camera_xml() -> bytes:
+    """The description; its version changes with its content, so that no client uses an old copy."""
+    root = ElementTree.Element(
+        "RegisterDescription",
+        {
+            "xmlns": NAMESPACE,
+            "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance",
+            "xsi:schemaLocation": SCHEMA,
+            "ModelName": ACA2000_50GM_NIR,
+            "VendorName": BASLER,
+            "ToolTip": "Monochrome near-infrared camera",
+            "StandardNameSpace": "GEV",
+            "SchemaMajorVersion": "1",
+            "SchemaMinorVersion": "1",
+            "SchemaSubMinorVersion": "0",
+            "MajorVersion": "1",
+            "MinorVersion": "0",
+            "SubMinorVersion": "0",
+            "ProductGuid": str(uuid.uuid5(uuid.NAMESPACE_URL, f"{NAMESPACE}/{ACA2000_50GM_NIR}")),
+            "VersionGuid": VERSION_PLACE,
+        },
+    )
+    _categories(root)
+    for standard in STANDARD_FEATURES:
+        _standard(root, standard)
+    for feature in FEATURES:
+        _feature(root, feature)
+    port = _node(root, "Port", PORT)
+    port.set("NameSpace", "Standard")
+    ElementTree.indent(root, space=" ")
+    text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    version = uuid.UUID(bytes=hashlib.sha256(text).digest()[:16], version=4)
+    return text.replace(VERSION_PLACE.encode(), str(version).encode())
+
+
+def _categories(root: ElementTree.Element) -> None:
+    members: dict[str, list[str]] = {}
+    places = [(each.category, each.name) for each in STANDARD_FEATURES]
+    places += [(feature.category, feature.name) for feature in FEATURES]
+    for category, name in places:
+        members.setdefault(category, []).append(name)
+    top = _node(root, "Category", "Root")
+    for category in members:
+        _child(top, "pFeature", category)
+    for category, names in members.items():
+        node = _node(root, "Category", category)
+        for name in names:
+            _child(node, "pFeature", name)
+
+
+def _standard(root: ElementTree.Element, it: Standard) -> None:
+    if it.kind == "StringReg":
+        node = _node(root, it.kind, it.name)
+        _child(node, "ToolTip", it.about)
+        _place(node, it.address, it.access, it.size)
+        return
+    node = _node(root, it.kind, it.name)
+    _child(node, "ToolTip", it.about)
+    _child(node, "pValue", f"{it.name}Register")
+    if it.command is not None:
+        _child(node, "CommandValue", str(it.command))
+    _integer_register(root, f"{it.name}Register", it.address, it.access, it.size)
+
+
+def _feature(root: ElementTree.Element, feature: Feature) -> None:
+    node = _node(root, feature.kind.value, feature.name)
+    _child(node, "ToolTip", feature.about)
+    if feature.visibility != "Beginner":
+        _child(node, "Visibility", feature.visibility)
+    if feature.locked and feature.kind is not Kind.COMMAND:
+        _child(node, "pIsLocked", LOCK)
+    for name, value in feature.entries.items():
+        entry = ElementTree.SubElement(node, "EnumEntry", {"Name": name, "NameSpace": "Standard"})
+        _child(entry, "Value", str(int(value)))
+    register = f"{feature.name}Register"
+    _child(node, "pValue", register)
+    address = address_of(feature.name)
+    if feature.kind is Kind.COMMAND:
+        _child(node, "CommandValue", "1")
+    if feature.kind is Kind.BOOLEAN:
+        _child(node, "OnValue", "1")
+        _child(node, "OffValue", "0")
+    _limits(root, node, feature, address)
+    if feature.unit:
+        _child(node, "Unit", feature.unit)
+    if feature.kind is Kind.FLOAT:
+        _child(node, "Representation", "Linear")
+    for selected in feature.selects:
+        _child(node, "pSelected", selected)
+    access = "WO" if feature.read is None else ("RO" if feature.write is None else "RW")
+    _number_register(root, register, feature, address, access, _invalidators(feature.name))
+
+
+def _limits(root: ElementTree.Element, node: ElementTree.Element, feature: Feature, address: int) -> None:
+    if feature.minimum is None or feature.maximum is None:
+        return
+    limits = [("Min", MINIMUM_OFFSET), ("Max", MAXIMUM_OFFSET)]
+    if feature.kind is Kind.INTEGER:
+        limits.append(("Inc", STEP_OFFSET))
+    for word, offset in limits:
+        name = f"{feature.name}{word}Register"
+        _child(node, f"p{word}", name)
+        _number_register(root, name, feature, address + offset, "RO", ())
+
+
+def _invalidators(name: str) -> Sequence[str]:
+    return [feature.name for feature in FEATURES if name in feature.selects]
+
+
+def _number_register(
+    root: ElementTree.Element,
+    name: str,
+    feature: Feature,
+    address: int,
+    access: str,
+    invalidators: Sequence[str],
+) -> None:
+    if feature.kind is Kind.FLOAT:
+        node = _node(root, "FloatReg", name)
+        _place(node, address, access, REGISTER_BYTES, invalidators)
+        _child(node, "Endianess", "BigEndian")
+        return
+    _integer_register(root, name, address, access, REGISTER_BYTES, invalidators)
+
+
+def _integer_register(
+    root: ElementTree.Element,
+    name: str,
+    address: int,
+    access: str,
+    size: int,
+    invalidators: Sequence[str] = (),
+) -> None:
+    node = _node(root, "IntReg", name)
+    _place(node, address, access, size, invalidators)
+    _child(node, "Sign", "Unsigned")
+    _child(node, "Endianess", "BigEndian")
+
+
+def _place(
+    node: ElementTree.Element, address: int, access: str, size: int, invalidators: Sequence[str] = ()
+) -> None:
+    _child(node, "Address", f"0x{address:X}")
+    _child(node, "Length", str(size))
+    _child(node, "AccessMode", access)
+    _child(node, "pPort", PORT)
+    # Values change by themselves (limits, status, payload size): a client must always ask.
+    _child(node, "Cachable", "NoCache")
+    for invalidator in invalidators:
+        _child(node, "pInvalidator", invalidator)
+
+
+def _node(root: ElementTree.Element, kind: str, name: str) -> ElementTree.Element:
+    return ElementTree.SubElement(root, kind, {"Name": name, "NameSpace": "Standard"})
+
+
+def _child(node: ElementTree.Element, tag: str, text: str) -> None:
+    ElementTree.SubElement(node, tag).text = text

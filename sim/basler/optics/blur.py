@@ -1,0 +1,72 @@
+"""Gaussian blur of a patch of light."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.basler.optics.canvas import Image
+
+KERNEL_LIMIT_PX = 2.5  # above, three box filters are as good (their sum is nearly normal) and cheaper
+REACH_SIGMAS = 3.5  # what lies further away adds less than 0.05 %
+
+
+def reach_px(sigma_px: float) -> int:
+    """How far the blur carries light."""
+    return ceil(REACH_SIGMAS * sigma_px) + 1
+
+
+def blurred(patch: Image, sigma_px: float) -> Image:
+    """The patch (rows, columns) convolved with a Gaussian; its border is continued outwards."""
+    if sigma_px <= KERNEL_LIMIT_PX:
+        reach = reach_px(sigma_px)
+        steps = np.arange(-reach, reach + 1)
+        kernel = np.exp(-0.5 * (steps / sigma_px) ** 2)
+        kernel = (kernel / kernel.sum()).astype(np.float32)
+        return _convolved(_convolved(patch, kernel, 0), kernel, 1)
+    # Variance of a box of w pixels is (w^2 - 1) / 12; three of them add up. Only odd widths stay centred.
+    ideal = (4.0 * sigma_px**2 + 1.0) ** 0.5
+    small = int(ideal) - (1 - int(ideal) % 2)
+    # so many boxes of the smaller width that the total variance is nearest to the wanted one
+    count = round((12 * sigma_px**2 - 3 * (small * small + 4 * small + 3)) / (-4 * small - 4))
+    for index in range(3):
+        width = small if index < count else small + 2
+        patch = _box(_box(patch, width, 0), width, 1)
+    return patch
+
+
+def _convolved(patch: Image, kernel: Image, axis: int) -> Image:
+    reach = len(kernel) // 2
+    padded = _continued(patch, reach, axis)
+    length = patch.shape[axis]
+
+    def shifted(step: int) -> Image:
+        return padded[step : step + length] if axis == 0 else padded[:, step : step + length]
+
+    total = np.zeros_like(patch)
+    pair = np.empty_like(patch)
+    for step in range(reach):  # the kernel is symmetric: one multiplication for two taps
+        np.add(shifted(step), shifted(2 * reach - step), out=pair)
+        pair *= kernel[step]
+        total += pair
+    np.multiply(shifted(reach), kernel[reach], out=pair)
+    total += pair
+    return total
+
+
+def _box(patch: Image, width: int, axis: int) -> Image:
+    reach = width // 2
+    sums: NDArray[np.float64] = np.cumsum(_continued(patch, reach, axis), axis=axis, dtype=np.float64)
+    first = np.zeros_like(sums[:1] if axis == 0 else sums[:, :1])
+    sums = np.concatenate([first, sums], axis=axis)
+    ends = sums[width:] - sums[:-width] if axis == 0 else sums[:, width:] - sums[:, :-width]
+    mean: Image = (ends / width).astype(np.float32)
+    return mean
+
+
+def _continued(patch: Image, reach: int, axis: int) -> Image:
+    margin = ((reach, reach), (0, 0)) if axis == 0 else ((0, 0), (reach, reach))
+    padded: Image = np.pad(patch, margin, mode="edge")
+    return padded

@@ -1,0 +1,102 @@
+"""The pictures of one camera: what is in view, drawn from far to near, blurred by its depth, and read out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.basler.optics import sphere as sphere_image
+from sim.basler.optics import stalk as stalk_image
+from sim.basler.optics.blur import blurred, reach_px
+from sim.basler.optics.canvas import Area, Canvas, Image
+from sim.basler.optics.grain import Grain
+from sim.basler.optics.lens import LARGEST_SIGMA_PX, Lens
+from sim.basler.optics.light import Lighting
+from sim.basler.optics.sphere import Sphere
+from sim.theatre.scene import CameraTruth
+
+MARGIN_PX = reach_px(LARGEST_SIGMA_PX)  # drawn around the area of interest, so that blur has what it needs
+OUTLINE_MARGIN_PX = 3  # the outline is a polygon, and the rim has a width
+NEAREST_MM = 60.0  # nothing is drawn that is nearer: the lens is longer than that
+
+
+class Optics:
+    """Lens, light and the films that one camera has seen."""
+
+    def __init__(self, camera: CameraTruth, seed: int) -> None:
+        self.lens = Lens.of(camera)
+        self._lighting = Lighting(seed, camera.serial, camera.sensor_px)
+        self._seed = seed
+        self._grains: dict[int, Grain] = {}
+
+    def light_on(self, area: Area, spheres: Sequence[Sphere]) -> Image:
+        """Electrons per microsecond (height, width) on an area of the sensor."""
+        around = area.grown(MARGIN_PX) if spheres else area
+        canvas = Canvas(around, self._lighting.on_background(around))
+        for sphere in sorted(spheres, key=lambda each: -each.distance_mm):
+            self._draw(canvas, sphere)
+        return canvas.part(area)
+
+    def _draw(self, canvas: Canvas, sphere: Sphere) -> None:
+        if sphere.centre_mm[2] - sphere.radius_mm < NEAREST_MM:
+            return
+        sigma_px = self.lens.blur_sigma_px(float(sphere.centre_mm[2]))
+        sphere_area = self._bounds(sphere.outline_mm()).common(canvas.area)
+        stalk_area = self._bounds(stalk_image.outline_mm(sphere)).common(canvas.area)
+        parts = [part for part in (sphere_area, stalk_area) if not part.empty]
+        if not parts:
+            return
+        patch_area = _hull(parts).grown(reach_px(sigma_px)).common(canvas.area)
+        patch = canvas.part(patch_area)
+        drawn = Canvas(patch_area, patch.copy())
+        self._paint(drawn, sphere, sphere_area, stalk_area)
+        patch[:] = blurred(drawn.light, sigma_px)
+
+    def _paint(self, canvas: Canvas, sphere: Sphere, sphere_area: Area, stalk_area: Area) -> None:
+        # The light falls off with the square of the distance; full strength where the lens is focused.
+        strength = np.float32((self.lens.focus_mm / sphere.distance_mm) ** 2)
+        stalk = stalk_image.image_of(sphere, self.lens, stalk_area)
+        stalk_light = stalk.light * self._lighting.on_film(stalk_area) * strength
+        _over(canvas.part(stalk_area), stalk.cover, stalk_light)
+        if sphere_area.empty:
+            return
+        ball = sphere_image.image_of(sphere, self.lens, sphere_area, self._grain(sphere.number))
+        ball_light = ball.light * self._lighting.on_film(sphere_area) * strength
+        _over(canvas.part(sphere_area), ball.cover, ball_light)
+        both = sphere_area.common(stalk_area)
+        if both.empty:
+            return
+        stalk_part, ball_part = Canvas(stalk_area, stalk.depth_mm), Canvas(sphere_area, ball.depth_mm)
+        in_front = stalk_part.part(both) < ball_part.part(both)
+        in_front &= np.isfinite(ball_part.part(both))
+        cover = Canvas(stalk_area, stalk.cover).part(both) * in_front
+        _over(canvas.part(both), cover, Canvas(stalk_area, stalk_light).part(both))
+
+    def _bounds(self, points_mm: NDArray[np.float64]) -> Area:
+        points = points_mm[points_mm[:, 2] > NEAREST_MM / 2]
+        if not len(points):
+            return Area(0, 0, 0, 0)
+        pixels = self.lens.project(points)
+        left, top = (floor(value) - OUTLINE_MARGIN_PX for value in pixels.min(axis=0))
+        right, bottom = (ceil(value) + OUTLINE_MARGIN_PX + 1 for value in pixels.max(axis=0))
+        return Area(left, top, right - left, bottom - top)
+
+    def _grain(self, number: int) -> Grain:
+        if number not in self._grains:
+            self._grains[number] = Grain(self._seed, number)
+        return self._grains[number]
+
+
+def _over(behind: Image, cover: Image, light: Image) -> None:
+    """Lay light over what is behind it, in place."""
+    behind += cover * (light - behind)
+
+
+def _hull(areas: Sequence[Area]) -> Area:
+    left, top = min(area.x for area in areas), min(area.y for area in areas)
+    right = max(area.x + area.width for area in areas)
+    bottom = max(area.y + area.height for area in areas)
+    return Area(left, top, right - left, bottom - top)

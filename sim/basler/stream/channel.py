@@ -1,0 +1,146 @@
+"""The stream channel of a camera: where packets go, at which size and pace, and what is kept to repeat."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections import deque
+from collections.abc import Callable, Collection
+
+from ronna_hw.wire.gige_vision import (
+    BLOCK_ID_FIRST,
+    BLOCK_ID_LAST,
+    IP_UDP_HEADER_BYTES,
+    TICK_FREQUENCY_HZ,
+    GevStatus,
+    GvspFormat,
+)
+from sim.basler.stream.block import Block, Frame, header
+
+KEPT_BLOCKS = 16
+DEFAULT_PACKET_SIZE = 1500
+SMALLEST_PACKET_SIZE = 220
+LARGEST_PACKET_SIZE = 16404
+PACKET_SIZE_STEP = 4
+WIRE_BYTES_PER_S = 125e6  # 1 Gbit/s
+BURST_BYTES = 64 * 1024  # sent at once; a stock kernel buffers about three of them for a receiver
+SHORTEST_SLEEP_S = 2e-4  # below, sleeping costs more time than it takes
+IP_MTU_DISCOVER = 10  # from linux/in.h; not in Python's socket module
+PMTU_DO, PMTU_DONT = 2, 0
+
+Losses = Callable[[int, int], Collection[int]]
+"""Block id and number of packets to the packet ids that get lost on the way."""
+
+
+def no_losses(_block_id: int, _packets: int) -> Collection[int]:
+    """Nothing gets lost."""
+    return ()
+
+
+class StreamChannel:
+    """Sends blocks to one receiver. `owner_address` says who controls the camera."""
+
+    def __init__(
+        self, address: str, owner_address: Callable[[], str | None], losses: Losses = no_losses
+    ) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((address, 0))
+        self._owner_address = owner_address
+        self._losses = losses
+        self._kept: deque[Block] = deque(maxlen=KEPT_BLOCKS)
+        self._next_block_id = BLOCK_ID_FIRST
+        self._do_not_fragment = False
+        self.port = 0
+        self.destination = "0.0.0.0"
+        self.packet_size = DEFAULT_PACKET_SIZE
+        self.delay_ticks = 0
+
+    @property
+    def source_port(self) -> int:
+        """UDP port that the packets come from."""
+        return int(self._socket.getsockname()[1])
+
+    @property
+    def do_not_fragment(self) -> bool:
+        """True when routers may not split packets."""
+        return self._do_not_fragment
+
+    @do_not_fragment.setter
+    def do_not_fragment(self, wanted: bool) -> None:
+        self._do_not_fragment = wanted
+        self._socket.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, PMTU_DO if wanted else PMTU_DONT)
+
+    @property
+    def receiver(self) -> tuple[str, int] | None:
+        """Where packets go; None while the channel is closed.
+
+        Destination 0.0.0.0 means the application in control.
+        """
+        owner = self._owner_address()
+        if not self.port or owner is None:
+            return None
+        return (owner if self.destination == "0.0.0.0" else self.destination), self.port
+
+    def begin(self) -> None:
+        """Count blocks from 1 again; nothing older can be repeated."""
+        self._next_block_id = BLOCK_ID_FIRST
+        self._kept.clear()
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame as the next block, at the pace of the link; does nothing while closed."""
+        receiver = self.receiver
+        if receiver is None:
+            return
+        block = Block(self._next_block_id, frame, self.packet_size)
+        self._next_block_id = BLOCK_ID_FIRST if block.block_id == BLOCK_ID_LAST else block.block_id + 1
+        self._kept.append(block)
+        lost = self._losses(block.block_id, block.trailer_id + 1)
+        begun_s = time.monotonic()
+        due_s = burst = 0.0
+        for packet_id in range(block.trailer_id + 1):
+            if packet_id not in lost:
+                self._put(block, packet_id, GevStatus.SUCCESS, receiver)
+            due_s += self.packet_size / WIRE_BYTES_PER_S + self.delay_ticks / TICK_FREQUENCY_HZ
+            burst += self.packet_size
+            if burst >= BURST_BYTES:
+                burst = 0.0
+                ahead_s = begun_s + due_s - time.monotonic()
+                if ahead_s > SHORTEST_SLEEP_S:
+                    time.sleep(ahead_s)
+
+    def repeat(self, block_id: int, first_packet: int, last_packet: int) -> None:
+        """Send packets again; what is no longer there is answered by one packet that says so."""
+        receiver = self.receiver
+        if receiver is None:
+            return
+        block = next((kept for kept in tuple(self._kept) if kept.block_id == block_id), None)
+        if block is None or first_packet > block.trailer_id:
+            content = header(GevStatus.PACKET_UNAVAILABLE, block_id, GvspFormat.PAYLOAD, first_packet)
+            self._put_bytes([content], receiver)
+            return
+        for packet_id in range(first_packet, min(last_packet, block.trailer_id) + 1):
+            self._put(block, packet_id, GevStatus.PACKET_RESEND, receiver)
+
+    def fire_test_packet(self, size: int) -> None:
+        """Send one datagram of `size` bytes with its IP and UDP headers, if the path carries it."""
+        receiver = self.receiver
+        if receiver is not None:
+            self._put_bytes([bytes(size - IP_UDP_HEADER_BYTES)], receiver)
+
+    def shut(self) -> None:
+        """Close the channel; the receiver gets nothing more."""
+        self.port = 0
+        self._kept.clear()
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._socket.close()
+
+    def _put(self, block: Block, packet_id: int, status: GevStatus, receiver: tuple[str, int]) -> None:
+        self._put_bytes(block.packet(packet_id, status), receiver)
+
+    def _put_bytes(self, parts: Collection[bytes | memoryview], receiver: tuple[str, int]) -> None:
+        # A receiver that is gone, or a packet too large for the path, is lost as on a real network.
+        with contextlib.suppress(OSError):
+            self._socket.sendmsg(parts, (), 0, receiver)

@@ -1,0 +1,67 @@
+"""Which spheres a camera has before it, and where: the one place that knows the theatre's geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.basler.optics.sphere import Sphere
+from sim.theatre.rigid import apply, inverse, matrix_of, rotation_towards
+from sim.theatre.scene import CameraTruth
+from sim.theatre.world import World
+
+FURTHEST_MM = 1000.0  # beyond, a sphere is a faint spot far out of focus
+
+Pose = NDArray[np.float64]
+
+
+class View:
+    """What one camera sees of the theatre.
+
+    In the scene `bench`, while no arm moves the head, the first fiducial stands in the tool centre point
+    with its post along the tool's z axis, so that any client sees a sphere in both images.
+    """
+
+    def __init__(self, world: World, camera: CameraTruth) -> None:
+        self._world = world
+        self._camera_from_tool = matrix_of(camera.camera_from_tool)
+        head = world.scene.head
+        self._fiducials = head.fiducials
+        self._robot_from_ct = matrix_of(head.robot_from_ct)
+        self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in head.fiducials])
+
+    def pose(self) -> Pose | None:
+        """True pose (4, 4) of the head in the robot's frame; None while no arm has said where it is."""
+        pose = self._world.robot_from_tool()
+        return pose if np.any(pose[:3, :3]) else None
+
+    @property
+    def head_mounted(self) -> bool:
+        """True while the stereo head, not the guide, hangs on the arm."""
+        return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
+
+    def spheres(self, robot_from_tool: Pose | None) -> tuple[Sphere, ...]:
+        """Spheres in front of the camera for a pose that `pose` returned, camera frame."""
+        if not self.head_mounted:
+            return ()  # the head hangs on its stand and looks at nothing
+        if robot_from_tool is None:
+            return self._bench() if self._world.scene.name == "bench" else ()
+        camera_from_robot = self._camera_from_tool @ inverse(robot_from_tool)
+        centres = apply(camera_from_robot, self._centres_mm)
+        rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
+        return tuple(
+            Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)
+            for each, centre in zip(self._fiducials, centres, strict=True)
+            if 0.0 < centre[2] < FURTHEST_MM
+        )
+
+    def _bench(self) -> tuple[Sphere, ...]:
+        first = self._fiducials[0]
+        rotation = self._camera_from_tool[:3, :3] @ _upright((0.0, 0.0, -1.0))
+        return (Sphere(self._camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
+
+
+def _upright(post: tuple[float, float, float]) -> Pose:
+    """Rotation (3, 3) whose third column is the post; the film's turn about it is arbitrary but fixed."""
+    hint = (0.0, 0.0, 1.0) if abs(post[2]) < max(abs(post[0]), abs(post[1])) else (1.0, 0.0, 0.0)
+    return rotation_towards(post, hint)
