@@ -18,14 +18,13 @@ def polaris(
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra, for any client; runs until it is ended."""
-    from ronna_hw.endpoints import parse_endpoint
     from sim.polaris.channel import PseudoTerminal
-    from sim.polaris.server import EndSignal, Server, listen
+    from sim.polaris.server import EndSignal, Server, listen, network_address
     from sim.polaris.session import Session
     from sim.polaris.unit import Unit
     from sim.theatre.process import announce, end_with_parent, open_world
 
-    address = None if endpoint == SERIAL_PTY else parse_endpoint(endpoint).require("tcp")
+    address = None if endpoint == SERIAL_PTY else network_address(endpoint)
     unit = Unit(open_world(world, scene))
     end = EndSignal()
     server = Server(Session(unit), end, unit.profile.longest_command)

@@ -6,13 +6,16 @@ import os
 import select
 import socket
 import time
+from dataclasses import replace
 
-from ronna_hw.endpoints import Endpoint
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.wire.polaris import TCP_PORT
 from sim.errors import EndpointTaken
 from sim.polaris.channel import Channel, Connection, PseudoTerminal
 from sim.polaris.framing import LineBuffer
 from sim.polaris.session import Session
 
+ANY_PORT = ":0"
 WAITING_HOSTS = 4  # further hosts wait until the one before them hangs up
 
 
@@ -78,9 +81,18 @@ class Server:
         return not self._end.given
 
 
-def listen(endpoint: Endpoint) -> socket.socket:
+def network_address(text: str) -> Endpoint:
+    """Where to listen; port 0 asks for any free one. Raises CFG-002 for anything but tcp://host:port."""
+    if text.endswith(ANY_PORT):
+        known = parse_endpoint(text.removesuffix(ANY_PORT) + f":{TCP_PORT}")
+        return replace(known.require("tcp"), port=0)
+    return parse_endpoint(text).require("tcp")
+
+
+def listen(address: Endpoint) -> socket.socket:
     """Open the network address; raises SIM-004 when it cannot be had."""
     try:
-        return socket.create_server((endpoint.host, endpoint.port), backlog=WAITING_HOSTS)
+        return socket.create_server((address.host, address.port), backlog=WAITING_HOSTS)
     except OSError as error:
-        raise EndpointTaken(f"cannot listen on {endpoint}: {error.strerror}") from error
+        reason = error.strerror or str(error)
+        raise EndpointTaken(f"cannot listen on {address.host}:{address.port}: {reason}") from error

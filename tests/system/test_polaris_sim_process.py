@@ -1,0 +1,256 @@
+"""The tracker simulator as a process: READY, hosts that come and go, and a timely end."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from ronna_hw.child_process import STOP_TIMEOUT_S, ChildProcess, command
+from ronna_hw.wire.polaris import crc16
+from sim.polaris.definition import write_definition
+from sim.theatre.built_in import robot_frame
+
+ANSWER_LIMIT_S = 5.0
+ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
+# A host that opens the unit, begins to track, says so, and then only asks.
+CARELESS_HOST = """
+import os, socket, sys
+kind, address = sys.argv[1:]
+if kind == "serial":
+    file = os.open(address, os.O_RDWR | os.O_NOCTTY)
+else:
+    peer = socket.create_connection(("127.0.0.1", int(address)))
+    file = peer.fileno()
+os.write(file, b"INIT \\rTSTART 80\\r")
+print(os.read(file, 100), flush=True)
+while True:
+    os.write(file, b"TX 0001\\rPHRQ ****")
+"""
+
+
+class Host:
+    """A host that knows nothing but bytes."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._socket: socket.socket | None = None
+        if endpoint.startswith("serial://"):
+            self._file = os.open(endpoint.removeprefix("serial://"), os.O_RDWR | os.O_NOCTTY)
+        else:
+            port = int(endpoint.rsplit(":", 1)[1])
+            self._socket = socket.create_connection(("127.0.0.1", port))
+            self._file = self._socket.fileno()
+
+    def ask(self, line: str) -> bytes:
+        """The answer to one line."""
+        self.write(line.encode() + b"\r")
+        return self.read()
+
+    def write(self, data: bytes) -> None:
+        os.write(self._file, data)
+
+    def read(self) -> bytes:
+        """One ASCII answer, up to its CR."""
+        answer = b""
+        deadline = time.monotonic() + ANSWER_LIMIT_S
+        while not answer.endswith(b"\r"):
+            ready, _, _ = select.select([self._file], [], [], max(0.0, deadline - time.monotonic()))
+            assert ready, f"no answer, only {answer!r}"
+            answer += os.read(self._file, 1)
+        return answer
+
+    def discard(self) -> None:
+        """Throw away what waits, as every client does before it begins."""
+        while select.select([self._file], [], [], 0.2)[0]:
+            if not os.read(self._file, 65536):
+                return
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+        else:
+            os.close(self._file)
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., ChildProcess]]:
+    """Start simulators; they are ended after the test."""
+    running: list[ChildProcess] = []
+
+    def begin(*arguments: str) -> ChildProcess:
+        running.append(ChildProcess("ronna-sim polaris", command("sim.cli", "polaris", *arguments)))
+        return running[-1]
+
+    yield begin
+    for child in running:
+        child.stop()
+
+
+@pytest.mark.parametrize("endpoint", ENDPOINTS)
+def test_a_host_may_leave_and_the_next_finds_the_unit_as_it_was(
+    start: Callable[..., ChildProcess], endpoint: str
+) -> None:
+    ready = start("--endpoint", endpoint).ready
+    assert ready["device"] == "polaris"
+    first = Host(ready["endpoint"])
+    assert first.ask("INIT ") == b"OKAYA896\r"
+    assert first.ask("PHRQ *********1****").startswith(b"01")
+    first.close()
+    second = Host(ready["endpoint"])
+    assert second.ask("PHSR 00").startswith(b"0101001")
+    second.close()
+
+
+@pytest.mark.parametrize("endpoint", ENDPOINTS)
+def test_a_host_may_be_killed_in_the_middle_of_everything(
+    start: Callable[..., ChildProcess], endpoint: str
+) -> None:
+    where = start("--endpoint", endpoint).ready["endpoint"]
+    kind, address = ("serial", where[9:]) if where.startswith("serial") else ("tcp", where.rsplit(":", 1)[1])
+    careless = subprocess.Popen(
+        [sys.executable, "-c", CARELESS_HOST, kind, address], stdout=subprocess.PIPE, text=True
+    )
+    assert careless.stdout is not None
+    assert "OKAY" in careless.stdout.readline()
+    careless.kill()
+    careless.wait()
+    careless.stdout.close()
+    following = Host(where)
+    following.discard()
+    following.write(b"\r")  # ends what the dead host left half-said
+    following.discard()
+    assert following.ask("INIT ") == b"OKAYA896\r"
+    assert following.ask("TX 0001").startswith(b"ERROR0C")
+    following.close()
+
+
+def test_commands_that_arrive_byte_by_byte_are_understood(start: Callable[..., ChildProcess]) -> None:
+    host = Host(start().ready["endpoint"])
+    for byte in b"INIT:E3A5\r":
+        host.write(bytes([byte]))
+    assert host.read() == b"OKAYA896\r"
+    host.close()
+
+
+@pytest.mark.parametrize("endpoint", ENDPOINTS)
+def test_sigterm_ends_it_in_time_with_a_host_connected(
+    start: Callable[..., ChildProcess], endpoint: str
+) -> None:
+    child = start("--endpoint", endpoint)
+    host = Host(child.ready["endpoint"])
+    host.ask("INIT ")
+    child.process.terminate()
+    assert child.process.wait(STOP_TIMEOUT_S) == 0
+    host.close()
+
+
+def test_it_does_not_outlive_its_parent() -> None:
+    parent_program = (
+        "import subprocess, sys\n"
+        "child = subprocess.Popen([sys.executable, '-P', '-m', 'sim.cli', 'polaris'])\n"
+        "print(child.pid, flush=True)\n"
+        "child.wait()\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-P", "-c", parent_program], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    lines = [parent.stdout.readline(), parent.stdout.readline()]
+    number = next(int(line) for line in lines if line.strip().isdigit())
+    assert any(line.startswith("READY ") for line in lines)
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    assert select.select([os.pidfd_open(number)], [], [], STOP_TIMEOUT_S)[0], "still there after 2 s"
+    parent.stdout.close()
+
+
+def test_an_address_in_use_is_one_message_with_its_code() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as holder:
+        taken = f"tcp://127.0.0.1:{holder.getsockname()[1]}"
+        done = subprocess.run(
+            command("sim.cli", "polaris", "--endpoint", taken), capture_output=True, text=True, timeout=20
+        )
+    assert done.returncode == 4
+    assert done.stdout == ""
+    assert done.stderr.startswith("SIM-004")
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("--endpoint", "udp://127.0.0.1:8765"), "CFG-002"),
+        (("--endpoint", "nonsense"), "CFG-002"),
+        (("--scene", "/nowhere/scene.toml"), "SIM-001"),
+        (("--world", "shm:///proc/1/fd/999"), "SIM-002"),
+    ],
+)
+def test_a_wrong_option_is_one_message_with_its_code(arguments: tuple[str, ...], code: str) -> None:
+    done = subprocess.run(
+        command("sim.cli", "polaris", *arguments), capture_output=True, text=True, timeout=20
+    )
+    assert done.returncode in (2, 4)
+    assert done.stderr.startswith(code)
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_throttled_line_takes_the_time_of_its_baud_rate(start: Callable[..., ChildProcess]) -> None:
+    host = Host(start("--throttle").ready["endpoint"])
+
+    def seconds_for(line: str) -> tuple[float, float]:
+        began = time.monotonic()
+        answer = host.ask(line)
+        return time.monotonic() - began, (len(line) + 1 + len(answer)) * 10
+
+    host.ask("INIT ")
+    slow_s, bits = seconds_for("ECHO " + "x" * 100)
+    assert slow_s >= bits / 9600
+    began = time.monotonic()
+    host.ask("COMM 50000")
+    assert time.monotonic() - began >= 20 * 10 / 9600  # OKAY still goes out at the old rate
+    quicker_s = min(seconds_for("ECHO " + "x" * 100)[0] for _ in range(5))
+    assert bits / 115200 <= quicker_s < slow_s
+    host.close()
+
+
+def test_two_units_of_one_scene_measure_the_same_bit_for_bit(start: Callable[..., ChildProcess]) -> None:
+    def record() -> dict[bytes, bytes]:
+        host = Host(start().ready["endpoint"])
+        host.ask("INIT ")
+        host.ask("PHRQ *********1****")
+        content = write_definition(robot_frame()).ljust(768, b"\0")
+        for address in range(0, 768, 64):
+            host.ask(f"PVWR 01{address:04X}{content[address : address + 64].hex()}")
+        assert host.ask("PINIT 01").startswith(b"OKAY")
+        assert host.ask("PENA 01D").startswith(b"OKAY")
+        host.ask("TSTART 80")
+        answers = {}
+        request = b"TX:1801%04X" % crc16(b"TX:1801")
+        while len(answers) < 40:
+            answer = host.ask(request.decode())
+            answers[answer.split(b"\n")[0][-8:]] = answer
+        host.close()
+        return answers
+
+    first, second = record(), record()
+    common = first.keys() & second.keys()
+    assert len(common) >= 5
+    assert all(first[number] == second[number] for number in common)
+
+
+def test_ready_is_one_line_of_json_on_standard_output(start: Callable[..., ChildProcess]) -> None:
+    done = subprocess.Popen(command("sim.cli", "polaris"), stdout=subprocess.PIPE, text=True)
+    assert done.stdout is not None
+    line = done.stdout.readline()
+    done.terminate()
+    rest = done.stdout.read()
+    done.wait(STOP_TIMEOUT_S)
+    done.stdout.close()
+    assert json.loads(line.removeprefix("READY "))["endpoint"].startswith("serial:///dev/")
+    assert rest == ""
