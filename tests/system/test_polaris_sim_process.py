@@ -254,3 +254,14 @@ def test_ready_is_one_line_of_json_on_standard_output(start: Callable[..., Child
     done.stdout.close()
     assert json.loads(line.removeprefix("READY "))["endpoint"].startswith("serial:///dev/")
     assert rest == ""
+
+
+def test_it_loads_no_image_or_science_library() -> None:
+    program = (
+        "import pkgutil, sys, importlib, sim.polaris\n"
+        "for module in pkgutil.walk_packages(sim.polaris.__path__, 'sim.polaris.'):\n"
+        "    importlib.import_module(module.name)\n"
+        "print(sorted({'scipy', 'cv2', 'pydicom', 'pinocchio'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, timeout=20)
+    assert done.stdout.strip() == "[]", done.stderr
