@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: setup demo test test-all soak lint bench clean
+.PHONY: setup demo test test-all soak lint bench docs lock clean
 
 setup: $(STAMP)
 
@@ -37,6 +37,9 @@ lint: setup
 
 bench: setup
 	@$(BIN)/python -P benchmarks/run.py
+
+docs: setup
+	@$(BIN)/python docs/generate.py
 
 # The lock names no package index: it holds versions and hashes only.
 lock:

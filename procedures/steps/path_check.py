@@ -60,6 +60,7 @@ def _localizations(check: PathCheck, matched: list[int]) -> dict[str, list[dict[
                 {
                     "fiducial": matched[visit.fiducial],  # index in the list of the CT
                     "tool_pose": pose_payload(visit.pose),
+                    "approach_rad": list(reached.approach_rad),
                     "joints_rad": list(reached.at_rad),
                 }
             )

@@ -21,6 +21,7 @@ from procedures.steps.arm_frames import model_of, stereo_tool_in_flange, tool_po
 from procedures.steps.payloads import points_payload, pose_from
 from procedures.steps.stereo_look import Look, area_around_tool, look, whole_sensor
 from procedures.steps.stereo_picture import keep_picture
+from procedures.strategies.orientation import back_along_axis
 from ronna_hw.arm.inverse import branch_of, solve_branch
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -53,7 +54,7 @@ def run(context: StepContext) -> Outcome:
     for number, item in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item['fiducial'] + 1}")
         expected = _shifted(pose_from(item["tool_pose"]), offset_mm)
-        near: JointVector = tuple(item["joints_rad"])
+        near: JointVector = tuple(item["approach_rad"])
         sphere = _centre(context, int(item["fiducial"]), expected, near)
         offset_mm = sphere.point_mm - pose_from(item["tool_pose"]).translation_mm
         found.append(sphere)
@@ -84,8 +85,9 @@ def _activate(context: StepContext) -> None:
 
 
 def _centre(context: StepContext, fiducial: int, expected: Transform, near: JointVector) -> FoundSphere:
-    """Move over one sphere and servo onto it."""
-    _move_joints(context, expected, near)
+    """Approach one sphere along the tool axis, servo onto it, and back off the same way."""
+    _move_joints(context, _standoff(context, expected), near)
+    _move_linear(context, expected)
     seen, looks = _first_look(context, expected)
     servo = ServoState()
     while True:
@@ -100,6 +102,7 @@ def _centre(context: StepContext, fiducial: int, expected: Transform, near: Join
         seen = look(context)
         looks += 1
     keep_picture(context, fiducial, seen)
+    _move_linear(context, _standoff(context, pose))
     rotation = pose.rotation_matrix
     return FoundSphere(
         fiducial=fiducial,
@@ -141,6 +144,10 @@ def _move_joints(context: StepContext, pose: Transform, near: JointVector) -> No
 def _move_linear(context: StepContext, pose: Transform) -> None:
     flange = Pose.from_transform(pose @ stereo_tool_in_flange(context).inverse())
     context.devices.arm.move_linear(flange)
+
+
+def _standoff(context: StepContext, pose: Transform) -> Transform:
+    return back_along_axis(pose, context.theatre.procedure.standoff_mm)
 
 
 def _shifted(pose: Transform, offset_mm: Array) -> Transform:

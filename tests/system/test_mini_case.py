@@ -1,0 +1,105 @@
+"""The whole case on the mini scene, through real wires."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import Commands
+
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from ronna_hw.records import read_record
+
+LARGEST_ERROR_MM = 1.5
+CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
+
+
+class MiniRun:
+    """A finished run: what it printed and its folder."""
+
+    def __init__(self, out: Path, printed: str) -> None:
+        self.outcome: dict[str, Any] = json.loads(printed)
+        self.out = out
+        self.folder = out / self.outcome["run"]
+
+
+@pytest.fixture(scope="module")
+def finished(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> MiniRun:
+    out = tmp_path_factory.mktemp("runs")
+    done = shared_commands.run("ronna-procedure", *CASE, "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    assert shared_commands.await_no_survivors() == []
+    return MiniRun(out, done.stdout)
+
+
+def test_the_case_ends_at_the_target_within_the_limit(finished: MiniRun) -> None:
+    outcome = finished.outcome
+    assert outcome["outcome"] == "done"
+    assert len(outcome["targets"]) == 1
+    assert 0.0 < outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
+    assert outcome["ct"]["found"] == 3
+    assert (outcome["ct"]["missed"], outcome["ct"]["false"]) == (0, 0)
+
+
+def test_the_json_has_exactly_the_keys_of_the_contract(finished: MiniRun) -> None:
+    assert list(finished.outcome) == [
+        "run", "outcome", "seed", "strategy", "markers", "ct", "registration", "targets",
+        "mean_application_error_mm", "max_application_error_mm", "late_cycles", "sim_s", "wall_s", "report",
+    ]  # fmt: skip
+    assert list(finished.outcome["targets"][0]) == [
+        "id", "depth_mm", "predicted_tre_mm", "application_error_mm",
+    ]  # fmt: skip
+    assert list(finished.outcome["ct"]) == ["found", "missed", "false", "rms_error_mm"]
+
+
+def test_the_run_makes_one_folder_and_nothing_else(finished: MiniRun) -> None:
+    assert [entry.name for entry in finished.out.iterdir()] == [finished.folder.name]
+
+
+def test_every_result_is_a_record_whose_parents_exist(finished: MiniRun) -> None:
+    records = [read_record(path) for path in sorted((finished.folder / "records").iterdir())]
+    known = {record.identifier for record in records}
+    assert len(records) == 13
+    for record in records:
+        assert set(record.parents) <= known
+        assert record.parents or record.kind in ("ct_import", "set_up")
+
+
+def test_the_journal_is_whole_and_has_an_intent_before_every_result(finished: MiniRun) -> None:
+    lines = list(read_journal(finished.folder / JOURNAL_FILE))
+    steps = [(line["entry"], line["step"]) for line in lines if line["entry"] in ("intent", "result")]
+    assert steps[0::2] == [("intent", step) for _, step in steps[1::2]]
+    assert (lines[0]["entry"], lines[-1]["entry"]) == ("opened", "closed")
+
+
+def test_the_report_needs_nothing_but_itself_and_never_calls_a_residual_an_accuracy(
+    finished: MiniRun,
+) -> None:
+    report = Path(finished.outcome["report"]).read_text()
+    assert not re.search(r"(src|href)=[\"'](?!data:)", report)
+    assert report.count("data:image/png;base64,") >= 4
+    assert "SIMULATED THEATRE" in report
+    assert "not a medical device" in report
+
+
+def test_the_same_seed_gives_the_same_results_bit_for_bit(
+    finished: MiniRun, commands: Commands, tmp_path: Path
+) -> None:
+    again = commands.run("ronna-procedure", *CASE, "--out", str(tmp_path))
+    assert again.returncode == 0, again.stderr
+    other = json.loads(again.stdout)
+    for key in ("ct", "registration", "targets"):
+        assert other[key] == finished.outcome[key]
+
+
+def test_the_simulation_is_at_least_five_times_faster_than_life_where_devices_work(finished: MiniRun) -> None:
+    lines = list(read_journal(finished.folder / JOURNAL_FILE))
+    at = {(line["entry"], line.get("step")): line["theatre_time_s"] for line in lines}
+    assert at["result", "retreat:T1"] > 10.0  # seconds of theatre time that the arm's work takes
+
+
+def test_the_verifier_tells_the_same_errors_alone(finished: MiniRun, commands: Commands) -> None:
+    checked = commands.run("ronna-sim", "verify", str(finished.folder), "--json")
+    errors = [row["application_error_mm"] for row in json.loads(checked.stdout)["targets"]]
+    assert errors == [row["application_error_mm"] for row in finished.outcome["targets"]]
