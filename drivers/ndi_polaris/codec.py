@@ -20,6 +20,7 @@ from ronna_hw.wire.polaris import (
     crc16,
 )
 
+TRAILING_TEXT_BYTES = 128  # short texts only: errors, echoes, revisions
 BX_START_BYTES = struct.pack("<H", BX_START)
 
 _HEADER = struct.Struct("<HHH")
@@ -44,6 +45,17 @@ def open_ascii(line: bytes) -> str:
         return text.decode("ascii")
     except UnicodeDecodeError as error:
         raise MalformedReply("an ASCII reply holds other bytes than ASCII", wire=line) from error
+
+
+def trailing_text(heard: bytes) -> str | None:
+    """The text of the last reply, without its CR, in bytes that may begin with the remains of others."""
+    line = heard.rsplit(CR, 1)[-1][-TRAILING_TEXT_BYTES:]
+    for start in range(len(line)):  # remains of a binary reply stand before it without a CR
+        try:
+            return open_ascii(line[start:])
+        except (BadReplyCrc, MalformedReply):
+            continue
+    return None
 
 
 def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from drivers.ndi_polaris.codec import encode_command, open_ascii
+from drivers.ndi_polaris.codec import encode_command, trailing_text
 from drivers.ndi_polaris.errors import (
-    BadReplyCrc,
-    MalformedReply,
     NotAPolaris,
     NothingAnswers,
     PortUnavailable,
@@ -13,9 +11,9 @@ from drivers.ndi_polaris.errors import (
 )
 from drivers.ndi_polaris.session import RESET_TEXT, Session
 from ronna_hw.errors import LinkTimeout, ProtocolError
-from ronna_hw.wire.polaris import BITS_PER_BYTE_ON_LINE, DEFAULT_BAUD
+from ronna_hw.wire.polaris import BITS_PER_BYTE_ON_LINE, COMMAND_TIMEOUT_S, CR, DEFAULT_BAUD
 
-PROBE_LIMIT_S = 0.3  # an idle unit answers a harmless command in a few milliseconds
+PROBE_LIMIT_S = 0.3  # per rate: an idle unit answers a harmless command in a few milliseconds
 PROBES = 2  # the first command may be spoilt by what the unit still holds of an earlier one
 RESET_LIMIT_S = 7.0  # from a break to the unit's RESET, the longest that any client waits
 PROBE_COMMAND = "APIREV"  # has no effect, and every unit answers it in some way
@@ -92,20 +90,16 @@ def _probe(session: Session, deadline_s: float) -> tuple[bool, bytes]:
     transport = session.transport
     session.drain(deadline_s=deadline_s)
     command = encode_command(PROBE_COMMAND)
-    transfer_s = (len(command) + PROBE_REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or 1e9)
+    if transport.baud is None:  # nothing else to try: the unit gets all the time it may take
+        limit_s = COMMAND_TIMEOUT_S[PROBE_COMMAND]
+    else:
+        transfer_s = (len(command) + PROBE_REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / transport.baud
+        limit_s = PROBE_LIMIT_S + transfer_s
     transport.write(command)
-    until_s = min(deadline_s, session.now_s() + PROBE_LIMIT_S + transfer_s)
+    until_s = min(deadline_s, session.now_s() + limit_s)
     heard = b""
     while (left_s := until_s - session.now_s()) > 0:
         heard += transport.read(left_s)
-        for line in heard.split(b"\r")[:-1]:
-            if _intact(line):
-                return True, heard
+        if any(trailing_text(line) for line in heard.split(CR)[:-1]):
+            return True, heard
     return False, heard
-
-
-def _intact(line: bytes) -> bool:
-    try:
-        return bool(open_ascii(line))
-    except (BadReplyCrc, MalformedReply):
-        return False

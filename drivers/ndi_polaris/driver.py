@@ -196,7 +196,7 @@ class PolarisTracker:
         """
         self._guard.require("read_frame", {Lifecycle.ACTIVE, Lifecycle.HOLD})
         deadline_s = self._monotonic() + timeout_s
-        reply = self._guarded(self._request, deadline_s)
+        reply = self._guarded(self._newest, deadline_s)
         theatre_time_s = self._clock.now_s()
         self._guarded(lambda limit_s: self._judge(reply, limit_s), deadline_s)
         number = frame_number(reply)
@@ -296,6 +296,20 @@ class PolarisTracker:
             self._link.ask("TSTOP", deadline_s=deadline_s)
         except WrongMode:  # it had stopped by itself, or the answer to the first try was lost
             return
+
+    def _newest(self, deadline_s: float) -> TrackingReply:
+        """A reply that is not older than the one before; an older one is a late copy, and asked for anew."""
+        reply = self._request(deadline_s)
+        if not self._is_older(reply):
+            return reply
+        self._link.distrust()
+        reply = self._request(deadline_s)
+        if self._is_older(reply):
+            raise UnitRestarted("the frame number went backwards: tracking was started anew by somebody else")
+        return reply
+
+    def _is_older(self, reply: TrackingReply) -> bool:
+        return self._last_frame is not None and frame_number(reply) < self._last_frame
 
     def _request(self, deadline_s: float) -> TrackingReply:
         options = f"{FRAME_OPTIONS.value:04X}"

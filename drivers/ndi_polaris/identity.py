@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from drivers.ndi_polaris.errors import NotAPolaris, UnitError, WrongUnit
+from drivers.ndi_polaris.parameters import read_parameter
 from drivers.ndi_polaris.session import Session
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.wire.polaris import LF, PARAMETER_FIRMWARE
@@ -21,7 +22,10 @@ def read_identity(session: Session, deadline_s: float) -> Identity:
     if FAMILY.lower() not in model.lower():
         raise NotAPolaris("the device that answers does not call itself Polaris", last=model or "no model")
     fields = _fields(lines[1:])
-    firmware = _ask_or(session, "GET", PARAMETER_FIRMWARE, deadline_s).partition("=")[2]
+    try:
+        firmware = read_parameter(session, PARAMETER_FIRMWARE, deadline_s)
+    except UnitError:
+        firmware = ""
     details = {
         "freeze tag": fields.get("freeze tag", ""),
         "characterization date": fields.get("characterization date", ""),
@@ -32,7 +36,7 @@ def read_identity(session: Session, deadline_s: float) -> Identity:
         vendor=VENDOR,
         model=model,
         serial=fields.get("ndi s/n", ""),
-        firmware=firmware.strip() or fields.get("freeze tag", ""),
+        firmware=firmware or fields.get("freeze tag", ""),
         details=tuple((name, value.strip()) for name, value in details.items() if value.strip()),
     )
 

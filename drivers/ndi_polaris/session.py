@@ -20,10 +20,10 @@ from drivers.ndi_polaris.codec import (
     encode_command,
     open_ascii,
     open_binary,
+    trailing_text,
     unit_error,
 )
 from drivers.ndi_polaris.errors import (
-    BadReplyCrc,
     CommandGarbled,
     LinkLost,
     MalformedReply,
@@ -84,7 +84,7 @@ class Session:
         self.statistics = SessionStatistics()
         self._limits_s = limits_s
         self._monotonic = monotonic
-        self._settled = True
+        self._settled = False  # what an earlier client left on its way may still arrive
         self._silent_since_s: float | None = None
         self._echoes = 0
 
@@ -241,6 +241,10 @@ class Session:
         if RESET_TEXT in stale:
             raise UnitRestarted("the unit announced a reset", wire=stale)
 
+    def distrust(self) -> None:
+        """Have the next command get back in step first: the caller has seen a reply that cannot be right."""
+        self._settled = False
+
     def settle(self, deadline_s: float | None = None) -> None:
         """Bring both sides back in step: send ECHO with a text of its own, discard all up to its echo.
 
@@ -278,7 +282,7 @@ class Session:
                 raise UnitRestarted("the unit announced a reset", wire=heard)
             if not heard.endswith(b"\r"):
                 continue
-            text = _last_text(heard)
+            text = trailing_text(heard[:-1])
             if text is not None and text.endswith(mark):
                 return _Echo.HEARD
             error = unit_error(text or "", "ECHO")
@@ -297,14 +301,3 @@ class Session:
         if silent_s >= limit_s:
             raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", last=f"{silent_s:.1f} s")
         raise NoReply("the unit is not yet back in step", limit=f"{limit_s:.1f} s", last=f"{silent_s:.1f} s")
-
-
-def _last_text(heard: bytes) -> str | None:
-    """The text of the last reply in a stretch of bytes that may begin with the remains of others."""
-    line = heard[:-1].rsplit(b"\r", 1)[-1]
-    for start in range(len(line)):  # remains of a binary reply stand before it without a CR
-        try:
-            return open_ascii(line[start:])
-        except (BadReplyCrc, MalformedReply):
-            continue
-    return None

@@ -18,6 +18,7 @@ from drivers.ndi_polaris.errors import (
     UnitError,
 )
 from drivers.ndi_polaris.options import ToolOption
+from drivers.ndi_polaris.parameters import read_parameter
 from drivers.ndi_polaris.rom import ToolDefinition, encode_definition
 from drivers.ndi_polaris.session import Session
 from drivers.ndi_polaris.volume import MeasuringVolume, parse_volumes
@@ -114,10 +115,10 @@ def choose_volume(session: Session, wanted: int | None, deadline_s: float) -> Me
 
 def _selected(session: Session, deadline_s: float) -> int:
     try:
-        value = session.ask("GET", PARAMETER_SELECTED_VOLUME, deadline_s=deadline_s).partition("=")[2]
+        value = read_parameter(session, PARAMETER_SELECTED_VOLUME, deadline_s)
     except UnitError:
         return 0
-    return int(value) if value.strip().isdecimal() else 0
+    return int(value) if value.isdecimal() else 0
 
 
 def set_illuminator_rate(session: Session, rate_hz: int, deadline_s: float) -> str | None:

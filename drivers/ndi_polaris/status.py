@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from drivers.ndi_polaris.errors import HardwareFailure, MalformedReply, SensorBumped, TemperatureHold
+from drivers.ndi_polaris.parameters import read_parameter
 from drivers.ndi_polaris.session import Session
 from ronna_hw.errors import DeviceError
 from ronna_hw.wire.polaris import (
@@ -53,10 +54,9 @@ def alarm(status: SystemStatus, session: Session, deadline_s: float) -> DeviceEr
 
 def read_new_alerts(session: Session, deadline_s: float | None) -> Alert:
     """Alerts that came up since they were last read; reading clears the pending mark."""
-    text = session.ask("GET", PARAMETER_NEW_ALERTS, deadline_s=deadline_s)
-    value = text.partition("=")[2].strip()
+    value = read_parameter(session, PARAMETER_NEW_ALERTS, deadline_s)
     if not value.isdecimal():
-        raise MalformedReply("the alerts have an unknown form", wire=text.encode())
+        raise MalformedReply("the alerts have an unknown form", last=value)
     return Alert(int(value))
 
 
@@ -64,7 +64,7 @@ def clear_bump(session: Session, deadline_s: float) -> None:
     """Acknowledge a bump; raises NDI-021 when the unit still reports one afterwards."""
     session.ask("SET", f"{PARAMETER_BUMP_CLEAR}=1", deadline_s=deadline_s)
     read_new_alerts(session, deadline_s)
-    if session.ask("GET", PARAMETER_BUMPED, deadline_s=deadline_s).partition("=")[2].strip() == "1":
+    if read_parameter(session, PARAMETER_BUMPED, deadline_s) == "1":
         raise SensorBumped("the unit still reports a bump after it was cleared")
 
 

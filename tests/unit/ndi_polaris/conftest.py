@@ -79,6 +79,7 @@ class Unit:
         self.memory: dict[int, bytearray] = {}
         self._arrivals: list[tuple[float, bytes]] = []
         self._typed = b""
+        self._last_arrival_s = 0.0
 
     # --- the line -----------------------------------------------------------------------------------
 
@@ -142,7 +143,9 @@ class Unit:
             return
         reply = self._answer(name, argument) if intact else with_crc("ERROR04")
         for delay_s, data in self.deliver(name, reply):
-            self._arrivals.append((self.now_s + delay_s, data))
+            # one line, one unit: what was sent later never overtakes what was sent before
+            self._last_arrival_s = max(self._last_arrival_s, self.now_s + delay_s)
+            self._arrivals.append((self._last_arrival_s, data))
 
     def _answer(self, name: str, argument: str) -> bytes:
         if name in self.answers_to:

@@ -135,6 +135,15 @@ def test_tracking_that_stopped_by_itself_is_a_restart(tracker: PolarisTracker, u
         tracker.read_frame()
 
 
+def test_a_frame_number_that_goes_backwards_for_good_is_a_restart(tracker: PolarisTracker, unit: Any) -> None:
+    for _ in range(10):
+        tracker.read_frame()
+    unit.frame = -1
+    with pytest.raises(errors.UnitRestarted, match="backwards"):
+        tracker.read_frame()
+    assert tracker.state is Lifecycle.FAULT
+
+
 def test_a_hardware_fault_latches(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0010
     with pytest.raises(errors.HardwareFailure, match="0010"):

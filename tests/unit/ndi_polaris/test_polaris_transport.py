@@ -1,0 +1,141 @@
+"""Bytes over a real pseudo-terminal and a real TCP connection."""
+
+from __future__ import annotations
+
+import os
+import pty
+import socket
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.ndi_polaris.errors import LinkLost, PortUnavailable
+from drivers.ndi_polaris.transport import SerialTransport, TcpTransport, Transport, open_transport
+from ronna_hw.endpoints import BadEndpoint, parse_endpoint
+
+
+class Line:
+    """Our end and the unit's end of one line."""
+
+    def __init__(self, transport: Transport, unit: int | socket.socket, endpoint: str) -> None:
+        self.transport, self.unit, self.endpoint = transport, unit, endpoint
+
+    def send(self, data: bytes) -> None:
+        if isinstance(self.unit, int):
+            os.write(self.unit, data)
+        else:
+            self.unit.sendall(data)
+
+    def receive(self) -> bytes:
+        return os.read(self.unit, 4096) if isinstance(self.unit, int) else self.unit.recv(4096)
+
+    def hang_up(self) -> None:
+        if isinstance(self.unit, int):
+            os.close(self.unit)
+        else:
+            self.unit.close()
+
+
+@pytest.fixture(params=["serial", "tcp"])
+def line(request: pytest.FixtureRequest) -> Iterator[Line]:
+    if request.param == "serial":
+        unit, terminal = pty.openpty()
+        tty.setraw(terminal)
+        endpoint = f"serial://{os.ttyname(terminal)}"
+        line = Line(open_transport(parse_endpoint(endpoint), 1.0), unit, endpoint)
+        os.close(terminal)
+        yield line
+    else:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            endpoint = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+            transport = open_transport(parse_endpoint(endpoint), 1.0)
+            line = Line(transport, server.accept()[0], endpoint)
+            yield line
+    line.transport.close()
+    try:
+        line.hang_up()
+    except OSError:
+        assert isinstance(line.unit, int)  # the test hung up itself
+
+
+def test_bytes_go_both_ways_unchanged(line: Line) -> None:
+    everything = bytes(range(256))
+    line.transport.write(everything)
+    assert line.receive() == everything
+    line.send(everything)
+    heard = b""
+    while len(heard) < 256:
+        heard += line.transport.read(1.0)
+    assert heard == everything
+
+
+def test_a_read_without_input_gives_nothing(line: Line) -> None:
+    assert line.transport.read(0.0) == b""
+    assert line.transport.read(0.01) == b""
+
+
+def test_a_line_that_hangs_up_is_a_lost_link(line: Line) -> None:
+    line.hang_up()
+    with pytest.raises(LinkLost):
+        line.transport.read(1.0)
+
+
+def test_closing_twice_is_quiet(line: Line) -> None:
+    line.transport.close()
+    line.transport.close()
+
+
+def test_a_dead_line_does_not_block_a_write_for_ever(line: Line) -> None:
+    with pytest.raises(LinkLost):
+        line.transport.write(bytes(50_000_000))  # nobody reads at the other end
+
+
+def test_the_rate_of_a_serial_line_can_be_changed_and_a_break_sent() -> None:
+    unit, terminal = pty.openpty()
+    try:
+        transport = SerialTransport(parse_endpoint(f"serial://{os.ttyname(terminal)}"))
+        assert transport.baud == 9600
+        transport.set_baud(115200)
+        assert transport.baud == 115200
+        with pytest.raises(PortUnavailable):
+            transport.set_baud(-1)
+        os.write(unit, b"before the break")
+        transport.send_break()
+        assert transport.read(0.0) == b""
+        transport.close()
+    finally:
+        os.close(unit)
+        os.close(terminal)
+
+
+def test_a_serial_port_is_held_for_one_client_alone() -> None:
+    unit, terminal = pty.openpty()
+    endpoint = parse_endpoint(f"serial://{os.ttyname(terminal)}")
+    first = SerialTransport(endpoint)
+    try:
+        with pytest.raises(PortUnavailable):
+            SerialTransport(endpoint)
+    finally:
+        first.close()
+        os.close(unit)
+        os.close(terminal)
+
+
+def test_tcp_has_no_rate_and_no_break() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        transport = TcpTransport(parse_endpoint(f"tcp://127.0.0.1:{server.getsockname()[1]}"), 1.0)
+        transport.set_baud(9600)
+        transport.send_break()
+        assert transport.baud is None
+        transport.close()
+
+
+def test_an_endpoint_that_cannot_be_opened_says_why(tmp_path: Path) -> None:
+    with pytest.raises(PortUnavailable, match="no such file"):
+        open_transport(parse_endpoint(f"serial://{tmp_path}/none"), 1.0)
+    with pytest.raises(PortUnavailable, match="refused"):
+        open_transport(parse_endpoint("tcp://127.0.0.1:1"), 1.0)
+    with pytest.raises(BadEndpoint):
+        open_transport(parse_endpoint("udp://127.0.0.1:1"), 1.0)
