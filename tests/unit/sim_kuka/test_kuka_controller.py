@@ -1,0 +1,164 @@
+"""The controller's states, and how the EKI channels cut, answer and reset."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
+from sim.errors import EndpointTaken
+from sim.kuka.autostart import Autostart
+from sim.kuka.eki_server import EkiServer, cut_requests
+from sim.kuka.errors import ClientAddressInvalid
+from sim.kuka.parameters import AUTOSTART_PAUSE_S, ControllerParameters
+from sim.kuka.rsi_socket import resolve
+
+GOAL = (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_start_needs_drives_key_and_an_idle_program(make_bench: Callable[..., Any]) -> None:
+    controller = make_bench(start=False).controller
+    assert controller.start().code is AckCode.NOT_READY
+    controller.turn_key(OperationMode.T1)
+    controller.switch_drives(True)
+    assert controller.start().code is AckCode.REFUSED
+    controller.turn_key(OperationMode.EXT)
+    controller.press_emergency_stop(True)
+    assert controller.start().code is AckCode.NOT_READY
+    assert controller.switch_drives(True).code is AckCode.NOT_READY
+    controller.press_emergency_stop(False)
+    controller.switch_drives(True)
+    controller.open_guard(True)
+    assert controller.start().code is AckCode.NOT_READY
+    assert controller.acknowledge().code is AckCode.NOT_READY
+    controller.open_guard(False)
+    assert controller.start(correction="POS").code is AckCode.BAD_VALUE
+    assert controller.start(correction="AXIS").code is AckCode.OK
+    assert controller.start().code is AckCode.BUSY
+    assert controller.select().code is AckCode.REFUSED
+
+
+@pytest.mark.parametrize("reason", ["stop", "drives", "emergency", "guard", "key"])
+@pytest.mark.parametrize("streams", [True, False])
+def test_every_interruption_brakes_the_arm_and_no_correction_acts_any_more(
+    make_bench: Callable[..., Any], reason: str, streams: bool
+) -> None:
+    bench = make_bench(parameters=ControllerParameters(streams_after_stop=streams))
+    controller = bench.controller
+    bench.enter_movecorr()
+    bench.ramp(GOAL, steps=100)
+    interrupt: dict[str, Callable[[], object]] = {
+        "stop": controller.stop,
+        "drives": lambda: controller.switch_drives(False),
+        "emergency": lambda: controller.press_emergency_stop(True),
+        "guard": lambda: controller.open_guard(True),
+        "key": lambda: controller.turn_key(OperationMode.T1),
+    }
+    interrupt[reason]()
+    assert controller.program_state is ProState.STOP
+    assert (controller.run is not None) is streams
+    if streams:
+        assert controller.rsi_state is RsiState.ON
+        for n in range(300):
+            bench.answer((4.0 + 0.04 * n, 0.0, 0.0, 0.0, 0.0, 0.0))
+    else:
+        while controller.moving:
+            controller.settle()
+    assert not controller.moving
+    assert 3.0 < controller.arm.axes_deg[0] < 5.0
+    if reason in ("drives", "emergency"):
+        assert not controller.drives_on
+    if streams:
+        controller.cancel()
+        assert controller.program_state is ProState.FREE
+
+
+def test_a_fault_is_left_only_by_acknowledgement(bench: Any) -> None:
+    bench.enter_movecorr()
+    bench.answer((50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    controller = bench.controller
+    assert controller.rsi_state is RsiState.FAULT
+    assert controller.cancel().code is AckCode.REFUSED
+    controller.switch_drives(True)
+    assert controller.start().code is AckCode.REFUSED
+    controller.acknowledge()
+    assert controller.rsi_state is RsiState.IDLE
+    assert controller.start().code is AckCode.OK
+
+
+def test_tool_base_and_override_are_taken_outside_a_run_only(bench: Any) -> None:
+    controller = bench.controller
+    frame = (10.0, 0.0, 100.0, 0.0, 0.0, 0.0)
+    assert controller.set_tool(frame).code is AckCode.REFUSED
+    controller.cancel()
+    flange = list(controller.arm.frame)
+    assert controller.set_tool(frame).code is AckCode.OK
+    assert controller.arm.frame[2] == pytest.approx(flange[2] - 100.0)
+    assert controller.set_base(3, (0.0, 0.0, 500.0, 90.0, 0.0, 0.0)).code is AckCode.OK
+    assert controller.arm.frame[2] == pytest.approx(flange[2] - 600.0)
+    assert controller.arm.frame[1] == pytest.approx(-(flange[0] - 10.0))
+    assert controller.set_override(0).code is AckCode.BAD_VALUE
+    assert controller.set_override(30).code is AckCode.OK
+
+
+def test_autostart_waits_for_its_client_and_serves_the_next_one(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(start=False)
+    controller = bench.controller
+    autostart = Autostart(controller, wanted=True)
+    autostart.begin()
+    bench.miss(500)  # nobody is there yet
+    assert controller.run.late == 0
+    bench.answer()
+    bench.miss(100)
+    assert controller.run is None
+    autostart.tick(10.0)
+    assert controller.run is None
+    autostart.tick(10.0 + AUTOSTART_PAUSE_S)
+    assert controller.run is not None
+    bench.enter_movecorr()
+    bench.answer((50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    autostart.tick(20.0)
+    autostart.tick(30.0)
+    assert controller.run is None  # a fault of the arm waits for somebody
+
+
+def test_requests_are_cut_from_padding_fragments_and_merged_reads() -> None:
+    one = b'<External REQTYPE="0" CycleTime="0" ControlMode="0"></External>'
+    two = b'<Cmd Id="1" Name="STATUS"/>'
+    nested = b'<Cmd Id=">"><A b="/Cmd>"/><A>x</A></Cmd>'
+    stream = b"\0\0garbage > " + one + b"\n" + b"\0" * 430 + two + nested + b"\0"
+    assert cut_requests(stream) == ([one, two, nested], b"")
+    for cut in range(len(stream)):
+        first, rest = cut_requests(stream[:cut])
+        second, left = cut_requests(rest + stream[cut:])
+        assert first + second == [one, two, nested]
+        assert left == b""
+
+
+def test_cutting_survives_any_bytes() -> None:
+    generator = random.Random(3)
+    alphabet = b"<>/=\"'\0 aCmd"
+    for _ in range(20_000):
+        stream = bytes(generator.choice(alphabet) for _ in range(generator.randrange(60)))
+        requests, rest = cut_requests(stream)
+        assert sum(map(len, requests)) + len(rest) <= len(stream)
+
+
+def test_a_port_in_use_has_its_own_error() -> None:
+    server = EkiServer(Endpoint("tcp", "127.0.0.1", 0))
+    try:
+        with pytest.raises(EndpointTaken) as caught:
+            EkiServer(parse_endpoint(server.endpoint))
+        assert caught.value.code == "SIM-004"
+    finally:
+        server.close()
+
+
+def test_a_client_without_an_address_has_its_own_error() -> None:
+    with pytest.raises(ClientAddressInvalid) as caught:
+        resolve(parse_endpoint("udp://ip.address.of.nobody.invalid:59152"))
+    assert caught.value.code == "KRC-002"

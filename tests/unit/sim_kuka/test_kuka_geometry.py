@@ -1,0 +1,156 @@
+"""The controller's own description of the arm, against poses that were computed elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import radians
+
+import numpy as np
+import pytest
+
+from sim.kuka.angles import frame_of, pose_of_frame, status_and_turn
+from sim.kuka.chain import Chain
+from sim.kuka.description import Variant, description
+from sim.kuka.true_arm import TrueArm
+from sim.theatre.arm_truth import draw_arm
+from sim.theatre.scene import ArmTruth
+
+# A1..A6 deg, then X Y Z A B C of the flange: sixx, and position of the -2 (same orientation).
+GOLDEN = [
+    ((0, -90, 90, 0, 0, 0), (525, 0, 890), (535, 0, 880), (0, 90, 0)),
+    ((0, -90, 90, 0, 90, 0), (445, 0, 810), (445, 0, 790), (180, 0, 180)),
+    ((0, 0, 0, 0, 0, 0), (980, 0, 435), (990, 0, 425), (0, 90, 0)),
+    (
+        (30, -75, 110, -20, 45, 60),
+        (462.372, -244.610, 551.274),
+        (460.329, -240.638, 533.584),
+        (-163.174, 18.179, 178.797),
+    ),
+    (
+        (-45, -120, 130, 15, -60, -100),
+        (176.974, 202.333, 814.536),
+        (178.670, 207.199, 812.058),
+        (145.348, 8.181, 41.879),
+    ),
+    (
+        (10, -60, 80, 0, 70, 0),
+        (649.128, -114.459, 603.282),
+        (645.760, -113.865, 583.885),
+        (170, 0, 180),
+    ),
+]
+
+HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
+
+
+def in_radians(axes_deg: tuple[float, ...]) -> list[float]:
+    return [radians(angle) for angle in axes_deg]
+
+
+@pytest.mark.parametrize("variant", ["sixx", "r900_2"])
+@pytest.mark.parametrize("row", GOLDEN)
+def test_the_chain_reaches_the_golden_poses(variant: Variant, row: tuple[tuple[float, ...], ...]) -> None:
+    axes_deg, sixx_mm, second_mm, orientation_deg = row
+    pose = Chain(description(variant)).flange(in_radians(axes_deg))
+    expected = pose_of_frame((*(sixx_mm if variant == "sixx" else second_mm), *orientation_deg))
+    assert np.abs(pose[:3, 3] - expected[:3, 3]).max() < 0.001
+    turn = expected[:3, :3].T @ pose[:3, :3]
+    angle_deg = np.degrees(np.linalg.norm([turn[2, 1], turn[0, 2], turn[1, 0]]))
+    assert angle_deg < 0.001
+
+
+@pytest.mark.parametrize("row", GOLDEN)
+def test_the_written_orientation_is_the_golden_one(row: tuple[tuple[float, ...], ...]) -> None:
+    axes_deg, _, _, orientation_deg = row
+    written = frame_of(Chain(description("sixx")).flange(in_radians(axes_deg)))[3:]
+    difference = [(a - b + 180.0) % 360.0 - 180.0 for a, b in zip(written, orientation_deg, strict=True)]
+    assert max(abs(value) for value in difference) < 0.001
+
+
+def test_writing_and_reading_a_frame_is_the_identity_even_at_gimbal_lock() -> None:
+    generator = np.random.default_rng(5)
+    for _ in range(500):
+        A, B, C = generator.uniform((-180, -90, -180), (180, 90, 180))
+        B = generator.choice([B, 90.0, -90.0])
+        pose = pose_of_frame((1.0, 2.0, 3.0, A, B, C))
+        assert np.allclose(pose_of_frame(frame_of(pose)), pose, atol=1e-9)
+
+
+def test_inverse_kinematics_finds_the_joints_of_a_pose_near_by() -> None:
+    chain = Chain(description("sixx"))
+    joints = in_radians((30, -75, 110, -20, 45, 60))
+    found = chain.joints_at(chain.flange(joints), [angle + 0.03 for angle in joints])
+    assert found is not None
+    assert np.allclose(found, joints, atol=1e-8)
+
+
+def test_inverse_kinematics_gives_up_out_of_reach() -> None:
+    chain = Chain(description("sixx"))
+    far = chain.flange(in_radians((0, 0, 0, 0, 0, 0)))
+    far[0, 3] += 500.0
+    assert chain.joints_at(far, in_radians((0, -20, 30, 0, 10, 0))) is None
+
+
+def test_status_and_turn_tell_postures_apart() -> None:
+    arm = description("sixx")
+    assert status_and_turn(arm, (0, -90, 90, 0, 90, 0)) == (2, 2)
+    assert status_and_turn(arm, (0, -90, 90, 0, -90, 0)) == (6, 18)
+    assert status_and_turn(arm, (0, -150, 0, 0, 10, -1))[0] & 1 == 1
+    assert arm.stretched_A3_deg == pytest.approx(4.76, abs=0.01)
+    assert description("r900_2").stretched_A3_deg == pytest.approx(3.41, abs=0.01)
+
+
+def test_a_true_arm_without_errors_is_the_nominal_arm(perfect_arm: Callable[..., ArmTruth]) -> None:
+    true = TrueArm(perfect_arm(), seed=0)
+    joints = in_radians((30, -75, 110, -20, 45, 60))
+    nominal = Chain(description("sixx")).flange(joints)
+    assert np.allclose(true.at_rest(joints, (1.0,) * 6, 3), nominal, atol=1e-9)
+
+
+def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Callable[..., ArmTruth]) -> None:
+    home = in_radians(HOME_DEG)
+    nominal = Chain(description("sixx")).flange(home)[:3, 3]
+
+    def moved_mm(flank: float = 0.0, **errors: object) -> float:
+        pose = TrueArm(perfect_arm(**errors), seed=0).moving(home, (flank,) * 6)
+        return float(np.linalg.norm(pose[:3, 3] - nominal))
+
+    one_deg_100th = radians(0.01)
+    offsets = [(0.0,) * n + (one_deg_100th,) + (0.0,) * (5 - n) for n in range(6)]
+    # Published sensitivity of the flange at this pose: 0.01 deg on each axis.
+    for offset, expected_um in zip(offsets, (78, 102, 74, 14, 14, 0), strict=True):
+        assert moved_mm(joint_offset_rad=offset) == pytest.approx(expected_um / 1000, abs=0.001)
+    first = (one_deg_100th,) + (0.0,) * 5
+    assert moved_mm(backlash_rad=first, flank=1.0) == pytest.approx(0.039, abs=0.001)
+    assert moved_mm(backlash_rad=first, flank=0.0) == 0.0
+    # The upper arm is upright, the forearm stretched out: only A3 sags.
+    assert moved_mm(sag_rad=(0.0, one_deg_100th)) == pytest.approx(0.074, abs=0.001)
+    assert moved_mm(harmonic_1_rad=first, harmonic_1_phase_rad=(radians(90),) * 6) == pytest.approx(
+        0.078, abs=0.001
+    )
+
+
+def test_sag_turns_the_stretched_arm_down(perfect_arm: Callable[..., ArmTruth]) -> None:
+    stretched = in_radians((0, 0, 0, 0, 0, 0))
+    sagging = TrueArm(perfect_arm(sag_rad=(radians(0.03), radians(0.03))), seed=0)
+    nominal = Chain(description("sixx")).flange(stretched)
+    assert sagging.moving(stretched, (0.0,) * 6)[2, 3] < nominal[2, 3] - 0.5
+
+
+def test_repeatability_depends_on_the_motion_number_alone(perfect_arm: Callable[..., ArmTruth]) -> None:
+    home = in_radians(HOME_DEG)
+    true = TrueArm(perfect_arm(repeatability_mm=0.015), seed=4)
+    places = np.array([true.at_rest(home, (0.0,) * 6, number)[:3, 3] for number in range(400)])
+    again = TrueArm(perfect_arm(repeatability_mm=0.015), seed=4).at_rest(home, (0.0,) * 6, 17)
+    assert np.array_equal(again[:3, 3], places[17])
+    assert np.allclose(places.std(axis=0), 0.015, rtol=0.15)
+
+
+def test_a_drawn_arm_is_off_by_the_size_of_an_uncalibrated_robot() -> None:
+    errors_mm = []
+    for seed in range(30):
+        truth = draw_arm(np.random.default_rng(seed))
+        joints = in_radians(truth.home_deg)
+        true = TrueArm(truth, seed).at_rest(joints, (0.0,) * 6, 0)
+        errors_mm.append(np.linalg.norm(true[:3, 3] - Chain(description("sixx")).flange(joints)[:3, 3]))
+    assert 0.5 < float(np.mean(errors_mm)) < 3.0

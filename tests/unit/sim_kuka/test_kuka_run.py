@@ -1,0 +1,340 @@
+"""A run of RSI, cycle by cycle, without sockets: HOLDON, late replies, clamps, monitors, faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from ronna_hw.wire.kuka_context import RsiContext
+from ronna_hw.wire.kuka_eki import ProState, RsiState
+from sim.kuka.parameters import ControllerParameters
+
+A1_FULL_STEP_DEG = 360.0 * 0.004
+QUARTER_DEG = A1_FULL_STEP_DEG / 4
+
+
+def on_a1(value: float) -> tuple[float, ...]:
+    return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def axis_of(bench: Any, axis: int = 0) -> float:
+    return float(bench.controller.arm.axes_deg[axis])
+
+
+def message_of(bench: Any) -> int:
+    assert bench.controller.message is not None
+    return int(bench.controller.message.number)
+
+
+def test_time_stamps_step_by_the_cycle_and_restart_elsewhere(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench()
+    run = bench.controller.run
+    first = run.ipoc
+    for n in range(1, 20):
+        bench.answer()
+        assert run.ipoc == first + 4 * n
+    bench.controller.cancel()
+    bench.controller.start()
+    assert bench.controller.run.ipoc != run.ipoc
+    assert bench.controller.run.ipoc % 4 == 0
+
+
+def test_corrections_act_only_in_movecorr_and_setpoints_never_follow(bench: Any) -> None:
+    assert bench.controller.rsi_state is RsiState.ON
+    bench.enter_movecorr()
+    assert bench.controller.rsi_state is RsiState.MOVECORR
+    assert bench.controller.program_state is ProState.ACTIVE
+    bench.ramp(on_a1(10.0))
+    bench.rest(on_a1(10.0))
+    assert axis_of(bench) == 10.0
+    assert b'<AIPos A1="10.0000"' in bench.telegram()
+
+
+def test_the_arm_answers_after_the_dead_time_with_a_lag(bench: Any) -> None:
+    bench.enter_movecorr()
+    seen = []
+    for _ in range(40):
+        bench.answer(on_a1(0.1))
+        seen.append(axis_of(bench))
+    assert seen[:2] == [0.0, 0.0]
+    assert 0.0 < seen[2] < 0.1
+    assert seen[5] == pytest.approx(0.1 * (1 - 2.718281828 ** (-4 * 4 / 15)), rel=1e-6)
+    assert seen[-1] == 0.1
+
+
+def test_a_lost_reply_freezes_the_arm_with_holdon_1(bench: Any) -> None:
+    bench.enter_movecorr()
+    bench.ramp(on_a1(5.0))
+    bench.rest(on_a1(5.0))
+    bench.miss(20)
+    assert axis_of(bench) == 5.0
+    assert bench.controller.run.late == 20
+    assert b'<Delay D="20"/>' in bench.telegram()
+
+
+def test_a_lost_reply_commands_the_way_back_with_holdon_0(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    context = context_with()
+    receive = tuple(element.model_copy(update={"holdon": 0}) for element in context.receive)
+    bench = make_bench(context.model_copy(update={"receive": receive}))
+    assert not bench.controller.holds_corrections
+    bench.enter_movecorr()
+    bench.ramp(on_a1(5.0))
+    bench.rest(on_a1(5.0))
+    bench.miss()
+    assert bench.controller.rsi_state is RsiState.FAULT
+    assert message_of(bench) == 1074
+
+
+def test_relative_corrections_integrate_and_run_on_while_replies_are_missing(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    bench = make_bench(context_with(program={"corrections": "relative"}))
+    bench.enter_movecorr()
+    for _ in range(50):
+        bench.answer(on_a1(0.02))
+    bench.rest()
+    assert axis_of(bench) == pytest.approx(1.0)
+    bench.answer(on_a1(0.02))
+    bench.miss(9)
+    bench.rest()
+    assert axis_of(bench) == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize(("counting", "ends"), [("consecutive", False), ("total", True)])
+def test_the_timeout_counts_late_replies_in_both_ways(
+    make_bench: Callable[..., Any], counting: Any, ends: bool
+) -> None:
+    bench = make_bench(parameters=ControllerParameters(timeout_counting=counting))
+    for _ in range(12):
+        if bench.controller.run is None:
+            break
+        bench.miss(9)
+        if bench.controller.run is not None:
+            bench.answer()
+    assert (bench.controller.run is None) is ends
+    if ends:
+        assert message_of(bench) == 29002
+        assert bench.controller.drives_on
+
+
+def test_silence_ends_the_run_at_the_timeout_and_needs_acknowledgement(bench: Any) -> None:
+    bench.enter_movecorr()
+    bench.miss(99)
+    assert bench.controller.run is not None
+    bench.miss()
+    assert bench.controller.run is None
+    assert bench.controller.rsi_state is RsiState.FAULT
+    assert bench.controller.start().code == 1
+    assert bench.controller.acknowledge().code == 0
+    assert bench.controller.start().code == 0
+
+
+@pytest.mark.parametrize("stamp", [0, -4, 4, 1 << 40])
+def test_a_reply_of_another_cycle_is_no_reply(bench: Any, stamp: int) -> None:
+    run = bench.controller.run
+    ipoc = run.ipoc + stamp if stamp else run.ipoc
+    data = f'<Sen Type="KROSHU"><IPOC>{max(0, ipoc)}</IPOC></Sen>'.encode()
+    assert (run.read(data) is not None) is (stamp == 0)
+
+
+def test_one_held_value_at_an_eighth_of_full_speed_passes(bench: Any) -> None:
+    bench.enter_movecorr()
+    step = A1_FULL_STEP_DEG / 8
+    value = 0.0
+    for n in range(60):
+        value += step
+        if n % 10 == 9:
+            bench.miss()
+        else:
+            bench.answer(on_a1(value))
+    assert bench.controller.message is None
+
+
+def test_a_step_above_a_quarter_of_full_speed_stops_the_drives_and_moves_nothing(bench: Any) -> None:
+    bench.enter_movecorr()
+    bench.answer(on_a1(QUARTER_DEG + 0.001))
+    assert message_of(bench) == 1074
+    assert not bench.controller.drives_on
+    assert bench.controller.run is None
+    assert axis_of(bench) == 0.0
+
+
+def test_a_teleport_at_speed_ends_in_a_braked_stop(bench: Any) -> None:
+    bench.enter_movecorr()
+    value = 0.0
+    for _ in range(50):
+        value += 0.15
+        bench.answer(on_a1(value))
+    bench.answer(on_a1(value + 30.0))
+    assert message_of(bench) == 1074
+    before, previous_step = axis_of(bench), 0.15
+    while bench.controller.moving:
+        bench.controller.settle()
+        step = axis_of(bench) - before
+        assert -1e-9 <= step <= previous_step + 1e-9
+        before, previous_step = axis_of(bench), step
+    assert before < value + 3.0
+
+
+def test_speed_above_the_axis_limit_for_several_cycles_is_a_fault(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(parameters=ControllerParameters(step_share=2.0))
+    bench.enter_movecorr()
+    for n in range(1, 3):
+        bench.answer(on_a1(n * 1.5))
+    bench.answer(on_a1(3.0))
+    assert bench.controller.message is None  # two fast cycles only
+    for n in range(1, 4):
+        bench.answer(on_a1(3.0 + n * 1.5))
+    assert message_of(bench) == 1102
+
+
+def test_the_default_context_clamps_at_the_software_end_switches(bench: Any) -> None:
+    bench.enter_movecorr()
+    bench.ramp(on_a1(175.0), steps=2000)
+    bench.rest(on_a1(175.0))
+    assert axis_of(bench) == 170.0
+    assert bench.controller.message is None
+    assert bench.controller.run.correction_stats == (0b11, 0)
+
+
+def test_an_end_switch_stops_a_correction_that_no_limit_clamps(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    wide = (400.0,) * 6
+    context = context_with(
+        axis_correction={"limits": "explicit", "lower_deg": tuple(-v for v in wide), "upper_deg": wide},
+        axis_monitor={"limits": "explicit", "max_deg": wide},
+    )
+    bench = make_bench(context)
+    bench.enter_movecorr()
+    with pytest.raises(AssertionError):
+        bench.ramp(on_a1(175.0), steps=2000)
+    assert message_of(bench) == ControllerParameters().end_switch_message
+    assert bench.controller.message.text.startswith("software end switch +A1")
+    while bench.controller.moving:
+        bench.controller.settle()
+    assert axis_of(bench) < 171.0
+
+
+def test_a_foreign_context_keeps_the_makers_narrow_limits(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    bench = make_bench(context_with(axis_correction=None, axis_monitor=None))
+    bench.enter_movecorr()
+    bench.ramp(on_a1(8.0))
+    bench.rest(on_a1(8.0))
+    assert axis_of(bench) == 5.0
+
+
+def test_a_monitor_stops_what_the_limits_let_pass(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    bench = make_bench(context_with(axis_monitor=None))
+    bench.enter_movecorr()
+    with pytest.raises(AssertionError):
+        bench.ramp(on_a1(8.0))
+    assert message_of(bench) == 29000
+    assert axis_of(bench) < 6.5
+
+
+def test_stop_acts_on_its_rising_edge_and_ends_the_run(bench: Any) -> None:
+    bench.enter_movecorr()
+    bench.ramp(on_a1(3.0))
+    bench.answer(on_a1(3.0), stop=1)
+    assert bench.controller.run is None
+    assert bench.controller.rsi_state is RsiState.IDLE
+    assert bench.controller.program_state is ProState.END
+    while bench.controller.moving:
+        bench.controller.settle()
+    assert axis_of(bench) == 3.0
+
+
+def test_stop_before_movecorr_is_an_error_of_the_object(bench: Any) -> None:
+    bench.answer(stop=1)
+    assert message_of(bench) == 29002
+
+
+def test_only_send_never_counts_and_never_corrects(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    bench = make_bench(context_with(ethernet={"only_send": True}))
+    for n in range(300):
+        bench.answer(on_a1(n * 0.01))
+    bench.miss(300)
+    assert bench.controller.run.late == 0
+    assert axis_of(bench) == 0.0
+
+
+def test_a_restarted_run_takes_the_arm_where_it_is_as_its_base(bench: Any) -> None:
+    bench.enter_movecorr()
+    bench.ramp(on_a1(7.0))
+    bench.rest(on_a1(7.0))
+    bench.answer(on_a1(7.0), stop=1)
+    bench.controller.start()
+    assert b'A1="7.0000"' in bench.telegram()
+    bench.enter_movecorr()
+    assert axis_of(bench) == 7.0
+    bench.ramp(on_a1(-7.0))
+    bench.rest(on_a1(-7.0))
+    assert axis_of(bench) == 0.0
+
+
+def test_twelve_milliseconds_allow_three_times_the_step(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(start=False)
+    bench.controller.switch_drives(True)
+    assert bench.controller.start(cycle_ms=12).code == 0
+    first = bench.controller.run.ipoc
+    bench.enter_movecorr()
+    assert bench.controller.run.ipoc == first + 60
+    bench.answer(on_a1(3 * QUARTER_DEG))
+    assert bench.controller.message is None
+    bench.answer(on_a1(6 * QUARTER_DEG + 0.001))
+    assert message_of(bench) == 1074
+
+
+def position_bench(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext], **tables: Any
+) -> Any:
+    context = context_with(**tables)
+    places = {"A1": "X", "A2": "Y", "A3": "Z", "A4": "A", "A5": "B", "A6": "C"}
+    wiring = tuple(
+        wire.model_copy(update={"object": "POSCORR", "input": places[wire.input]})
+        if wire.object == "AXISCORR"
+        else wire
+        for wire in context.wiring
+    )
+    return make_bench(context.model_copy(update={"wiring": wiring}))
+
+
+def test_a_cartesian_correction_moves_the_tool_in_base(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    bench = position_bench(make_bench, context_with)
+    bench.enter_movecorr()
+    start = bench.controller.arm.frame
+    goal = (2.0, -1.0, 3.0, 1.0, 0.0, 0.0)
+    bench.ramp(goal)
+    bench.rest(goal)
+    moved = [b - a for a, b in zip(start, bench.controller.arm.frame, strict=True)]
+    assert moved[:3] == pytest.approx([2.0, -1.0, 3.0], abs=1e-4)
+    assert (moved[3] + 180) % 360 - 180 == pytest.approx(1.0, abs=1e-4)
+    assert bench.controller.run.correction_stats == (0, 1)
+
+
+def test_cartesian_corrections_are_clamped_and_watched(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    bench = position_bench(make_bench, context_with)
+    start = bench.controller.arm.frame
+    bench.enter_movecorr()
+    bench.ramp((8.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    bench.rest((8.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert bench.controller.arm.frame[0] - start[0] == pytest.approx(5.0, abs=1e-4)
+    assert bench.controller.run.correction_stats == (0, 0b11)
+    with pytest.raises(AssertionError):
+        bench.ramp((8.0, 5.0, 0.0, 0.0, 0.0, 0.0), from_deg=(8.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert message_of(bench) == 29000
