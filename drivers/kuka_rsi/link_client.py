@@ -46,6 +46,7 @@ class LinkClient:
         self._settings = settings(self._memory_fd, self._event_fd)
         self._lock = threading.Lock()
         self._changed = threading.Condition()
+        self._words: str | None = None
         self._commands = 0
         self._stops = 0
         self._closing = threading.Event()
@@ -107,11 +108,17 @@ class LinkClient:
                 if condition(state):
                     return state
                 if not self.alive:
-                    raise LinkProcessDied(f"the real-time process ended: {self._last_words()}")
+                    raise self.death()
                 rest = deadline - time.monotonic()
                 if rest <= 0.0:
                     return None
                 self._changed.wait(min(rest, HEARTBEAT_S))
+
+    def death(self) -> LinkProcessDied:
+        """The error to raise when the process has ended by itself."""
+        if self._words is None:
+            self._words = self._last_words()
+        return LinkProcessDied(f"the real-time process ended: {self._words}")
 
     def histogram(self) -> tuple[int, ...]:
         """Turnaround counts since the session began; edges are in `drivers.kuka_rsi.turnaround`."""

@@ -169,7 +169,8 @@ class Session:
             self._losses = Losses(self._settings.cycle_ms)
             self._stopping, self._speed, self._points = False, 1.0, None
         elif command.kind is CommandKind.END and not self.moving:
-            self.phase = Phase.ENDING if self._points is not None else Phase.IDLE
+            if self.phase in (Phase.RUNNING, Phase.FAULT):
+                self.phase = Phase.ENDING
         elif command.kind is CommandKind.CLOSE and not self.moving:
             self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
 

@@ -110,8 +110,8 @@ class TelegramReader:
                 a, b, c, d, e, f, ipoc = found.groups()
                 late = -1
             return Telegram((float(a), float(b), float(c), float(d), float(e), float(f)), late, ipoc)
-        except ValueError as error:
-            raise BadTelegram("a number of the telegram is none", wire=data) from error
+        except ValueError:
+            return read_strictly(data)
 
 
 def read_strictly(data: bytes) -> Telegram:

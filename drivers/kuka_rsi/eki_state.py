@@ -1,0 +1,113 @@
+"""What the controller says of itself in a `State`, and whether it is the one the driver was made for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, Unverified, WrongController
+from ronna_hw.arm.model import ArmVariant
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.wire.kuka_context import RsiContext, context_hash
+from ronna_hw.wire.kuka_eki import (
+    AXIS,
+    AXIS_ATTRIBUTES,
+    STATE,
+    OperationMode,
+    Reference,
+    RsiState,
+    StateAttribute,
+)
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """One `State`. The last five are None when the controller does not say."""
+
+    received_s: float  # host monotonic
+    mode: OperationMode
+    drives: bool
+    emergency_stop: bool
+    guard_open: bool
+    moving: bool
+    error: int
+    rsi: RsiState
+    tool: int
+    axes_deg: JointVector
+    reference: str | None
+    holdon: bool | None
+    cycle_ms: int | None
+    context_hash: str | None
+    variant: str | None
+
+
+def read_state(element: ElementTree.Element, received_s: float) -> ControllerState:
+    """Read a `State` element; raises EKI-004 when something that must be there is missing or no number."""
+    get = element.get
+    axis = element.find(AXIS)
+    if element.tag != STATE or axis is None:
+        raise BadEkiTelegram("a State without its axes", wire=ElementTree.tostring(element))
+    holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
+    try:
+        A1, A2, A3, A4, A5, A6 = (float(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
+        return ControllerState(
+            received_s=received_s,
+            mode=OperationMode(element.attrib[StateAttribute.MODE]),
+            drives=_bool(element, StateAttribute.DRIVES),
+            emergency_stop=_bool(element, StateAttribute.ESTOP),
+            guard_open=_bool(element, StateAttribute.GUARD),
+            moving=_bool(element, StateAttribute.MOVING),
+            error=int(element.attrib[StateAttribute.ERROR]),
+            rsi=RsiState(int(element.attrib[StateAttribute.RSI])),
+            tool=int(element.attrib[StateAttribute.TOOL]),
+            axes_deg=(A1, A2, A3, A4, A5, A6),
+            reference=get(StateAttribute.REFERENCE),
+            holdon=None if holdon is None else bool(int(holdon)),
+            cycle_ms=None if cycle is None else int(cycle),
+            context_hash=get(StateAttribute.CONTEXT_HASH),
+            variant=get(StateAttribute.VARIANT),
+        )
+    except (KeyError, ValueError) as error:
+        raise BadEkiTelegram(
+            f"a State that cannot be read: {error}", wire=ElementTree.tostring(element)
+        ) from error
+
+
+def require_ours(state: ControllerState, context: RsiContext, variant: ArmVariant) -> None:
+    """Raise EKI-005 listing every fact that differs from what the driver was made for, EKI-006 when the
+    controller does not say."""
+    reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
+    facts = (
+        ("cycle in ms", context.program.cycle_ms, state.cycle_ms),
+        ("corrections", reference.value, state.reference),
+        ("HOLDON", True, state.holdon),
+        ("context hash", context_hash(context), state.context_hash),
+        ("arm", variant.value, state.variant),
+    )
+    silent = [name for name, _, said in facts if said is None]
+    if silent:
+        raise Unverified("the controller does not say its " + ", ".join(silent))
+    wrong = [f"{name} is {said}, not {awaited}" for name, awaited, said in facts if said != awaited]
+    if wrong:
+        raise WrongController("the controller is not set up for this driver: " + "; ".join(wrong))
+
+
+def require_ready(state: ControllerState, *, drives: bool) -> None:
+    """Raise EKI-007 listing everything that forbids motion; `drives`: they must be on already."""
+    unmet = []
+    if state.mode is not OperationMode.EXT:
+        unmet.append(f"operating mode is {state.mode}, not EXT")
+    if state.emergency_stop:
+        unmet.append("emergency stop is active")
+    if state.guard_open:
+        unmet.append("the guard is open")
+    if state.error:
+        unmet.append(f"message {state.error} is not acknowledged")
+    if drives and not state.drives:
+        unmet.append("drives are off")
+    if unmet:
+        raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
+
+
+def _bool(element: ElementTree.Element, attribute: StateAttribute) -> bool:
+    return bool(float(element.attrib[attribute]))

@@ -1,0 +1,145 @@
+"""Opens the controller, starts its RSI program, and ends it: the steps that need EKI and RSI together."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from math import degrees
+
+from drivers.kuka_rsi.eki_client import EkiClient
+from drivers.kuka_rsi.eki_state import require_ours, require_ready
+from drivers.kuka_rsi.errors import ControllerNotFound, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.faults import error_of_fault
+from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.mailbox import CommandKind, Fault, Phase
+from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.settings import AXIS_NAMES, LinkSettings
+from ronna_hw.arm.model import ArmVariant
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire.kuka_context import RsiContext
+from ronna_hw.wire.kuka_eki import CommandName, Correction, Reference, RsiState
+
+AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at different moments of rest
+STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
+
+
+def rest_of(deadline: float) -> float:
+    """What is left until a deadline of the host's monotonic clock, not negative, s."""
+    return max(deadline - time.monotonic(), 0.0)
+
+
+def open_controller(
+    address: Endpoint, context: RsiContext, variant: ArmVariant, timeout_s: float
+) -> tuple[EkiClient, Identity]:
+    """Connect by EKI and check that the controller runs our context for our arm.
+
+    Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 or EKI-006 when it is set up otherwise.
+    """
+    deadline = time.monotonic() + timeout_s
+    eki = EkiClient(address.host, address.port, timeout_s)
+    try:
+        state = eki.status(rest_of(deadline))
+        require_ours(state, context, variant)
+    except RonnaError as error:
+        eki.close()
+        if isinstance(error, TimeoutError):
+            raise ControllerNotFound(
+                f"{address} is open, but no KR C4 answers there", limit=f"{timeout_s:g} s"
+            ) from error
+        raise
+    details = (
+        ("context", str(state.context_hash)),
+        ("cycle_ms", str(state.cycle_ms)),
+        ("mode", str(state.mode)),
+    )
+    # EKI carries neither serial number nor software version of the controller.
+    return eki, Identity("KUKA", str(state.variant), serial="", firmware="", details=details)
+
+
+def link_settings(
+    rsi: Endpoint, context: RsiContext, options: KukaOptions
+) -> Callable[[int, int], LinkSettings]:
+    """Settings of the real-time process, but for the two descriptors of its mailbox."""
+
+    def settings(mailbox_fd: int, event_fd: int) -> LinkSettings:
+        return LinkSettings(
+            host=rsi.host,
+            port=rsi.port,
+            parent_pid=os.getpid(),
+            mailbox_fd=mailbox_fd,
+            event_fd=event_fd,
+            variant=options.variant.value,
+            cycle_ms=context.program.cycle_ms,
+            sentype=context.ethernet.sentype,
+            send_tags=tuple(e.tag for e in context.send),
+            receive_tags=tuple(e.tag for e in context.receive),
+            axis_tags=tuple(context.wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
+            stop_tag=context.wired_tag("STOP", "In1") or "",
+            silence_limit_s=options.silence_limit_s,
+            heartbeat_limit_s=options.heartbeat_limit_s,
+            settle_tolerance_deg=options.settle_tolerance_deg,
+            speed_fraction=options.speed_fraction,
+            real_time_priority=options.real_time_priority,
+        )
+
+    return settings
+
+
+def start_stream(
+    eki: EkiClient, link: LinkClient, context: RsiContext, options: KukaOptions, name: str, timeout_s: float
+) -> None:
+    """Switch the drives on, start the RSI program, answer its telegrams, wait until corrections act.
+
+    Until then every correction is zero: what is sent before RSI_MOVECORR would act in one jump.
+    """
+    deadline = time.monotonic() + timeout_s
+    state = eki.status(rest_of(deadline))
+    require_ours(state, context, options.variant)
+    require_ready(state, drives=False)
+    if not state.drives:
+        eki.require(CommandName.DRIVES, rest_of(deadline), On=1)
+        eki.await_state(lambda s: s.drives, rest_of(deadline))
+        state = eki.status(rest_of(deadline))
+    require_ready(state, drives=True)
+    number = link.command(CommandKind.OPEN)
+    link.wait(lambda s: s.command_number >= number, rest_of(deadline))
+    eki.require(
+        CommandName.RSI_START,
+        rest_of(deadline),
+        Cycle=context.program.cycle_ms,
+        Ref=Reference.ABSOLUTE,
+        Corr=Correction.AXIS,
+    )
+    first = link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), rest_of(deadline))
+    if first is None:
+        raise NoTelegram(
+            f"{name}: the RSI program runs, but no telegram comes here", limit=f"{timeout_s:g} s"
+        )
+    for axis, (told, measured) in enumerate(zip(state.axes_deg, first.base_rad, strict=True)):
+        if abs(told - degrees(measured)) > AXES_AGREE_DEG:
+            raise PoseDisagrees(
+                f"{name}: A{axis + 1} is {told:.3f} deg by EKI and {degrees(measured):.3f} by RSI",
+                limit=f"{AXES_AGREE_DEG} deg",
+            )
+    if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, rest_of(deadline)) is None:
+        raise NoTelegram(f"{name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s")
+    fault = error_of_fault(name, link.state, options, ())
+    if fault is not None:
+        raise fault
+
+
+def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:
+    """End the RSI program by the STOP object, by EKI when that cannot help, and close the session."""
+    number = link.command(CommandKind.END)
+    state = link.wait(lambda s: s.command_number >= number, rest_of(deadline))
+    ended = None
+    if state is not None and state.phase is Phase.ENDING and state.fault is not Fault.SILENCE:
+        limit_s = min(rest_of(deadline) / 2, STOP_OBJECT_LIMIT_S)
+        ended = eki.await_state(lambda s: s.rsi in (RsiState.IDLE, RsiState.FAULT), limit_s)
+    if ended is None:
+        eki.require(CommandName.RSI_STOP, rest_of(deadline))
+    number = link.command(CommandKind.CLOSE)
+    link.wait(lambda s: s.command_number >= number, rest_of(deadline))

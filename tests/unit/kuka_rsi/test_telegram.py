@@ -1,0 +1,136 @@
+"""Telegrams of the real-time link: what is accepted, what is refused, how the reply is written."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.kuka_rsi.errors import BadTelegram
+from drivers.kuka_rsi.telegram import (
+    REPLY_TAIL,
+    Element,
+    ReplyWriter,
+    TelegramReader,
+    elements_of,
+    read_strictly,
+)
+from ronna_hw.wire.kuka_context import load_context
+
+CONTEXT = load_context()
+SEND = tuple(e.tag for e in CONTEXT.send)
+AXES = ("AK.A1", "AK.A2", "AK.A3", "AK.A4", "AK.A5", "AK.A6")
+READER = TelegramReader(SEND)
+GOOD = (
+    b'<Rob Type="KUKA"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000" C="180.0000"/>'
+    b'<AIPos A1="1.0000" A2="-90.5000" A3="90.0000" A4="0.0000" A5="60.2500" A6="-10.0000"/>'
+    b'<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
+    b'<Delay D="3"/><IPOC>4208163634</IPOC></Rob>'
+)
+
+
+def test_the_exact_form_is_read_by_the_expression() -> None:
+    telegram = READER.read(GOOD)
+    assert telegram.axes_deg == (1.0, -90.5, 90.0, 0.0, 60.25, -10.0)
+    assert telegram.delay == 3
+    assert telegram.ipoc == b"4208163634"
+    assert read_strictly(GOOD) == telegram
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t: t.replace(b"/>", b" />"),
+        lambda t: t.replace(b"><", b">\r\n  <"),
+        lambda t: b'<?xml version="1.0"?>' + t,
+        lambda t: t + b"\0\0\0",
+        lambda t: t.replace(b'Type="KUKA"', b'TYPE="KUKA"'),
+        lambda t: t.replace(b'A1="1.0000"', b'A1="1"'),
+        lambda t: t.replace(b'A1="1.0000"', b'A1="1.0e0"'),
+        lambda t: t.replace(b'D="3"', b'D="3.0000"'),
+        lambda t: t.replace(b"<Delay", b"<Extra>12</Extra><Delay"),
+        lambda t: t.replace(b'"', b"'"),
+    ],
+)
+def test_other_spacing_order_and_form_are_read_strictly(change: object) -> None:
+    assert callable(change)
+    assert READER.read(change(GOOD)).axes_deg == READER.read(GOOD).axes_deg
+
+
+def test_a_telegram_without_delay_says_so() -> None:
+    assert READER.read(GOOD.replace(b'<Delay D="3"/>', b"")).delay == -1
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"<Rob></Rob>",
+        GOOD[:-3],
+        GOOD.replace(b"</AIPos", b"</Aipos").replace(b"A6=", b"A7="),
+        GOOD.replace(b'A1="1.0000"', b'A1="one"'),
+        GOOD.replace(b'A1="1.0000"', b'A1="1..0"'),
+        GOOD.replace(b"4208163634", b"-4"),
+        GOOD.replace(b"4208163634", b"4.2"),
+        GOOD.replace(b"<IPOC>4208163634</IPOC>", b""),
+        b"<!DOCTYPE Rob [<!ENTITY a 'b'>]>" + GOOD,
+        b"\xff\xfe" + GOOD,
+        b"<Rob>" + b" " * 10_000 + b"</Rob>",
+    ],
+)
+def test_anything_else_is_rejected_with_its_last_bytes(data: bytes) -> None:
+    with pytest.raises(BadTelegram) as caught:
+        READER.read(data)
+    assert caught.value.code == "RSI-014"
+    assert caught.value.wire == data[-64:]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=120), st.integers(0, len(GOOD)), st.integers(0, 40))
+def test_noise_in_a_telegram_is_read_or_rejected_and_nothing_else(noise: bytes, at: int, cut: int) -> None:
+    with contextlib.suppress(BadTelegram):
+        READER.read(GOOD[:at] + noise + GOOD[at + cut :])
+
+
+def test_tags_become_elements_as_the_ethernet_file_defines() -> None:
+    assert elements_of(("DEF_RIst", "DEF_Delay", "FREE", "DiO", "AK.A1", "AK.A2", "RK.A1")) == (
+        Element("RIst", ("X", "Y", "Z", "A", "B", "C")),
+        Element("Delay", ("D",)),
+        Element("DiO", ()),
+        Element("AK", ("A1", "A2")),
+        Element("RK", ("A1",)),
+    )
+    (tech,) = elements_of(("DEF_Tech.C1", "DEF_Tech.C2"))
+    assert tech.attributes[:2] == ("C11", "C12")
+    assert tech.attributes[9:11] == ("C110", "C21")
+
+
+def test_other_layouts_are_read_as_well() -> None:
+    reader = TelegramReader(("DEF_AIPos", "DEF_ASPos", "Temperature", "DEF_Delay"))
+    axes = b'A1="1.0" A2="2.0" A3="3.0" A4="4.0" A5="5.0" A6="6.0"/>'
+    data = (
+        b'<Rob Type="KUKA"><AIPos ' + axes + b"<ASPos " + axes + b"<Temperature>21.5</Temperature>"
+        b'<Delay D="0"/><IPOC>7</IPOC></Rob>'
+    )
+    assert reader.read(data).axes_deg == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    delay_first = TelegramReader(("DEF_Delay", "DEF_AIPos"))
+    data = b'<Rob Type="KUKA"><Delay D="5"/><AIPos ' + axes + b"<IPOC>7</IPOC></Rob>"
+    assert delay_first.read(data).delay == 5
+
+
+def test_the_reply_has_the_declared_elements_in_order() -> None:
+    writer = ReplyWriter("KROSHU", tuple(e.tag for e in CONTEXT.receive), AXES, "Stop")
+    assert writer.head((0.0, 1.5, -2.0, 0.0, 0.0, 1e-6)) + b"42" + REPLY_TAIL == (
+        b'<Sen Type="KROSHU"><Stop>0</Stop><AK A1="0.000000" A2="1.500000" A3="-2.000000" A4="0.000000"'
+        b' A5="0.000000" A6="0.000001"/><IPOC>42</IPOC></Sen>'
+    )
+    assert b"<Stop>1</Stop>" in writer.head((0.0,) * 6, stop=True)
+
+
+def test_received_tags_that_feed_nothing_are_sent_as_zero() -> None:
+    writer = ReplyWriter("ImFree", ("EStr", *AXES, "EK.E1", "Stop"), AXES, "Stop")
+    head = writer.head((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), stop=True)
+    assert head.startswith(b'<Sen Type="ImFree"><EStr>0</EStr><AK A1="1.000000"')
+    assert head.endswith(b'<EK E1="0"/><Stop>1</Stop><IPOC>')
