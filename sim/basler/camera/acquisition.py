@@ -213,14 +213,18 @@ class Acquisition:
             image = self._source.triggered(frame, exposure.number)
         else:
             frame, image = self._source.running(frame, exposure.number)
-        self._clock.wait_until_ns(exposure.start_ns + round((frame.exposure_us + readout_us(frame)) * 1e3))
+        exposed_ns = exposure.start_ns + frame.exposure_us * 1000
+        read_ns = exposed_ns + round(readout_us(frame) * 1e3)
+        # In real time the rows are sent while they are read out, in lock-step when the time has passed.
+        self._clock.wait_until_ns(exposed_ns if self._clock.paced else read_ns)
         with self._changed:
             if exposure.session != self._session:
                 return
             if triggered:
                 self._waiting.popleft()
-            stamp = self._ticks.stamp(exposure.start_ns)
-        self._channel.send(Frame(frame, image, stamp))
+            block = self._channel.block_of(Frame(frame, image, self._ticks.stamp(exposure.start_ns)))
+        if block is not None:
+            self._channel.send(block, (read_ns - self._clock.now_ns()) / 1e9)
         if not triggered and not self._clock.paced:
             # Free running in lock-step advances the theatre, but never faster than life.
             spare_s = free_running_period_us(self._settings()) * 1e-6 - (time.monotonic() - begun_s)

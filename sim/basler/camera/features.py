@@ -141,5 +141,5 @@ def constant(name: str, category: str, about: str, value: float, **more: Any) ->
 
 
 def only(entry: str) -> dict[str, Any]:
-    """An enumeration with a single entry: the family has the name, this model one choice, to be written too."""
+    """An enumeration with a single entry: a name of the family with one choice here."""
     return {"kind": Kind.ENUMERATION, "entries": {entry: 0}, "write": lambda _commands, _value: None}

@@ -80,10 +80,12 @@ def image_of(sphere: Sphere, lens: Lens, area: Area, grain: Grain) -> SphereImag
     """Draw a sphere of unit brightness over `area`."""
     rays = Rays(lens, area)
     along = rays.dot(sphere.centre_mm)  # the centre along each ray, times the ray's length
-    inside_px = _inside_px(along, rays.squared, sphere, lens)
+    miss = _miss(rays, sphere)
+    inside_px = sphere.radius_mm - np.sqrt(miss / rays.squared)
+    inside_px *= np.float32(lens.focal_px[0] / sphere.tangent_mm)
     # Discriminant of the ray's intersections with the sphere; negative outside.
-    discriminant = along * along
-    discriminant -= rays.squared * np.float32(sphere.tangent_mm**2)
+    discriminant = rays.squared * np.float32(sphere.radius_mm**2)
+    discriminant -= miss
     outside = discriminant < 0.0
     np.maximum(discriminant, np.float32(0.0), out=discriminant)
     depth = (along - np.sqrt(discriminant)) / rays.squared
@@ -96,13 +98,19 @@ def image_of(sphere: Sphere, lens: Lens, area: Area, grain: Grain) -> SphereImag
     return image
 
 
-def _inside_px(along: Image, squared: Image, sphere: Sphere, lens: Lens) -> Image:
-    """How far inside the outline each ray passes, pixels; good near the outline."""
-    # cosine of the angle to the centre, minus its value at the rim, is the angle inside times sin(rim)
-    inside: Image = (along / np.sqrt(squared)).astype(np.float32, copy=False)
-    inside -= np.float32(sphere.tangent_mm)
-    inside *= np.float32(lens.focal_px[0] / sphere.radius_mm)
-    return inside
+def _miss(rays: Rays, sphere: Sphere) -> Image:
+    """Squared cross product of each ray with the centre: how far it misses, times its length, squared.
+
+    Unlike a difference of large squares it keeps its digits in single precision.
+    """
+    x, y, z = sphere.centre_mm
+    total = rays.dot(np.array([z, 0.0, -x]))
+    total *= total
+    for across in ([0.0, z, -y], [y, -x, 0.0]):
+        part = rays.dot(np.array(across))
+        part *= part
+        total += part
+    return total
 
 
 def _sample_rim(

@@ -32,8 +32,8 @@ class Section:
 
 
 SECTIONS = (
-    Section(5.0, 7.0, 3.0, 0.12),  # flange that the sphere sits on
-    Section(7.0, 14.0, 2.0, 0.18),  # post
+    Section(4.6, 6.6, 3.5, 0.12),  # flange that the sphere sits on
+    Section(6.6, 14.0, 2.0, 0.18),  # post
     Section(14.0, 16.0, 3.5, 0.10),  # head of the bone screw
 )
 

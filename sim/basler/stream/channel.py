@@ -24,7 +24,7 @@ SMALLEST_PACKET_SIZE = 220
 LARGEST_PACKET_SIZE = 16404
 PACKET_SIZE_STEP = 4
 WIRE_BYTES_PER_S = 125e6  # 1 Gbit/s
-BURST_BYTES = 64 * 1024  # sent at once; a stock kernel buffers about three of them for a receiver
+BURST_BYTES = 32 * 1024  # sent at once; a stock kernel buffers about six of them for a receiver
 SHORTEST_SLEEP_S = 2e-4  # below, sleeping costs more time than it takes
 IP_MTU_DISCOVER = 10  # from linux/in.h; not in Python's socket module
 PMTU_DO, PMTU_DONT = 2, 0
@@ -87,27 +87,36 @@ class StreamChannel:
         self._next_block_id = BLOCK_ID_FIRST
         self._kept.clear()
 
-    def send(self, frame: Frame) -> None:
-        """Send a frame as the next block, at the pace of the link; does nothing while closed."""
-        receiver = self.receiver
-        if receiver is None:
-            return
+    def block_of(self, frame: Frame) -> Block | None:
+        """The next block, to be sent now; None while the channel is closed."""
+        if self.receiver is None:
+            return None
         block = Block(self._next_block_id, frame, self.packet_size)
         self._next_block_id = BLOCK_ID_FIRST if block.block_id == BLOCK_ID_LAST else block.block_id + 1
         self._kept.append(block)
+        return block
+
+    def send(self, block: Block, duration_s: float = 0.0) -> None:
+        """Send a block; does nothing while closed.
+
+        It takes `duration_s`, as rows leave the sensor one by one, but is never faster than the link.
+        """
+        receiver = self.receiver
+        if receiver is None:
+            return
         lost = self._losses(block.block_id, block.trailer_id + 1)
+        packets = block.trailer_id + 1
+        pause_s = self.packet_size / WIRE_BYTES_PER_S + self.delay_ticks / TICK_FREQUENCY_HZ
+        pause_s = max(pause_s, duration_s / packets)
+        together = max(1, BURST_BYTES // self.packet_size)
         begun_s = time.monotonic()
-        due_s = burst = 0.0
-        for packet_id in range(block.trailer_id + 1):
-            if packet_id not in lost:
-                self._put(block, packet_id, GevStatus.SUCCESS, receiver)
-            due_s += self.packet_size / WIRE_BYTES_PER_S + self.delay_ticks / TICK_FREQUENCY_HZ
-            burst += self.packet_size
-            if burst >= BURST_BYTES:
-                burst = 0.0
-                ahead_s = begun_s + due_s - time.monotonic()
+        for packet_id in range(packets):
+            if packet_id % together == 0:
+                ahead_s = begun_s + packet_id * pause_s - time.monotonic()
                 if ahead_s > SHORTEST_SLEEP_S:
                     time.sleep(ahead_s)
+            if packet_id not in lost:
+                self._put(block, packet_id, GevStatus.SUCCESS, receiver)
 
     def repeat(self, block_id: int, first_packet: int, last_packet: int) -> None:
         """Send packets again; what is no longer there is answered by one packet that says so."""
