@@ -21,7 +21,7 @@ SECTIONS = ("SEND", "RECEIVE")
 INTERNAL = "INTERNAL"
 AXIS_GROUPS = ("AK", "AKorr")
 FRAME_GROUPS = ("RKorr",)
-STOP_TAGS = ("Stop",)
+STOP_TAGS = ("Stop", "MoveStop")
 # Of a link whose context is not known: what all public projects set.
 INFERRED_TIMEOUT_PACKETS = 100
 INFERRED_PRECISION = 4
