@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from procedures.engine.step import Outcome, StepContext, StepSpec
-from procedures.planning.reach import ArmSetting, PathCheck, VisitKind, check_paths
+from procedures.planning.reach import ArmSetting, PathCheck, Reached, VisitKind, check_paths
 from procedures.steps.arm_frames import guide_in_flange, model_of, stereo_tool_in_flange
 from procedures.steps.payloads import points_from, pose_from, pose_payload
 from procedures.steps.plan_check import planned
 from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.orientation import back_along_axis
+from ronna_hw.arm.inverse import branch_of, solve_branch
+from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 
 STRATEGY = "ocs"
+LAST_STRETCH_MM = 5.0  # of the line to a target: how each joint turns there decides its backlash
 
 
 def run(context: StepContext) -> Outcome:
@@ -44,7 +48,7 @@ def run(context: StepContext) -> Outcome:
             "joint_ranges_rad": [list(limits) for limits in check.joint_ranges_rad],
             "largest_move_rad": max(move.largest_rad for move in check.moves),
             "localizations": _localizations(check, matched),
-            "targets": _targets(check),
+            "targets": _targets(check, setting),
         },
         parents=(correspondence, plan, context.case.get("set_up")),
         summary=f"{len(check.reached)} poses in one branch",
@@ -67,16 +71,26 @@ def _localizations(check: PathCheck, matched: list[int]) -> dict[str, list[dict[
     return rows
 
 
-def _targets(check: PathCheck) -> dict[str, dict[str, Any]]:
+def _targets(check: PathCheck, setting: ArmSetting) -> dict[str, dict[str, Any]]:
     return {
         reached.visit.trajectory: {
             "tool_pose": pose_payload(reached.visit.pose),
             "standoff_rad": list(reached.approach_rad),
             "joints_rad": list(reached.at_rad),
+            "approach_signs": _approach_signs(reached, setting),
         }
         for reached in check.reached
         if reached.visit.kind is VisitKind.TARGET
     }
+
+
+def _approach_signs(reached: Reached, setting: ArmSetting) -> list[int]:
+    """Direction (+1 or -1) in which each joint arrives at the target."""
+    before = back_along_axis(reached.visit.pose, LAST_STRETCH_MM) @ setting.flange_from_tool.inverse()
+    joints = solve_branch(
+        setting.model, Pose.from_transform(before), branch_of(setting.model, reached.at_rad), reached.at_rad
+    )
+    return [1 if after >= earlier else -1 for earlier, after in zip(joints, reached.at_rad, strict=True)]
 
 
 STEP = StepSpec(

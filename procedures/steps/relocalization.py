@@ -3,10 +3,14 @@
 The tool centre is moved onto a sphere until the residual is below the tolerance. Recorded is the nominal
 tool pose plus the last residual. What the first sphere teaches about the offset of the coarse positions
 helps to find the next one.
+
+Every position that is looked from is approached with each joint turning the way it will turn on its way to
+the target, so that backlash is the same in all of them and cancels.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +33,9 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
+
+# How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
+APPROACH_RAD = math.radians(0.2)
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,7 @@ def _centre(context: StepContext, fiducial: int, expected: Transform, near: Join
     """Approach one sphere along the tool axis, servo onto it, and back off the same way."""
     _move_joints(context, _standoff(context, expected), near)
     _move_linear(context, expected)
+    _settle_onto(context, expected)
     seen, looks = _first_look(context, expected)
     servo = ServoState()
     while True:
@@ -98,7 +106,7 @@ def _centre(context: StepContext, fiducial: int, expected: Transform, near: Join
         servo = servo.measured(seen.point.position_mm)
         if servo.converged:
             break
-        _move_linear(context, servo.next_pose(pose, seen.point.position_mm))
+        _settle_onto(context, servo.next_pose(pose, seen.point.position_mm))
         seen = look(context)
         looks += 1
     keep_picture(context, fiducial, seen)
@@ -128,7 +136,7 @@ def _first_look(context: StepContext, expected: Transform) -> tuple[Look, int]:
     try:
         seen, looks = look(context), looks + 1
         while seen.point is None:
-            _move_linear(context, search_pose(expected, looks - 2))
+            _settle_onto(context, search_pose(expected, looks - 2))
             seen, looks = look(context), looks + 1
     except SphereNotInView as error:
         raise SphereNotFound(f"{error.what}; the last look: {seen.reason}", limit=error.limit) from error
@@ -136,9 +144,25 @@ def _first_look(context: StepContext, expected: Transform) -> tuple[Look, int]:
 
 
 def _move_joints(context: StepContext, pose: Transform, near: JointVector) -> None:
+    context.devices.arm.move_joints(_joints(context, pose, near))
+
+
+def _settle_onto(context: StepContext, pose: Transform) -> None:
+    """Take a pose with every joint arriving from the side from which it arrives at the target."""
+    arm = context.devices.arm
+    target = context.case.get("path_check").payload["targets"][str(context.key.trajectory)]
+    joints = _joints(context, pose, arm.read_state().joints_rad)
+    back: Any = tuple(
+        joint - sign * APPROACH_RAD for joint, sign in zip(joints, target["approach_signs"], strict=True)
+    )
+    arm.move_joints(back)
+    arm.move_joints(joints)
+
+
+def _joints(context: StepContext, pose: Transform, near: JointVector) -> JointVector:
     model = model_of(context)
     flange = Pose.from_transform(pose @ stereo_tool_in_flange(context).inverse())
-    context.devices.arm.move_joints(solve_branch(model, flange, branch_of(model, near), near))
+    return solve_branch(model, flange, branch_of(model, near), near)
 
 
 def _move_linear(context: StepContext, pose: Transform) -> None:

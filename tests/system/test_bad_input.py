@@ -1,0 +1,223 @@
+"""Each bad input gives one clear message with its code and what to do, and the documented exit code."""
+
+import json
+import resource
+import shutil
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import Commands, one_error
+
+from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
+
+
+@pytest.fixture(scope="module")
+def patient(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A phantom case: `ct/` and `plan.toml`."""
+    folder = tmp_path_factory.mktemp("case")
+    made = shared_commands.run("ronna-sim", "phantom", "--scene", "mini", "--seed", "1", "--out", str(folder))
+    assert made.returncode == 0, made.stderr
+    return folder
+
+
+def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) -> str:
+    line = " ".join(one_error(done.stderr))
+    assert line.startswith(code), line
+    assert done.returncode == exit_code, line
+    return line
+
+
+def test_a_missing_folder(commands: Commands, tmp_path: Path) -> None:
+    _refused(commands.run("ronna-ct", "localize", str(tmp_path / "none")), "CT-", EXIT_FAILED)
+
+
+def test_an_empty_series(commands: Commands, tmp_path: Path) -> None:
+    _refused(commands.run("ronna-ct", "localize", str(tmp_path)), "CT-", EXIT_FAILED)
+
+
+def test_a_mixed_series(commands: Commands, patient: Path, tmp_path: Path) -> None:
+    mixed = tmp_path / "mixed"
+    shutil.copytree(patient / "ct", mixed)
+    other = tmp_path / "other"
+    made = commands.run("ronna-sim", "phantom", "--scene", "mini", "--seed", "2", "--out", str(other))
+    assert made.returncode == 0
+    for number, path in enumerate(sorted((other / "ct").iterdir())[:3]):
+        shutil.copy(path, mixed / f"stranger{number}.dcm")
+    _refused(commands.run("ronna-ct", "localize", str(mixed)), "CT-", EXIT_FAILED)
+
+
+def test_a_truncated_file_is_named(commands: Commands, patient: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    shutil.copytree(patient / "ct", cut)
+    victim = sorted(cut.iterdir())[10]
+    victim.write_bytes(victim.read_bytes()[:20_000])
+    line = _refused(commands.run("ronna-ct", "localize", str(cut)), "CT-", EXIT_FAILED)
+    assert victim.name in line
+
+
+def test_a_theatre_file_with_three_mistakes_names_all_three(
+    commands: Commands, patient: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "theatre.toml"
+    path.write_text(
+        'schema = 1\ntheatre = "lab"\ncolour = "green"\n[clock]\nendpoint = "tcp://127.0.0.1:1"\n'
+        '[tracker]\ndriver = 5\nendpoint = "serial:///dev/ttyUSB0"\n'
+    )
+    done = commands.run(
+        "ronna-procedure",
+        "run",
+        "--config",
+        str(path),
+        "--case",
+        str(patient),
+        "--out",
+        str(tmp_path / "runs"),
+    )
+    line = _refused(done, "CFG-001", EXIT_USAGE)
+    for mistake in ("colour", "clock.endpoint", "tracker.driver"):
+        assert mistake in line
+
+
+def test_a_plan_for_another_series(commands: Commands, patient: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    text = (patient / "plan.toml").read_text()
+    uid = next(line.split('"')[1] for line in text.splitlines() if line.startswith("series_instance_uid"))
+    plan.write_text(text.replace(uid, "1.2.3.4"))
+    line = _refused(
+        commands.run("ronna-plan", "check", str(plan), "--ct", str(patient / "ct")), "PLAN-003", EXIT_FAILED
+    )
+    assert "1.2.3.4" in line
+    assert uid in line
+
+
+@pytest.fixture
+def silent_port() -> Iterator[int]:
+    """A TCP port where somebody listens and never answers."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        yield listener.getsockname()[1]
+
+
+def _tracker_at(endpoint: str, folder: Path) -> Path:
+    path = folder / "theatre.toml"
+    path.write_text(
+        f'schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\nendpoint = "{endpoint}"\n'
+    )
+    return path
+
+
+def test_an_endpoint_that_does_not_answer_and_what_the_doctor_says(
+    commands: Commands, silent_port: int, tmp_path: Path
+) -> None:
+    theatre = _tracker_at(f"tcp://127.0.0.1:{silent_port}", tmp_path)
+    done = commands.run("ronna-procedure", "doctor", "--config", str(theatre), "--json")
+    assert done.returncode == EXIT_NOT_FOUND
+    finding = json.loads(done.stdout)["findings"][-1]
+    assert not finding["well"]
+    assert "NDI-" in finding["seen"]
+    assert finding["advice"]
+
+
+def test_an_endpoint_where_nothing_listens_and_what_the_doctor_says(
+    commands: Commands, tmp_path: Path
+) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        free = probe.getsockname()[1]
+    theatre = _tracker_at(f"tcp://127.0.0.1:{free}", tmp_path)
+    done = commands.run("ronna-procedure", "doctor", "--config", str(theatre), "--json")
+    assert done.returncode == EXIT_NOT_FOUND
+    assert "Nothing listens" in json.loads(done.stdout)["findings"][-1]["advice"]
+
+
+def test_a_device_of_the_wrong_kind(commands: Commands, tmp_path: Path) -> None:
+    robot = commands.start(
+        "ronna-sim", "kuka", "--eki", "tcp://127.0.0.1:0", "--eki-project", "tcp://127.0.0.1:0"
+    )
+    assert robot.stdout is not None
+    ready = json.loads(robot.stdout.readline().removeprefix("READY "))
+    try:
+        theatre = _tracker_at(ready["endpoints"]["eki_project"], tmp_path)
+        done = commands.run("ronna-procedure", "doctor", "--config", str(theatre), "--json")
+    finally:
+        robot.terminate()
+        robot.communicate(timeout=5)
+    assert done.returncode == EXIT_NOT_FOUND
+    assert "NDI-" in json.loads(done.stdout)["findings"][-1]["seen"]
+
+
+def test_a_port_in_use(commands: Commands, silent_port: int) -> None:
+    done = commands.run("ronna-sim", "polaris", "--endpoint", f"tcp://127.0.0.1:{silent_port}")
+    line = _refused(done, "SIM-004", EXIT_NOT_FOUND)
+    assert str(silent_port) in line
+
+
+def test_an_output_folder_that_cannot_be_written(commands: Commands, tmp_path: Path) -> None:
+    blocked = tmp_path / "runs"
+    blocked.write_text("a file, not a folder")
+    done = commands.run("ronna-procedure", "run", "--sim", "--scene", "mini", "--out", str(blocked))
+    _refused(done, "CLI-005", EXIT_FAILED)
+
+
+def test_a_read_only_output_folder(commands: Commands) -> None:
+    done = commands.run("ronna-procedure", "run", "--sim", "--scene", "mini", "--out", "/proc/self/runs")
+    assert done.returncode == EXIT_FAILED
+    assert one_error(done.stderr)[0].startswith("CLI-00")
+
+
+def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path: Path) -> None:
+    """A limit on the size of a file stands in for a full disk: the first CT slice already exceeds it."""
+    out = tmp_path / "runs"
+    done = subprocess.run(
+        commands.line("ronna-procedure", "run", "--sim", "--scene", "mini", "--out", str(out)),
+        env=commands.environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=50,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000)),
+    )
+    assert done.returncode == EXIT_FAILED
+    assert "CLI-003" in " ".join(one_error(done.stderr))
+    assert list(out.rglob("*.partial")) == []
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--fiducials", "xframe"),
+        ("--calibrated",),
+        ("--strategy", "jdms"),
+        ("--strategy", "nos"),
+        ("--strategy", "best"),
+    ],
+)
+def test_what_is_not_built_yet_says_so(commands: Commands, tmp_path: Path, option: tuple[str, ...]) -> None:
+    done = commands.run("ronna-procedure", "run", "--sim", *option, "--out", str(tmp_path / "runs"))
+    assert "not yet" in _refused(done, "PRO-012", EXIT_USAGE)
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run",),
+        ("run", "--sim", "--config", "x"),
+        ("run", "--sim", "--markers", "9"),
+        ("run", "--sim", "--seed", "-1"),
+        ("run", "--sim", "--scene", "theatre royal"),
+        ("fly",),
+    ],
+)
+def test_a_wrong_command_line(commands: Commands, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    done = subprocess.run(
+        commands.line("ronna-procedure", *arguments), env=commands.environment, cwd=tmp_path,
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=30, check=False,
+    )  # fmt: skip
+    one_error(done.stderr)
+    assert done.returncode == EXIT_USAGE, done.stderr
