@@ -9,16 +9,17 @@ from ronna_hw.endpoints import Endpoint
 from sim.kuka.errors import ClientAddressInvalid
 
 DATAGRAM_BYTES = 65535
+LOOPBACK = "127.0.0.1"
 
 
 def resolve(endpoint: Endpoint) -> tuple[str, int]:
-    """Address of the client as numbers; raises KRC-002."""
+    """Address of the client as numbers; raises KRC-002. An Ethernet file holds numbers, never names."""
+    host = LOOPBACK if endpoint.host == "localhost" else endpoint.host
     try:
-        found = socket.getaddrinfo(endpoint.host, endpoint.port, socket.AF_INET, socket.SOCK_DGRAM)
+        socket.inet_pton(socket.AF_INET, host)
     except OSError as error:
-        raise ClientAddressInvalid(f"{endpoint} has no address: {error.strerror}") from error
-    address = found[0][4]
-    return str(address[0]), int(address[1])
+        raise ClientAddressInvalid(f"{endpoint} is not an address", awaited="four numbers") from error
+    return host, endpoint.port
 
 
 class RsiSocket:

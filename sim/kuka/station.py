@@ -14,6 +14,7 @@ import select
 import socket
 import time
 
+from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.autostart import Autostart
 from sim.kuka.controller import Controller
 from sim.kuka.eki_project import ProjectChannel
@@ -60,6 +61,7 @@ class Station:
         self._rsi: RsiSocket | None = None
         self._deadline_s = 0.0
         self._tick_s = 0.0
+        self._noticed: tuple[RsiState, bool] | None = None
         self._silent = False
         self._unchanged = 0
         self._last_command: list[float] = []
@@ -115,6 +117,7 @@ class Station:
             return  # ended by a request while it waited
         self.cycles += 1
         controller.finish_cycle(self._after_faults(reply))
+        self._notice_change()
         if not self._clock.paced:
             self._clock.advance_cycle(run.settings.cycle_ms * 1_000_000)
         if lock_step:
@@ -166,6 +169,14 @@ class Station:
                 self._clock.advance_cycle(round(cycle_s * 1e9))
         if not self._controller.moving:
             self._clock.end_stream()
+        self._notice_change()
+
+    def _notice_change(self) -> None:
+        """Tell a changed state to the channels at once, not when their period is over."""
+        state = (self._controller.rsi_state, self._controller.moving)
+        if state != self._noticed:
+            self._noticed = state
+            self._tick_s = 0.0
 
     # -- waiting
 

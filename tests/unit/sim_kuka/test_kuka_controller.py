@@ -160,5 +160,5 @@ def test_a_port_in_use_has_its_own_error() -> None:
 
 def test_a_client_without_an_address_has_its_own_error() -> None:
     with pytest.raises(ClientAddressInvalid) as caught:
-        resolve(parse_endpoint("udp://ip.address.of.nobody.invalid:59152"))
+        resolve(parse_endpoint("udp://ip.address.of.rospc:59152"))
     assert caught.value.code == "KRC-002"
