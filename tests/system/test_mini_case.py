@@ -73,6 +73,7 @@ def test_the_journal_is_whole_and_has_an_intent_before_every_result(finished: Mi
     assert (lines[0]["entry"], lines[-1]["entry"]) == ("opened", "closed")
 
 
+@pytest.mark.hazard(31)
 def test_the_report_needs_nothing_but_itself_and_never_calls_a_residual_an_accuracy(
     finished: MiniRun,
 ) -> None:

@@ -91,6 +91,7 @@ def test_a_pose_out_of_reach_says_how_far() -> None:
         solve_branch(model, Pose.from_kuka(2080, 0, 400, 0, 90, 0), Branch(False, True, False), HOME)
 
 
+@pytest.mark.hazard(22)
 def test_a_stretched_hand_a_wrist_over_the_base_and_a_straight_elbow_are_singular() -> None:
     model = arm_model(ArmVariant.SIXX)
     hand = forward(model, radians6(0, -90, 90, 0, 0, 0))

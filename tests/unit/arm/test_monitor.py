@@ -51,6 +51,7 @@ def test_a_point_that_is_no_number_trips(value: float) -> None:
     assert _kind(_monitor().check(_with(4, value))) == ("range", 4)
 
 
+@pytest.mark.hazard(18)
 def test_a_jump_trips_as_a_step() -> None:
     assert _kind(_monitor().check(_with(6, START[5] + 1.01 * LIMITS.step_rad[5]))) == ("step", 6)
 
@@ -68,6 +69,7 @@ def test_a_shake_within_the_acceleration_trips_as_jerk() -> None:
     assert _kind(monitor.check(_with(1, START[0] + shake))) == ("jerk", 1)
 
 
+@pytest.mark.hazard(19)
 def test_the_total_correction_is_bounded_by_the_end_switches_of_the_start() -> None:
     narrow = MonitorLimits(**{**vars(LIMITS), "correction_upper_rad": (0.001,) * 6})
     monitor = Monitor(narrow, START)
@@ -76,6 +78,7 @@ def test_the_total_correction_is_bounded_by_the_end_switches_of_the_start() -> N
     assert _kind(monitor.check(_with(1, 0.00101))) == ("total correction", 1)
 
 
+@pytest.mark.hazard(38)
 def test_an_axis_that_does_not_follow_trips() -> None:
     monitor = _monitor()
     inside = _with(3, START[2] - 0.9 * LIMITS.following_rad[2])

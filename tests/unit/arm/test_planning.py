@@ -55,6 +55,7 @@ def test_a_line_out_of_reach_is_refused() -> None:
         plan_line(MODEL, START, _shifted(forward(MODEL, START), 900, 0, 0), LIMITS)
 
 
+@pytest.mark.hazard(22)
 def test_a_line_through_the_stretched_hand_is_refused() -> None:
     start = radians6(0, -90, 90, 0, 10, 0)
     target = forward(MODEL, radians6(0, -90, 90, 0, -10, 0))
@@ -71,6 +72,7 @@ def test_a_line_close_past_the_stretched_hand_is_too_fast_for_the_joints() -> No
     assert caught.value.code == "ARM-005"
 
 
+@pytest.mark.hazard(22)
 def test_a_line_beside_a_singularity_is_slowed_for_the_joints() -> None:
     start = radians6(0, -90, 90, 30, 12, 0)
     target = _shifted(forward(MODEL, start), 0, 60, 0)

@@ -11,6 +11,7 @@ def test_composing_across_meeting_frames_maps_points_through_both() -> None:
     assert mapped == pytest.approx((0.0, 2.0, 3.0))
 
 
+@pytest.mark.hazard(7)
 def test_composing_across_frames_that_do_not_meet_is_refused() -> None:
     robot_from_tool = Transform.of(Frame.ROBOT, Frame.TOOL)
     with pytest.raises(FrameMismatch, match="FRM-001"):
@@ -18,6 +19,7 @@ def test_composing_across_frames_that_do_not_meet_is_refused() -> None:
 
 
 @pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 1.0, 1.0, 1.0]), np.eye(3)])
+@pytest.mark.hazard(7)
 def test_a_matrix_that_is_not_a_proper_rotation_is_refused(matrix: np.ndarray) -> None:
     with pytest.raises(FrameMismatch):
         Transform.from_matrix(Frame.ROBOT, Frame.CT, matrix)

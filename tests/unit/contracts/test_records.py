@@ -11,6 +11,7 @@ def test_a_record_is_read_back_equal(tmp_path: Path) -> None:
     assert read_record(write_record(record, tmp_path)) == record
 
 
+@pytest.mark.hazard(1)
 def test_a_changed_record_is_refused(tmp_path: Path) -> None:
     path = write_record(Record("02-plan", "plan", ("01-ct_import",), {"margin_mm": 2.0}), tmp_path)
     content = json.loads(path.read_text())
@@ -28,6 +29,7 @@ def test_a_torn_record_is_refused(tmp_path: Path, text: str) -> None:
         read_record(path)
 
 
+@pytest.mark.hazard(1)
 def test_the_hash_covers_parents_and_payload_but_not_the_date() -> None:
     one = Record("a", "k", ("p",), {"x": 1}, created="2026-01-01")
     assert one.sha256 == Record("b", "k", ("p",), {"x": 1}, created="2026-02-02").sha256

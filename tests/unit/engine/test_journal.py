@@ -20,6 +20,7 @@ def test_what_was_written_is_read_back_in_order(tmp_path: Path) -> None:
     assert [(line["sequence"], line["entry"]) for line in lines] == [(0, "intent"), (1, "result")]
 
 
+@pytest.mark.hazard(1)
 def test_a_changed_line_breaks_the_chain(tmp_path: Path) -> None:
     path = _written(tmp_path)
     path.write_text(path.read_text().replace('"theatre_time_s":1.0', '"theatre_time_s":9.0'))
@@ -46,6 +47,7 @@ def test_a_journal_is_never_written_over(tmp_path: Path) -> None:
         Journal(tmp_path)
 
 
+@pytest.mark.hazard(33)
 def test_a_journal_on_a_full_disk_says_so(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     journal.close()

@@ -165,6 +165,7 @@ def test_other_files_and_objects_without_pixels_are_left_out(dicom_series: Write
     np.testing.assert_array_equal(read_series(folder).voxels, HU)
 
 
+@pytest.mark.hazard(8)
 def test_thick_slices_gaps_and_large_pixels_are_warned_about(dicom_series: Write) -> None:
     path = dicom_series(HU, (3.0, 1.2, 1.2), edit=every(setting(SliceThickness="2.5")))
     thick, gaps, pixels = read_series(path).warnings
@@ -180,6 +181,7 @@ def test_progress_reaches_one(dicom_series: Write) -> None:
     assert shares[-1] == 1.0
 
 
+@pytest.mark.hazard(35)
 def test_the_patient_is_not_in_the_volume(dicom_series: Write) -> None:
     assert "secret" not in repr(read_series(dicom_series())).lower()
 
@@ -260,6 +262,7 @@ EDITED = {
 
 
 @pytest.mark.parametrize("defect", EDITED)
+@pytest.mark.hazard(8)
 def test_a_defect_in_the_headers_is_refused(dicom_series: Write, defect: str) -> None:
     edit, error, named = EDITED[defect]
     with pytest.raises(error, match=named) as caught:
@@ -268,6 +271,7 @@ def test_a_defect_in_the_headers_is_refused(dicom_series: Write, defect: str) ->
     assert "secret" not in str(caught.value).lower()
 
 
+@pytest.mark.hazard(9)
 def test_a_mixed_series_is_refused_with_both_identifiers(dicom_series: Write) -> None:
     with pytest.raises(errors.SeriesMixed, match=r"1\.2\.3\.4") as caught:
         read_series(dicom_series(HU, edit=only(0, setting(SeriesInstanceUID="1.2.3.4"))))
@@ -311,6 +315,7 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("defect", SPOILED)
+@pytest.mark.hazard(8)
 def test_a_spoiled_folder_is_refused(dicom_series: Write, defect: str) -> None:
     folder = dicom_series()
     spoil, error, named = SPOILED[defect]

@@ -127,6 +127,7 @@ def test_no_speed_fraction_goes_beyond_the_working_speed(controller: Any, active
     assert _largest_step(controller.replies) < 0.2 / 8 + 1e-4
 
 
+@pytest.mark.hazard(23)
 def test_a_target_out_of_range_is_refused_before_motion(controller: Any, active_arm: Any) -> None:
     with pytest.raises(OutOfJointRange):
         active_arm.move_joints(radians6(0, -90, 90, 0, 130, 0))
@@ -167,6 +168,7 @@ def _moving(arm: Any, controller: Any) -> tuple[threading.Thread, list[BaseExcep
     return thread, caught
 
 
+@pytest.mark.hazard(32)
 def test_hold_stops_the_arm_smoothly_and_resume_moves_nothing(controller: Any, active_arm: Any) -> None:
     thread, caught = _moving(active_arm, controller)
     active_arm.stop(StopKind.HOLD)
@@ -191,6 +193,7 @@ def test_hold_stops_the_arm_smoothly_and_resume_moves_nothing(controller: Any, a
         (StopKind.LINK, LinkStopped),
     ],
 )
+@pytest.mark.hazard(32)
 def test_a_stop_that_is_no_hold_is_latched_until_recovered(
     controller: Any, active_arm: Any, kind: StopKind, error: type[Exception]
 ) -> None:
@@ -235,6 +238,7 @@ def test_an_arm_that_does_not_settle_is_told_after_its_time_in_cycles(make_arm: 
 # What goes wrong on the real-time link
 
 
+@pytest.mark.hazard(38)
 def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_cycles_are_kept(
     controller: Any, active_arm: Any
 ) -> None:
@@ -250,6 +254,7 @@ def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_cycles_are_kept(
     assert _largest_step(controller.replies) < 1 / 8
 
 
+@pytest.mark.hazard(4)
 def test_silence_is_noticed_and_latched(controller: Any, active_arm: Any) -> None:
     thread, caught = _moving(active_arm, controller)
     controller.silent.set()
@@ -280,6 +285,7 @@ def test_lost_cycles_are_counted_and_make_the_arm_slower(controller: Any, active
     assert _largest_step(controller.replies) < 0.6 / 8
 
 
+@pytest.mark.hazard(18)
 def test_one_lost_packet_at_speed_passes_and_the_motion_ends(controller: Any, active_arm: Any) -> None:
     thread, caught = _moving(active_arm, controller)
     controller.skip_cycles = 1
@@ -289,6 +295,7 @@ def test_one_lost_packet_at_speed_passes_and_the_motion_ends(controller: Any, ac
     assert _state(active_arm) is Lifecycle.ACTIVE
 
 
+@pytest.mark.hazard(18)
 def test_after_many_lost_packets_the_arm_goes_on_from_rest(controller: Any, active_arm: Any) -> None:
     thread, caught = _moving(active_arm, controller)
     controller.skip_cycles = 8
@@ -303,6 +310,7 @@ def test_after_many_lost_packets_the_arm_goes_on_from_rest(controller: Any, acti
     assert active_arm.degraded
 
 
+@pytest.mark.hazard(34)
 def test_telegrams_of_another_run_get_no_reply(controller: Any, active_arm: Any) -> None:
     controller.new_port = True
     _eventually(lambda: _state(active_arm) is Lifecycle.FAULT)
@@ -364,6 +372,7 @@ def test_no_telegram_after_the_start_is_said_and_latched(controller: Any, make_a
     arm.activate()
 
 
+@pytest.mark.hazard(20)
 def test_axes_that_disagree_between_the_two_channels_are_refused(controller: Any, make_arm: Any) -> None:
     controller.eki_axes_deg = (5.0, -90.0, 90.0, 0.0, 60.0, 0.0)
     arm = make_arm()
@@ -402,6 +411,7 @@ def test_somebody_who_does_not_answer_is_no_controller(controller: Any, make_arm
         ("Variant", "kr6_r900_2", "arm is kr6_r900_2, not kr6_r900_sixx"),
     ],
 )
+@pytest.mark.hazard(20)
 def test_a_controller_set_up_otherwise_is_refused_at_connect(
     controller: Any, make_arm: Any, fact: str, value: str, said: str
 ) -> None:
@@ -413,6 +423,7 @@ def test_a_controller_set_up_otherwise_is_refused_at_connect(
     assert _state(arm) is Lifecycle.DISCONNECTED
 
 
+@pytest.mark.hazard(20)
 def test_a_controller_that_cannot_say_is_unverified(controller: Any, make_arm: Any) -> None:
     del controller.facts["CtxHash"]
     with pytest.raises(Unverified, match="context hash") as caught:

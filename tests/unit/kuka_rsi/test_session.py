@@ -282,6 +282,7 @@ def test_a_motion_during_another_is_refused() -> None:
     assert cell.session.moving
 
 
+@pytest.mark.hazard(32)
 def test_a_motion_planned_before_a_stop_is_refused() -> None:
     cell = _begun()
     cell.stop(StopOrder.HOLD)
@@ -298,6 +299,7 @@ def test_a_motion_with_impossible_numbers_is_refused() -> None:
     assert cell.session.result is Result.REFUSED_NUMBERS
 
 
+@pytest.mark.hazard(32)
 def test_a_motion_while_a_fault_is_latched_is_refused() -> None:
     cell = _begun()
     cell.stop(StopOrder.PROTECTIVE)
@@ -358,6 +360,7 @@ def test_a_line_without_a_solution_on_the_way_is_stopped_by_the_joints() -> None
     assert cell.smooth(RAMP_DOWN_SHARE)
 
 
+@pytest.mark.hazard(38)
 def test_an_axis_that_does_not_follow_stops_the_arm() -> None:
     cell = _moving()
     cell.follows = False
@@ -414,6 +417,7 @@ def test_a_repeated_telegram_gets_no_second_reply() -> None:
     assert not cell.cycle()
 
 
+@pytest.mark.hazard(18)
 def test_after_a_long_gap_the_held_point_is_sent_and_the_motion_begins_from_rest() -> None:
     cell = _moving()
     before = cell.sent[-1][0]
@@ -426,6 +430,7 @@ def test_after_a_long_gap_the_held_point_is_sent_and_the_motion_begins_from_rest
     assert cell.smooth()
 
 
+@pytest.mark.hazard(34)
 def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
     for change in ("peer", "ipoc"):
         cell = _moving()
@@ -452,6 +457,7 @@ def test_silence_beyond_the_limit_is_latched_and_the_motion_forgotten() -> None:
     assert cell.sent[-1][0] == before
 
 
+@pytest.mark.hazard(30)
 def test_a_late_heartbeat_stops_the_arm_and_ends_the_program() -> None:
     cell = _moving(cycles=1)
     cell.beats = False
@@ -471,6 +477,7 @@ def test_a_heart_that_beats_now_and_then_keeps_the_session() -> None:
     assert cell.session.fault is Fault.NONE
 
 
+@pytest.mark.hazard(30)
 def test_without_its_parent_the_arm_stops_and_the_program_is_ended() -> None:
     cell = _moving()
     cell.session.parent_gone = True

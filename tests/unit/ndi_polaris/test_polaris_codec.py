@@ -120,6 +120,7 @@ def test_a_bx_reply_gives_the_same_as_the_tx_reply_of_that_frame() -> None:
     assert decode_bx(open_binary(BX_MISSING), strays=False) == decode_tx(TX_MISSING, strays=False)
 
 
+@pytest.mark.hazard(16)
 def test_every_single_bit_error_in_a_binary_reply_is_noticed() -> None:
     for position in range(len(BX_VALID)):
         for bit in range(8):

@@ -198,6 +198,7 @@ def test_a_unit_without_binary_replies_is_read_by_text(make_tracker: Make, unit:
     assert unit.commands.count("TX:1801") == 2
 
 
+@pytest.mark.hazard(14)
 def test_a_missing_tool_is_a_validity(tracker: PolarisTracker, unit: Any) -> None:
     unit.missing.add(1)
     tool = tracker.read_frame().tool("robot_frame")
@@ -296,6 +297,7 @@ def test_a_stray_without_a_place_is_no_reading(tracker: PolarisTracker, unit: An
     assert [stray.position_mm for stray in tracker.read_frame().strays] == [(0.0, 0.0, -1500.0)]
 
 
+@pytest.mark.hazard(4)
 def test_a_repeated_frame_number_is_stale_and_counted(tracker: PolarisTracker, unit: Any) -> None:
     tracker.read_frame()
     unit.frame -= 1

@@ -105,6 +105,7 @@ def test_another_unit_than_expected(make_tracker: Make, wish: dict[str, str]) ->
         make_tracker(**wish).connect()
 
 
+@pytest.mark.hazard(4)
 def test_a_lost_link_latches_a_fault(tracker: PolarisTracker, unit: Any) -> None:
     unit.closed = True
     with pytest.raises(errors.LinkLost) as caught:
@@ -144,6 +145,7 @@ def test_a_frame_number_that_goes_backwards_for_good_is_a_restart(tracker: Polar
     assert tracker.state is Lifecycle.FAULT
 
 
+@pytest.mark.hazard(15)
 def test_a_hardware_fault_latches(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0010
     with pytest.raises(errors.HardwareFailure, match="0010"):
@@ -151,6 +153,7 @@ def test_a_hardware_fault_latches(tracker: PolarisTracker, unit: Any) -> None:
     assert tracker.state is Lifecycle.FAULT
 
 
+@pytest.mark.hazard(15)
 def test_a_bump_latches_and_is_cleared_by_the_recovery(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0100
     unit.parameters["Info.Status.New Alerts"] = str(1 << 21)
@@ -178,6 +181,7 @@ def test_a_recovery_with_another_unit_is_refused(tracker: PolarisTracker, unit: 
     assert tracker.state is Lifecycle.FAULT
 
 
+@pytest.mark.hazard(15)
 def test_a_wrong_temperature_holds_and_passes_by_itself(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0200
     with pytest.raises(errors.TemperatureHold):
@@ -222,6 +226,7 @@ def test_a_wrong_tool_file_is_told_before_anything_is_opened(
     assert unit.commands == []
 
 
+@pytest.mark.hazard(17)
 def test_two_tools_of_one_geometry(make_tracker: Make, tmp_path: Path) -> None:
     (tmp_path / "twin.rom").write_bytes(encode_definition(robot_frame()))
     tools = [{"name": "M", "rom": "robot_frame.rom"}, {"name": "twin", "rom": str(tmp_path / "twin.rom")}]

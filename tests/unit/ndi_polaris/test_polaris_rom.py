@@ -115,6 +115,7 @@ def changed(offset: int, value: int, *, repair: bool = True) -> bytes:
         (changed(39, 0xBF), "maximum error"),
     ],
 )
+@pytest.mark.hazard(17)
 def test_a_wrong_definition_is_refused_and_says_why(block: bytes, words: str) -> None:
     if words == "not finite":
         block = bytearray(block)
@@ -143,6 +144,7 @@ def test_any_block_is_read_or_refused(block: bytes) -> None:
         assert isinstance(decode_definition(block), ToolDefinition)
 
 
+@pytest.mark.hazard(17)
 def test_two_tools_with_a_common_triangle_are_refused() -> None:
     mirrored = dataclasses.replace(
         RIGID_BODY, markers_mm=tuple((-x, y + 5.0, z) for x, y, z in RIGID_BODY.markers_mm)

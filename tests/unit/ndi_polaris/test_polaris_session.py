@@ -75,6 +75,7 @@ def test_a_command_garbled_on_its_way_is_repeated(session: Session, unit: Any) -
         session.ask("APIREV")
 
 
+@pytest.mark.hazard(16)
 def test_a_late_reply_is_never_taken_for_the_next_one(session: Session, unit: Any) -> None:
     once(unit, lambda reply: [(0.6, reply)])
     with pytest.raises(NoReply):
@@ -216,6 +217,7 @@ def mutate(kind: str, at: int, reply: bytes) -> list[tuple[float, bytes]]:
 
 @settings(max_examples=1500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mutations)
+@pytest.mark.hazard(16)
 def test_no_disturbance_of_the_line_gives_a_wrong_reading_or_outlasts_two_commands(
     new_unit: Any, disturbances: list[tuple[str, int]]
 ) -> None:

@@ -110,6 +110,7 @@ def test_the_rate_of_a_serial_line_can_be_changed_and_a_break_sent() -> None:
         os.close(terminal)
 
 
+@pytest.mark.hazard(34)
 def test_a_serial_port_is_held_for_one_client_alone() -> None:
     unit, terminal = pty.openpty()
     endpoint = parse_endpoint(f"serial://{os.ttyname(terminal)}")

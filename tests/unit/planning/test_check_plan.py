@@ -37,6 +37,7 @@ def test_a_plan_that_fits_passes(plan, make_volume, make_arm):
     assert [one["id"] for one in payload["trajectories"]] == ["T1", "T2"]
 
 
+@pytest.mark.hazard(9)
 def test_another_series_is_refused_with_both_uids(plan, make_volume):
     with pytest.raises(WrongSeries, match="PLAN-003") as caught:
         check_plan(plan, make_volume(series_instance_uid="1.2.3.4")).require()

@@ -41,6 +41,7 @@ def test_pairs_are_ordered_by_image_index(random, fiducials, reading):
     assert np.all(np.diff(pairs[:, 0]) > 0)
 
 
+@pytest.mark.hazard(10)
 def test_a_triangle_with_two_equal_sides_is_ambiguous_and_shows_both(random, any_pose):
     physical = any_pose(random).apply(ISOSCELES)
     result = match(ISOSCELES, physical, **SIGMAS)

@@ -137,6 +137,7 @@ def test_offsets_of_an_area_of_interest_are_added_before_triangulation(head):
     assert found.position_mm == pytest.approx([1.0, 0.5, 0.0], abs=1e-6)
 
 
+@pytest.mark.hazard(27)
 def test_lines_of_sight_to_two_spheres_do_not_meet(head):
     left = exact_pair(head, np.array([0.0, 0.0, 0.0]))[0]
     right = exact_pair(head, np.array([0.0, 6.0, 0.0]))[1]
@@ -144,6 +145,7 @@ def test_lines_of_sight_to_two_spheres_do_not_meet(head):
         triangulate(left, right, head.calibration)
 
 
+@pytest.mark.hazard(26)
 def test_a_twisted_camera_shows_in_the_ray_gap(head):
     pair = exact_pair(head, np.zeros(3))
     pose = head.calibration.right.camera_from_tool
@@ -160,6 +162,7 @@ def test_a_twisted_camera_shows_in_the_ray_gap(head):
 
 
 @pytest.mark.parametrize("radius_mm", [5.0, 6.5])
+@pytest.mark.hazard(27)
 def test_a_sphere_of_another_diameter_is_refused(head, radius_mm):
     with pytest.raises(WrongSize, match="STE-006"):
         triangulate(*exact_pair(head, np.zeros(3), radius_mm), head.calibration)
@@ -178,6 +181,7 @@ def test_numbers_that_are_none_are_refused(head, centre):
         triangulate(replace(left, centre_px=centre), right, head.calibration)
 
 
+@pytest.mark.hazard(25)
 def test_a_calibration_of_another_camera_is_refused(head):
     check_serial(head.calibration.left, "left")
     with pytest.raises(WrongCamera, match="STE-010"):
