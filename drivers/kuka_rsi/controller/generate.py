@@ -1,0 +1,83 @@
+"""Writes the controller's files from the context description of `ronna_hw.wire`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from ronna_hw.arm.model import arm_model, degrees6
+from ronna_hw.wire import kuka_eki
+from ronna_hw.wire.kuka_context import RsiContext, context_hash, load_context
+
+TEMPLATES = {
+    "ethernet.xml.j2": "{name}_eth.xml",
+    "context.rsi.xml.j2": "{name}.rsi.xml",
+    "program.src.j2": "{name}.src",
+    "program.dat.j2": "{name}.dat",
+    "eki.xml.j2": "ronna_eki.xml",
+    "eki.sub.j2": "ronna_eki.sub",
+}
+STOP_MODES = {"InfoMessage": 0, "PathNormal": 1, "Velocity": 2, "PathFast": 3, "ExitMoveCorr": 4}
+IPO_MODES = {4: "#IPO_FAST", 12: "#IPO"}
+OBJECT_IDS = {"AXISCORR": 33, "AXISCORRMON": 82, "ETHERNET": 64, "STOP": 18}
+FIRST_UPPER_LIMIT_ID = 13  # parameter ids of AXISCORR: 1..6 lower A, 7..12 lower E, 13..18 upper A
+CONNECTED_FLAG = 951  # $FLAG numbers of the EKI channel; change both here when the cell uses them
+RECEIVED_FLAG = 952
+
+
+def render(context: RsiContext) -> dict[str, str]:
+    """Name and content of every file. Raises jinja2's error when a template asks for what is not there."""
+    environment = Environment(
+        loader=PackageLoader("drivers.kuka_rsi.controller"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # the values are our own numbers and names
+    )
+    model = arm_model(context.program.variant)
+    values = {
+        "context": context,
+        "hash": context_hash(context),
+        "axes": range(1, 7),
+        "axis_wires": {w.input: w.indx for w in context.wiring if w.object == "AXISCORR"},
+        "stop_wire": next((w.indx for w in context.wiring if w.object == "STOP"), None),
+        "lower_deg": degrees6(model.lower_rad),
+        "upper_deg": degrees6(model.upper_rad),
+        "stop_mode": STOP_MODES[context.stop.mode] if context.stop else None,
+        "ipo_mode": IPO_MODES[context.program.cycle_ms],
+        "object_ids": OBJECT_IDS,
+        "first_upper": FIRST_UPPER_LIMIT_ID,
+        "holds": int(all(e.holdon == 1 for e in context.receive if e.indx in _correction_channels(context))),
+        "reference": "ABS" if context.program.corrections == "absolute" else "REL",
+        "eki_port": kuka_eki.PROJECT_PORT,
+        "state_attributes": list(kuka_eki.StateAttribute),
+        "codes": kuka_eki.AckCode,
+        "connected_flag": CONNECTED_FLAG,
+        "received_flag": RECEIVED_FLAG,
+    }
+    return {
+        name.format(name=context.name): environment.get_template(template).render(values)
+        for template, name in TEMPLATES.items()
+    }
+
+
+def _correction_channels(context: RsiContext) -> set[int]:
+    return {w.indx for w in context.wiring if w.object in ("AXISCORR", "POSCORR")}
+
+
+def generate(
+    folder: Annotated[Path, typer.Argument(help="Where to write the files.")],
+    description: Annotated[Path | None, typer.Option(help="Another context description (TOML).")] = None,
+) -> None:
+    """Write the controller's files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in render(load_context(description)).items():
+        (folder / name).write_text(text, encoding="ascii", newline="\r\n")
+
+
+if __name__ == "__main__":
+    typer.run(generate)
