@@ -1,0 +1,179 @@
+"""Frames from stream packets, in whatever order and number they come. No I/O; time is handed in.
+
+A frame is finished when leader, trailer and every payload packet are there. While something is missing the
+packets are asked for again in growing intervals; when that is used up the frame is given as it is.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+from drivers.basler_stereo.gvsp import Leader, PacketHeader, decode_header, decode_leader
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
+
+RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32)  # after the last packet that came; then give up
+OPEN_BLOCKS = 2  # the next image may begin before the last packets of this one are repeated
+RANGES_PER_ROUND = 64  # a request each; more is a link that carries nothing
+_GONE = frozenset(
+    {
+        GevStatus.PACKET_UNAVAILABLE,
+        GevStatus.PACKET_REMOVED,
+        GevStatus.PACKET_AND_PREVIOUS_REMOVED,
+    }
+)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image as it was received: raw bytes, and what the leader said (None when it never came)."""
+
+    block_id: int
+    leader: Leader | None
+    data: bytearray
+    missing_packets: int
+    resent_packets: int
+
+
+@dataclass
+class StreamCounters:
+    """What happened on a stream since it was opened."""
+
+    packets: int = 0
+    ignored: int = 0  # not of the standard form, not of an open block, or of a wrong length
+    duplicates: int = 0
+    resend_requests: int = 0
+    frames: int = 0
+    incomplete_frames: int = 0
+
+
+@dataclass
+class _Block:
+    block_id: int
+    data: bytearray
+    came: bytearray  # one flag per packet id, leader and trailer included
+    leader: Leader | None = None
+    left: int = 0
+    resent: int = 0
+    rounds: int = 0
+    last_packet_s: float = 0.0
+    gone: set[int] = field(default_factory=set)
+
+
+class FrameAssembler:
+    """Assembles the frames of one stream, whose payload and packet size are known from its set-up."""
+
+    def __init__(self, payload_bytes: int, packet_bytes: int) -> None:
+        self._payload_bytes = payload_bytes
+        self._data_bytes = packet_bytes - gev.GVSP_OVERHEAD_BYTES
+        self._payload_packets = -(-payload_bytes // self._data_bytes)
+        self._trailer_id = self._payload_packets + 1
+        self._open: OrderedDict[int, _Block] = OrderedDict()
+        self._finished: list[int] = []  # the last few block ids; repeated packets of them are not a new block
+        self.counters = StreamCounters()
+
+    @property
+    def waiting(self) -> bool:
+        """True while a frame has begun and is not finished."""
+        return bool(self._open)
+
+    def accept(self, packet: memoryview, now_s: float) -> Frame | None:
+        """Take one packet; returns the frame that it finishes, or one that gives way to a newer block."""
+        self.counters.packets += 1
+        header = decode_header(packet)
+        if header is None or header.packet_id > self._trailer_id or header.block_id in self._finished:
+            self.counters.ignored += 1
+            return None
+        pushed_out = self._give_way(header.block_id)
+        block = self._block(header.block_id)
+        block.last_packet_s = now_s
+        self._take(block, header, packet[gev.GVSP_HEADER_BYTES :])
+        # one packet never finishes a block, so no frame is lost here
+        return self._finish(block) if block.left == 0 else pushed_out
+
+    def overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
+        """What to ask for again, as (block id, first, last packet id), and a frame that is given up."""
+        for block in list(self._open.values()):
+            if (
+                now_s - block.last_packet_s
+                < RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
+            ):
+                continue
+            missing = [i for i in range(self._trailer_id + 1) if not block.came[i] and i not in block.gone]
+            if block.rounds >= len(RESEND_INTERVALS_S) or not missing:
+                return [], self._finish(block)
+            block.rounds += 1
+            block.last_packet_s = now_s
+            ranges = _ranges(missing)[:RANGES_PER_ROUND]
+            self.counters.resend_requests += len(ranges)
+            return [(block.block_id, first, last) for first, last in ranges], None
+        return [], None
+
+    def _block(self, block_id: int) -> _Block:
+        block = self._open.get(block_id)
+        if block is None:
+            block = _Block(
+                block_id,
+                bytearray(self._payload_bytes),
+                bytearray(self._trailer_id + 1),
+                left=self._trailer_id + 1,
+            )
+            self._open[block_id] = block
+        return block
+
+    def _give_way(self, block_id: int) -> Frame | None:
+        if block_id in self._open or len(self._open) < OPEN_BLOCKS:
+            return None
+        return self._finish(next(iter(self._open.values())))
+
+    def _take(self, block: _Block, header: PacketHeader, content: memoryview) -> None:
+        packet_id = header.packet_id
+        if header.status in _GONE:
+            # until the trailer came, "unavailable" may only mean "not yet"
+            if block.came[self._trailer_id]:
+                block.gone.add(packet_id)
+            return
+        if block.came[packet_id]:
+            self.counters.duplicates += 1
+            return
+        if not self._store(block, header, content):
+            self.counters.ignored += 1
+            return
+        block.came[packet_id] = 1
+        block.left -= 1
+        block.resent += header.status == GevStatus.PACKET_RESEND
+
+    def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
+        """Keep the content where it belongs; False when kind, place and length do not fit together."""
+        packet_id = header.packet_id
+        if packet_id == gev.LEADER_PACKET_ID:
+            block.leader = decode_leader(content) if header.kind == GvspFormat.LEADER else None
+            return block.leader is not None
+        if packet_id == self._trailer_id:
+            return header.kind == GvspFormat.TRAILER
+        begin = (packet_id - 1) * self._data_bytes
+        end = min(begin + self._data_bytes, self._payload_bytes)
+        if header.kind != GvspFormat.PAYLOAD or len(content) != end - begin:
+            return False
+        block.data[begin:end] = content
+        return True
+
+    def _finish(self, block: _Block) -> Frame:
+        del self._open[block.block_id]
+        self._finished = [*self._finished[-3:], block.block_id]
+        missing = sum(1 for i in range(1, self._trailer_id) if not block.came[i])
+        self.counters.frames += 1
+        self.counters.incomplete_frames += missing > 0 or block.leader is None
+        return Frame(block.block_id, block.leader, block.data, missing, block.resent)
+
+
+def _ranges(numbers: list[int]) -> list[tuple[int, int]]:
+    """Runs of consecutive numbers, ascending, as (first, last)."""
+    runs: list[tuple[int, int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1] = (runs[-1][0], number)
+        else:
+            runs.append((number, number))
+    return runs

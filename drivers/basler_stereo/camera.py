@@ -1,0 +1,231 @@
+"""One camera: found, controlled, set up, streaming, released."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+from drivers.basler_stereo import set_up
+from drivers.basler_stereo.access import RegisterAccess
+from drivers.basler_stereo.assembly import Frame, FrameAssembler, StreamCounters
+from drivers.basler_stereo.control import ControlChannel
+from drivers.basler_stereo.description import fetch_description, parse_description
+from drivers.basler_stereo.discovery import CameraIdentity, identify
+from drivers.basler_stereo.errors import CommandRefused, ControlTaken, NoCamera
+from drivers.basler_stereo.features import FeatureMap
+from drivers.basler_stereo.heartbeat import Heartbeat, require_control
+from drivers.basler_stereo.options import BaslerOptions
+from drivers.basler_stereo.packet_size import choose_packet_bytes, point_stream_to
+from drivers.basler_stereo.reception import StreamReceiver, open_stream_socket
+from ronna_hw.devices.readings import AreaOfInterest
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap, GevStatus
+
+
+class Camera:
+    """Deadlines are host monotonic time. One thread at a time, beside the heartbeat and the reception."""
+
+    def __init__(self, side: str, address: str, options: BaslerOptions) -> None:
+        self.side = side
+        self._address = address
+        self._options = options
+        self._control: ControlChannel | None = None
+        self._access: RegisterAccess | None = None
+        self._features: FeatureMap | None = None
+        self._heartbeat: Heartbeat | None = None
+        self._receiver: StreamReceiver | None = None
+        self._packet_bytes = 0
+        self._trigger = (0, 0)
+        self.area = AreaOfInterest(0, 0, 0, 0)
+        self.tick_frequency_hz = gev.TICK_FREQUENCY_HZ
+        self.lost: RonnaError | None = None  # set by the heartbeat
+        self.notices: list[str] = []
+
+    @property
+    def control(self) -> ControlChannel:
+        """The control channel; only while connected."""
+        assert self._control is not None, "the lifecycle allows this only while connected"
+        return self._control
+
+    @property
+    def features(self) -> FeatureMap:
+        """The features that the camera describes; only while controlled."""
+        assert self._features is not None, "the lifecycle allows this only while controlled"
+        return self._features
+
+    @property
+    def receiver(self) -> StreamReceiver:
+        """The reception; only while streaming."""
+        assert self._receiver is not None, "the lifecycle allows this only while streaming"
+        return self._receiver
+
+    @property
+    def counters(self) -> StreamCounters | None:
+        """What happened on the present stream, or None when there is none."""
+        return self._receiver.counters if self._receiver else None
+
+    @property
+    def trigger_write(self) -> tuple[ControlChannel, int, int]:
+        """Channel, register and value that trigger one frame."""
+        return (self.control, *self._trigger)
+
+    def connect(self, deadline_s: float) -> CameraIdentity:
+        """Open the control channel and ask who is there; raises GEV-001, GEV-008. Takes no control."""
+        try:
+            self._control = ControlChannel(self._address)
+        except OSError as error:
+            raise NoCamera(f"no way to {self._address}", last=error.strerror) from error
+        return identify(self._control, deadline_s)
+
+    def configure(self, deadline_s: float) -> None:
+        """Take control, read the description, bring everything to a known state, find the packet size.
+
+        Raises GEV-005 when another application is in control; on any error control is given back.
+        """
+        try:
+            self._take_control(deadline_s)
+            nodes = parse_description(fetch_description(self.control, deadline_s))
+            self._access = RegisterAccess(self.control)
+            self._features = FeatureMap(nodes, self._access)
+            self._access.deadline_s = deadline_s
+            set_up.apply_known_state(self._features, self._options)
+            self.area = set_up.full_area(self._features)
+            set_up.set_area(self._features, self.area)
+            self._choose_packet_size(deadline_s)
+            self.tick_frequency_hz = self._read_tick_frequency(deadline_s)
+        except BaseException:
+            with contextlib.suppress(RonnaError, OSError):
+                self.release(deadline_s)
+            raise
+
+    def set_area(self, area: AreaOfInterest, deadline_s: float) -> None:
+        """Choose the part of the sensor to read; raises GEV-011. Not while streaming."""
+        self._until(deadline_s)
+        set_up.set_area(self.features, area)
+        self.area = area
+
+    def set_exposure(self, exposure_us: float, gain_raw: int, deadline_s: float) -> None:
+        """Exposure and gain, also while streaming; raises GEV-011."""
+        self._until(deadline_s)
+        set_up.set_exposure(self.features, exposure_us, gain_raw)
+
+    def start(self, deadline_s: float) -> None:
+        """Open the stream and start the acquisition; block ids begin anew."""
+        self._until(deadline_s)
+        payload = set_up.payload_bytes(self.features, self.area, self._options.pixel_format_code)
+        address, value = self.features.command_write("TriggerSoftware")
+        self._trigger = (address, int.from_bytes(value, "big"))
+        stream = open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes)
+        self._receiver = StreamReceiver(
+            stream,
+            FrameAssembler(payload, self._packet_bytes),
+            self.control.request_resend if self._options.resend else None,
+            self.side,
+        )
+        try:
+            point_stream_to(self.control, stream, deadline_s)
+            set_up.lock_transport(self.features, True)
+            self.features.execute("AcquisitionStart")
+        except BaseException:
+            self._close_receiver()
+            raise
+
+    def stop(self, deadline_s: float) -> None:
+        """Stop the acquisition and close the stream."""
+        self._until(deadline_s)
+        try:
+            self.features.execute("AcquisitionStop")
+            self.control.write_register(Bootstrap.SCP, 0, deadline_s)
+            set_up.lock_transport(self.features, False)
+        finally:
+            self._close_receiver()
+
+    def take(self, deadline_s: float) -> Frame | None:
+        """The next frame, or None when none came by the deadline."""
+        return self.receiver.take(deadline_s)
+
+    def check_control(self, deadline_s: float) -> None:
+        """Raise GEV-007 when the camera does not answer, GEV-015 when it is no longer ours."""
+        require_control(self.control, deadline_s)
+
+    def release(self, deadline_s: float) -> None:
+        """Stop what runs and give control back; the channel stays open."""
+        if self._heartbeat is not None:
+            self._heartbeat.close()
+            self._heartbeat = None
+        try:
+            if self._receiver is not None:
+                self.stop(deadline_s)
+        finally:
+            self.control.write_register(Bootstrap.CCP, gev.CCP_OPEN, deadline_s)
+
+    def close(self, deadline_s: float) -> None:
+        """Give control back when the camera still answers, then let go of everything; never raises."""
+        if self._control is None:
+            return
+        with contextlib.suppress(RonnaError, OSError):
+            if self._heartbeat is not None:
+                self.release(deadline_s)
+        self._close_receiver()
+        self._control.close()
+        self._control = None
+
+    def _take_control(self, deadline_s: float) -> None:
+        taken = ControlTaken(
+            f"the {self.side} camera at {self._address} is controlled by another application"
+        )
+        try:
+            self.control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
+            privilege = self.control.read_register(Bootstrap.CCP, deadline_s)
+        except CommandRefused as error:
+            if error.status == GevStatus.ACCESS_DENIED:
+                raise taken from error
+            raise
+        if not privilege & gev.CCP_CONTROL:
+            raise taken
+        self.lost = None
+        self._set_heartbeat_timeout(deadline_s)
+        with contextlib.suppress(CommandRefused):  # older devices know no extended status codes
+            self.control.write_register(
+                Bootstrap.GVCP_CONFIGURATION, gev.GVCP_CONFIGURATION_EXTENDED_STATUS, deadline_s
+            )
+
+    def _set_heartbeat_timeout(self, deadline_s: float) -> None:
+        wanted_ms = self._options.heartbeat_ms
+        self.control.write_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, wanted_ms, deadline_s)
+        set_ms = self.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
+        if set_ms != wanted_ms:
+            self.notices.append(f"{self.side}: heartbeat time-out is {set_ms} ms, not {wanted_ms} ms")
+        self._heartbeat = Heartbeat(
+            self.control, min(wanted_ms, set_ms or wanted_ms), self._note_lost, f"stereo-{self.side}"
+        )
+
+    def _choose_packet_size(self, deadline_s: float) -> None:
+        self.control.write_register(Bootstrap.SCPD, self._options.inter_packet_delay_ticks, deadline_s)
+        stream = open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes)
+        with stream:
+            self._packet_bytes, proven = choose_packet_bytes(
+                self.control, stream, self._options.packet_bytes, deadline_s
+            )
+        if not proven:
+            self.notices.append(
+                f"{self.side}: the camera sends no test packets; packets of {self._packet_bytes} bytes"
+            )
+
+    def _read_tick_frequency(self, deadline_s: float) -> int:
+        high = self.control.read_register(Bootstrap.TICK_FREQUENCY_HIGH, deadline_s)
+        low = self.control.read_register(Bootstrap.TICK_FREQUENCY_LOW, deadline_s)
+        return high << 32 | low
+
+    def _until(self, deadline_s: float) -> None:
+        assert self._access is not None, "the lifecycle allows this only while controlled"
+        self._access.deadline_s = max(deadline_s, time.monotonic())
+
+    def _note_lost(self, error: RonnaError) -> None:
+        self.lost = error
+
+    def _close_receiver(self) -> None:
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None

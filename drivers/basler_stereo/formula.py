@@ -1,0 +1,129 @@
+"""Formulas of a camera description: arithmetic on named values, in the notation of GenICam."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+from lark import Lark, Token, Tree
+from lark.exceptions import LarkError
+
+from drivers.basler_stereo.errors import BadDescription
+
+Number = int | float
+
+_GRAMMAR = r"""
+?start: choice
+?choice: either | either "?" choice ":" choice -> choose
+?either: both | either "||" both -> or_
+?both: bits | both "&&" bits -> and_
+?bits: flips | bits "|" flips -> bit_or
+?flips: masks | flips "^" masks -> bit_xor
+?masks: equal | masks "&" equal -> bit_and
+?equal: order | equal ("="|"==") order -> eq | equal ("<>"|"!=") order -> ne
+?order: shift | order "<" shift -> lt | order ">" shift -> gt
+    | order "<=" shift -> le | order ">=" shift -> ge
+?shift: sum | shift "<<" sum -> lshift | shift ">>" sum -> rshift
+?sum: product | sum "+" product -> add | sum "-" product -> sub
+?product: sign | product "*" sign -> mul | product "/" sign -> div | product "%" sign -> mod
+?sign: power | "-" sign -> neg | "+" sign | "~" sign -> invert
+?power: atom | atom "**" sign -> pow
+?atom: NUMBER -> number | HEX -> hexadecimal | NAME "(" choice ")" -> call | NAME -> name | "(" choice ")"
+HEX.2: /0[xX][0-9a-fA-F]+/
+NUMBER: /(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?/
+NAME: /[A-Za-z_][A-Za-z0-9_.]*/
+%import common.WS
+%ignore WS
+"""
+
+_BINARY: dict[str, Callable[[Any, Any], Number]] = {
+    "bit_or": lambda a, b: int(a) | int(b),
+    "bit_xor": lambda a, b: int(a) ^ int(b),
+    "bit_and": lambda a, b: int(a) & int(b),
+    "lshift": lambda a, b: int(a) << int(b),
+    "rshift": lambda a, b: int(a) >> int(b),
+    "eq": operator.eq,
+    "ne": operator.ne,
+    "lt": operator.lt,
+    "gt": operator.gt,
+    "le": operator.le,
+    "ge": operator.ge,
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "mod": math.fmod,
+    "pow": operator.pow,
+    "or_": lambda a, b: int(bool(a) or bool(b)),
+    "and_": lambda a, b: int(bool(a) and bool(b)),
+}
+_FUNCTIONS: dict[str, Callable[[Any], Number]] = {
+    "ABS": abs,
+    "NEG": operator.neg,
+    "SGN": lambda value: (value > 0) - (value < 0),
+    "TRUNC": math.trunc,
+    "FLOOR": math.floor,
+    "CEIL": math.ceil,
+    "ROUND": lambda value: math.floor(value + 0.5),
+    "SQRT": math.sqrt,
+    "EXP": math.exp,
+    "LN": math.log,
+    "LG": math.log10,
+}
+
+
+def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Number:
+    """The value of a formula; `whole` gives the arithmetic of integers, division towards zero.
+
+    Raises GEV-009 for a formula that cannot be read, an unknown name, or a result that does not exist.
+    """
+    try:
+        result = _value(_parsed(formula), values, whole)
+    except (ArithmeticError, ValueError, TypeError) as error:
+        raise BadDescription(f"formula {formula!r} has no value: {error}") from error
+    return int(result) if whole else float(result)
+
+
+@lru_cache(maxsize=1)
+def _parser() -> Lark:
+    return Lark(_GRAMMAR, parser="lalr")
+
+
+@lru_cache(maxsize=256)
+def _parsed(formula: str) -> Tree[Token] | Token:
+    try:
+        return _parser().parse(formula)
+    except LarkError as error:
+        raise BadDescription(f"formula {formula!r} cannot be read") from error
+
+
+def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool) -> Number:
+    assert isinstance(node, Tree), "every rule of the grammar makes a tree"
+    kind, parts = str(node.data), node.children
+    if kind == "number":
+        text = str(parts[0])
+        return int(text) if text.isdigit() else float(text)
+    if kind == "hexadecimal":
+        return int(str(parts[0]), 16)
+    if kind == "name":
+        if str(parts[0]) not in values:
+            raise BadDescription(f"formula with the unknown name {parts[0]}")
+        return values[str(parts[0])]
+    if kind == "call":
+        function = _FUNCTIONS.get(str(parts[0]).upper())
+        if function is None:
+            raise BadDescription(f"formula with the unknown function {parts[0]}")
+        return function(_value(parts[1], values, whole))
+    if kind == "choose":
+        return _value(parts[1 if _value(parts[0], values, whole) else 2], values, whole)
+    first = _value(parts[0], values, whole)
+    if kind == "neg":
+        return -first
+    if kind == "invert":
+        return ~int(first)
+    second = _value(parts[1], values, whole)
+    if kind == "div":
+        return math.trunc(first / second) if whole else first / second
+    return _BINARY[kind](first, second)

@@ -1,0 +1,58 @@
+"""Stream packets from bytes: header, leader, trailer. No I/O."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from ronna_hw.devices.readings import AreaOfInterest
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import GvspFormat
+
+_HEADER = struct.Struct(gev.GVSP_HEADER)
+_LEADER = struct.Struct(gev.GVSP_LEADER)
+_KNOWN_FORMATS = frozenset(int(kind) for kind in GvspFormat)
+
+
+class PacketHeader(NamedTuple):
+    """The eight bytes before every packet's content."""
+
+    status: int
+    block_id: int
+    kind: int  # of GvspFormat
+    packet_id: int
+
+
+class Leader(NamedTuple):
+    """What a camera says about an image before it sends it."""
+
+    ticks: int
+    pixel_format: int
+    area: AreaOfInterest
+    padding_x: int
+
+
+def decode_header(packet: memoryview) -> PacketHeader | None:
+    """The header, or None for bytes that are no stream packet of the standard form."""
+    if len(packet) < gev.GVSP_HEADER_BYTES:
+        return None
+    status, block_id, word = _HEADER.unpack_from(packet)
+    kind = word >> gev.GVSP_FORMAT_SHIFT & gev.GVSP_FORMAT_MASK
+    if word & gev.GVSP_EXTENDED_ID_BIT or block_id == 0 or kind not in _KNOWN_FORMATS:
+        return None
+    return PacketHeader(status, block_id, kind, word & gev.GVSP_PACKET_ID_MASK)
+
+
+def decode_leader(content: memoryview) -> Leader | None:
+    """The leader of an image, or None for the leader of anything else."""
+    if len(content) < gev.GVSP_LEADER_BYTES:
+        return None
+    _, payload_type, ticks, pixel_format, width, height, x, y, padding_x, _ = _LEADER.unpack_from(content)
+    if payload_type != gev.PayloadType.IMAGE:
+        return None
+    return Leader(ticks, pixel_format, AreaOfInterest(x, y, width, height), padding_x)
+
+
+def following(block_id: int) -> int:
+    """The block id after this one: it wraps, and is never 0."""
+    return block_id % gev.BLOCK_ID_LAST + gev.BLOCK_ID_FIRST

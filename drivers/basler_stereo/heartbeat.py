@@ -1,0 +1,75 @@
+"""Keeps control of a camera by asking it regularly who controls it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from drivers.basler_stereo.control import ControlChannel
+from drivers.basler_stereo.errors import CameraLost, CommandRefused, ControlLost, NoAnswer
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap
+
+BEATS_PER_TIMEOUT = 4
+SLOWEST_BEAT_S = 1.0
+SILENT_BEATS = 2  # unanswered, repetitions included, before the camera counts as lost
+ASK_LIMIT_S = 1.0
+JOIN_LIMIT_S = 1.5
+
+
+class Heartbeat:
+    """A thread that reads the control privilege; tells `on_lost` once why it ends by itself.
+
+    Any command would restart the camera's timer. Reading the privilege also shows when the camera has
+    restarted or let go of us, and it is the one command that every device counts.
+    """
+
+    def __init__(
+        self, control: ControlChannel, timeout_ms: int, on_lost: Callable[[RonnaError], None], name: str
+    ) -> None:
+        self._control = control
+        self._period_s = min(SLOWEST_BEAT_S, timeout_ms / 1000.0 / BEATS_PER_TIMEOUT)
+        self._on_lost = on_lost
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"{name}-heartbeat", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; bounded by one command to a dead peer."""
+        self._ending.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(JOIN_LIMIT_S)
+
+    def _run(self) -> None:
+        silent = 0
+        while not self._ending.wait(self._period_s):
+            try:
+                require_control(self._control, time.monotonic() + ASK_LIMIT_S)
+                silent = 0
+            except NoAnswer as error:
+                silent += 1
+                if silent < SILENT_BEATS or self._ending.is_set():
+                    continue
+                lost = CameraLost(f"{self._control.address} no longer answers its heartbeat")
+                lost.__cause__ = error
+                self._on_lost(lost)
+                return
+            except (RonnaError, OSError) as error:
+                if self._ending.is_set():
+                    return
+                if not isinstance(error, RonnaError):
+                    error = CameraLost(f"the link to {self._control.address} broke", last=str(error))
+                self._on_lost(error)
+                return
+
+
+def require_control(control: ControlChannel, deadline_s: float) -> None:
+    """Raise GEV-015 unless the camera says that it is controlled, GEV-007 when it says nothing."""
+    try:
+        privilege = control.read_register(Bootstrap.CCP, deadline_s)
+    except CommandRefused as error:  # under another's exclusive access even reading is refused
+        raise ControlLost(f"{control.address} is controlled by another application") from error
+    if not privilege & (gev.CCP_CONTROL | gev.CCP_EXCLUSIVE):
+        raise ControlLost(f"{control.address} has let go of its controller", last=f"privilege {privilege}")

@@ -1,0 +1,83 @@
+"""Frames to readings: pixels as an array that nobody can change, and why they may or may not be used."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.basler_stereo.assembly import Frame
+from drivers.basler_stereo.set_up import image_bytes
+from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
+from ronna_hw.wire.gige_vision import PixelFormat
+
+_WORST_FIRST = (Validity.MISSING, Validity.CORRUPT, Validity.PARTIAL, Validity.OK)
+
+
+def camera_image(
+    frame: Frame,
+    serial: str,
+    area: AreaOfInterest,
+    pixel_format: PixelFormat,
+    sequence: int,
+    theatre_time_s: float,
+) -> CameraImage | None:
+    """The reading of one side; None without a leader, since such a frame has no time and no shape.
+
+    CORRUPT: the leader tells of another area or pixel format than was set. PARTIAL: packets are missing;
+    their pixels are 0.
+    """
+    if frame.leader is None:
+        return None
+    as_set = (
+        frame.leader.area == area
+        and frame.leader.pixel_format == pixel_format
+        and frame.leader.padding_x == 0
+        and len(frame.data) == image_bytes(area, pixel_format)
+    )
+    validity = Validity.PARTIAL if frame.missing_packets else Validity.OK
+    return CameraImage(
+        stamp=Stamp(sequence, frame.leader.ticks, theatre_time_s),
+        validity=validity if as_set else Validity.CORRUPT,
+        serial=serial,
+        pixels=pixels_of(frame.data, area, pixel_format),
+        area=area,
+        missing_packets=frame.missing_packets,
+    )
+
+
+def stereo_reading(
+    left: CameraImage | None, right: CameraImage | None, sequence: int, theatre_time_s: float
+) -> StereoReading:
+    """Both sides of one trigger; as valid as the worse of them. Its device clock is the left one's."""
+    present = left or right
+    ticks = present.stamp.device_clock if present else 0
+    validities = [side.validity if side else Validity.MISSING for side in (left, right)]
+    worst = next(validity for validity in _WORST_FIRST if validity in validities)
+    return StereoReading(Stamp(sequence, ticks, theatre_time_s), worst, left, right)
+
+
+def pixels_of(
+    data: bytearray, area: AreaOfInterest, pixel_format: PixelFormat
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Rows and columns of grey values, 8 or 12 bits; read-only."""
+    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    if pixel_format is PixelFormat.MONO8:
+        pixels = np.frombuffer(data, dtype=np.uint8)
+    elif pixel_format is PixelFormat.MONO12:
+        pixels = np.frombuffer(data, dtype="<u2").astype(np.uint16, copy=False)
+    else:
+        pixels = unpack_12_bits(np.frombuffer(data, dtype=np.uint8), area.width * area.height)
+    pixels = pixels.reshape(area.height, area.width)
+    pixels.flags.writeable = False
+    return pixels
+
+
+def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
+    """Two values from each three bytes: the high eight bits of either, the low four shared in the middle."""
+    whole = np.zeros(-(-count // 2) * 3, dtype=np.uint16)
+    whole[: len(packed)] = packed
+    first, shared, second = whole[0::3], whole[1::3], whole[2::3]
+    values = np.empty(2 * len(first), dtype=np.uint16)
+    values[0::2] = first << 4 | shared & 0x0F
+    values[1::2] = second << 4 | shared >> 4
+    return values[:count]

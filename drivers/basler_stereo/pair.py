@@ -1,0 +1,342 @@
+"""Two GigE Vision cameras that are triggered together, as a `StereoPair`."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from drivers.basler_stereo.assembly import Frame, StreamCounters
+from drivers.basler_stereo.camera import Camera
+from drivers.basler_stereo.control import write_together
+from drivers.basler_stereo.discovery import CameraIdentity, check_pair, pair_identity
+from drivers.basler_stereo.errors import (
+    CameraLost,
+    CommandRefused,
+    ControlLost,
+    NoAnswer,
+    TriggerMissed,
+    WrongSerial,
+)
+from drivers.basler_stereo.images import camera_image, stereo_reading
+from drivers.basler_stereo.options import read_options
+from ronna_hw.clock import Clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire.gige_vision import GevStatus
+
+CLOSE_LIMIT_S = 1.0  # for the farewell to each camera; a dead one costs no more
+ALIVE_LIMIT_S = 0.5  # to find out whether a camera that sent nothing is still there
+_FAULTS = (CameraLost, ControlLost)  # latched; left only by `recover`
+
+T = TypeVar("T")
+
+
+class BaslerStereoPair:
+    """Calls are synchronous; one thread at a time. Time limits are host time, in seconds."""
+
+    wire_protocol = "gige-vision"  # which byte-level conformance cases apply
+
+    def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
+        """Check options and endpoints; nothing is opened yet. Raises GEV-016, CFG-001 or CFG-002."""
+        self._name = name
+        self._clock = clock
+        self._options = read_options(config)
+        self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
+        self._guard = LifecycleGuard(name)
+        self._cameras: tuple[Camera, Camera] | None = None
+        self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
+        self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
+        self._exposure = (self._options.exposure_us, self._options.gain_raw)
+        self._sequence = 0
+        self._out_of_step = False
+
+    @staticmethod
+    def conformance_options() -> dict[str, Any]:
+        """Options for a conformance run on cameras about which nothing else is known."""
+        return {"expected_model": ""}
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    @property
+    def state(self) -> Lifecycle:
+        return self._guard.state
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """What latched FAULT, if anything."""
+        return self._guard.fault
+
+    @property
+    def serials(self) -> tuple[str, str]:
+        """Serial numbers read from the cameras, left and right; empty before `connect`."""
+        if self._identities is None:
+            return "", ""
+        return self._identities[0].serial, self._identities[1].serial
+
+    @property
+    def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
+        """The parts of the sensors that are read, left and right; known from `configure` on."""
+        self._guard.require("areas", READABLE)
+        left, right = self._pair
+        return left.area, right.area
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What was found at `configure` that is no error but should be known."""
+        return tuple(notice for camera in self._cameras or () for notice in camera.notices)
+
+    @property
+    def counters(self) -> tuple[StreamCounters | None, StreamCounters | None]:
+        """What happened on the present streams, left and right."""
+        self._guard.require("counters", READABLE)
+        left, right = self._pair
+        return left.counters, right.counters
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        """Find both cameras and check models and serial numbers; takes no control.
+
+        Raises GEV-001 (nobody there), GEV-002 (model), GEV-003 (serial number), GEV-004 (swapped).
+        """
+        self._guard.require("connect", {Lifecycle.DISCONNECTED})
+        self._cameras, self._identities = self._open(time.monotonic() + timeout_s)
+        self._guard.enter(Lifecycle.CONNECTED)
+        return pair_identity(*self._identities)
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        """Take control of both and bring them to a known state: software trigger, full frame, packet size.
+
+        Raises GEV-005 when another application is in control, GEV-006 to GEV-012 for what does not work;
+        then neither camera is controlled.
+        """
+        self._guard.require("configure", {Lifecycle.CONNECTED})
+        self._set_up(time.monotonic() + timeout_s)
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def activate(self, timeout_s: float = 10.0) -> None:
+        """Start both streams; the cameras then wait for triggers."""
+        self._guard.require("activate", {Lifecycle.CONFIGURED})
+        self._watched(lambda: self._start(time.monotonic() + timeout_s))
+        self._guard.enter(Lifecycle.ACTIVE)
+
+    def deactivate(self, timeout_s: float = 10.0) -> None:
+        """Stop both streams; control is kept."""
+        self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
+        self._watched(lambda: self._stop(time.monotonic() + timeout_s))
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
+        """Choose the part of each sensor to read; raises GEV-011 with both cameras as they were.
+
+        A running stream is stopped for it and started again; its block ids begin anew.
+        """
+        self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        if (left, right) == self.areas:
+            return
+        self._watched(lambda: self._change_areas((left, right), time.monotonic() + timeout_s))
+        self._areas = (left, right)
+
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
+        """Set both cameras alike; raises GEV-011."""
+        self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        deadline_s = time.monotonic() + timeout_s
+
+        def change() -> None:
+            for camera in self._pair:
+                camera.set_exposure(exposure_us, gain_raw, deadline_s)
+
+        self._watched(change)
+        self._exposure = (exposure_us, gain_raw)
+
+    def grab_pair(self, timeout_s: float = 2.0) -> StereoReading:
+        """Trigger both cameras once and return the pair of that trigger.
+
+        A side of which no image came is None and the reading MISSING, as long as its camera answers.
+        Raises GEV-013 when neither side sent one, and, with FAULT latched, GEV-014 (a camera is gone) or
+        GEV-015 (control lost). After a missing image the streams begin anew, so that a late one is never
+        taken for that of the next trigger.
+        """
+        self._guard.require("grab_pair", {Lifecycle.ACTIVE})
+        return self._watched(lambda: self._grab(time.monotonic() + timeout_s))
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        """FAULT -> CONFIGURED by a new session with the same cameras, areas and exposure.
+
+        Raises GEV-003 when other cameras answer; FAULT then stays latched.
+        """
+        self._guard.require("recover", {Lifecycle.FAULT})
+        if not acknowledged_by.strip():
+            raise ValueError("a recovery needs the name of the person who acknowledges the fault")
+        before = self.serials
+        deadline_s = time.monotonic() + timeout_s
+        self._let_go()
+        cameras, identities = self._open(deadline_s)
+        found = (identities[0].serial, identities[1].serial)
+        if found != before:
+            _close_all(cameras)
+            raise WrongSerial(
+                "other cameras answer than before", awaited="+".join(before), last="+".join(found)
+            )
+        self._cameras, self._identities = cameras, identities
+        self._set_up(deadline_s)
+        self._restore(deadline_s)
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def close(self) -> None:
+        """Stop, give control back, let go. At most about three seconds with dead cameras; never raises."""
+        if self._guard.state is Lifecycle.CLOSED:
+            return
+        self._let_go()
+        self._guard.enter(Lifecycle.CLOSED)
+
+    @property
+    def _pair(self) -> tuple[Camera, Camera]:
+        assert self._cameras is not None, "the lifecycle allows this call only with cameras"
+        return self._cameras
+
+    def _watched(self, work: Callable[[], T]) -> T:
+        """Do one piece of work; a camera that is gone or no longer ours latches FAULT."""
+        try:
+            for camera in self._pair:
+                if camera.lost is not None:
+                    raise camera.lost
+            return work()
+        except _FAULTS as fault:
+            self._guard.latch(fault)
+            raise
+        except NoAnswer as error:
+            lost = CameraLost("a camera no longer answers", last=error.what)
+            self._guard.latch(lost)
+            raise lost from error
+
+    def _open(self, deadline_s: float) -> tuple[tuple[Camera, Camera], tuple[CameraIdentity, CameraIdentity]]:
+        left, right = (Camera(side, self._addresses[side], self._options) for side in ("left", "right"))
+        try:
+            identities = (left.connect(deadline_s), right.connect(deadline_s))
+            check_pair(*identities, self._options)
+        except BaseException:
+            _close_all((left, right))
+            raise
+        return (left, right), identities
+
+    def _set_up(self, deadline_s: float) -> None:
+        done: list[Camera] = []
+        try:
+            for camera in self._pair:
+                camera.notices.clear()
+                camera.configure(deadline_s)
+                done.append(camera)
+        except BaseException:
+            for camera in done:
+                with contextlib.suppress(RonnaError, OSError):
+                    camera.release(deadline_s)
+            raise
+
+    def _restore(self, deadline_s: float) -> None:
+        for camera, area in zip(self._pair, self._areas or (), strict=False):
+            camera.set_area(area, deadline_s)
+        for camera in self._pair:
+            camera.set_exposure(*self._exposure, deadline_s)
+
+    def _start(self, deadline_s: float) -> None:
+        left, right = self._pair
+        left.start(deadline_s)
+        try:
+            right.start(deadline_s)
+        except BaseException:
+            with contextlib.suppress(RonnaError, OSError):
+                left.stop(deadline_s)
+            raise
+        self._out_of_step = False
+
+    def _stop(self, deadline_s: float) -> None:
+        for camera in self._pair:
+            camera.stop(deadline_s)
+
+    def _change_areas(self, areas: tuple[AreaOfInterest, AreaOfInterest], deadline_s: float) -> None:
+        running = self._guard.state is Lifecycle.ACTIVE
+        before = self.areas
+        if running:
+            self._stop(deadline_s)
+        try:
+            for camera, area in zip(self._pair, areas, strict=True):
+                camera.set_area(area, deadline_s)
+        except RonnaError:
+            for camera, area in zip(self._pair, before, strict=True):
+                camera.set_area(area, deadline_s)
+            raise
+        finally:
+            if running:
+                self._start(deadline_s)
+
+    def _grab(self, deadline_s: float) -> StereoReading:
+        if self._out_of_step:
+            self._stop(deadline_s)
+            self._start(deadline_s)
+        left, right = self._pair
+        for camera in (left, right):
+            camera.receiver.discard()
+        theatre_time_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
+        self._trigger(deadline_s)
+        frames = (left.take(deadline_s), right.take(deadline_s))
+        if None in frames:
+            self._out_of_step = True
+            self._explain_absence(frames)
+        self._sequence += 1
+        images = [
+            self._image(camera, frame, serial, theatre_time_s)
+            for camera, frame, serial in zip((left, right), frames, self.serials, strict=True)
+        ]
+        return stereo_reading(images[0], images[1], self._sequence, theatre_time_s)
+
+    def _trigger(self, deadline_s: float) -> None:
+        writes = [camera.trigger_write for camera in self._pair]
+        for camera, result in zip(self._pair, write_together(writes, deadline_s, "the trigger"), strict=True):
+            if isinstance(result, NoAnswer):
+                raise CameraLost(f"the {camera.side} camera does not answer the trigger") from result
+            if isinstance(result, CommandRefused) and result.status == GevStatus.ACCESS_DENIED:
+                raise ControlLost(f"the {camera.side} camera refuses our trigger") from result
+            if result is not None:
+                raise result
+
+    def _explain_absence(self, frames: tuple[Frame | None, Frame | None]) -> None:
+        """Find out why a frame did not come: raises GEV-014 or GEV-015 for its camera, GEV-013 for both."""
+        for camera, frame in zip(self._pair, frames, strict=True):
+            if frame is not None:
+                continue
+            try:
+                camera.check_control(time.monotonic() + ALIVE_LIMIT_S)
+            except NoAnswer as error:
+                raise CameraLost(f"the {camera.side} camera no longer answers") from error
+        if frames == (None, None):
+            raise TriggerMissed(
+                "no image after a trigger",
+                awaited="an image from either camera",
+                last="packets came, no whole image"
+                if any(camera.receiver.begun for camera in self._pair)
+                else "not one packet",
+            )
+
+    def _image(
+        self, camera: Camera, frame: Frame | None, serial: str, theatre_time_s: float
+    ) -> CameraImage | None:
+        if frame is None:
+            return None
+        return camera_image(
+            frame, serial, camera.area, self._options.pixel_format_code, self._sequence, theatre_time_s
+        )
+
+    def _let_go(self) -> None:
+        if self._cameras is not None:
+            _close_all(self._cameras)
+        self._cameras = None
+
+
+def _close_all(cameras: tuple[Camera, Camera]) -> None:
+    for camera in cameras:
+        camera.close(time.monotonic() + CLOSE_LIMIT_S)

@@ -1,0 +1,156 @@
+"""Brings a camera's features to a known, checked state: trigger, exposure, gain, pixel format, area."""
+
+from __future__ import annotations
+
+from drivers.basler_stereo.errors import BadDescription, MissingFeature, OutOfRange
+from drivers.basler_stereo.features import FeatureMap
+from drivers.basler_stereo.formula import Number
+from drivers.basler_stereo.options import BaslerOptions
+from ronna_hw.devices.readings import AreaOfInterest
+from ronna_hw.wire import gige_vision as gev
+
+# cameras of this family use the first name, younger standards the others
+EXPOSURE_NAMES = ("ExposureTimeAbs", "ExposureTime", "ExposureTimeRaw")
+GAIN_NAMES = ("GainRaw", "Gain")
+SENSOR_WIDTH_NAMES = ("SensorWidth", "WidthMax")
+SENSOR_HEIGHT_NAMES = ("SensorHeight", "HeightMax")
+
+FRAME_TRIGGER = "FrameStart"
+SOFTWARE = "Software"
+# what would change images behind our back, where a camera has it
+_FIXED_CHOICES = (
+    ("ExposureMode", "Timed"),
+    ("ExposureAuto", "Off"),
+    ("GainAuto", "Off"),
+    ("GainSelector", "All"),
+    ("TestImageSelector", "Off"),
+)
+
+
+def apply_known_state(features: FeatureMap, options: BaslerOptions) -> None:
+    """Everything but the area; raises GEV-010 for what the camera lacks, GEV-011 for impossible values."""
+    features.execute("AcquisitionStop")
+    lock_transport(features, False)  # a session that broke off may have left it
+    if options.load_default_user_set and features.has("UserSetLoad"):
+        features.choose("UserSetSelector", "Default")
+        features.execute("UserSetLoad")
+    features.choose("AcquisitionMode", "Continuous")
+    for name, entry in _FIXED_CHOICES:
+        if features.has(name) and entry in features.entries(name):
+            features.choose(name, entry)
+    arm_software_trigger(features)
+    features.choose("PixelFormat", options.pixel_format)
+    set_exposure(features, options.exposure_us, options.gain_raw)
+
+
+def lock_transport(features: FeatureMap, locked: bool) -> None:
+    """Tell the camera that geometry and pixel format must stay while images are under way."""
+    if features.has("TLParamsLocked"):
+        features.set_number("TLParamsLocked", int(locked))
+
+
+def arm_software_trigger(features: FeatureMap) -> None:
+    """One frame per software trigger, every other kind of trigger off; raises GEV-010."""
+    if not features.has("TriggerSoftware"):
+        raise MissingFeature("the camera has no software trigger")
+    for kind in features.entries("TriggerSelector"):
+        features.choose("TriggerSelector", kind)
+        features.choose("TriggerMode", "Off")
+    features.choose("TriggerSelector", FRAME_TRIGGER)
+    features.choose("TriggerSource", SOFTWARE)
+    features.choose("TriggerMode", "On")
+
+
+def set_exposure(features: FeatureMap, exposure_us: float, gain_raw: int) -> None:
+    """Exposure in microseconds and raw gain; raises GEV-011 with the camera's limits."""
+    exposure, gain = _first(features, EXPOSURE_NAMES), _first(features, GAIN_NAMES)
+    _require_within(features, exposure, exposure_us)
+    _require_within(features, gain, gain_raw)
+    features.set_number(exposure, round(exposure_us) if exposure.endswith("Raw") else exposure_us)
+    features.set_number(gain, gain_raw)
+
+
+def full_area(features: FeatureMap) -> AreaOfInterest:
+    """The whole sensor."""
+    width = features.whole(_first(features, SENSOR_WIDTH_NAMES))
+    height = features.whole(_first(features, SENSOR_HEIGHT_NAMES))
+    return AreaOfInterest(0, 0, width, height)
+
+
+def set_area(features: FeatureMap, area: AreaOfInterest) -> None:
+    """Choose the part of the sensor that is read; raises GEV-011 with the limits.
+
+    The offsets go to zero first: the camera refuses a size that does not fit beside its present offset.
+    """
+    sensor = full_area(features)
+    if area == present_area(features):
+        return
+    _require_area(features, area, sensor)
+    features.set_number("OffsetX", 0)
+    features.set_number("OffsetY", 0)
+    features.set_number("Width", area.width)
+    features.set_number("Height", area.height)
+    features.set_number("OffsetX", area.offset_x)
+    features.set_number("OffsetY", area.offset_y)
+    if (found := present_area(features)) != area:
+        raise OutOfRange("the camera took another area", awaited=_shown(area), last=_shown(found))
+
+
+def present_area(features: FeatureMap) -> AreaOfInterest:
+    """The part of the sensor that the camera says it reads."""
+    return AreaOfInterest(*(features.whole(name) for name in ("OffsetX", "OffsetY", "Width", "Height")))
+
+
+def payload_bytes(features: FeatureMap, area: AreaOfInterest, pixel_format: int) -> int:
+    """Bytes of one image; raises GEV-009 when camera and arithmetic disagree."""
+    expected = image_bytes(area, pixel_format)
+    if features.has("PayloadSize") and (said := features.whole("PayloadSize")) != expected:
+        raise BadDescription("the payload size does not fit the area", awaited=str(expected), last=str(said))
+    return expected
+
+
+def image_bytes(area: AreaOfInterest, pixel_format: int) -> int:
+    """Bytes of an image without padding."""
+    bits = pixel_format >> gev.PIXEL_FORMAT_BITS_SHIFT & gev.PIXEL_FORMAT_BITS_MASK
+    return -(-area.width * area.height * bits // 8)
+
+
+def _require_area(features: FeatureMap, area: AreaOfInterest, sensor: AreaOfInterest) -> None:
+    inside = (
+        area.width > 0
+        and area.height > 0
+        and area.offset_x >= 0
+        and area.offset_y >= 0
+        and area.offset_x + area.width <= sensor.width
+        and area.offset_y + area.height <= sensor.height
+    )
+    if not inside:
+        raise OutOfRange("the area is not on the sensor", limit=_shown(sensor), last=_shown(area))
+    for name, value in (
+        ("Width", area.width),
+        ("Height", area.height),
+        ("OffsetX", area.offset_x),
+        ("OffsetY", area.offset_y),
+    ):
+        limits = features.limits(name)
+        start, step = int(limits.minimum or 0), int(limits.step or 1)
+        if value < start or (value - start) % step:
+            raise OutOfRange(f"{name} {value}", limit=f"from {start} in steps of {step}", last=_shown(area))
+
+
+def _require_within(features: FeatureMap, name: str, value: Number) -> None:
+    limits = features.limits(name)
+    low, high = limits.minimum, limits.maximum
+    if (low is not None and value < low) or (high is not None and value > high):
+        raise OutOfRange(f"{name} {value}", limit=f"{low} to {high}")
+
+
+def _first(features: FeatureMap, names: tuple[str, ...]) -> str:
+    for name in names:
+        if features.has(name):
+            return name
+    raise MissingFeature(f"the camera has none of {', '.join(names)}")
+
+
+def _shown(area: AreaOfInterest) -> str:
+    return f"{area.width}x{area.height}+{area.offset_x}+{area.offset_y}"
