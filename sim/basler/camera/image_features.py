@@ -5,7 +5,7 @@ from __future__ import annotations
 from ronna_hw.wire.gige_vision import AREA_STEP_X_PX as STEP_X
 from ronna_hw.wire.gige_vision import SENSOR_HEIGHT_PX, SENSOR_WIDTH_PX, PixelFormat
 from sim.basler.camera.features import Feature, Kind, always, constant, setting
-from sim.basler.camera.settings import TestImage, bits_per_pixel
+from sim.basler.camera.settings import RampImage, bits_per_pixel
 
 PIXEL_SIZES = {"Bpp8": 8, "Bpp12": 12, "Bpp16": 16}
 IMAGE = "ImageFormat"
@@ -81,6 +81,6 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         "A ramp instead of the sensor's image.",
         "test_image",
         kind=Kind.ENUMERATION,
-        entries={"Off": TestImage.OFF, "Testimage1": TestImage.FIXED, "Testimage2": TestImage.MOVING},
+        entries={"Off": RampImage.OFF, "Testimage1": RampImage.FIXED, "Testimage2": RampImage.MOVING},
     ),
 )

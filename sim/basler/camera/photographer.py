@@ -6,8 +6,8 @@ import threading
 import time
 from typing import Protocol
 
-from sim.basler.camera.pixels import depth_bits, test_image, to_wire
-from sim.basler.camera.settings import FrameSettings, TestImage
+from sim.basler.camera.pixels import depth_bits, ramp_image, to_wire
+from sim.basler.camera.settings import FrameSettings, RampImage
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import Pose, View
@@ -51,14 +51,14 @@ class Photographer:
         return self.draw(frame, self._view.pose(), number, TRIGGERED_LANE)
 
     def running(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
-        if frame.test_image is not TestImage.OFF:
+        if frame.test_image is not RampImage.OFF:
             return frame, self.draw(frame, None, number, RING_LANE)
         return self._ring.picture(frame, number)
 
     def draw(self, frame: FrameSettings, pose: Pose | None, number: int, lane: int) -> bytes:
         """Draw and read out one image."""
-        if frame.test_image is not TestImage.OFF:
-            return to_wire(test_image(frame, number), frame.pixel_format)
+        if frame.test_image is not RampImage.OFF:
+            return to_wire(ramp_image(frame, number), frame.pixel_format)
         with self._drawing:
             light = self._optics.light_on(frame.area, self._view.spheres(pose))
         pixels = self._sensor.read(

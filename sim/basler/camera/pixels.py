@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ronna_hw.wire.gige_vision import PixelFormat
-from sim.basler.camera.settings import FrameSettings, TestImage, bits_per_pixel
+from sim.basler.camera.settings import FrameSettings, RampImage, bits_per_pixel
 from sim.basler.optics.sensor import Pixels
 
 
@@ -28,9 +28,9 @@ def depth_bits(pixel_format: PixelFormat) -> int:
     return 8 if bits_per_pixel(pixel_format) == 8 else 12
 
 
-def test_image(frame: FrameSettings, number: int) -> Pixels:
+def ramp_image(frame: FrameSettings, number: int) -> Pixels:
     """A diagonal ramp that repeats every 256 (or 4096) pixels; the moving one starts one later each frame."""
-    shift = number if frame.test_image is TestImage.MOVING else 0
+    shift = number if frame.test_image is RampImage.MOVING else 0
     rows = np.arange(frame.area.y, frame.area.y + frame.area.height)[:, None]
     columns = np.arange(frame.area.x, frame.area.x + frame.area.width)[None, :]
     if depth_bits(frame.pixel_format) == 8:

@@ -43,7 +43,7 @@ class TriggerSource(IntEnum):
     ACTION_1 = 2
 
 
-class TestImage(IntEnum):
+class RampImage(IntEnum):
     """Entries of TestImageSelector: none, a fixed ramp, a ramp that moves with every frame."""
 
     OFF = 0
@@ -79,7 +79,7 @@ class FrameSettings:
     exposure_us: int
     gain_raw: int
     black_level_raw: int
-    test_image: TestImage
+    test_image: RampImage
 
     @property
     def payload_bytes(self) -> int:
@@ -96,7 +96,7 @@ class Settings:
     offset_x: int = 0
     offset_y: int = 0
     pixel_format: int = PixelFormat.MONO8
-    test_image: int = TestImage.OFF
+    test_image: int = RampImage.OFF
     acquisition_mode: int = AcquisitionMode.CONTINUOUS
     acquisition_frame_count: int = 1
     frame_rate_enabled: int = 0
@@ -129,7 +129,7 @@ class Settings:
             self.exposure_us,
             self.gain_raw,
             self.black_level_raw,
-            TestImage(self.test_image),
+            RampImage(self.test_image),
         )
 
     def copy(self) -> Settings:

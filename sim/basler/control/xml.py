@@ -207,7 +207,7 @@ def _limits(root: ElementTree.Element, node: ElementTree.Element, feature: Featu
     if feature.kind is Kind.INTEGER:
         limits.append(("Inc", STEP_OFFSET))
     for word, offset in limits:
-        name = f"{feature.name}{word}Register"
+        name = f"{feature.name}Register{word}"  # WidthMax is the name of a feature
         _child(node, f"p{word}", name)
         _number_register(root, name, feature, address + offset, "RO", ())
 

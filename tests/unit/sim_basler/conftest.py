@@ -126,16 +126,19 @@ class Bench:
             found += self.packets(1)
         return found
 
-    def nothing_comes(self) -> bool:
-        """True when the camera's thread has nothing left to do and nothing was received."""
+    def packet_or_none(self) -> bytes | None:
+        """The next packet, or None when none comes for a while."""
         self.receiver.settimeout(0.05)
         try:
-            self.receiver.recv(65536)
+            return self.receiver.recv(65536)
         except TimeoutError:
-            return True
+            return None
         finally:
             self.receiver.settimeout(5.0)
-        return False
+
+    def nothing_comes(self) -> bool:
+        """True when no packet comes for a while."""
+        return self.packet_or_none() is None
 
 
 MakeBench = Callable[..., Bench]

@@ -1,0 +1,38 @@
+"""Free address pairs are found, taken ones are told."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+from sim.basler.addresses import bind_pair
+from sim.errors import EndpointTaken
+
+
+def close(*sockets: socket.socket) -> None:
+    for each in sockets:
+        each.close()
+
+
+def test_two_simulators_side_by_side_get_different_addresses() -> None:
+    first, second = bind_pair(()), bind_pair(())
+    addresses = {each.getsockname() for each in (*first, *second)}
+    close(*first, *second)
+    assert len(addresses) == 4
+    assert {port for _, port in addresses} == {3956}
+    assert all(address.startswith("127.77.") for address, _ in addresses)
+
+
+def test_a_taken_address_is_refused_and_nothing_stays_bound() -> None:
+    first = bind_pair(())
+    taken = first[1].getsockname()[0]
+    with pytest.raises(EndpointTaken, match=r"SIM-004.*3956"):
+        bind_pair(("127.99.3.7", taken))
+    again = bind_pair(("127.99.3.7", "127.99.3.8"))
+    close(*first, *again)
+
+
+def test_an_address_of_another_machine_is_refused() -> None:
+    with pytest.raises(EndpointTaken, match="cannot be bound"):
+        bind_pair(("192.0.2.1", "192.0.2.2"))

@@ -1,0 +1,125 @@
+"""The XML that the camera gives away, read as a client reads it, against the registers it speaks of."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from ronna_hw.wire.gige_vision import Bootstrap
+
+READMEM = 0x84
+FAMILY = """
+DeviceVendorName DeviceModelName DeviceManufacturerInfo DeviceVersion DeviceFirmwareVersion DeviceID
+DeviceUserID SensorWidth SensorHeight WidthMax HeightMax Width Height OffsetX OffsetY PixelFormat PixelSize
+TestImageSelector AcquisitionMode AcquisitionStart AcquisitionStop AcquisitionAbort
+AcquisitionFrameRateEnable AcquisitionFrameRateAbs ResultingFrameRateAbs AcquisitionStatusSelector
+AcquisitionStatus AcquisitionFrameCount ExposureMode ExposureAuto ExposureTimeAbs ExposureTimeRaw
+ExposureTimeBaseAbs ReadoutTimeAbs GainAuto GainSelector GainRaw BlackLevelSelector BlackLevelRaw
+TriggerSelector TriggerMode TriggerSource TriggerActivation TriggerDelayAbs TriggerSoftware PayloadSize
+GevVersionMajor GevVersionMinor GevSCPSPacketSize GevSCPD GevHeartbeatTimeout GevTimestampTickFrequency
+GevTimestampControlLatch GevTimestampControlReset GevTimestampValue ActionDeviceKey ActionSelector
+ActionGroupKey ActionGroupMask UserSetSelector UserSetLoad UserSetSave TLParamsLocked
+"""
+NAMES = frozenset(FAMILY.split())
+REGISTERS = ("IntReg", "FloatReg", "StringReg")
+
+
+def read(bench: Any, address: int, count: int) -> bytes:
+    status, _, content = bench.ask(READMEM, struct.pack(">IHH", address, 0, count))
+    assert status == 0, f"0x{address:X}"
+    return bytes(content[4:])
+
+
+@pytest.fixture
+def description(bench: Any) -> ElementTree.Element:
+    """The XML from the place that the first URL names, exactly as long as it says, without namespaces."""
+    url = read(bench, Bootstrap.FIRST_URL, 512).rstrip(b"\0").decode()
+    scheme, _, rest = url.partition(":")
+    assert scheme == "Local"
+    name, address, length = rest.split(";")
+    assert name.endswith(".xml")
+    start, size = int(address, 16), int(length, 16)
+    content = b"".join(read(bench, start + at, 512) for at in range(0, size - 512, 512))
+    content += read(bench, start + len(content), -(-(size - len(content)) // 4) * 4)
+    assert content[size:].strip(b"\0") == b""
+    root = ElementTree.fromstring(content[:size])
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    return root
+
+
+def test_17_every_register_of_the_description_exists(bench: Any, description: ElementTree.Element) -> None:
+    registers = [node for node in description if node.tag in REGISTERS]
+    assert len(registers) > 60
+    for node in registers:
+        address = int(node.findtext("Address", ""), 16)
+        length = int(node.findtext("Length", ""))
+        assert len(read(bench, address, length)) == length
+
+
+def test_17_every_reference_of_the_description_leads_somewhere(description: ElementTree.Element) -> None:
+    names = {node.get("Name") for node in description}
+    assert len(names) == len(list(description)), "a name occurs twice"
+    for element in description.iter():
+        if element.tag.startswith("p") and element.tag[1].isupper():
+            assert element.text in names, f"{element.tag} names {element.text}"
+
+
+def test_17_what_is_read_only_cannot_be_written_and_what_is_not_can(
+    bench: Any, description: ElementTree.Element
+) -> None:
+    bench.take_control()
+    for node in description:
+        if node.tag not in ("IntReg", "FloatReg"):
+            continue
+        address = int(node.findtext("Address", ""), 16)
+        access = node.findtext("AccessMode")
+        if node.get("Name", "").startswith(("Acquisition", "UserSet")) and access == "WO":
+            continue
+        status = bench.write(address, bench.read(address))
+        assert (status == 0x8004) == (access == "RO"), node.get("Name")
+
+
+def test_18_the_family_s_names_are_there_and_can_be_found_from_the_root(
+    description: ElementTree.Element,
+) -> None:
+    nodes = {node.get("Name"): node for node in description}
+    assert NAMES <= set(nodes)
+    reachable = set()
+    for category in nodes["Root"].findall("pFeature"):
+        reachable |= {feature.text for feature in nodes[category.text].findall("pFeature")}
+    assert NAMES <= reachable
+    selected = {entry.text for entry in nodes["TriggerSelector"].findall("pSelected")}
+    assert {"TriggerMode", "TriggerSource", "TriggerSoftware"} <= selected
+    for name in ("Width", "Height", "PixelFormat", "GevSCPSPacketSize"):
+        assert nodes[name].findtext("pIsLocked") == "TLParamsLocked"
+
+
+def test_20_the_limits_of_the_description_are_those_of_the_camera(
+    bench: Any, description: ElementTree.Element
+) -> None:
+    bench.take_control()
+    nodes = {node.get("Name"): node for node in description}
+
+    def value(name: str | None) -> int:
+        return int(bench.read(int(nodes[name].findtext("Address", ""), 16)))
+
+    for name in ("Width", "OffsetX", "OffsetY", "GainRaw", "ExposureTimeRaw", "BlackLevelRaw"):
+        low = value(nodes[name].findtext("pMin"))
+        high = value(nodes[name].findtext("pMax"))
+        step = value(nodes[name].findtext("pInc"))
+        assert bench.set(name, high) == bench.set(name, low) == 0
+        assert bench.set(name, high + step) == 0x8002
+        if low:
+            assert bench.set(name, low - 1) == 0x8002
+
+
+def test_the_description_names_a_version_of_its_own(description: ElementTree.Element) -> None:
+    assert description.get("VendorName") == "Basler"
+    assert description.get("ModelName") == "acA2000-50gmNIR"
+    version = description.get("VersionGuid", "")
+    assert len(version) == 36
+    assert version != "00000000-0000-0000-0000-000000000000"
