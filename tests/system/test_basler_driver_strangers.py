@@ -1,0 +1,126 @@
+"""Our camera client against a camera that we did not write: the fake camera of Aravis.
+
+Needs Debian's package aravis-tools (`arv-fake-gv-camera-0.8`) and nobody else on 127.0.0.1:3956.
+"""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from drivers.basler_stereo.camera import Camera
+from drivers.basler_stereo.control import write_together
+from drivers.basler_stereo.errors import OutOfRange
+from drivers.basler_stereo.images import camera_image
+from drivers.basler_stereo.options import BaslerOptions
+from ronna_hw.devices.readings import AreaOfInterest, Validity
+from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, PixelFormat
+
+FAKE_CAMERA = shutil.which("arv-fake-gv-camera-0.8")
+ADDRESS = "127.0.0.1"
+SERIAL = "STRANGER01"
+OPTIONS = BaslerOptions(expected_model="", gain_raw=5, packet_bytes=1500)
+AREA = AreaOfInterest(64, 32, 640, 480)
+
+pytestmark = pytest.mark.skipif(
+    FAKE_CAMERA is None,
+    reason="no arv-fake-gv-camera-0.8 here: install the Debian package aravis-tools to test with a stranger",
+)
+
+
+@contextmanager
+def fake_camera(*options: str):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((ADDRESS, GVCP_PORT))
+        except OSError:
+            pytest.skip(f"another program has {ADDRESS}:{GVCP_PORT}, which the fake camera needs")
+    assert FAKE_CAMERA is not None
+    process = subprocess.Popen(
+        [FAKE_CAMERA, "-i", ADDRESS, "-s", SERIAL, *options],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(5.0)
+
+
+def soon(limit_s: float = 5.0) -> float:
+    return time.monotonic() + limit_s
+
+
+@contextmanager
+def controlled(*options: str):
+    with fake_camera(*options):
+        camera = Camera("left", ADDRESS, OPTIONS)
+        identity = camera.connect(soon())
+        assert (identity.vendor, identity.model, identity.serial) == ("Aravis", "Fake", SERIAL)
+        camera.configure(soon())
+        try:
+            yield camera
+        finally:
+            camera.close(soon(1.0))
+
+
+def grab(camera: Camera):
+    assert write_together([camera.trigger_write], soon(), "the trigger") == [None]
+    frame = camera.take(soon(2.0))
+    assert frame is not None
+    return frame
+
+
+def test_a_strangers_camera_is_found_configured_triggered_and_grabbed_from():
+    with controlled() as camera:
+        assert camera.area == AreaOfInterest(0, 0, 2048, 2048)
+        camera.set_area(AREA, soon())
+        camera.set_exposure(3000.0, 7, soon())
+        assert camera.features.number("ExposureTimeAbs") == 3000.0
+        assert camera.features.number("GainRaw") == 7
+        with pytest.raises(OutOfRange):
+            camera.set_exposure(3000.0, 11, soon())
+        camera.start(soon())
+        frames = [grab(camera) for _ in range(3)]
+        steps = np.diff([frame.block_id for frame in frames])
+        assert steps.tolist() == [1, 1]
+        images = [camera_image(frame, SERIAL, AREA, PixelFormat.MONO8, 1, 0.0) for frame in frames]
+        assert [image.validity for image in images] == [Validity.OK] * 3
+        assert images[0].pixels.shape == (480, 640)
+        assert np.ptp(images[0].pixels) > 100  # a moving pattern, not an even field
+        assert not np.array_equal(images[0].pixels, images[1].pixels)
+        assert images[0].stamp.device_clock < images[1].stamp.device_clock
+        camera.stop(soon())
+        assert camera.control.read_register(Bootstrap.CCP, soon()) != 0
+        camera.release(soon())
+        assert camera.control.read_register(Bootstrap.CCP, soon()) == 0
+
+
+def test_the_heartbeat_keeps_control_of_a_strangers_camera():
+    with controlled() as camera:
+        time.sleep(1.2 * camera.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, soon()) / 1000.0)
+        assert camera.lost is None
+        assert camera.control.read_register(Bootstrap.CCP, soon()) != 0
+
+
+def test_packets_that_a_stranger_loses_for_good_are_counted():
+    with controlled("-r", "20") as camera:  # 2 % lost, and this camera knows no resend
+        camera.set_area(AREA, soon())
+        camera.start(soon())
+        missing = 0
+        for _ in range(5):
+            frame = grab(camera)
+            missing += frame.missing_packets
+            if missing:
+                image = camera_image(frame, SERIAL, AREA, PixelFormat.MONO8, 1, 0.0)
+                assert image is None or image.validity is Validity.PARTIAL
+                break
+        assert missing > 0
+        assert camera.counters.resend_requests > 0
