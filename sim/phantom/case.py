@@ -1,0 +1,124 @@
+"""A whole phantom case: CT series, plan, and the truth for whoever checks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.records import write_whole
+from sim.phantom.anatomy import Anatomy, draw_anatomy
+from sim.phantom.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
+from sim.phantom.grid import CtGrid, place_grid
+from sim.phantom.slice_painter import SlicePainter
+from sim.theatre.scene import Scene
+
+SERIES_FOLDER = "ct"
+PLAN_FILE = "plan.toml"
+TRUTH_FILE = "truth.json"
+PLAN_SCHEMA = 1
+TOOL = "guide"
+WORKERS = 2  # NumPy works outside the interpreter lock; more only compete for memory
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class PhantomCase:
+    """What was written."""
+
+    series: Path
+    plan: Path
+    truth: Path
+    series_instance_uid: str
+    slices: int
+
+
+def write_case(scene: Scene, folder: Path, progress: Progress = lambda share: None) -> PhantomCase:
+    """Scan the head of a scene and plan on it. Raises SIM-001 when the scene cannot be scanned.
+
+    Plan and truth are written last, so a folder with a plan holds a whole series.
+    """
+    grid = place_grid(scene.head, scene.ct)
+    anatomy = draw_anatomy(scene)
+    series = DicomSeries(scene, grid, folder / SERIES_FOLDER)
+    series.prepare()
+    painter = SlicePainter(scene, grid, anatomy)
+    steps = len(anatomy.markers) + grid.slices
+    with ThreadPoolExecutor(WORKERS) as pool:
+        patches = []
+        for patch in pool.map(painter.paint_patch, range(len(anatomy.markers))):
+            patches.append(patch)
+            progress(len(patches) / steps)
+        painter.patches = tuple(patches)
+
+        def paint(number: int) -> NDArray[np.uint16]:
+            return stored_values(painter.paint(number))
+
+        for number, stored in enumerate(pool.map(paint, range(grid.slices))):
+            series.write(number, stored)
+            progress((len(patches) + number + 1) / steps)
+    plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
+    write_whole(truth, json.dumps(_truth(scene, grid, anatomy, series), indent=1).encode())
+    write_whole(plan, _plan(scene, series.series_instance_uid).encode())
+    return PhantomCase(folder / SERIES_FOLDER, plan, truth, series.series_instance_uid, grid.slices)
+
+
+def _plan(scene: Scene, series_instance_uid: str) -> str:
+    import tomli_w
+
+    content = {
+        "schema": PLAN_SCHEMA,
+        "series_instance_uid": series_instance_uid,
+        "patient_orientation": PATIENT_POSITION,
+        "implanted": len(scene.head.fiducials),
+        "fiducials": "free",
+        "tool": TOOL,
+        "trajectories": [
+            {
+                "id": target.identifier,
+                "entry_mm": list(target.entry_ct_mm),
+                "target_mm": list(target.target_ct_mm),
+                "free_angle_deg": target.free_angle_deg,
+                "margin_mm": target.margin_mm,
+            }
+            for target in scene.head.targets
+        ],
+    }
+    return tomli_w.dumps(content)
+
+
+def _truth(scene: Scene, grid: CtGrid, anatomy: Anatomy, series: DicomSeries) -> dict[str, Any]:
+    return {
+        "scene": scene.name,
+        "seed": scene.seed,
+        "series_instance_uid": series.series_instance_uid,
+        "first_voxel_mm": list(grid.origin_mm),
+        "voxel_mm": [grid.pixel_mm, grid.pixel_mm, grid.slice_mm],
+        "noise_HU": scene.ct.noise_HU,
+        "fiducials": [
+            {
+                "number": marker.fiducial.number,
+                "centre_mm": list(marker.fiducial.centre_ct_mm),
+                "radius_mm": marker.fiducial.radius_mm,
+                "post": list(marker.fiducial.post_ct),
+                "post_material": marker.post,
+                "HU": marker.hu,
+            }
+            for marker in anatomy.markers
+        ],
+        "targets": [
+            {
+                "id": target.identifier,
+                "entry_mm": list(target.entry_ct_mm),
+                "target_mm": list(target.target_ct_mm),
+            }
+            for target in scene.head.targets
+        ],
+    }

@@ -1,0 +1,93 @@
+"""The voxel grid of the scan, placed so that the whole of every marker and trajectory lies in it.
+
+CT frame: DICOM LPS, mm. Columns run along x, rows along y, slices along z; coordinates name voxel centres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import BadScene
+from sim.theatre.scene import CtProtocol, Head
+
+Vector = NDArray[np.float64]
+
+MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air to compare it with
+TARGET_ROOM_MM = 3.0
+ORIGIN_DIGITS = 4  # what is painted is exactly what the headers can say
+
+
+@dataclass(frozen=True)
+class CtGrid:
+    """Voxel centres: `origin_mm` (x, y, z) of the first voxel of the first slice."""
+
+    origin_mm: tuple[float, float, float]
+    pixel_mm: float
+    slice_mm: float
+    columns: int
+    rows: int
+    slices: int
+
+    @property
+    def x_mm(self) -> Vector:
+        """Centres of the columns."""
+        return _positions(self.origin_mm[0], self.pixel_mm, self.columns)
+
+    @property
+    def y_mm(self) -> Vector:
+        """Centres of the rows."""
+        return _positions(self.origin_mm[1], self.pixel_mm, self.rows)
+
+    @property
+    def z_mm(self) -> Vector:
+        """Positions of the slices."""
+        return _positions(self.origin_mm[2], self.slice_mm, self.slices)
+
+    def indices(self, axis: int, low_mm: float, high_mm: float) -> slice:
+        """The voxels along x, y or z (0, 1, 2) whose centres lie between two coordinates."""
+        spacing = self.slice_mm if axis == 2 else self.pixel_mm
+        count = (self.columns, self.rows, self.slices)[axis]
+        first = int(np.ceil((low_mm - self.origin_mm[axis]) / spacing))
+        last = int(np.floor((high_mm - self.origin_mm[axis]) / spacing))
+        return slice(min(max(first, 0), count), min(max(last + 1, 0), count))
+
+
+def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
+    """Centre the field on the patient, shifted as far as markers and trajectories need.
+
+    Raises SIM-001 when they do not fit into the field of the protocol.
+    """
+    counts = np.array([protocol.columns, protocol.rows, protocol.slices])
+    spacing = np.array([protocol.pixel_mm, protocol.pixel_mm, protocol.slice_mm])
+    centre, semi_axes = np.array(head.centre_ct_mm), np.array(head.semi_axes_mm)
+    spheres = np.array([fiducial.centre_ct_mm for fiducial in head.fiducials])
+    ends = np.array([end for target in head.targets for end in (target.entry_ct_mm, target.target_ct_mm)])
+    needed = np.vstack(
+        [spheres - MARKER_ROOM_MM, spheres + MARKER_ROOM_MM, ends - TARGET_ROOM_MM, ends + TARGET_ROOM_MM]
+    )
+    low, high = needed.min(axis=0), needed.max(axis=0)
+    field = counts * spacing
+    if (high - low > field).any():
+        raise BadScene(
+            "markers and trajectories do not fit into the field of the CT",
+            awaited=f"a field of {_three(high - low)} mm",
+            last=f"{_three(field)} mm",
+        )
+    middle = 0.5 * (np.minimum(low, centre - semi_axes) + np.maximum(high, centre + semi_axes))
+    middle = np.clip(middle, high - field / 2, low + field / 2)
+    x, y, z = (round(float(value), ORIGIN_DIGITS) for value in middle - (counts - 1) * spacing / 2)
+    return CtGrid(
+        (x, y, z), protocol.pixel_mm, protocol.slice_mm, protocol.columns, protocol.rows, protocol.slices
+    )
+
+
+def _positions(first_mm: float, spacing_mm: float, count: int) -> Vector:
+    positions: Vector = first_mm + spacing_mm * np.arange(count, dtype=np.float64)
+    return positions
+
+
+def _three(values: Vector) -> str:
+    return " x ".join(f"{value:.0f}" for value in values)

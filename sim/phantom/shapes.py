@@ -1,0 +1,163 @@
+"""Solid bodies by their signed depth: millimetres below the surface, negative outside.
+
+Depth is exact for balls, rods and arcs, and of first order near the surface of ellipsoids. Coordinates are
+CT LPS mm; x, y and z may be any arrays that broadcast together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, inf
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float32]
+Point = tuple[float, float, float]
+Bounds = tuple[Point, Point]  # lowest and highest x, y, z
+
+
+class Shape(Protocol):
+    """A body of one intensity."""
+
+    @property
+    def hu(self) -> float:
+        """Its intensity."""
+        ...
+
+    def bounds(self) -> Bounds:
+        """A box that holds it."""
+        ...
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        """Signed depth in mm."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A sphere."""
+
+    hu: float
+    centre: Point
+    radius: float
+
+    def bounds(self) -> Bounds:
+        return _around(self.centre, (self.radius,) * 3)
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        cx, cy, cz = _single(self.centre)
+        distance: Values = np.sqrt((x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2)
+        return np.float32(self.radius) - distance
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """An ellipsoid with its axes along x, y, z."""
+
+    hu: float
+    centre: Point
+    semi_axes: Point
+
+    def bounds(self) -> Bounds:
+        return _around(self.centre, self.semi_axes)
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        return ellipsoid_depth(x, y, z, self.centre, self.semi_axes)
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A cylinder with flat ends, from `start` along the unit vector `along`."""
+
+    hu: float
+    start: Point
+    along: Point
+    length: float
+    radius: float
+
+    def bounds(self) -> Bounds:
+        end = [s + self.length * a for s, a in zip(self.start, self.along, strict=True)]
+        low = [min(s, e) - self.radius for s, e in zip(self.start, end, strict=True)]
+        high = [max(s, e) + self.radius for s, e in zip(self.start, end, strict=True)]
+        return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        sx, sy, sz = _single(self.start)
+        ax, ay, az = _single(self.along)
+        dx, dy, dz = x - sx, y - sy, z - sz
+        height = dx * ax + dy * ay + dz * az
+        across: Values = np.sqrt(np.maximum(dx * dx + dy * dy + dz * dz - height * height, np.float32(0.0)))
+        ends: Values = np.minimum(height, np.float32(self.length) - height)
+        depth: Values = np.minimum(np.float32(self.radius) - across, ends)
+        return depth
+
+
+@dataclass(frozen=True)
+class Trough:
+    """Part of an endless tube along z, behind the head; `half_arc_cosine` says how far it comes around."""
+
+    hu: float
+    centre: Point
+    inner: float
+    outer: float
+    half_arc_cosine: float
+
+    def bounds(self) -> Bounds:
+        return _around(self.centre, (self.outer, self.outer, inf))
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        cx, cy, _ = _single(self.centre)
+        dx, dy = x - cx, y - cy
+        distance: Values = np.sqrt(dx * dx + dy * dy) + np.float32(0.0) * z
+        wall = np.minimum(distance - np.float32(self.inner), np.float32(self.outer) - distance)
+        arc = dy - np.float32(self.half_arc_cosine) * distance  # +y is towards the back of the head
+        depth: Values = np.minimum(wall, arc)
+        return depth
+
+
+@dataclass(frozen=True)
+class Cable:
+    """A cable that winds along z: its centre swings by `swing` with the given wave length."""
+
+    hu: float
+    centre: Point
+    radius: float
+    swing: tuple[float, float]
+    wave_length: float
+
+    def bounds(self) -> Bounds:
+        reach = (self.radius + abs(self.swing[0]), self.radius + abs(self.swing[1]), inf)
+        return _around(self.centre, reach)
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        cx, cy, cz = _single(self.centre)
+        turn = (z - cz) * np.float32(2.0 * np.pi / self.wave_length)
+        dx = x - cx - np.float32(self.swing[0]) * np.sin(turn)
+        dy = y - cy - np.float32(self.swing[1]) * np.cos(turn)
+        # across the cable, not across its cut through the slice
+        slope = hypot(1.0, 2.0 * np.pi * max(map(abs, self.swing)) / self.wave_length)
+        distance: Values = np.sqrt(dx * dx + dy * dy)
+        return np.float32(self.radius) - distance / np.float32(slope)
+
+
+def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: Point) -> Values:
+    """Depth below an ellipsoid, of first order near its surface: f (1 - f) / |grad|, f the scaled radius."""
+    (cx, cy, cz), (a, b, c) = _single(centre), _single(semi_axes)
+    u, v, w = ((x - cx) / a) ** 2, ((y - cy) / b) ** 2, ((z - cz) / c) ** 2
+    squared = u + v + w
+    gradient = np.sqrt(u / (a * a) + v / (b * b) + w / (c * c) + np.float32(1e-12))
+    depth: Values = (np.sqrt(squared) - squared) / gradient
+    return depth
+
+
+def _single(point: Point) -> tuple[np.float32, np.float32, np.float32]:
+    x, y, z = point
+    return np.float32(x), np.float32(y), np.float32(z)
+
+
+def _around(centre: Point, reach: tuple[float, ...]) -> Bounds:
+    low = [value - size for value, size in zip(centre, reach, strict=True)]
+    high = [value + size for value, size in zip(centre, reach, strict=True)]
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
