@@ -144,6 +144,7 @@ class LinkClient:
         if self._closing.is_set():
             return
         self._closing.set()
+        os.eventfd_write(self._event_fd, 1)  # wakes the heartbeat
         with contextlib.suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.close()

@@ -74,4 +74,6 @@ def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    code = main()
+    sys.stderr.flush()
+    os._exit(code)  # nothing is left to be cleaned up, and the parent waits for the end

@@ -122,6 +122,7 @@ def test_the_stream_can_be_started_again_from_where_the_arm_is(controller: Any, 
     assert controller.axes_deg == pytest.approx((0, -90, 90, 0, 60, 0), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_no_speed_fraction_goes_beyond_the_working_speed(controller: Any, active_arm: Any) -> None:
     active_arm.move_joints(THERE, speed_fraction=0.2)
     assert _largest_step(controller.replies) < 0.2 / 8 + 1e-4
@@ -189,8 +190,8 @@ def test_hold_stops_the_arm_smoothly_and_resume_moves_nothing(controller: Any, a
     ("kind", "error"),
     [
         (StopKind.PROTECTIVE, ProtectiveStop),
-        (StopKind.DRIVES_OFF, DrivesOff),
-        (StopKind.LINK, LinkStopped),
+        pytest.param(StopKind.DRIVES_OFF, DrivesOff, marks=pytest.mark.slow),
+        pytest.param(StopKind.LINK, LinkStopped, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.hazard(32)
@@ -215,6 +216,7 @@ def test_a_stop_that_is_no_hold_is_latched_until_recovered(
     active_arm.move_joints(THERE)
 
 
+@pytest.mark.slow
 def test_a_second_motion_while_one_runs_is_refused(controller: Any, active_arm: Any) -> None:
     thread, _ = _moving(active_arm, controller)
     with pytest.raises(MotionRefused, match="another") as refused:
@@ -286,6 +288,7 @@ def test_lost_cycles_are_counted_and_make_the_arm_slower(controller: Any, active
 
 
 @pytest.mark.hazard(18)
+@pytest.mark.slow
 def test_one_lost_packet_at_speed_passes_and_the_motion_ends(controller: Any, active_arm: Any) -> None:
     thread, caught = _moving(active_arm, controller)
     controller.skip_cycles = 1
@@ -296,6 +299,7 @@ def test_one_lost_packet_at_speed_passes_and_the_motion_ends(controller: Any, ac
 
 
 @pytest.mark.hazard(18)
+@pytest.mark.slow
 def test_after_many_lost_packets_the_arm_goes_on_from_rest(controller: Any, active_arm: Any) -> None:
     thread, caught = _moving(active_arm, controller)
     controller.skip_cycles = 8
@@ -486,6 +490,7 @@ def test_an_unanswered_question_has_a_time_limit(controller: Any, make_arm: Any)
     assert caught.value.code == "EKI-003"
 
 
+@pytest.mark.slow
 def test_a_controller_that_ignores_the_stop_object_is_ended_by_eki(controller: Any, active_arm: Any) -> None:
     controller.stop_honoured = False
     active_arm.deactivate(timeout_s=2.0)
@@ -505,6 +510,7 @@ def test_close_is_bounded_when_the_controller_is_gone(controller: Any, active_ar
     assert _state(active_arm) is Lifecycle.CLOSED
 
 
+@pytest.mark.slow
 def test_close_in_motion_brings_the_arm_to_rest_and_ends_the_program(
     controller: Any, active_arm: Any
 ) -> None:

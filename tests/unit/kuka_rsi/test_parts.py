@@ -16,9 +16,14 @@ from drivers.kuka_rsi.errors import (
     BadEkiTelegram,
     BadOptions,
     ControllerNotReady,
+    ControllerRestarted,
+    DrivesOff,
     HeartbeatLate,
+    LinkStopped,
+    MotionTripped,
     PathFailed,
     PoseDisagrees,
+    ProtectiveStop,
 )
 from drivers.kuka_rsi.faults import error_of_fault, error_of_refusal
 from drivers.kuka_rsi.mailbox import (
@@ -240,6 +245,11 @@ def test_options_have_defaults_and_every_mistake_is_told() -> None:
         (Fault.HEARTBEAT, HeartbeatLate, "RSI-006"),
         (Fault.PATH, PathFailed, "RSI-016"),
         (Fault.BASE, PoseDisagrees, "RSI-015"),
+        (Fault.LINK_STOP, LinkStopped, "RSI-004"),
+        (Fault.DRIVES_OFF, DrivesOff, "EKI-009"),
+        (Fault.MONITOR, MotionTripped, "RSI-005"),
+        (Fault.PROTECTIVE, ProtectiveStop, "RSI-009"),
+        (Fault.RESTARTED, ControllerRestarted, "RSI-008"),
     ],
 )
 def test_a_latched_fault_becomes_its_error(fault: Fault, error: type[Exception], code: str) -> None:

@@ -1,0 +1,208 @@
+"""The arm driver and the robot controller's stand-in, each in processes of their own, over UDP and TCP."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from math import radians
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.kuka_rsi import KukaRsiArm
+from drivers.kuka_rsi.errors import LinkProcessDied, MotionStopped
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.pose import Pose
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices import Lifecycle, StopKind
+from ronna_hw.devices.readings import JointVector
+
+MODEL = arm_model("kr6_r900_sixx")
+TOOL_MM = (0.0, 0.0, 150.0)
+
+MOVER = """
+import sys, threading
+from math import radians
+from drivers.kuka_rsi import KukaRsiArm
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+
+endpoints = {"rsi": sys.argv[1], "eki_project": sys.argv[2]}
+arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
+arm.connect()
+arm.configure()
+arm.activate()
+start = arm.read_state().commanded_rad
+there = (start[0] + radians(60), *start[1:])
+threading.Thread(target=arm.move_joints, args=(there,), daemon=True).start()
+while not arm.read_state().joints_rad[0] > start[0] + radians(3):
+    pass
+print(arm._link._process.pid, flush=True)
+sys.stdin.read()
+"""
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _moved(joints: JointVector, *offsets_deg: float) -> JointVector:
+    A1, A2, A3, A4, A5, A6 = (a + radians(d) for a, d in zip(joints, offsets_deg, strict=True))
+    return (A1, A2, A3, A4, A5, A6)
+
+
+def _eventually(condition: Callable[[], bool], limit_s: float = 10.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def endpoints() -> Iterator[dict[str, str]]:
+    rsi = f"udp://127.0.0.1:{_free_port()}"
+    free = "tcp://127.0.0.1:0"
+    arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
+    with ChildProcess("ronna-sim kuka", arguments) as child:
+        yield {"rsi": rsi, "eki_project": child.ready["endpoints"]["eki_project"]}
+        assert child.alive
+
+
+@pytest.fixture
+def make_arm(endpoints: dict[str, str]) -> Iterator[Callable[[], KukaRsiArm]]:
+    made: list[KukaRsiArm] = []
+
+    def make(**options: Any) -> KukaRsiArm:
+        # Generous limits: these machines stall for tens of milliseconds.
+        options = {"silence_limit_s": 2.0, "heartbeat_limit_s": 5.0, **options}
+        config = DeviceConfig(driver="kuka_rsi", endpoints=endpoints, options=options)
+        made.append(KukaRsiArm("robot.master", config, HostClock()))
+        return made[-1]
+
+    yield make
+    for arm in made:
+        arm.close()
+
+
+def _activated(arm: KukaRsiArm) -> KukaRsiArm:
+    arm.connect()
+    arm.configure()
+    arm.activate()
+    return arm
+
+
+def _state(arm: KukaRsiArm) -> Lifecycle:
+    return arm.state
+
+
+def test_a_whole_session_of_joint_and_straight_moves(make_arm: Callable[[], KukaRsiArm]) -> None:
+    arm = make_arm()
+    identity = arm.connect()
+    assert identity.model == "kr6_r900_sixx"
+    assert arm.read_tool_identity().number >= 0
+    arm.configure()
+    arm.activate()
+    start = arm.read_state().joints_rad
+    target = _moved(start, 5, 3, -4, 6, -5, 10)
+    reading = arm.move_joints(target)
+    # At rest the arm is exactly where it was told to be, to the last digit of the wire.
+    assert reading.joints_rad == pytest.approx(target, abs=radians(0.0002))
+    here = forward(MODEL, target)
+    x, y, z = here.position_mm
+    line_end = Pose((x - 15, y + 10, z - 20), here.rotation)
+    reading = arm.move_linear(line_end, tool_in_flange_mm=TOOL_MM)
+    assert forward(MODEL, reading.joints_rad).distance_mm(line_end) < 0.005
+    statistics = arm.link_statistics()
+    assert statistics.cycles > 100
+    assert statistics.rejected_telegrams == 0
+    arm.deactivate()
+    assert arm.read_state().joints_rad == pytest.approx(reading.joints_rad, abs=radians(0.001))
+    arm.activate()
+    arm.move_joints(_moved(reading.joints_rad, -1, 0, 0, 0, 0, 0))
+
+
+def test_hold_in_motion_comes_to_rest_and_a_new_motion_may_follow(make_arm: Callable[[], KukaRsiArm]) -> None:
+    arm = _activated(make_arm())
+    start = arm.read_state().joints_rad
+    stopped: list[MotionStopped] = []
+
+    def move() -> None:
+        try:
+            arm.move_joints(_moved(start, 40, 0, 0, 0, 0, 0))
+        except MotionStopped as error:
+            stopped.append(error)
+
+    mover = threading.Thread(target=move)
+    mover.start()
+    _eventually(lambda: arm.read_state().joints_rad[0] > start[0] + radians(2))
+    arm.stop(StopKind.HOLD)
+    mover.join()
+    assert stopped
+    assert _state(arm) is Lifecycle.HOLD
+    resting = arm.read_state()
+    assert resting.joints_rad[0] < start[0] + radians(39)
+    arm.resume()
+    arm.move_joints(start)
+    assert _state(arm) is Lifecycle.ACTIVE
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_when_the_program_is_killed_the_arm_stops_and_the_controller_is_left_clean(
+    endpoints: dict[str, str], make_arm: Callable[[], KukaRsiArm], how: signal.Signals
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", MOVER, endpoints["rsi"], endpoints["eki_project"]],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as program:
+        assert program.stdout is not None
+        link_pid = int(program.stdout.readline())
+        program.send_signal(how)
+        program.wait()
+        _eventually(lambda: not Path(f"/proc/{link_pid}").exists(), 5.0)
+    arm = make_arm()
+    arm.connect()
+    before = arm.read_state().joints_rad
+    assert arm.read_state().joints_rad == before
+    arm.configure()
+    # Had the program not been ended by its STOP object, a message would forbid this start.
+    arm.activate()
+    arm.move_joints(_moved(before, -1, 0, 0, 0, 0, 0))
+
+
+def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
+    make_arm: Callable[[], KukaRsiArm],
+) -> None:
+    arm = _activated(make_arm())
+    start = arm.read_state().joints_rad
+    assert arm._link is not None
+    os.kill(arm._link._process.pid, signal.SIGKILL)
+    _eventually(lambda: _state(arm) is Lifecycle.FAULT)
+    assert isinstance(arm.fault, LinkProcessDied)
+    _eventually(lambda: arm._eki is not None and arm._eki.latest is not None and arm._eki.latest.error != 0)
+    arm.recover("operator")
+    arm.activate()
+    reading = arm.move_joints(_moved(start, 1, 0, 0, 0, 0, 0))
+    assert reading.joints_rad == pytest.approx(_moved(start, 1, 0, 0, 0, 0, 0), abs=radians(0.0002))
+
+
+def test_switching_the_drives_off_is_latched_and_recovered(make_arm: Callable[[], KukaRsiArm]) -> None:
+    arm = _activated(make_arm())
+    arm.stop(StopKind.DRIVES_OFF)
+    assert _state(arm) is Lifecycle.FAULT
+    arm.recover("operator")
+    arm.activate()
+    assert _state(arm) is Lifecycle.ACTIVE
