@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, cast
 
 from transitions.extensions import HierarchicalMachine
+from transitions.extensions.nesting import NestedState
 
 PHASES: dict[str, tuple[str, ...]] = {
     "preoperative": ("ct_import", "fiducial_localization", "plan_check"),
@@ -34,12 +35,23 @@ PREDECESSORS: dict[str, tuple[str, ...]] = {
 ENDS = ("finished", "fault", "aborted")
 
 
+SEPARATOR = "."  # between phase and step; the library's own underscore occurs in names of steps
+
+
 def state_of(step: str) -> str:
     """Name of a step's state in the machine, phase first."""
     for phase, steps in PHASES.items():
         if step in steps:
-            return f"{phase}_{step}"
+            return f"{phase}{SEPARATOR}{step}"
     return step
+
+
+class _StepState(NestedState):
+    separator = SEPARATOR
+
+
+class _Machine(HierarchicalMachine):
+    state_cls = _StepState
 
 
 class Whereabouts:
@@ -53,7 +65,7 @@ class ProcedureMachine:
 
     def __init__(self) -> None:
         self.model = Whereabouts()
-        HierarchicalMachine(
+        _Machine(
             self.model,
             states=_states(),
             transitions=_transitions(),

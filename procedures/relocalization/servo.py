@@ -20,7 +20,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """`tolerance_mm` is the end condition (thesis: 0.03 mm); `gain` the share of the residual per step."""
+    """`tolerance_mm` is the end condition (thesis: 0.03 mm); `gain` the share of the residual per step.
+
+    Within `near_mm` what is left is mostly the arm's repeatability. Following it in full would answer each
+    random error with another one, so there the k-th look moves by a k-th part: the commanded pose is then
+    the mean of what all near looks say.
+    """
 
     tolerance_mm: float = 0.03
     steps: int = 15
@@ -28,7 +33,8 @@ class ServoSettings:
     step_limit_mm: float = 10.0  # one step never moves the tool further: a wrong residual stays harmless
     shrink: float = 0.8  # the residual must fall to this share ...
     trend_steps: int = 2  # ... within this many steps
-    noise_mm: float = 0.06  # below this the arm's repeatability hides the trend
+    near_mm: float = 0.2
+    noise_mm: float = 0.12  # below this the arm's repeatability hides the trend
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,12 @@ class ServoState:
     def steps_made(self) -> int:
         """Motions between the measurements so far."""
         return max(0, len(self.residuals_mm) - 1)
+
+    @property
+    def gain(self) -> float:
+        """Share of the last residual that the next step goes."""
+        near_looks = sum(length <= self.settings.near_mm for length in self.residuals_mm)
+        return self.settings.gain / max(1, near_looks)
 
     def measured(self, residual_mm: ArrayLike) -> ServoState:
         """The state after one more residual (3,) in the tool frame.
@@ -69,7 +81,7 @@ class ServoState:
     def next_pose(self, tool_pose: Transform, residual_mm: ArrayLike) -> Transform:
         """The pose ROBOT <- TOOL to move to: the tool shifted by the residual, orientation kept."""
         _require_tool_pose(tool_pose)
-        step = self.settings.gain * _vector(residual_mm)
+        step = self.gain * _vector(residual_mm)
         length = float(np.linalg.norm(step))
         if length > self.settings.step_limit_mm:
             step *= self.settings.step_limit_mm / length

@@ -178,7 +178,8 @@ def set_up_logging(verbose: bool) -> None:
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
     )
-    logging.basicConfig(level=level, stream=sys.stderr)
+    # Other people's libraries tell every state and every font at DEBUG: only their warnings are of use.
+    logging.basicConfig(level=logging.WARNING if verbose else level, stream=sys.stderr)
     if not verbose:
         warnings.simplefilter("ignore")
 
