@@ -84,7 +84,7 @@ def test_random_errors_at_rest_do_not_drive_the_servo_about():
             offset_mm = offset_mm - state.next_pose(pose, seen).translation_mm
         steps.append(state.steps_made)
     assert sum(count <= 8 for count in steps) >= 999
-    assert np.mean(steps) < 2.0
+    assert np.mean(steps) < 2.5
 
 
 def test_the_orientation_is_kept():
