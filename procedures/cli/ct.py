@@ -113,8 +113,8 @@ def _print_markers(result: Localization) -> None:
             ]
         )
     console.print_table(
-        f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS",
-        ["#", "L mm", "P mm", "S mm", "sigma mm", "agreement mm", "radius mm", "quality", "flags"],
+        f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS in mm",
+        ["#", "L", "P", "S", "sigma", "agreement", "radius", "quality", "flags"],
         rows,
     )
 

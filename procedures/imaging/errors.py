@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from procedures.imaging.markers import Candidate
 
 
-LISTED_CANDIDATES = 12  # in the message; all of them are in the error
+LISTED_CANDIDATES = 8  # in the message; all of them are in the error
 
 
 class SeriesNotFound(DataError):

@@ -115,8 +115,10 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     from rich.text import Text
 
     table = Table(title=title, title_justify="left")
-    for column in columns:
-        table.add_column(column)
+    for number, column in enumerate(columns):
+        longest = max((len(str(row[number])) for row in rows), default=0)
+        last = number == len(columns) - 1  # only the last may be folded: numbers are never cut
+        table.add_column(column, min_width=None if last else longest, overflow="fold")
     for row in rows:
         table.add_row(*(Text(str(cell)) for cell in row))
     Console().print(table)
