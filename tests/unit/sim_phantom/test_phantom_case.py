@@ -1,0 +1,96 @@
+"""What is written: series, plan and truth, byte for byte from the seed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pydicom
+
+from sim.phantom.case import write_case
+from sim.theatre.scene import Scene
+
+
+def digest(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_series(
+    coarse_scene: Scene, tmp_path: Path
+) -> None:
+    write_case(coarse_scene, tmp_path / "a")
+    write_case(coarse_scene, tmp_path / "b")
+    other = write_case(coarse_scene.model_copy(update={"seed": 9}), tmp_path / "c")
+    assert digest(tmp_path / "a") == digest(tmp_path / "b")
+    first = tomllib.loads((tmp_path / "a" / "plan.toml").read_text())
+    assert first["series_instance_uid"] != other.series_instance_uid
+
+
+def test_the_series_is_a_ct_with_whole_geometry(coarse_scene: Scene, tmp_path: Path) -> None:
+    case = write_case(coarse_scene, tmp_path)
+    truth = json.loads(case.truth.read_text())
+    slices = [pydicom.dcmread(path) for path in sorted(case.series.glob("*.dcm"))]
+    assert len(slices) == case.slices == 52
+    assert {one.SeriesInstanceUID for one in slices} == {case.series_instance_uid}
+    assert len({one.SOPInstanceUID for one in slices}) == 52
+    assert len({one.FrameOfReferenceUID for one in slices}) == 1
+    for number, one in enumerate(slices):
+        assert one.Modality == "CT"
+        assert one.PatientPosition == "HFS"
+        assert [float(value) for value in one.ImageOrientationPatient] == [1, 0, 0, 0, 1, 0]
+        x, y, z = truth["first_voxel_mm"]
+        wanted = (x, y, z + 4.0 * number)
+        assert np.allclose([float(value) for value in one.ImagePositionPatient], wanted, atol=1e-6)
+        assert (float(one.RescaleIntercept), float(one.RescaleSlope)) == (-1024.0, 1.0)
+        assert one.pixel_array.shape == (128, 128)
+        assert one.pixel_array.max() <= 4095
+
+
+def test_the_plan_says_what_the_scene_holds(coarse_scene: Scene, tmp_path: Path) -> None:
+    case = write_case(coarse_scene, tmp_path)
+    plan = tomllib.loads(case.plan.read_text())
+    target = coarse_scene.head.targets[0]
+    assert plan["schema"] == 1
+    assert plan["series_instance_uid"] == case.series_instance_uid
+    assert plan["patient_orientation"] == "HFS"
+    assert plan["implanted"] == len(coarse_scene.head.fiducials)
+    assert plan["fiducials"] == "free"
+    assert plan["tool"] == "guide"
+    (trajectory,) = plan["trajectories"]
+    assert trajectory == {
+        "id": target.identifier,
+        "entry_mm": list(target.entry_ct_mm),
+        "target_mm": list(target.target_ct_mm),
+        "free_angle_deg": target.free_angle_deg,
+        "margin_mm": target.margin_mm,
+    }
+
+
+def test_the_truth_names_every_sphere(coarse_scene: Scene, tmp_path: Path) -> None:
+    truth = json.loads(write_case(coarse_scene, tmp_path).truth.read_text())
+    wanted = [list(fiducial.centre_ct_mm) for fiducial in coarse_scene.head.fiducials]
+    assert [fiducial["centre_mm"] for fiducial in truth["fiducials"]] == wanted
+    assert {fiducial["post_material"] for fiducial in truth["fiducials"]} <= {"metal", "polymer"}
+
+
+def test_slices_of_an_earlier_scan_do_not_stay_behind(coarse_scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "ct").mkdir()
+    (tmp_path / "ct" / "slice-0999.dcm").write_bytes(b"old")
+    (tmp_path / "ct" / "notes.txt").write_text("mine")
+    write_case(coarse_scene, tmp_path)
+    assert not (tmp_path / "ct" / "slice-0999.dcm").exists()
+    assert (tmp_path / "ct" / "notes.txt").exists()
+
+
+def test_progress_runs_to_the_end(coarse_scene: Scene, tmp_path: Path) -> None:
+    shares: list[float] = []
+    write_case(coarse_scene, tmp_path, shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
