@@ -52,6 +52,7 @@ def localize(
 
     Exit codes: 0 markers found, 1 the series is unusable or a file cannot be written, 2 usage,
     3 another number of markers than expected or none (the candidates are listed), 130 interrupted.
+    sigma is the predicted error of a centre, agree the distance between its two estimates, both in mm.
     elapsed_s is the time of the localization without reading the files.
     """
     console.set_up_logging(verbose)
@@ -114,7 +115,7 @@ def _print_markers(result: Localization) -> None:
         )
     console.print_table(
         f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS in mm",
-        ["#", "L", "P", "S", "sigma", "agreement", "radius", "quality", "flags"],
+        ["#", "L", "P", "S", "sigma", "agree", "radius", "quality", "flags"],
         rows,
     )
 
