@@ -21,7 +21,7 @@ POINTER = TrackerTool(
     part_number="8700340",
     markers_mm=((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (25.0, 100.0, 0.0), (-25.0, 135.0, 0.0)),
 )
-FRAMES = 100
+FRAMES = 60
 TRACKING_LIMIT_S = 20.0
 PAUSE_S = 0.004  # several requests per frame, without keeping a core busy
 
