@@ -23,7 +23,7 @@ from drivers.kuka_rsi.options import read_options
 from drivers.kuka_rsi.stream import end_stream, link_settings, open_controller, rest_of, start_stream
 from drivers.kuka_rsi.turnaround import EDGES_US, percentile_us
 from ronna_hw.arm.limits import MotionLimits, working_limits
-from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.model import ArmModel, arm_model, radians6
 from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import Clock
@@ -68,6 +68,7 @@ class KukaRsiArm:
         self._eki: EkiClient | None = None
         self._link: LinkClient | None = None
         self._sequence = 0
+        self._told: RonnaError | None = None  # the fault that a caller has already been given
 
     # Lifecycle
 
@@ -79,6 +80,11 @@ class KukaRsiArm:
     def state(self) -> Lifecycle:
         self._notice_fault()
         return self._guard.state
+
+    @property
+    def model(self) -> ArmModel:
+        """The nominal kinematics that lines and limits are computed with."""
+        return self._model
 
     @property
     def fault(self) -> RonnaError | None:
@@ -112,7 +118,7 @@ class KukaRsiArm:
         try:
             start_stream(self._the_eki, self._the_link, self._context, self._options, self._name, timeout_s)
         except RonnaError as error:
-            self._guard.latch(error)
+            self._latch(error)
             raise
         self._guard.enter(Lifecycle.ACTIVE)
 
@@ -125,7 +131,7 @@ class KukaRsiArm:
         try:
             end_stream(self._the_eki, self._the_link, deadline)
         except RonnaError as error:
-            self._guard.latch(error)
+            self._latch(error)
             raise
         self._guard.enter(Lifecycle.CONFIGURED)
 
@@ -288,7 +294,10 @@ class KukaRsiArm:
                     limit=f"{timeout_s:g} s",
                     last=_axes_text(link.state),
                 )
-        self._raise_fault()
+        self._notice_fault()
+        if (fault := self._guard.fault) is not None:
+            self._told = fault
+            raise fault
         if state.result is Result.STOPPED:
             raise MotionStopped(f"{self._name}: stopped on the way", last=_axes_text(state))
         if state.result is not Result.DONE:
@@ -318,7 +327,7 @@ class KukaRsiArm:
         try:
             return self._the_link.wait(condition, timeout_s)
         except LinkProcessDied as error:
-            self._guard.latch(error)
+            self._latch(error)
             raise
 
     @property
@@ -351,10 +360,17 @@ class KukaRsiArm:
         if error is not None:
             self._guard.latch(error)
 
+    def _latch(self, error: RonnaError) -> None:
+        """Latch an error that is about to be raised."""
+        self._guard.latch(error)
+        self._told = self._guard.fault
+
     def _raise_fault(self) -> None:
+        """Raise a latched fault to the first call that meets it; later calls are refused and name it."""
         self._notice_fault()
         fault = self._guard.fault
-        if fault is not None:
+        if fault is not None and fault is not self._told:
+            self._told = fault
             raise fault
 
     def _ask(self, timeout_s: float) -> ControllerState:

@@ -43,6 +43,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices import Lifecycle, RobotArm, StopKind
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
+from ronna_hw.errors import RonnaError
 
 MODEL = arm_model("kr6_r900_sixx")
 THERE = radians6(10, -85, 85, 5, 65, -10)
@@ -196,7 +197,7 @@ def test_hold_stops_the_arm_smoothly_and_resume_moves_nothing(controller: Any, a
 )
 @pytest.mark.hazard(32)
 def test_a_stop_that_is_no_hold_is_latched_until_recovered(
-    controller: Any, active_arm: Any, kind: StopKind, error: type[Exception]
+    controller: Any, active_arm: Any, kind: StopKind, error: type[RonnaError]
 ) -> None:
     thread, caught = _moving(active_arm, controller)
     active_arm.stop(kind)
@@ -205,7 +206,7 @@ def test_a_stop_that_is_no_hold_is_latched_until_recovered(
     assert _state(active_arm) is Lifecycle.FAULT
     assert type(active_arm.fault) is error
     assert _largest_step(controller.replies) < 1 / 8
-    with pytest.raises(error):
+    with pytest.raises(WrongState, match=error.code):  # later calls are refused and name it
         active_arm.read_state()
     if kind is StopKind.DRIVES_OFF:
         assert controller.facts["Drives"] == "0"
@@ -474,8 +475,11 @@ def test_a_lost_connection_is_latched_and_recovered_by_a_new_session(
 ) -> None:
     controller.drop_eki()
     _eventually(lambda: _state(active_arm) is Lifecycle.FAULT)
-    assert isinstance(active_arm.fault, ControllerLost)
-    assert active_arm.fault.code == "EKI-002"
+    with pytest.raises(ControllerLost) as caught:  # the first call that meets a fault is given it
+        active_arm.read_state()
+    assert caught.value.code == "EKI-002"
+    with pytest.raises(WrongState, match="EKI-002"):
+        active_arm.read_state()
     active_arm.recover("operator")
     active_arm.activate()
     active_arm.move_joints(THERE)

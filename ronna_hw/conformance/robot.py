@@ -1,0 +1,323 @@
+"""What every robot arm must do, whatever protocol is behind it.
+
+Without `--allow motion` nothing is commanded to move: the stream is started with corrections of zero, which
+hold the arm where it stands. The motions of the suite are small and return to where they began.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import socket
+import threading
+import time
+from math import degrees, radians
+from typing import Any
+
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.pose import Pose
+from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import ArmReading, JointVector, Validity
+from ronna_hw.devices.robot import RobotArm, StopKind
+from ronna_hw.errors import ConfigurationError, ConnectError, LimitError, RonnaError, StateError
+from ronna_hw.registry import make_device
+
+HOLDING_S = 0.2  # theatre time over which an arm with zero corrections is watched
+STANDS_STILL_RAD = radians(0.001)  # ten of the last digits of the usual wire
+REACHED_RAD = radians(0.01)  # of a settled joint move
+REACHED_MM = 0.05  # of a settled straight line; repeatability of small arms is 0.03 mm
+SMALL_TURN_RAD = radians(1.0)  # of the last axis: the hand turns, nothing else moves
+STOPPED_TURN_RAD = radians(20.0)  # long enough to be stopped on the way
+SMALL_LINE_MM = 2.0
+CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
+SLACK_S = 1.0
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+SUITE = Suite(
+    "robot",
+    driver="kuka_rsi",
+    simulator=(
+        "kuka",
+        *("--rsi", f"udp://127.0.0.1:{_free_port()}"),  # a client binds it, so the suite chooses it
+        *("--eki", "tcp://127.0.0.1:0", "--eki-project", "tcp://127.0.0.1:0"),
+    ),
+)
+
+
+def turned(joints_rad: JointVector, by_rad: float) -> JointVector:
+    """The same pose with the last axis turned, towards the middle of its range."""
+    A1, A2, A3, A4, A5, A6 = joints_rad
+    return (A1, A2, A3, A4, A5, A6 - math.copysign(by_rad, A6))
+
+
+def apart_rad(a: JointVector, b: JointVector) -> float:
+    """Largest difference of an axis."""
+    return max(abs(x - y) for x, y in zip(a, b, strict=True))
+
+
+def model_of(arm: Any) -> ArmModel:
+    """The kinematic model that the driver says it works with; the case is left undecided without one."""
+    model = getattr(arm, "model", None)
+    if not isinstance(model, ArmModel):
+        raise NotShown("the driver does not tell the model of its arm")
+    return model
+
+
+@SUITE.case("R01", "the driver offers the interface of a robot arm, and starts disconnected")
+def offers_the_interface(bench: Bench) -> None:
+    arm = bench.make()
+    check(isinstance(arm, RobotArm), "all calls of RobotArm", type(arm).__name__)
+    check(arm.state is Lifecycle.DISCONNECTED, "state disconnected", arm.state)
+    check(arm.name == bench.name, f"the name {bench.name}", arm.name)
+
+
+@SUITE.case("R02", "connecting says who answers")
+def identity_is_answered(bench: Bench) -> None:
+    arm = bench.make()
+    identity = arm.connect()
+    check(bool(identity.vendor and identity.model), "vendor and model", identity)
+    check(arm.state is Lifecycle.CONNECTED, "state connected", arm.state)
+
+
+@SUITE.case("R03", "calls that come too early are refused")
+def early_calls_are_refused(bench: Bench) -> None:
+    arm = bench.make()
+    for call in ("configure", "activate", "deactivate", "read_state", "read_tool_identity", "resume"):
+        refused(getattr(arm, call), StateError, f"{call} while disconnected")
+    arm.connect()
+    here = arm.read_state().joints_rad
+    refused(arm.activate, StateError, "activate while connected")
+    refused(lambda: arm.move_joints(here), StateError, "move_joints while connected")
+
+
+@SUITE.case("R04", "the axes can be read before anything is started, and are numbers an arm can have")
+def state_is_readable(bench: Bench) -> None:
+    reading: ArmReading = bench.at(Lifecycle.CONNECTED).read_state()
+    check(reading.validity is Validity.OK, "validity ok", reading.validity)
+    check(reading.commanded_rad is None, "no commanded axes without a stream", reading.commanded_rad)
+    check(all(abs(angle) < math.tau for angle in reading.joints_rad), "axes within a turn", reading)
+
+
+@SUITE.case("R05", "the mounted tool can be read, 0 for none")
+def tool_is_readable(bench: Bench) -> None:
+    check(bench.at(Lifecycle.CONNECTED).read_tool_identity().number >= 0, "a number of 0 or more")
+
+
+@SUITE.case("R06", "the first correction is zero: starting the stream moves nothing")
+def first_correction_is_zero(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.CONFIGURED)
+    before = arm.read_state().joints_rad
+    arm.activate()
+    check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
+    reading: ArmReading = arm.read_state()
+    check(reading.commanded_rad is not None, "commanded axes while the stream runs")
+    for _ in range(5):
+        bench.clock.sleep(HOLDING_S / 5)
+        reading = arm.read_state()
+        moved = apart_rad(reading.joints_rad, before)
+        check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+        check(reading.commanded_rad is not None, "commanded axes while the stream runs")
+        lag = apart_rad(reading.joints_rad, reading.commanded_rad or reading.joints_rad)
+        check(lag < STANDS_STILL_RAD, "commanded axes where the arm is", f"{degrees(lag):.5f} deg")
+
+
+@SUITE.case("R07", "readings are counted one by one, their times never run back, the device's clock advances")
+def stamps_are_in_order(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    stamps = []
+    for _ in range(5):
+        stamps.append(arm.read_state().stamp)
+        bench.clock.sleep(HOLDING_S / 5)
+    for before, after in itertools.pairwise(stamps):
+        check(after.sequence > before.sequence, "a later reading", after.sequence)
+        check(after.theatre_time_s >= before.theatre_time_s, "a later theatre time", after.theatre_time_s)
+        check(after.device_clock > before.device_clock, "a later device clock", after.device_clock)
+
+
+@SUITE.case("R08", "the statistics of the link agree with themselves")
+def statistics_agree(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    bench.clock.sleep(HOLDING_S)
+    s = arm.link_statistics()
+    check(s.cycles > 0, "cycles while the stream runs", s.cycles)
+    edges = s.histogram_edges_us
+    check(len(edges) == len(s.histogram_counts) + 1, "one edge more than counts", len(edges))
+    check(all(b > a for a, b in itertools.pairwise(edges)), "edges that rise")
+    check(sum(s.histogram_counts) > 0, "turnarounds counted", s.histogram_counts)
+    check(0 < s.turnaround_median_us <= s.turnaround_p99_us, "a median below the 99th percentile", s)
+
+
+@SUITE.case("R09", "a speed fraction outside 0..1 is refused before motion")
+def speed_fraction_is_checked(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    here = arm.read_state().commanded_rad
+    for fraction in (0.0, -0.5, 1.5, math.nan):
+        refused(
+            lambda fraction=fraction: arm.move_joints(here, speed_fraction=fraction),  # type: ignore[misc]
+            RonnaError,
+            f"a speed fraction of {fraction}",
+        )
+
+
+@SUITE.case("R10", "the stream can be ended and started again without a jump")
+def stop_and_start_again(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    before = arm.read_state().joints_rad
+    arm.deactivate()
+    check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
+    refused(lambda: arm.move_joints(before), StateError, "move_joints after deactivate")
+    arm.activate()
+    bench.clock.sleep(HOLDING_S)
+    moved = apart_rad(arm.read_state().joints_rad, before)
+    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+
+
+@SUITE.case("R11", "a small joint move ends where it was told to, and leads back", needs=("motion",))
+def small_joint_move(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    start = arm.read_state().commanded_rad
+    for target in (turned(start, SMALL_TURN_RAD), start):
+        reading: ArmReading = arm.move_joints(target, speed_fraction=0.5)
+        missed = apart_rad(reading.joints_rad, target)
+        check(missed < REACHED_RAD, "the target", f"{degrees(missed):.4f} deg beside it")
+        check(not reading.moving, "an arm at rest")
+
+
+@SUITE.case("R12", "a small straight line ends where it was told to, and leads back", needs=("motion",))
+def small_line(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    model = model_of(arm)
+    start = arm.read_state().commanded_rad
+    here = forward(model, start)
+    x, y, z = here.position_mm
+    for target in (Pose((x, y, z + SMALL_LINE_MM), here.rotation), here):
+        reading: ArmReading = arm.move_linear(target, speed_fraction=0.5)
+        missed_mm = forward(model, reading.joints_rad).distance_mm(target)
+        check(missed_mm < REACHED_MM, "the target", f"{missed_mm:.4f} mm beside it")
+    check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
+
+
+@SUITE.case("R13", "a target outside the joint ranges is refused before motion", needs=("motion",))
+def target_out_of_range(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    model = model_of(arm)
+    here = arm.read_state().commanded_rad
+    outside = (*here[:5], model.upper_rad[5] + SMALL_TURN_RAD)
+    refused(lambda: arm.move_joints(outside), LimitError, "a target out of range")
+    check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
+    moved = apart_rad(arm.read_state().joints_rad, here)
+    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+
+
+@SUITE.case("R14", "a hold brings the moving arm to rest on its way; resume moves nothing", needs=("motion",))
+def hold_comes_to_rest(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    start = arm.read_state().commanded_rad
+    target = turned(start, STOPPED_TURN_RAD)
+    ends = _stopped_on_the_way(bench, arm, start, target, StopKind.HOLD)
+    check(any(isinstance(error, StateError) for error in ends), "a motion that says it was stopped", ends)
+    check(arm.state is Lifecycle.HOLD, "state hold", arm.state)
+    refused(lambda: arm.move_joints(start), StateError, "move_joints in hold")
+    held = arm.read_state().commanded_rad
+    arm.resume()
+    check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
+    check(arm.read_state().commanded_rad == held, "an arm that stays where it was held")
+    check(apart_rad(held, target) > SMALL_TURN_RAD, "an arm stopped before its target")
+    arm.move_joints(start)
+
+
+@SUITE.case("R15", "a protective stop is latched, and recover leaves it without motion", needs=("motion",))
+def protective_stop_is_latched(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    start = arm.read_state().commanded_rad
+    ends = _stopped_on_the_way(bench, arm, start, turned(start, STOPPED_TURN_RAD), StopKind.PROTECTIVE)
+    check(bool(ends), "a motion that says it was stopped")
+    check(arm.state is Lifecycle.FAULT, "state fault", arm.state)
+    refused(lambda: arm.move_joints(start), StateError, "move_joints in fault")
+    arm.recover("conformance suite")
+    check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
+    arm.activate()
+    arm.move_joints(start)
+
+
+@SUITE.case("R16", "closing is bounded, final, and may be repeated")
+def close_is_bounded(bench: Bench) -> None:
+    arm = bench.at(Lifecycle.ACTIVE)
+    began_s = time.monotonic()
+    arm.close()
+    check(time.monotonic() - began_s < CLOSE_LIMIT_S, f"an end within {CLOSE_LIMIT_S} s")
+    check(arm.state is Lifecycle.CLOSED, "state closed", arm.state)
+    arm.close()
+    refused(arm.connect, StateError, "connect after close")
+
+
+@SUITE.case("R17", "connecting again is a full new session with the same device, in the same place")
+def reconnect_is_a_full_session(bench: Bench) -> None:
+    first = bench.make()
+    identity = first.connect()
+    before = bench.brought_to(Lifecycle.ACTIVE, first).read_state().joints_rad
+    first.close()
+    second = bench.make()
+    again = second.connect()
+    check(identity == again, f"the identity {identity}", again)
+    moved = apart_rad(bench.brought_to(Lifecycle.ACTIVE, second).read_state().joints_rad, before)
+    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+    bench.release()
+
+
+@SUITE.case("R18", "an endpoint where nobody is gives a connect error with code and advice, in time")
+def nobody_there(bench: Bench) -> None:
+    bench.release()
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        nowhere = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    single = bench.config.endpoint
+    elsewhere = {
+        name: nowhere if address.startswith("tcp:") else address
+        for name, address in bench.config.endpoints.items()
+    }
+    config = bench.config.model_copy(update={"endpoint": nowhere if single else None, "endpoints": elsewhere})
+    arm = make_device(bench.name, config, bench.clock)
+    began_s = time.monotonic()
+    error = refused(lambda: arm.connect(3.0), ConnectError, "connect to nobody")
+    check(isinstance(error, ConnectError) and bool(error.code and error.advice), "a code and advice", error)
+    check(time.monotonic() - began_s < 3.0 + SLACK_S, "an answer within 3 s")
+    arm.close()
+
+
+@SUITE.case("R19", "an unknown option is refused before anything is opened")
+def unknown_option_is_refused(bench: Bench) -> None:
+    options = {**bench.config.options, "no_such_option": 1}
+    refused(lambda: bench.make(options=options), ConfigurationError, "an unknown option")
+
+
+def _stopped_on_the_way(
+    bench: Bench, arm: Any, start: JointVector, target: JointVector, kind: StopKind
+) -> list[RonnaError]:
+    """Move in a thread, stop once the arm has visibly left its start; what the motion raised."""
+    ends: list[RonnaError] = []
+
+    def move() -> None:
+        try:
+            arm.move_joints(target, speed_fraction=0.5)
+        except RonnaError as error:
+            ends.append(error)
+
+    mover = threading.Thread(target=move)
+    mover.start()
+    try:
+        while mover.is_alive() and apart_rad(arm.read_state().joints_rad, start) < SMALL_TURN_RAD:
+            bench.clock.sleep(HOLDING_S / 20)
+        arm.stop(kind)
+    finally:
+        mover.join()
+    return ends

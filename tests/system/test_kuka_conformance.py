@@ -1,0 +1,51 @@
+"""The robot suite on the controller's stand-in: everything passes, and it is safe by default elsewhere."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from ronna_hw.child_process import ChildProcess, command
+
+SUITE = "ronna_hw.conformance.cli"
+
+
+def _run(*arguments: str) -> tuple[int, dict[str, object]]:
+    done = subprocess.run(
+        command(SUITE, "robot", "--json", *arguments), capture_output=True, text=True, timeout=55, check=False
+    )
+    return done.returncode, json.loads(done.stdout)
+
+
+def _outcomes(report: dict[str, object]) -> dict[str, str]:
+    cases = report["cases"]
+    assert isinstance(cases, list)
+    return {case["number"]: case["outcome"] for case in cases}
+
+
+@pytest.mark.slow
+def test_the_arm_passes_the_whole_suite_on_its_stand_in(tmp_path: Path) -> None:
+    code, report = _run("--sim", "--report", str(tmp_path / "report.json"))
+    assert set(_outcomes(report).values()) == {"PASS"}
+    assert code == 0
+    assert (tmp_path / "report.json").exists()
+
+
+@pytest.mark.slow
+def test_at_an_endpoint_nothing_is_moved_unless_asked() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        rsi = f"udp://127.0.0.1:{probe.getsockname()[1]}"
+    free = "tcp://127.0.0.1:0"
+    arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
+    with ChildProcess("ronna-sim kuka", arguments) as child:
+        eki = child.ready["endpoints"]["eki_project"]
+        code, report = _run("--endpoint", f"rsi={rsi}", "--endpoint", f"eki_project={eki}")
+    outcomes = _outcomes(report)
+    assert [n for n, o in outcomes.items() if o == "SKIP"] == ["R11", "R12", "R13", "R14", "R15"]
+    assert "FAIL" not in outcomes.values()
+    assert code == 0
