@@ -1,0 +1,95 @@
+"""Small theatres for the hazard tests: one simulated device, its world, and the driver at the other end."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from drivers.kuka_rsi import KukaRsiArm
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+from sim.theatre.process import load_scene
+from sim.theatre.world import World
+
+Condition = Callable[[], bool]
+
+
+def free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def eventually(condition: Condition, limit_s: float = 20.0) -> None:
+    """Wait for a condition in host time; the limit only ends a test that has failed."""
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+class RobotCell:
+    """A simulated controller in a world of the test's own, which knows where the arm truly is."""
+
+    def __init__(self, *options: str, paced: bool) -> None:
+        self.world = World.create(load_scene("bench"), paced=paced)
+        free = "tcp://127.0.0.1:0"
+        self.controller = ChildProcess(
+            "ronna-sim kuka",
+            command(
+                "sim.cli", "kuka", "--world", self.world.endpoint,
+                "--rsi", f"udp://127.0.0.1:{free_udp_port()}",
+                "--eki", free, "--eki-project", free, *options,
+            ),
+        )  # fmt: skip
+        ready = self.controller.ready["endpoints"]
+        self.endpoints = {"rsi": ready["rsi"], "eki_project": ready["eki_project"]}
+        self._arms: list[KukaRsiArm] = []
+
+    def arm(self, **options: Any) -> KukaRsiArm:
+        """A driver for this controller, closed at the end of the test."""
+        config = DeviceConfig(driver="kuka_rsi", endpoints=self.endpoints, options=options)
+        self._arms.append(KukaRsiArm("robot.master", config, open_clock(self.world.endpoint)))
+        return self._arms[-1]
+
+    def active_arm(self, **options: Any) -> KukaRsiArm:
+        arm = self.arm(**options)
+        arm.connect()
+        arm.configure()
+        arm.activate()
+        return arm
+
+    def true_joints_rad(self) -> NDArray[np.float64]:
+        return np.array(self.world.arm().joints_rad)
+
+    def close(self) -> None:
+        for arm in self._arms:
+            arm.close()
+        self.controller.stop()
+
+
+@pytest.fixture
+def robot_cell() -> Iterator[Callable[..., RobotCell]]:
+    """Makes robot cells; `paced` worlds run in real time, others in lock-step."""
+    cells: list[RobotCell] = []
+
+    def make(*options: str, paced: bool = False) -> RobotCell:
+        cells.append(RobotCell(*options, paced=paced))
+        return cells[-1]
+
+    yield make
+    for cell in cells:
+        cell.close()
+
+
+@pytest.fixture
+def awaited() -> Callable[..., None]:
+    return eventually

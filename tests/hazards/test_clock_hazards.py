@@ -1,0 +1,48 @@
+"""Hazard 29: no limit hangs on the wall clock, so it may jump."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("ronna_hw", "drivers", "sim", "procedures")
+WALL_CLOCK = {
+    "time.time", "time.time_ns", "time.localtime", "time.gmtime",
+    "datetime.now", "datetime.utcnow", "datetime.today", "date.today",
+    "datetime.datetime.now", "datetime.datetime.utcnow", "datetime.date.today",
+}  # fmt: skip
+# Where a date is what is wanted: on records, lines of the journal, reports, and against an expiry date.
+DATING = {
+    "ronna_hw/records.py",
+    "ronna_hw/conformance/report.py",
+    "sim/theatre/theatre_file.py",
+    "sim/phantom",
+    "procedures/engine/journal.py",
+    "procedures/reporting/report.py",
+    "procedures/cli/run_case.py",
+    "procedures/steps/set_up.py",
+}
+
+
+def _wall_clock_uses() -> Iterator[str]:
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            where = path.relative_to(ROOT).as_posix()
+            if where in DATING or path.parent.relative_to(ROOT).as_posix() in DATING:
+                continue
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Attribute) and ast.unparse(node) in WALL_CLOCK:
+                    yield f"{where}:{node.lineno} {ast.unparse(node)}"
+                if isinstance(node, ast.ImportFrom) and node.module == "time":
+                    names = {alias.name for alias in node.names}
+                    if names & {"time", "time_ns", "localtime", "gmtime"}:
+                        yield f"{where}:{node.lineno} from time import {', '.join(sorted(names))}"
+
+
+@pytest.mark.hazard(29)
+def test_the_wall_clock_dates_records_and_decides_nothing_else() -> None:
+    assert list(_wall_clock_uses()) == []

@@ -1,0 +1,69 @@
+"""Hazard 35: the patient's name is in no output, whatever goes wrong with the series."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
+
+SECRETS = ("Seeded^Patient", "SEEDED-ID", "19610203", "Seeded Hospital", "Seeded^Physician")
+SLICES = 12
+
+
+@pytest.fixture
+def series(tmp_path: Path) -> Path:
+    """An empty scan whose headers are full of patient data."""
+    folder = tmp_path / "series"
+    folder.mkdir()
+    for number in range(SLICES):
+        data = Dataset()
+        data.file_meta, data.preamble = FileMetaDataset(), b"\0" * 128
+        data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        data.file_meta.MediaStorageSOPClassUID = data.SOPClassUID = CTImageStorage
+        data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID = UID(f"1.2.3.{number + 1}")
+        data.SeriesInstanceUID, data.FrameOfReferenceUID = UID("1.2.3"), UID("1.2.4")
+        data.Modality = "CT"
+        data.PatientName, data.PatientID, data.PatientBirthDate = SECRETS[:3]
+        data.InstitutionName, data.ReferringPhysicianName = SECRETS[3:]
+        data.ImagePositionPatient, data.ImageOrientationPatient = [0, 0, number], [1, 0, 0, 0, 1, 0]
+        data.PixelSpacing, data.SliceThickness = [0.5, 0.5], 1.0
+        data.RescaleSlope, data.RescaleIntercept = 1, 0
+        data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
+        data.Rows = data.Columns = 32
+        data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
+        data.PixelData = np.full((32, 32), -1000, "<i2").tobytes()
+        data.save_as(folder / f"{number:03d}.dcm", enforce_file_format=True)
+    return folder
+
+
+def _sound(_series: Path) -> None:
+    """Leave the series as it is: no marker will be found in it."""
+
+
+def _without_a_slice(series: Path) -> None:
+    (series / "005.dcm").unlink()
+
+
+def _truncated(series: Path) -> None:
+    os.truncate(series / "004.dcm", 700)
+
+
+@pytest.mark.hazard(35)
+@pytest.mark.parametrize("spoil", [_sound, _without_a_slice, _truncated])
+def test_no_message_not_even_a_trace_carries_patient_data(series: Path, spoil: object) -> None:
+    assert callable(spoil)
+    spoil(series)
+    program = [sys.executable, "-P", "-c", "from procedures.cli.ct import main; main()"]
+    done = subprocess.run(
+        [*program, "localize", str(series), "--verbose"], capture_output=True, text=True, timeout=50
+    )
+    assert done.returncode != 0
+    assert "CT-0" in done.stderr
+    for secret in SECRETS:
+        assert secret not in done.stdout + done.stderr

@@ -1,0 +1,136 @@
+"""Hazards 4, 18, 20, 30: the robot link, through the wire, judged by where the arm truly is."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.kuka_rsi.errors import LinkSilent, WrongController
+from ronna_hw.arm.model import ArmVariant, arm_model
+from ronna_hw.devices import Lifecycle
+from ronna_hw.errors import RonnaError
+
+CYCLE_S = 0.004
+FULL_STEP_RAD = np.array(arm_model(ArmVariant.SIXX).full_speed_rad_s) * CYCLE_S
+LARGEST_STEP_SHARE = 0.25  # of an axis's full speed: what a controller takes in one cycle
+AWAY_RAD = 0.5
+GENEROUS_S = 5.0  # for limits that are not the subject of a test: these machines stall
+
+MOVER = """
+import sys
+from drivers.kuka_rsi import KukaRsiArm
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+
+rsi, eki, clock, heartbeat_limit_s = sys.argv[1:]
+options = {"heartbeat_limit_s": float(heartbeat_limit_s), "silence_limit_s": 5.0}
+config = DeviceConfig(driver="kuka_rsi", endpoints={"rsi": rsi, "eki_project": eki}, options=options)
+arm = KukaRsiArm("robot.master", config, open_clock(clock))
+arm.connect(); arm.configure(); arm.activate()
+start = arm.read_state().joints_rad
+print("moving", flush=True)
+arm.move_joints((start[0] + 2.5, *start[1:]), speed_fraction=0.5)
+print("arrived", flush=True)
+"""
+
+
+def _away(joints_rad: Any, angle_rad: float = AWAY_RAD) -> Any:
+    return tuple(angle + angle_rad for angle in joints_rad)
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize("lost_percent", [2, 10])
+def test_while_replies_are_lost_the_arm_arrives_without_a_jump(robot_cell: Any, lost_percent: int) -> None:
+    cell = robot_cell()
+    arm = cell.active_arm(silence_limit_s=GENEROUS_S)
+    target = _away(arm.read_state().joints_rad)
+    cell.world.set_fault_script(f"at 0 s: robot drop {lost_percent} % for 1000 s")
+    arm.move_joints(target, speed_fraction=0.25)
+    assert arm.link_statistics().late_cycles > 0
+    assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
+    sent = np.array([cycle.sent_rad for cycle in arm._link.recorded_cycles()])
+    assert (np.abs(np.diff(sent, axis=0)) < LARGEST_STEP_SHARE * FULL_STEP_RAD).all()
+
+
+@pytest.mark.hazard(18)
+def test_a_burst_of_lost_replies_at_full_speed_ends_at_rest_and_never_in_a_jump(robot_cell: Any) -> None:
+    cell = robot_cell()
+    arm = cell.active_arm(silence_limit_s=1.0)
+    start = arm.read_state().joints_rad
+    before = cell.true_joints_rad()
+    begin_s = cell.world.clock.now_s() + 0.5
+    cell.world.set_fault_script(f"at {begin_s} s: robot drop 100 % for 0.1 s")
+    # The controller may refuse what comes after the burst: then its stream ends, and that is latched.
+    with contextlib.suppress(LinkSilent):
+        arm.move_joints(_away(start))
+    assert arm.link_statistics().late_cycles > 0
+    steps = [cycle.measured_rad for cycle in arm._link.recorded_cycles()]
+    assert len(steps) > 100
+    assert (np.abs(np.diff(np.array(steps), axis=0)) < LARGEST_STEP_SHARE * FULL_STEP_RAD).all()
+    resting = cell.true_joints_rad()
+    assert np.all(resting >= before - 1e-6)  # never thrown back to where the corrections began
+    assert np.all(resting <= np.array(_away(start)) + 1e-6)
+
+
+@pytest.mark.hazard(20)
+@pytest.mark.parametrize("option", [("--corrections", "relative"), ("--cycle-ms", "12")])
+def test_a_controller_in_another_mode_or_cycle_is_refused_before_anything_moves(
+    robot_cell: Any, option: tuple[str, str]
+) -> None:
+    cell = robot_cell(*option)
+    before = cell.true_joints_rad()
+    arm = cell.arm()
+    with pytest.raises(WrongController):
+        arm.connect()
+    assert arm.state is Lifecycle.DISCONNECTED
+    assert (cell.true_joints_rad() == before).all()
+
+
+@pytest.mark.hazard(4)
+def test_a_controller_that_dies_on_the_way_latches_a_fault_and_gives_no_more_poses(robot_cell: Any) -> None:
+    cell = robot_cell(paced=True)
+    arm = cell.active_arm(silence_limit_s=0.2, heartbeat_limit_s=GENEROUS_S)
+    os.kill(cell.controller.process.pid, signal.SIGKILL)
+    cell.controller.process.wait()
+    with pytest.raises(RonnaError):
+        arm.move_joints(_away(arm.read_state().joints_rad))
+    assert arm.state is Lifecycle.FAULT
+    with pytest.raises(RonnaError):
+        arm.read_state()
+
+
+@pytest.mark.hazard(30)
+@pytest.mark.parametrize("halt", [signal.SIGSTOP, signal.SIGKILL])
+def test_when_the_program_that_leads_the_arm_halts_the_arm_comes_to_rest_on_its_way(
+    robot_cell: Any, awaited: Callable[..., None], halt: signal.Signals
+) -> None:
+    cell = robot_cell(paced=True)
+    start = cell.true_joints_rad()
+    arguments = [cell.endpoints["rsi"], cell.endpoints["eki_project"], cell.world.endpoint, "0.2"]
+    mover = subprocess.Popen(
+        [sys.executable, "-P", "-c", MOVER, *arguments], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert mover.stdout is not None
+        assert mover.stdout.readline() == "moving\n"
+        awaited(lambda: cell.true_joints_rad()[0] > start[0] + 0.1)
+        os.kill(mover.pid, halt)
+        awaited(lambda: cell.world.arm().at_rest)
+        assert cell.true_joints_rad()[0] < start[0] + 2.4  # on the way, not at the end of the motion
+        rest = cell.world.arm()
+        # The program on the controller ends as well: nobody is left to correct it.
+        cell.world.clock.sleep(0.5)
+        assert cell.world.arm().joints_rad == rest.joints_rad
+    finally:
+        mover.kill()
+        mover.wait()
+        assert mover.stdout is not None
+        mover.stdout.close()

@@ -1,0 +1,62 @@
+"""Hazard 14: what the tracker does not see has no pose, through the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.ndi_polaris import PolarisTracker
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.readings import Validity
+from sim.theatre.process import load_scene
+from sim.theatre.world import World
+
+TOOL = "robot_frame"
+STRAYS = 3  # of the bench scene
+
+
+@pytest.fixture
+def world() -> World:
+    return World.create(load_scene("bench"), paced=False)
+
+
+@pytest.fixture
+def tracker(world: World) -> Iterator[PolarisTracker]:
+    arguments = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0", "--world", world.endpoint)
+    with ChildProcess("ronna-sim polaris", arguments) as child:
+        config = DeviceConfig(
+            driver="ndi_polaris",
+            endpoint=child.ready["endpoint"],
+            options={"tools": [{"name": TOOL, "rom": "robot_frame.rom"}]},
+        )
+        tracker = PolarisTracker("tracker", config, open_clock(world.endpoint))
+        tracker.connect()
+        tracker.configure()
+        tracker.activate()
+        yield tracker
+        tracker.close()
+
+
+@pytest.mark.hazard(14)
+def test_while_a_tool_is_hidden_it_is_missing_without_a_pose_and_comes_back_by_itself(
+    world: World, tracker: PolarisTracker
+) -> None:
+    assert tracker.read_frame().tool(TOOL).validity is Validity.OK
+    world.set_fault_script(f"at {world.clock.now_s()} s: tracker occlude tool {TOOL} for 0.5 s")
+    hidden = [tracker.read_frame().tool(TOOL) for _ in range(10)]
+    assert {reading.validity for reading in hidden} == {Validity.MISSING}
+    assert {(reading.position_mm, reading.rotation) for reading in hidden} == {(None, None)}
+    world.clock.sleep(0.5)
+    assert tracker.read_frame().tool(TOOL).position_mm is not None
+
+
+@pytest.mark.hazard(14)
+def test_hiding_a_tool_makes_none_of_the_other_spheres_its_own(world: World, tracker: PolarisTracker) -> None:
+    assert len(tracker.read_frame().strays) == STRAYS
+    world.set_fault_script(f"at {world.clock.now_s()} s: tracker occlude tool {TOOL} for 0.5 s")
+    frame = tracker.read_frame()
+    assert frame.tool(TOOL).position_mm is None
+    assert len(frame.strays) == STRAYS
