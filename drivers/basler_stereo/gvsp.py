@@ -7,11 +7,9 @@ from typing import NamedTuple
 
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.wire import gige_vision as gev
-from ronna_hw.wire.gige_vision import GvspFormat
 
 _HEADER = struct.Struct(gev.GVSP_HEADER)
 _LEADER = struct.Struct(gev.GVSP_LEADER)
-_KNOWN_FORMATS = frozenset(int(kind) for kind in GvspFormat)
 
 
 class PacketHeader(NamedTuple):
@@ -19,7 +17,7 @@ class PacketHeader(NamedTuple):
 
     status: int
     block_id: int
-    kind: int  # of GvspFormat
+    kind: int  # of GvspFormat; a refused repetition may carry any
     packet_id: int
 
 
@@ -38,7 +36,7 @@ def decode_header(packet: memoryview) -> PacketHeader | None:
         return None
     status, block_id, word = _HEADER.unpack_from(packet)
     kind = word >> gev.GVSP_FORMAT_SHIFT & gev.GVSP_FORMAT_MASK
-    if word & gev.GVSP_EXTENDED_ID_BIT or block_id == 0 or kind not in _KNOWN_FORMATS:
+    if word & gev.GVSP_EXTENDED_ID_BIT or block_id == 0:
         return None
     return PacketHeader(status, block_id, kind, word & gev.GVSP_PACKET_ID_MASK)
 

@@ -53,6 +53,7 @@ class BaslerStereoPair:
         self._exposure = (self._options.exposure_us, self._options.gain_raw)
         self._sequence = 0
         self._out_of_step = False
+        self._block_ids: tuple[int | None, int | None] = (None, None)
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
@@ -97,6 +98,11 @@ class BaslerStereoPair:
         self._guard.require("counters", READABLE)
         left, right = self._pair
         return left.counters, right.counters
+
+    @property
+    def block_ids(self) -> tuple[int | None, int | None]:
+        """Block ids of the last pair, None for a side that did not come. They begin anew with each stream."""
+        return self._block_ids
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers; takes no control.
@@ -284,6 +290,8 @@ class BaslerStereoPair:
         theatre_time_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
         self._trigger(deadline_s)
         frames = (left.take(deadline_s), right.take(deadline_s))
+        left_id, right_id = (frame.block_id if frame else None for frame in frames)
+        self._block_ids = (left_id, right_id)
         if None in frames:
             self._out_of_step = True
             self._explain_absence(frames)

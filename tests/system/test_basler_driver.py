@@ -61,7 +61,10 @@ class Peer:
             stdout=subprocess.PIPE,
             text=True,
         )
+
+    def ready(self) -> Peer:
         assert self._process.stdout.readline() == "READY\n"
+        return self
 
     def fault(self, *words: object) -> str:
         self._process.stdin.write(" ".join(str(word) for word in words) + "\n")
@@ -80,11 +83,22 @@ class Peer:
 
 
 @pytest.fixture
-def peers():
-    pair = [Peer(serial) for serial in SERIALS]
-    yield pair
-    for peer in pair:
+def make_peer():
+    made = []
+
+    def make(*arguments: str) -> Peer:
+        made.append(Peer(*arguments))
+        return made[-1]
+
+    yield make
+    for peer in made:
         peer.close()
+
+
+@pytest.fixture
+def peers(make_peer):
+    started = [make_peer(serial) for serial in SERIALS]
+    return [peer.ready() for peer in started]
 
 
 @pytest.fixture
@@ -339,13 +353,10 @@ def test_nobody_at_the_address(make_pair, peers):
     assert device.state is Lifecycle.DISCONNECTED
 
 
-def test_another_model_is_refused(make_pair):
-    other = Peer(SERIALS[0], "--model", "acA640-120gm")
-    try:
-        with pytest.raises(WrongModel, match=r"GEV-002.*acA640-120gm"):
-            make_pair(left=other).connect(2.0)
-    finally:
-        other.close()
+def test_another_model_is_refused(make_pair, make_peer):
+    other = make_peer(SERIALS[0], "--model", "acA640-120gm").ready()
+    with pytest.raises(WrongModel, match=r"GEV-002.*acA640-120gm"):
+        make_pair(left=other).connect(2.0)
 
 
 def test_swapped_cables_are_told_from_a_wrong_camera(make_pair, peers):
@@ -377,41 +388,32 @@ def test_after_a_failed_configure_neither_camera_is_controlled(make_pair, peers)
     assert device.state is Lifecycle.CONFIGURED
 
 
-def test_a_packet_size_that_does_not_arrive_is_refused(make_pair):
-    narrow = Peer(SERIALS[0], "--largest-packet", "1500")
-    try:
-        device = make_pair(left=narrow, packet_bytes=8000)
-        device.connect(2.0)
-        with pytest.raises(PacketTooLarge, match="GEV-012"):
-            device.configure(5.0)
-    finally:
-        narrow.close()
-
-
-def test_without_a_wish_the_largest_packets_that_arrive_are_used(make_pair):
-    narrow = Peer(SERIALS[0], "--largest-packet", "1500")
-    try:
-        device = make_pair(left=narrow)
-        device.connect(2.0)
+def test_a_packet_size_that_does_not_arrive_is_refused(make_pair, make_peer):
+    narrow = make_peer(SERIALS[0], "--largest-packet", "1500").ready()
+    device = make_pair(left=narrow, packet_bytes=8000)
+    device.connect(2.0)
+    with pytest.raises(PacketTooLarge, match="GEV-012"):
         device.configure(5.0)
-        device.activate(2.0)
-        device.grab_pair(2.0)
-        # 32768 bytes in packets of 1464 and 8156 bytes of data, with leader and trailer
-        assert [counters.packets for counters in device.counters] == [23 + 2, 5 + 2]
-        assert device.notices == ()
-    finally:
-        narrow.close()
 
 
-def test_a_camera_without_test_packets_is_believed(make_pair):
-    silent = Peer(SERIALS[0], "--largest-packet", "0")
-    try:
-        device = make_pair(left=silent)
-        device.connect(2.0)
-        device.configure(5.0)
-        assert any("no test packets" in notice for notice in device.notices)
-    finally:
-        silent.close()
+def test_without_a_wish_the_largest_packets_that_arrive_are_used(make_pair, make_peer):
+    narrow = make_peer(SERIALS[0], "--largest-packet", "1500").ready()
+    device = make_pair(left=narrow)
+    device.connect(2.0)
+    device.configure(5.0)
+    device.activate(2.0)
+    device.grab_pair(2.0)
+    # 32768 bytes in packets of 1464 and 8156 bytes of data, with leader and trailer
+    assert [counters.packets for counters in device.counters] == [23 + 2, 5 + 2]
+    assert device.notices == ()
+
+
+def test_a_camera_without_test_packets_is_believed(make_pair, make_peer):
+    silent = make_peer(SERIALS[0], "--largest-packet", "0").ready()
+    device = make_pair(left=silent)
+    device.connect(2.0)
+    device.configure(5.0)
+    assert any("no test packets" in notice for notice in device.notices)
 
 
 def test_an_answer_that_is_announced_as_late_is_waited_for(pair, peers):
@@ -419,6 +421,7 @@ def test_an_answer_that_is_announced_as_late_is_waited_for(pair, peers):
     reading = pair.grab_pair(5.0)
     assert reading.validity is Validity.OK
     assert peers[0].fault("count") == "1 DONE\n"
+    peers[0].fault("normal")
 
 
 def test_close_is_bounded_with_dead_cameras(pair, peers):

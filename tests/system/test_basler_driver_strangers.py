@@ -103,6 +103,7 @@ def test_a_strangers_camera_is_found_configured_triggered_and_grabbed_from():
         assert camera.control.read_register(Bootstrap.CCP, soon()) == 0
 
 
+@pytest.mark.slow
 def test_the_heartbeat_keeps_control_of_a_strangers_camera():
     with controlled() as camera:
         time.sleep(1.2 * camera.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, soon()) / 1000.0)

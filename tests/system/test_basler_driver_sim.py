@@ -1,0 +1,58 @@
+"""The stereo driver on the simulated cameras, from the trigger to the sphere in the image."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from drivers.basler_stereo import BaslerStereoPair
+from procedures.relocalization import SphereStatus, measure_sphere
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.readings import AreaOfInterest, Validity
+
+AREA = AreaOfInterest(640, 160, 768, 768)
+
+
+@pytest.fixture
+def pair():
+    with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as cameras:
+        config = DeviceConfig(driver="basler_stereo", endpoints=dict(cameras.ready["endpoints"]))
+        device = BaslerStereoPair("stereo", config, HostClock())
+        device.connect(5.0)
+        device.configure(5.0)
+        yield device
+        device.close()
+
+
+def test_a_sphere_is_measured_alike_in_the_full_frame_and_in_an_area(pair):
+    pair.activate(5.0)
+    full = pair.grab_pair(5.0)
+    pair.set_areas(AREA, AREA)
+    part = pair.grab_pair(5.0)
+    assert (full.validity, part.validity) == (Validity.OK, Validity.OK)
+    for whole, cut in ((full.left, part.left), (full.right, part.right)):
+        seen = measure_sphere(whole.pixels)
+        again = measure_sphere(cut.pixels).shifted(cut.area.offset_x, cut.area.offset_y)
+        assert seen.status is again.status is SphereStatus.OK
+        assert again.centre_px == pytest.approx(seen.centre_px, abs=0.05)
+        assert again.axes_px == pytest.approx(seen.axes_px, abs=0.05)
+
+
+def test_a_longer_exposure_is_brighter(pair):
+    pair.set_areas(AREA, AREA)
+    pair.set_exposure(500.0, 36)
+    pair.activate(5.0)
+    dim = pair.grab_pair(5.0).left.pixels.mean()
+    pair.set_exposure(2000.0, 36)
+    assert pair.grab_pair(5.0).left.pixels.mean() > 1.5 * dim
+
+
+@pytest.mark.slow
+def test_the_whole_conformance_suite_passes_on_the_simulated_cameras(commands):
+    result = commands.run("ronna-conformance", "stereo", "--sim", "--json")
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert report["summary"] == {"pass": len(report["cases"]), "fail": 0, "skip": 0}
