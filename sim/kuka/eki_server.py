@@ -120,15 +120,28 @@ class EkiServer:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             client, _ = self._listener.accept()
-            if self._client is not None:
-                client.close()  # one client per channel
-                return
+            while self._client is not None:
+                if not self._waiting(self._client):
+                    client.close()  # one client per channel
+                    return
+                self._read()  # what the one before said last, and that it has gone
             client.setblocking(False)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = client
             self._next_s = time.monotonic() + self._spacing_s
             if self._peer is not None:
                 self._peer.opened()
+
+    @staticmethod
+    def _waiting(client: socket.socket) -> bool:
+        """True when a client has sent something, or has gone."""
+        try:
+            client.recv(1, socket.MSG_PEEK)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+        return True
 
     def _read(self) -> None:
         assert self._client is not None

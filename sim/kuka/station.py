@@ -29,6 +29,7 @@ from sim.theatre.world import World
 
 IDLE_WAIT_S = 0.1  # longest wait without looking whether the process should end
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
+LOOK_S = 0.001  # host time between two looks whether somebody waits for theatre time
 UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
 STALE_LIMIT = 256  # datagrams read in one cycle; a flood must not stop the clock
 DROP_NOISE = "robot drop"
@@ -131,10 +132,12 @@ class Station:
         else:
             self._unchanged += 1
         idle = self._unchanged >= UNCHANGED_CYCLES and not self._controller.moving
-        if idle and not self._clock.somebody_waits():
-            self._wait_until(run, next_s)
-        else:
-            self._serve_timers(time.monotonic())
+        now_s = time.monotonic()
+        while idle and now_s < next_s and not self._clock.somebody_waits():
+            self._wait_until(run, min(next_s, now_s + LOOK_S))
+            now_s = time.monotonic()
+            idle = self._controller.run is run and not self._ending
+        self._serve_timers(now_s)
 
     def _after_faults(self, reply: Reply | None) -> Reply | None:
         shares = self._faults.active("drop")

@@ -94,9 +94,9 @@ def test_rsipi_moves_the_arm(config: Path, mode: str) -> None:
         assert child.ready["wired"] == ["AXISCORR", "POSCORR"]
         seen = run_client(config, mode)
     moved = {axis: seen["last"][axis] - seen["first"][axis] for axis in seen["first"]}
-    # RSIPI repeats its last delta when the host is stalled, so a relative move may be longer.
-    slack = 1e-3 if mode == "absolute" else 0.2
-    assert moved["A1"] == pytest.approx(3.0, abs=slack)
+    # With HOLDON 1 every reply that a stalled host misses repeats the last delta: then it is longer.
+    longest = 3.001 if mode == "absolute" else 4.9
+    assert 2.999 < moved["A1"] < longest
     assert moved["A6"] == pytest.approx(-moved["A1"], abs=1e-3)
     assert moved["A2"] == moved["A3"] == moved["A4"] == moved["A5"] == 0.0
     assert seen["set"] == seen["first"]
