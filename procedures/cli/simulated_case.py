@@ -8,18 +8,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from procedures.engine.errors import RoomUnreachable
+from procedures.engine.errors import CommandRefused, RoomUnreachable
 from ronna_hw.child_process import ChildProcess, command
-from ronna_hw.errors import EXIT_FAILED
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
-
-
-def refused_by(name: str, messages: str, exit_code: int) -> RoomUnreachable:
-    """The error of a command that ended by itself, in its own words and with its own exit code."""
-    error = RoomUnreachable(f"{name}: {' '.join(messages.split())}", action=" ")
-    error.exit_code = exit_code if exit_code > 0 else EXIT_FAILED  # type: ignore[misc]
-    return error
 
 
 @dataclass(frozen=True)
@@ -59,13 +51,13 @@ class SimulatedCase:
         )
 
     def await_patient(self) -> None:
-        """Return when the CT series and the plan are written; raises PRO-010 with the command's words."""
+        """Return when the CT series and the plan are written; raises PRO-013 with the command's words."""
         try:
             _, messages = self._phantom.communicate(timeout=PHANTOM_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             raise RoomUnreachable("the phantom CT was not ready in time") from None
         if self._phantom.returncode != 0:
-            raise refused_by("ronna-sim phantom", messages, self._phantom.returncode)
+            raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 
     def await_theatre(self) -> None:
         """Return when every device of the theatre is ready; raises PRC-001 with the command's words."""

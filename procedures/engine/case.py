@@ -14,6 +14,7 @@ from procedures.engine.errors import StepRefused
 from ronna_hw.records import Record, write_record
 
 RECORDS_FOLDER = "records"
+PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 
 
 class Case:

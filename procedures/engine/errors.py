@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ronna_hw.errors import (
     EXIT_ABORTED,
+    EXIT_FAILED,
     EXIT_USAGE,
     ConfigurationError,
     LimitError,
@@ -99,3 +100,14 @@ class NotYet(RonnaError):
     code = "PRO-012"
     action = "Leave the option out."
     exit_code = EXIT_USAGE
+
+
+class CommandRefused(RonnaError):
+    """A command that this run started ended by itself; its own words are in the message."""
+
+    code = "PRO-013"
+    action = "Do what its message says."
+
+    def __init__(self, name: str, messages: str, exit_code: int) -> None:
+        super().__init__(f"{name} said {' '.join(messages.split()).rstrip('.')}")
+        self.exit_code = exit_code if exit_code > 0 else EXIT_FAILED  # type: ignore[misc]

@@ -12,10 +12,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from procedures.engine.case import RECORDS_FOLDER
+from procedures.engine.case import PICTURES_FOLDER, RECORDS_FOLDER
 from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.reporting.figures import cycle_histogram, target_errors
-from procedures.steps.stereo_picture import PICTURES_FOLDER
 from ronna_hw.records import Record, read_record, write_whole
 
 REPORT_FILE = "report.html"

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from procedures.engine.case import PICTURES_FOLDER
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Marker
+from procedures.imaging.pictures import marker_pictures
 from procedures.imaging.series import read_series
 from procedures.steps.ct_import import VOLUME
-
-LOCALIZATION = "localization"  # its name in the workspace
+from ronna_hw.records import write_whole
 
 
 def run(context: StepContext) -> Outcome:
     """Localize every sphere; how many there must be is the plan's word, checked with the plan."""
     volume = context.workspace.get(VOLUME) or read_series(context.case.series)
     found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
-    context.workspace[LOCALIZATION] = found
+    pictures = context.case.folder / PICTURES_FOLDER
+    pictures.mkdir(exist_ok=True)
+    for number, picture in enumerate(marker_pictures(volume, found), start=1):
+        write_whole(pictures / f"ct-{number}.png", picture)
     return Outcome(
         payload={
             "series_instance_uid": found.series_instance_uid,

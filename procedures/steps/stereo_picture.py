@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.engine.case import PICTURES_FOLDER
 from procedures.engine.step import StepContext
 from procedures.relocalization.sphere import SphereImage
 from procedures.steps.stereo_look import Look
 from ronna_hw.devices.readings import CameraImage
 from ronna_hw.records import write_whole
 
-PICTURES_FOLDER = "pictures"
-PICTURE_HEIGHT_PX = 420
+PICTURE_HEIGHT_PX = 300
 FIT_COLOUR_BGR = (80, 220, 80)
 GAP_PX = 8
 

@@ -87,9 +87,20 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
         return problem
     if isinstance(problem, MemoryError):
         return OutOfMemory("the memory of this computer does not suffice")
+    problem = _first_with_number(problem)
     if isinstance(problem, OSError) and problem.errno is not None:
         kind = _BY_ERRNO.get(problem.errno, SystemRefused)
         reason = os.strerror(problem.errno).lower()
         places = [str(name) for name in (problem.filename, problem.filename2) if name is not None]
         return kind(f"{' and '.join(places)}: {reason}" if places else reason)
     return InternalFault(f"{type(problem).__name__}: {problem}")
+
+
+def _first_with_number(problem: BaseException) -> BaseException:
+    """The operating system's own error behind one that a library wrapped into another."""
+    inner: BaseException | None = problem
+    while inner is not None:
+        if isinstance(inner, OSError) and inner.errno is not None:
+            return inner
+        inner = inner.__cause__ or inner.__context__
+    return problem

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Commands
+from user_commands import Commands
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 from ronna_hw.records import read_record

@@ -3,7 +3,7 @@
 import subprocess
 from pathlib import Path
 
-from conftest import Commands
+from user_commands import Commands
 
 
 def _step(commands: Commands, out: Path, *lines: str) -> subprocess.CompletedProcess[str]:

@@ -1,0 +1,76 @@
+"""Commands run as a user runs them, and what they must not leave behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+
+TOKEN = "RONNA_TEST_TOKEN"
+ENDED_S = 4.0  # children end within 2 s of their parent's death
+
+
+class Commands:
+    """Runs our commands with a token in their environment, by which every descendant is found again."""
+
+    def __init__(self) -> None:
+        self.token = uuid.uuid4().hex
+        self.environment = {**os.environ, TOKEN: self.token}
+
+    def line(self, name: str, *arguments: str) -> list[str]:
+        return [str(Path(sys.executable).parent / name), *arguments]
+
+    def run(self, name: str, *arguments: str, timeout_s: float = 50.0) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            self.line(name, *arguments),
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
+
+    def start(self, name: str, *arguments: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            self.line(name, *arguments),
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def survivors(self) -> list[int]:
+        """Process numbers of everything that was started with the token and still lives."""
+        mark = f"{TOKEN}={self.token}".encode()
+        found = []
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            try:
+                if mark in (entry / "environ").read_bytes():
+                    found.append(int(entry.name))
+            except OSError:
+                continue
+        return found
+
+    def await_no_survivors(self) -> list[int]:
+        """Wait until nothing lives any more; returns what still does after the limit."""
+        deadline = time.monotonic() + ENDED_S
+        while (alive := self.survivors()) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return alive
+
+
+def one_error(stderr: str) -> Sequence[str]:
+    """The lines of an error message off a terminal: one or two, no box, no trace."""
+    lines = stderr.strip().splitlines()
+    assert 1 <= len(lines) <= 2, stderr
+    assert "Traceback" not in stderr
+    assert not any(character in stderr for character in "╭╰│")
+    return lines
