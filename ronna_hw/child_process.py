@@ -80,6 +80,7 @@ class ChildProcess:
                 self.process.wait()
                 self._readers[1].join(timeout=1.0)
                 words = " / ".join(self._messages) or f"exit code {self.process.returncode}"
+                self.stop()
                 raise ChildNotReady(f"{self.name} ended before it was ready: {words}")
             if line.startswith("READY "):
                 self.ready = json.loads(line.removeprefix("READY "))

@@ -24,12 +24,12 @@ from drivers.ndi_polaris.errors import (
 )
 from drivers.ndi_polaris.identity import check_identity, read_identity
 from drivers.ndi_polaris.options import read_options
+from drivers.ndi_polaris.rom import encode_definition
 from drivers.ndi_polaris.session import Session
 from drivers.ndi_polaris.setup import (
     LoadedTool,
     choose_volume,
     free_handle,
-    leave_line,
     load_tools,
     raise_baud,
     set_illuminator_rate,
@@ -48,6 +48,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.polaris import (
     BX_CRC_BYTES,
     BX_HEADER_BYTES,
+    COMM_DEFAULT_ARGUMENT,
     MAXIMUM_STRAYS,
     TSTART_RESET_FRAME_COUNTER,
     ReplyOption,
@@ -132,6 +133,11 @@ class PolarisTracker:
     @property
     def tools(self) -> tuple[str, ...]:
         return tuple(self._definitions)
+
+    @property
+    def definition_blocks(self) -> dict[str, bytes]:
+        """The definition of each tool by name, as it is sent to the unit."""
+        return {name: encode_definition(tool) for name, tool in self._definitions.items()}
 
     @property
     def identity(self) -> Identity | None:
@@ -354,7 +360,7 @@ class PolarisTracker:
         for tool in self._loaded:
             free_handle(session, tool.handle, deadline_s)
         if session.transport.baud is not None:
-            leave_line(session)
+            session.ask("COMM", COMM_DEFAULT_ARGUMENT, deadline_s=deadline_s, retry=False)
 
     def _let_go(self) -> None:
         if self._session is not None:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from drivers.ndi_polaris.codec import encode_command, warning_meaning
+from drivers.ndi_polaris.codec import warning_meaning
 from drivers.ndi_polaris.discovery import answers
 from drivers.ndi_polaris.errors import (
     BadReplyCrc,
@@ -235,8 +235,3 @@ def _initialise(
         note(f"{name}: {warning}")
     elif reply != REPLY_OKAY:
         raise MalformedReply("PINIT has an unknown answer", wire=reply.encode())
-
-
-def leave_line(session: Session) -> None:
-    """COMM back to power-up's rate for the next client, without waiting for more than the line takes."""
-    session.transport.write(encode_command("COMM", COMM_DEFAULT_ARGUMENT))

@@ -1,1 +1,5 @@
-"""The suite that any device, on any endpoint, can be held against."""
+"""One suite per kind of device, for any driver on any endpoint, hardware included; safe by default.
+
+A suite is a list of small cases (`case.py`) that run on a bench (`bench.py`), which makes devices through the
+registry. `ronna-conformance` is its command.
+"""

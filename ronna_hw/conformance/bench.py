@@ -1,0 +1,103 @@
+"""The bench: makes devices for the cases, keeps one session for those that only read, ends them all."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ronna_hw.clock import Clock, HostClock, SharedClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.conformance.disturbed_line import DisturbedLine
+from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import ConfigurationError
+from ronna_hw.registry import load_driver, make_device
+
+CHECKED_PROTOCOLS = frozenset({"ndi-polaris"})  # their replies carry checksums
+_ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
+
+
+class Bench:
+    """One device configuration under test. `offers` is what the cases may rely on."""
+
+    def __init__(
+        self, name: str, config: DeviceConfig, clock: Clock, allowed: frozenset[str] = frozenset()
+    ) -> None:
+        self.name = name
+        self.config = config
+        self.clock = clock
+        self._shared: Device | None = None
+        self._made: list[Device] = []
+        self.offers = allowed | self._capabilities()
+
+    def make(self, *, endpoint: str | None = None, options: dict[str, Any] | None = None) -> Any:
+        """A new driver object, not connected, perhaps on another endpoint; ends every other session first."""
+        self.release()
+        changes: dict[str, Any] = {}
+        if endpoint is not None:
+            changes |= {"endpoint": endpoint, "endpoints": {}}
+        if options is not None:
+            changes["options"] = options
+        device: Device = make_device(self.name, self.config.model_copy(update=changes), self.clock)
+        self._made.append(device)
+        return device
+
+    def at(self, state: Lifecycle) -> Any:
+        """The shared device, brought to CONNECTED, CONFIGURED or ACTIVE; made anew when it is beyond use."""
+        device = self._shared
+        if device is None or device.state not in _ON_THE_WAY:
+            device = self._shared = self.make()
+        if state is not Lifecycle.ACTIVE and device.state is Lifecycle.ACTIVE:
+            device.deactivate()
+        if state is Lifecycle.CONNECTED and device.state is Lifecycle.CONFIGURED:
+            device = self._shared = self.make()
+        steps = (device.connect, device.configure, device.activate)
+        for step in steps[_ON_THE_WAY.index(device.state) : _ON_THE_WAY.index(state)]:
+            step()
+        return device
+
+    def brought_to(self, state: Lifecycle, device: Any) -> Any:
+        """A device of `make`, brought from where it is to `state`."""
+        steps = (device.connect, device.configure, device.activate)
+        for step in steps[_ON_THE_WAY.index(device.state) : _ON_THE_WAY.index(state)]:
+            step()
+        return device
+
+    def release(self) -> None:
+        """End every session, so that the endpoint is free."""
+        for device in self._made:
+            device.close()
+        self._made.clear()
+        self._shared = None
+
+    def disturbed_line(self) -> DisturbedLine:
+        """A line of ours between driver and device; give its endpoint to `make`."""
+        self.release()
+        assert self.config.endpoint is not None, "line faults are offered only for one endpoint"
+        return DisturbedLine(parse_endpoint(self.config.endpoint))
+
+    def _capabilities(self) -> frozenset[str]:
+        found = set()
+        driver = load_driver(self.config.driver)
+        protocol = getattr(driver, "wire_protocol", None)
+        if protocol in CHECKED_PROTOCOLS:
+            found.add("checked replies")
+        if protocol == "ndi-polaris" and self.config.endpoint is not None:
+            found.add("polaris bytes")
+        if isinstance(self.clock, HostClock) or (isinstance(self.clock, SharedClock) and self.clock.paced):
+            found.add("host time")
+        if self._can_be_disturbed():
+            found.add("line faults")
+        if getattr(self.make(), "definition_blocks", None):
+            found.add("tool definition")
+        return frozenset(found)
+
+    def _can_be_disturbed(self) -> bool:
+        if self.config.endpoint is None:
+            return False
+        if parse_endpoint(self.config.endpoint).scheme not in ("tcp", "serial"):
+            return False
+        try:
+            self.make(endpoint="tcp://127.0.0.1:1")
+        except ConfigurationError:  # this driver does not take TCP
+            return False
+        return True

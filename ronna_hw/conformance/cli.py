@@ -1,0 +1,150 @@
+"""`ronna-conformance`: hold a driver and its device against the suite of its kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ronna_hw.command_line.console import (
+    JsonOption,
+    VerboseOption,
+    print_json,
+    print_table,
+    progress_bar,
+    run,
+    set_up_logging,
+    tell,
+)
+from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
+
+if TYPE_CHECKING:
+    from ronna_hw.conformance.report import Report
+
+app = typer.Typer(
+    name="ronna-conformance",
+    help="Hold a driver and its device against the suite of its kind. Safe by default: no motion, no reset.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+SimOption = Annotated[bool, typer.Option("--sim", help="Start the simulator of this kind and test on it.")]
+ConfigOption = Annotated[Path | None, typer.Option("--config", help="Take the device of this theatre file.")]
+EndpointOption = Annotated[
+    list[str] | None,
+    typer.Option("--endpoint", help="Test what answers there: URI, or NAME=URI for each of several."),
+]
+DriverOption = Annotated[str | None, typer.Option("--driver", help="Driver to test, by its entry point.")]
+DeviceOption = Annotated[str | None, typer.Option("--device", help="Which robot of the theatre file.")]
+AllowOption = Annotated[
+    list[str] | None, typer.Option("--allow", help="Also run cases that need this: motion, destructive.")
+]
+ReportOption = Annotated[Path | None, typer.Option("--report", help="Write the whole report as JSON here.")]
+
+
+@app.command()
+def tracker(
+    sim: SimOption = False,
+    config: ConfigOption = None,
+    endpoint: EndpointOption = None,
+    driver: DriverOption = None,
+    allow: AllowOption = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+    verbose: VerboseOption = False,
+) -> int:
+    """An optical tracker."""
+    return _run("tracker", sim, config, endpoint, driver, None, allow, report, json, verbose)
+
+
+@app.command()
+def robot(
+    sim: SimOption = False,
+    config: ConfigOption = None,
+    endpoint: EndpointOption = None,
+    driver: DriverOption = None,
+    device: DeviceOption = None,
+    allow: AllowOption = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+    verbose: VerboseOption = False,
+) -> int:
+    """A robot arm."""
+    return _run("robot", sim, config, endpoint, driver, device, allow, report, json, verbose)
+
+
+@app.command()
+def stereo(
+    sim: SimOption = False,
+    config: ConfigOption = None,
+    endpoint: EndpointOption = None,
+    driver: DriverOption = None,
+    allow: AllowOption = None,
+    report: ReportOption = None,
+    json: JsonOption = False,
+    verbose: VerboseOption = False,
+) -> int:
+    """A stereo pair of cameras."""
+    return _run("stereo", sim, config, endpoint, driver, None, allow, report, json, verbose)
+
+
+def _run(
+    kind: str,
+    sim: bool,
+    config: Path | None,
+    endpoints: list[str] | None,
+    driver: str | None,
+    device: str | None,
+    allow: list[str] | None,
+    report_file: Path | None,
+    json: bool,
+    verbose: bool,
+) -> int:
+    set_up_logging(verbose)
+    from ronna_hw.conformance.report import run_suite
+    from ronna_hw.conformance.stand import load_suite, stand
+    from ronna_hw.records import write_whole
+
+    if report_file is not None:
+        write_whole(report_file, b"")  # a place that cannot be written is told before the work, not after
+    suite = load_suite(kind)
+    with (
+        stand(suite, sim, config, endpoints or [], driver, device, allow or []) as bench,
+        progress_bar(f"{kind} suite") as progress,
+    ):
+        report = run_suite(suite, bench, progress)
+    document = report.as_document()
+    if report_file is not None:
+        import json as json_module
+
+        write_whole(report_file, json_module.dumps(document, indent=1, allow_nan=False).encode())
+    if json:
+        print_json(document)
+    else:
+        _print_report(report)
+    return EXIT_DONE if report.passed else EXIT_FAILED
+
+
+def _print_report(report: Report) -> None:
+    from ronna_hw.conformance.case import Outcome
+
+    where = ", ".join(report.endpoints.values())
+    identity = report.identity
+    print_table(
+        f"{report.suite}: {identity.vendor} {identity.model} {identity.serial} at {where}",
+        ("case", "outcome", "behaviour", "reason"),
+        [(r.number, r.outcome.value, r.statement, r.reason) for r in report.results],
+    )
+    counts = ", ".join(f"{report.count(outcome)} {outcome.value.lower()}" for outcome in Outcome)
+    tell(f"{report.suite} suite, driver {report.driver}: {counts}")
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    run(app)
+
+
+if __name__ == "__main__":
+    main()

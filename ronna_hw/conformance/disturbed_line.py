@@ -1,0 +1,134 @@
+"""A line that misbehaves on command: stands between a driver and its device, on TCP, and passes bytes on.
+
+Only what the device says is touched, never what the driver says, so it is safe in front of hardware.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import socket
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol
+
+from ronna_hw.endpoints import Endpoint
+
+CHUNK_BYTES = 65536
+OPEN_TIMEOUT_S = 5.0
+LOOK_EVERY_S = 0.02  # between two looks at whether the line should end
+
+Disturbance = Callable[[bytes], list[tuple[float, bytes]]]  # one chunk -> (delay in seconds, bytes), in order
+
+
+class _End(Protocol):
+    def fileno(self) -> int: ...
+    def close(self) -> None: ...
+
+
+class DisturbedLine:
+    """Use as a context manager. `endpoint` is where the driver connects; one client at a time."""
+
+    def __init__(self, device: Endpoint) -> None:
+        self._device = device.require("tcp", "serial")
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._next: Disturbance | None = None
+        self._silent = False
+        self._cut = False
+        self._ended = False
+        self._thread = threading.Thread(target=self._serve, name="disturbed line", daemon=True)
+
+    @property
+    def endpoint(self) -> str:
+        """Where the driver is to connect."""
+        return f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def flip_next(self) -> None:
+        """Flip one bit in the next chunk that the device sends."""
+        self._next = lambda data: [(0.0, data[:-1] + bytes([data[-1] ^ 0x01]))]
+
+    def lose_next_byte(self) -> None:
+        """Lose the last byte of the next chunk."""
+        self._next = lambda data: [(0.0, data[:-1])]
+
+    def delay_next(self, delay_s: float) -> None:
+        """Hold the next chunk back, and all that follows it."""
+        self._next = lambda data: [(delay_s, data)]
+
+    def silence(self, silent: bool = True) -> None:
+        """Swallow everything that the device says, until switched off."""
+        self._silent = silent
+
+    def cut(self) -> None:
+        """Close the present connection; the next one is served again."""
+        self._cut = True
+
+    def __enter__(self) -> DisturbedLine:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._thread.join()
+        self._server.close()
+
+    def _serve(self) -> None:
+        self._server.settimeout(LOOK_EVERY_S)
+        while not self._ended:
+            try:
+                client, _ = self._server.accept()
+            except TimeoutError:
+                continue
+            self._cut = False
+            with client, contextlib.suppress(OSError), contextlib.closing(self._open_device()) as device:
+                self._pass_on(client, device)
+
+    def _pass_on(self, client: socket.socket, device: _End) -> None:
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        ends = selectors.DefaultSelector()
+        ends.register(client, selectors.EVENT_READ)
+        ends.register(device, selectors.EVENT_READ)
+        held: list[tuple[float, bytes]] = []  # due moment, bytes; in the order they were said
+        with ends:
+            while not (self._ended or self._cut):
+                wait_s = LOOK_EVERY_S
+                if held:
+                    wait_s = min(wait_s, max(0.0, held[0][0] - time.monotonic()))
+                for key, _ in ends.select(wait_s):
+                    data = os.read(key.fd, CHUNK_BYTES)
+                    if not data:
+                        return
+                    if key.fileobj is client:
+                        _write_all(device.fileno(), data)
+                    elif not self._silent:
+                        held += self._disturbed(data, held)
+                while held and held[0][0] <= time.monotonic():
+                    client.sendall(held.pop(0)[1])
+
+    def _disturbed(self, data: bytes, held: list[tuple[float, bytes]]) -> list[tuple[float, bytes]]:
+        disturbance, self._next = self._next, None
+        now_s = time.monotonic()
+        earliest_s = held[-1][0] if held else now_s  # nothing overtakes what was said before
+        deliveries = disturbance(data) if disturbance else [(0.0, data)]
+        return [(max(earliest_s, now_s + delay_s), part) for delay_s, part in deliveries]
+
+    def _open_device(self) -> _End:
+        if self._device.scheme == "tcp":
+            peer = socket.create_connection((self._device.host, self._device.port), OPEN_TIMEOUT_S)
+            peer.settimeout(None)
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return peer
+        import serial
+
+        line: _End = serial.Serial(self._device.path, timeout=0, exclusive=True)
+        return line
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(descriptor, data) :]

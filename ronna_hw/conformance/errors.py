@@ -1,0 +1,19 @@
+"""What keeps a conformance run from starting."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import ConfigurationError
+
+
+class NoDeviceChosen(ConfigurationError):
+    """The command line does not say, or says twice, what to test."""
+
+    code = "CNF-001"
+    action = "Give one of --sim, --config FILE and --endpoint [NAME=]URI."
+
+
+class DeviceNotInFile(ConfigurationError):
+    """The theatre file has no such device."""
+
+    code = "CNF-002"
+    action = "Name a device that the theatre file holds, with --device for one of several robots."

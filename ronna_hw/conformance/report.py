@@ -1,0 +1,109 @@
+"""Run the cases of a suite on a bench, and say what came of each."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance.case import NEEDS, Case, Nonconformity, NotShown, Outcome, Suite
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.errors import RonnaError
+from ronna_hw.records import canonical_json
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """What came of one case; `reason` says why it failed or was left out."""
+
+    number: str
+    statement: str
+    needs: tuple[str, ...]
+    outcome: Outcome
+    reason: str
+    elapsed_s: float
+
+
+@dataclass(frozen=True)
+class Report:
+    """A whole run: on what, when, and every case in the order of the suite."""
+
+    suite: str
+    driver: str
+    endpoints: dict[str, str]
+    identity: Identity
+    started: str
+    results: tuple[CaseResult, ...]
+
+    def count(self, outcome: Outcome) -> int:
+        """How many cases ended so."""
+        return sum(result.outcome is outcome for result in self.results)
+
+    @property
+    def passed(self) -> bool:
+        """True when no case failed and at least one was run."""
+        return self.count(Outcome.FAIL) == 0 and self.count(Outcome.PASS) > 0
+
+    def as_document(self) -> dict[str, Any]:
+        """The report as plain data, with a hash over everything else in it."""
+        document: dict[str, Any] = {
+            "schema": SCHEMA_VERSION,
+            "suite": self.suite,
+            "driver": self.driver,
+            "endpoints": self.endpoints,
+            "identity": {**asdict(self.identity), "details": dict(self.identity.details)},
+            "started": self.started,
+            "passed": self.passed,
+            "summary": {outcome.value.lower(): self.count(outcome) for outcome in Outcome},
+            "cases": [{**asdict(result), "needs": list(result.needs)} for result in self.results],
+        }
+        return {**document, "sha256": hashlib.sha256(canonical_json(document)).hexdigest()}
+
+
+def run_suite(suite: Suite, bench: Bench, progress: Callable[[float], None] = lambda share: None) -> Report:
+    """Run every case that the bench allows.
+
+    The device is connected once first; raises ConnectError and the like when that is not possible, because
+    then no case says anything.
+    """
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    device = bench.make()
+    try:
+        identity: Identity = device.connect()
+        results = []
+        for number, case in enumerate(suite.cases):
+            results.append(run_case(case, bench))
+            progress((number + 1) / len(suite.cases))
+    finally:
+        bench.release()
+    config = bench.config
+    endpoints = {"endpoint": config.endpoint} if config.endpoint is not None else dict(config.endpoints)
+    return Report(suite.kind, config.driver, endpoints, identity, started, tuple(results))
+
+
+def run_case(case: Case, bench: Bench) -> CaseResult:
+    """Run one case, or say why not. Never raises; a session that a case left in FAULT is ended."""
+    began_s = time.monotonic()
+    outcome, reason = Outcome.PASS, ""
+    if missing := sorted(case.needs - bench.offers):
+        outcome, reason = Outcome.SKIP, "; ".join(NEEDS[need] for need in missing)
+    else:
+        try:
+            case.run(bench)
+        except NotShown as excuse:
+            outcome, reason = Outcome.SKIP, str(excuse)
+        except (Nonconformity, RonnaError) as problem:
+            outcome, reason = Outcome.FAIL, str(problem)
+        except Exception as problem:
+            outcome, reason = Outcome.FAIL, f"raised {problem!r}, which is no error of the tree"
+        if outcome is Outcome.FAIL:
+            bench.release()
+    elapsed_s = round(time.monotonic() - began_s, 3)
+    needs = tuple(sorted(case.needs))
+    return CaseResult(case.number, case.statement, needs, outcome, " ".join(reason.split()), elapsed_s)

@@ -1,0 +1,109 @@
+"""Set up what is tested: a simulator of ours, a device of a theatre file, or whatever answers somewhere."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance.case import Suite
+from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.registry import load_driver
+
+PERMISSIONS = ("motion", "destructive")
+SIMULATOR_MODULE = "sim.cli"  # started as a command, never imported
+
+
+def load_suite(kind: str) -> Suite:
+    """The suite of a kind of device: tracker, robot or stereo."""
+    suite: Suite = importlib.import_module(f"ronna_hw.conformance.{kind}").SUITE
+    return suite
+
+
+@contextmanager
+def stand(
+    suite: Suite,
+    sim: bool,
+    config: Path | None,
+    endpoints: list[str],
+    driver: str | None,
+    device: str | None,
+    allow: list[str],
+) -> Iterator[Bench]:
+    """A bench for what the command line names; whatever was started for it is ended afterwards.
+
+    On a simulator everything is allowed. Raises CNF-001, CNF-002, CFG-00x, DEV-002, PRC-001.
+    """
+    if (sim, config is not None, bool(endpoints)).count(True) != 1:
+        raise NoDeviceChosen("what to test is not said, or said twice")
+    if unknown := sorted(set(allow) - set(PERMISSIONS)):
+        raise NoDeviceChosen(
+            f"--allow knows no {', '.join(unknown)}", awaited=" or ".join(PERMISSIONS), action="Correct it."
+        )
+    with ExitStack() as stack:
+        name, clock = suite.kind, "host:"
+        allowed = frozenset(PERMISSIONS if sim else allow)
+        if config is not None:
+            theatre = read_theatre_file(config)
+            name, chosen = _from_file(theatre, suite.kind, device)
+            clock = theatre.clock.endpoint
+            if driver is not None:
+                chosen = chosen.model_copy(update={"driver": driver})
+        elif sim:
+            child = stack.enter_context(
+                ChildProcess(f"ronna-sim {suite.simulator[0]}", command(SIMULATOR_MODULE, *suite.simulator))
+            )
+            addresses = child.ready.get("endpoints") or {None: child.ready["endpoint"]}
+            chosen = _device(driver or suite.driver, addresses)
+        else:
+            chosen = _device(driver or suite.driver, _by_name(endpoints))
+        theatre_clock = open_clock(clock)
+        bench = Bench(name, chosen, theatre_clock, allowed)
+        stack.callback(bench.release)
+        yield bench
+
+
+def _device(driver: str, addresses: dict[str | None, str]) -> DeviceConfig:
+    offer = getattr(load_driver(driver), "conformance_options", None)
+    options: dict[str, Any] = offer() if offer is not None else {}
+    for address in addresses.values():
+        parse_endpoint(address)
+    if None in addresses:
+        return DeviceConfig(driver=driver, endpoint=addresses[None], options=options)
+    named = {name: address for name, address in addresses.items() if name is not None}
+    return DeviceConfig(driver=driver, endpoints=named, options=options)
+
+
+def _by_name(endpoints: list[str]) -> dict[str | None, str]:
+    named = [_named(text) for text in endpoints]
+    names = [name for name, _ in named]
+    if len(named) > 1 and (None in names or len(set(names)) < len(names)):
+        raise NoDeviceChosen("several endpoints need a name each", action="Write NAME=URI for each.")
+    return dict(named)
+
+
+def _named(text: str) -> tuple[str | None, str]:
+    name, separator, address = text.partition("=")
+    return (name, address) if separator and "://" not in name else (None, text)
+
+
+def _from_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[str, DeviceConfig]:
+    if kind == "robot":
+        name = device or (next(iter(theatre.robot)) if len(theatre.robot) == 1 else None)
+        if name is None or name not in theatre.robot:
+            raise DeviceNotInFile(
+                f"the theatre file has no robot {name or 'that is the only one'}",
+                awaited=", ".join(theatre.robot) or "a robot",
+            )
+        return f"robot.{name}", theatre.robot[name]
+    chosen: DeviceConfig | None = getattr(theatre, kind)
+    if chosen is None:
+        raise DeviceNotInFile(f"the theatre file has no {kind}")
+    return kind, chosen

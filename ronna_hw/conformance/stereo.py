@@ -1,0 +1,225 @@
+"""What every stereo pair of cameras must do, whatever protocol is behind it."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.gige_camera import GIGE_CAMERA
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
+from ronna_hw.devices.stereo import StereoPair
+from ronna_hw.errors import ConfigurationError, ConnectError, LimitError, RonnaError, StateError
+from ronna_hw.registry import make_device
+
+PAIRS = 5
+CLOSE_LIMIT_S = 5.0
+CONNECT_LIMIT_S = 2.0
+SLACK_S = 1.5  # beyond a time limit, for a busy computer
+AREA_STEP_PX = 32  # a multiple of what cameras allow
+NOBODY = "gev://127.0.0.251"
+EXPOSURES_US = (0.0, 1e9)  # no camera does that
+GAIN_RAW = 64
+
+SUITE = Suite("stereo", driver="basler_stereo", simulator=("basler",))
+
+
+def pairs_of(bench: Bench, count: int = PAIRS) -> list[StereoReading]:
+    """Readings of the shared session, one trigger each."""
+    pair: StereoPair = bench.at(Lifecycle.ACTIVE)
+    return [pair.grab_pair() for _ in range(count)]
+
+
+def both(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
+    """Both images of a pair that must be complete."""
+    check(reading.validity is Validity.OK, "a complete pair", reading.validity)
+    if reading.left is None or reading.right is None:
+        check(False, "an image on both sides of a pair that calls itself complete")
+        raise AssertionError("check has raised")
+    return reading.left, reading.right
+
+
+def beside(bench: Bench, **changes: Any) -> Any:
+    """A second driver object beside the shared one; the caller closes it."""
+    return make_device(bench.name, bench.config.model_copy(update=changes), bench.clock)
+
+
+@SUITE.case("S01", "the driver offers the interface of a stereo pair, and starts disconnected")
+def offers_the_interface(bench: Bench) -> None:
+    pair = bench.make()
+    check(pair.state is Lifecycle.DISCONNECTED, "state disconnected", pair.state)
+    check(pair.name == bench.name, f"the name {bench.name}", pair.name)
+    check(isinstance(pair, StereoPair), "all calls of StereoPair", type(pair).__name__)
+
+
+@SUITE.case("S02", "connecting says who answers, and which camera is on which side")
+def identity_is_answered(bench: Bench) -> None:
+    pair = bench.make()
+    identity = pair.connect()
+    check(bool(identity.vendor and identity.model), "vendor and model", identity)
+    left, right = pair.serials
+    check(bool(left and right) and left != right, "two serial numbers", pair.serials)
+    check(left in identity.serial and right in identity.serial, "both in the identity", identity.serial)
+
+
+@SUITE.case("S03", "calls that come too early are refused")
+def early_calls_are_refused(bench: Bench) -> None:
+    pair = bench.make()
+    for call in ("configure", "activate", "deactivate", "grab_pair"):
+        refused(getattr(pair, call), StateError, f"{call} while disconnected")
+    pair.connect()
+    for call in ("connect", "activate", "grab_pair"):
+        refused(getattr(pair, call), StateError, f"{call} while connected")
+    pair.configure()
+    refused(pair.grab_pair, StateError, "grab_pair before activate")
+
+
+@SUITE.case("S04", "one trigger gives one complete pair, each image from its own side's camera")
+def one_pair_per_trigger(bench: Bench) -> None:
+    for reading in pairs_of(bench):
+        images = both(reading)
+        serials = tuple(image.serial for image in images)
+        check(serials == bench.at(Lifecycle.ACTIVE).serials, "the serial numbers of the sides", serials)
+
+
+@SUITE.case("S05", "readings are counted one by one, and every clock goes forward")
+def stamps_are_in_order(bench: Bench) -> None:
+    for before, after in itertools.pairwise(pairs_of(bench)):
+        check(after.stamp.sequence == before.stamp.sequence + 1, "the next number", after.stamp.sequence)
+        check(after.stamp.theatre_time_s >= before.stamp.theatre_time_s, "a later theatre time")
+        for earlier, later in zip(both(before), both(after), strict=True):
+            check(later.stamp.device_clock > earlier.stamp.device_clock, "a later camera time", later.stamp)
+
+
+@SUITE.case("S06", "an image has the shape of its area, 8 or 12 bits, and cannot be changed")
+def images_have_their_shape(bench: Bench) -> None:
+    for image in both(pairs_of(bench, 1)[0]):
+        area = image.area
+        check(image.pixels.shape == (area.height, area.width), f"shape of {area}", image.pixels.shape)
+        check(image.pixels.dtype in (np.uint8, np.uint16), "uint8 or uint16", image.pixels.dtype)
+        check(int(image.pixels.max()) < 4096, "values of at most 12 bits", image.pixels.max())
+        check(not image.pixels.flags.writeable, "a read-only array")
+
+
+@SUITE.case("S07", "the area that is set is the area that is read, also on a running stream")
+def areas_are_honoured(bench: Bench) -> None:
+    pair = bench.at(Lifecycle.ACTIVE)
+    whole = [image.area for image in both(pair.grab_pair())]
+    parts = [_part(area) for area in whole]
+    pair.set_areas(*parts)
+    found = [image.area for image in both(pair.grab_pair())]
+    check(found == parts, f"the areas {parts}", found)
+    pair.set_areas(*whole)
+    found = [image.area for image in both(pair.grab_pair())]
+    check(found == whole, f"the areas {whole}", found)
+
+
+@SUITE.case("S08", "an area beside the sensor is refused, and the present one stays")
+def impossible_areas_are_refused(bench: Bench) -> None:
+    pair = bench.at(Lifecycle.ACTIVE)
+    whole = [image.area for image in both(pair.grab_pair())]
+    beyond = AreaOfInterest(0, 0, 64 * whole[0].width, whole[0].height)
+    refused(lambda: pair.set_areas(beyond, whole[1]), LimitError, "an area wider than the sensor")
+    refused(lambda: pair.set_areas(_part(whole[0]), beyond), LimitError, "such an area on the right")
+    found = [image.area for image in both(pair.grab_pair())]
+    check(found == whole, f"the areas {whole}", found)
+
+
+@SUITE.case("S09", "an exposure that no camera can do is refused")
+def impossible_exposures_are_refused(bench: Bench) -> None:
+    pair = bench.at(Lifecycle.ACTIVE)
+    for exposure_us in EXPOSURES_US:
+        refused(partial(pair.set_exposure, exposure_us, GAIN_RAW), LimitError, f"{exposure_us} us")
+    both(pair.grab_pair())
+
+
+@SUITE.case("S10", "a stream that was stopped starts again")
+def stream_starts_again(bench: Bench) -> None:
+    pair = bench.at(Lifecycle.ACTIVE)
+    pair.deactivate()
+    refused(pair.grab_pair, StateError, "grab_pair after deactivate")
+    pair.activate()
+    both(pair.grab_pair())
+
+
+@SUITE.case("S11", "a second controller is refused, and the first goes on")
+def second_controller_is_refused(bench: Bench) -> None:
+    pair = bench.at(Lifecycle.ACTIVE)
+    second = beside(bench)
+    try:
+        second.connect()
+        refused(second.configure, ConnectError, "configure beside another controller")
+    finally:
+        second.close()
+    both(pair.grab_pair())
+
+
+@SUITE.case("S12", "cameras at each other's address are noticed when their serial numbers are bound")
+def swapped_cameras_are_noticed(bench: Bench) -> None:
+    pair = bench.make()
+    pair.connect()
+    left, right = pair.serials
+    bench.release()
+    roles = dict(bench.config.endpoints)
+    if set(roles) != {"left", "right"}:
+        raise NotShown("the two cameras have no endpoint each")
+    options = {**bench.config.options, "left_serial": left, "right_serial": right}
+    try:
+        bound = beside(bench, options=options)
+        swapped = beside(bench, options=options, endpoints={"left": roles["right"], "right": roles["left"]})
+    except ConfigurationError as error:
+        raise NotShown("the driver has no options to bind serial numbers") from error
+    try:
+        bound.connect()
+        refused(swapped.connect, ConnectError, "connect with swapped addresses")
+    finally:
+        bound.close()
+        swapped.close()
+
+
+@SUITE.case("S13", "an address where nobody is is told in time")
+def nobody_there(bench: Bench) -> None:
+    if set(bench.config.endpoints) != {"left", "right"}:
+        raise NotShown("the two cameras have no endpoint each")
+    lonely = beside(bench, endpoints={**bench.config.endpoints, "right": NOBODY})
+    began_s = time.monotonic()
+    try:
+        refused(lambda: lonely.connect(CONNECT_LIMIT_S), ConnectError, "connect without a right camera")
+    finally:
+        lonely.close()
+    elapsed_s = time.monotonic() - began_s
+    check(elapsed_s < CONNECT_LIMIT_S + SLACK_S, f"an answer within {CONNECT_LIMIT_S} s", elapsed_s)
+
+
+@SUITE.case("S14", "closing is bounded in time, final, and leaves the cameras to the next")
+def closing_is_bounded(bench: Bench) -> None:
+    pair = bench.make()
+    bench.brought_to(Lifecycle.ACTIVE, pair)
+    began_s = time.monotonic()
+    pair.close()
+    pair.close()
+    elapsed_s = time.monotonic() - began_s
+    check(elapsed_s < CLOSE_LIMIT_S, f"closed within {CLOSE_LIMIT_S} s", elapsed_s)
+    check(pair.state is Lifecycle.CLOSED, "state closed", pair.state)
+    refused(pair.connect, RonnaError, "connect after close")
+    both(bench.at(Lifecycle.ACTIVE).grab_pair())
+
+
+def _part(area: AreaOfInterest) -> AreaOfInterest:
+    """A part in the middle of an area, in steps that cameras allow."""
+
+    def step(value: int) -> int:
+        return value // AREA_STEP_PX * AREA_STEP_PX
+
+    width, height = step(area.width // 2), step(area.height // 2)
+    x, y = step((area.width - width) // 2), step((area.height - height) // 2)
+    return AreaOfInterest(area.offset_x + x, area.offset_y + y, width, height)
+
+
+SUITE.cases.extend(GIGE_CAMERA.cases)

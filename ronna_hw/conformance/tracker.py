@@ -1,0 +1,292 @@
+"""What every optical tracker must do, whatever protocol is behind it."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import socket
+import time
+
+from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.polaris_unit import POLARIS_UNIT
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
+from ronna_hw.devices.tracker import OpticalTracker
+from ronna_hw.errors import (
+    ConfigurationError,
+    ConnectError,
+    LinkTimeout,
+    ProtocolError,
+    RonnaError,
+    StateError,
+)
+
+FRAMES = 15
+CLOSE_LIMIT_S = 5.0
+NORM_TOLERANCE = 1e-6  # readings are normalised, whatever the wire rounds
+READ_LIMIT_S = 0.5
+PAUSE_S = 0.4
+SLACK_S = 1.0  # beyond a time limit, for a busy computer
+CARRY_POSE = frozenset({Validity.OK, Validity.PARTIAL})
+WITHOUT_POSE = frozenset({Validity.MISSING, Validity.CORRUPT})
+RECOVERY_READS = 12  # lost readings after which a line that is whole again must give frames
+
+SUITE = Suite("tracker", driver="ndi_polaris", simulator=("polaris", "--endpoint", "tcp://127.0.0.1:0"))
+
+
+def frames_of(bench: Bench, count: int = FRAMES) -> list[TrackerFrame]:
+    """Consecutive readings of the shared session, not faster than the device measures."""
+    tracker: OpticalTracker = bench.at(Lifecycle.ACTIVE)
+    frames = []
+    for _ in range(count):
+        frames.append(tracker.read_frame())
+        bench.clock.sleep(1 / 60)
+    return frames
+
+
+def tool_readings(bench: Bench) -> list[ToolReading]:
+    """All readings of all tools; left undecided when no tool is configured."""
+    readings = [reading for frame in frames_of(bench) for reading in frame.tools]
+    if not readings:
+        raise NotShown("no tool is configured")
+    return readings
+
+
+@SUITE.case("T01", "the driver offers the interface of an optical tracker, and starts disconnected")
+def offers_the_interface(bench: Bench) -> None:
+    tracker = bench.make()
+    check(isinstance(tracker, OpticalTracker), "all calls of OpticalTracker", type(tracker).__name__)
+    check(tracker.state is Lifecycle.DISCONNECTED, "state disconnected", tracker.state)
+    check(tracker.name == bench.name, f"the name {bench.name}", tracker.name)
+
+
+@SUITE.case("T02", "connecting says who answers")
+def identity_is_answered(bench: Bench) -> None:
+    tracker = bench.make()
+    identity = tracker.connect()
+    check(bool(identity.vendor and identity.model), "vendor and model", identity)
+    check(tracker.state is Lifecycle.CONNECTED, "state connected", tracker.state)
+
+
+@SUITE.case("T03", "calls that come too early are refused")
+def early_calls_are_refused(bench: Bench) -> None:
+    tracker = bench.make()
+    for call in ("configure", "activate", "deactivate", "read_frame"):
+        refused(getattr(tracker, call), StateError, f"{call} while disconnected")
+    tracker.connect()
+    for call in ("connect", "activate", "read_frame"):
+        refused(getattr(tracker, call), StateError, f"{call} while connected")
+
+
+@SUITE.case("T04", "configuring loads the tools that the theatre file names")
+def configure_loads_tools(bench: Bench) -> None:
+    tracker = bench.at(Lifecycle.CONFIGURED)
+    check(tracker.state is Lifecycle.CONFIGURED, "state configured", tracker.state)
+    names = tracker.tools
+    check(len(set(names)) == len(names), "every tool name once", names)
+    refused(tracker.read_frame, StateError, "read_frame before activate")
+
+
+@SUITE.case("T05", "starting to track twice is refused")
+def second_start_is_refused(bench: Bench) -> None:
+    tracker = bench.at(Lifecycle.ACTIVE)
+    refused(tracker.activate, StateError, "activate while active")
+    tracker.read_frame()
+
+
+@SUITE.case("T06", "the frame number advances and never goes backwards")
+def frame_number_advances(bench: Bench) -> None:
+    numbers = [frame.stamp.device_clock for frame in frames_of(bench)]
+    check(all(b >= a for a, b in itertools.pairwise(numbers)), "numbers that never fall", numbers)
+    check(numbers[-1] > numbers[0], "numbers that rise", numbers)
+
+
+@SUITE.case("T07", "readings are counted one by one, and theatre time never goes backwards")
+def stamps_are_in_order(bench: Bench) -> None:
+    stamps = [frame.stamp for frame in frames_of(bench)]
+    for before, after in itertools.pairwise(stamps):
+        check(after.sequence == before.sequence + 1, f"reading {before.sequence + 1}", after.sequence)
+        check(after.theatre_time_s >= before.theatre_time_s, "a later theatre time", after.theatre_time_s)
+
+
+@SUITE.case("T08", "every frame lists every tool in the order of the theatre file, seen or not")
+def every_tool_is_listed(bench: Bench) -> None:
+    frames = frames_of(bench, 3)
+    names = bench.at(Lifecycle.ACTIVE).tools
+    for frame in frames:
+        found = tuple(reading.tool for reading in frame.tools)
+        check(found == names, f"the tools {names}", found)
+
+
+@SUITE.case("T09", "a pose is there exactly when the validity carries one; missing data is never a number")
+def pose_and_validity_agree(bench: Bench) -> None:
+    for reading in tool_readings(bench):
+        parts = (reading.rotation, reading.position_mm, reading.fit_error_mm)
+        if reading.validity in CARRY_POSE:
+            check(None not in parts, f"a pose with validity {reading.validity}", reading)
+        if reading.validity in WITHOUT_POSE:
+            check(parts == (None, None, None), f"no pose with validity {reading.validity}", reading)
+        numbers = (*(reading.rotation or ()), *(reading.position_mm or ()), reading.fit_error_mm or 0.0)
+        check(all(math.isfinite(number) for number in numbers), "finite numbers", reading)
+
+
+@SUITE.case("T10", "a pose is possible: everything tracked has a negative z, rotations have norm 1")
+def poses_are_possible(bench: Bench) -> None:
+    seen = [reading for reading in tool_readings(bench) if reading.position_mm and reading.rotation]
+    if not seen:
+        raise NotShown("no tool is in sight")
+    for reading in seen:
+        norm = math.sqrt(sum(value * value for value in reading.rotation or ()))
+        check(abs(norm - 1.0) <= NORM_TOLERANCE, "a quaternion of norm 1", norm)
+        check((reading.position_mm or (0, 0, 0))[2] < 0, "a negative z", reading.position_mm)
+
+
+@SUITE.case("T11", "the fit error of a pose is not negative")
+def fit_error_is_not_negative(bench: Bench) -> None:
+    errors = [reading.fit_error_mm for reading in tool_readings(bench) if reading.fit_error_mm is not None]
+    if not errors:
+        raise NotShown("no tool is in sight")
+    check(min(errors) >= 0, "errors of 0 or more", min(errors))
+
+
+@SUITE.case("T12", "strays have a place and a validity, never NaN")
+def strays_have_places(bench: Bench) -> None:
+    strays = [stray for frame in frames_of(bench) for stray in frame.strays]
+    if not strays:
+        raise NotShown("no stray marker is in sight")
+    for stray in strays:
+        check(all(math.isfinite(value) for value in stray.position_mm), "finite numbers", stray)
+        check(stray.validity in (Validity.OK, Validity.OUT_OF_VOLUME), "a validity of a place", stray)
+
+
+@SUITE.case("T13", "tracking can be stopped and started again in one session")
+def stop_and_start_again(bench: Bench) -> None:
+    tracker = bench.at(Lifecycle.ACTIVE)
+    tracker.deactivate()
+    check(tracker.state is Lifecycle.CONFIGURED, "state configured", tracker.state)
+    refused(tracker.read_frame, StateError, "read_frame after deactivate")
+    tracker.activate()
+    tracker.read_frame()
+
+
+@SUITE.case("T14", "closing is bounded, final, and may be repeated")
+def close_is_bounded(bench: Bench) -> None:
+    tracker = bench.at(Lifecycle.ACTIVE)
+    began_s = time.monotonic()
+    tracker.close()
+    check(time.monotonic() - began_s < CLOSE_LIMIT_S, f"an end within {CLOSE_LIMIT_S} s")
+    check(tracker.state is Lifecycle.CLOSED, "state closed", tracker.state)
+    tracker.close()
+    refused(tracker.connect, StateError, "connect after close")
+
+
+@SUITE.case("T15", "connecting again is a full new session with the same device")
+def reconnect_is_a_full_session(bench: Bench) -> None:
+    first = bench.brought_to(Lifecycle.ACTIVE, bench.make())
+    first.read_frame()
+    first.close()
+    second = bench.make()
+    identity = second.connect()
+    again = bench.make().connect()
+    check(identity == again, f"the identity {identity}", again)
+    bench.at(Lifecycle.ACTIVE).read_frame()
+
+
+@SUITE.case("T16", "an endpoint where nobody is gives a connect error with code and advice, in time")
+def nobody_there(bench: Bench) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    scheme = (bench.config.endpoint or "tcp://").partition("://")[0]
+    nowhere = "serial:///dev/no-such-port" if scheme == "serial" else f"tcp://127.0.0.1:{port}"
+    tracker = bench.make(endpoint=nowhere)
+    began_s = time.monotonic()
+    error = refused(lambda: tracker.connect(3.0), ConnectError, "connect to nobody")
+    check(isinstance(error, ConnectError) and bool(error.code and error.advice), "a code and advice", error)
+    check(time.monotonic() - began_s < 3.0 + SLACK_S, "an answer within 3 s")
+    tracker.close()
+
+
+@SUITE.case("T17", "an unknown option is refused before anything is opened")
+def unknown_option_is_refused(bench: Bench) -> None:
+    options = {**bench.config.options, "no_such_option": 1}
+    refused(lambda: bench.make(options=options), ConfigurationError, "an unknown option")
+
+
+@SUITE.case("T18", "a reading from a silent line ends at its time limit", needs=("line faults",))
+def silence_ends_a_reading(bench: Bench) -> None:
+    with bench.disturbed_line() as line:
+        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+        line.silence()
+        began_s = time.monotonic()
+        refused(lambda: tracker.read_frame(READ_LIMIT_S), LinkTimeout, "read_frame on a silent line")
+        check(time.monotonic() - began_s < READ_LIMIT_S + SLACK_S, f"an end within {READ_LIMIT_S} s")
+        line.silence(False)
+        bench.release()
+
+
+@SUITE.case("T19", "closing on a silent line is bounded and raises nothing", needs=("line faults",))
+def close_on_a_dead_line(bench: Bench) -> None:
+    with bench.disturbed_line() as line:
+        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+        line.silence()
+        began_s = time.monotonic()
+        tracker.close()
+        check(time.monotonic() - began_s < CLOSE_LIMIT_S, f"an end within {CLOSE_LIMIT_S} s")
+        check(tracker.state is Lifecycle.CLOSED, "state closed", tracker.state)
+
+
+@SUITE.case("T20", "a late reply costs one reading and is never taken for the next", needs=("line faults",))
+def late_reply(bench: Bench) -> None:
+    with bench.disturbed_line() as line:
+        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+        tracker.read_frame()
+        line.delay_next(READ_LIMIT_S + 0.1)
+        refused(lambda: tracker.read_frame(READ_LIMIT_S), RonnaError, "a reading that comes too late")
+        tracker.read_frame(2.0)
+        first = tracker.read_frame(2.0).stamp.device_clock
+        bench.clock.sleep(PAUSE_S)
+        second, third = (tracker.read_frame(2.0).stamp.device_clock for _ in range(2))
+        # Were each answer the one to the request before, the pause would show one reading too late.
+        check(third - second <= second - first, "a fresh frame after a pause", (first, second, third))
+        bench.release()
+
+
+@SUITE.case("T21", "a broken connection is a latched fault that recover leaves", needs=("line faults",))
+def broken_connection(bench: Bench) -> None:
+    with bench.disturbed_line() as line:
+        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+        line.cut()
+        for _ in range(RECOVERY_READS):
+            if tracker.state is Lifecycle.FAULT:
+                break
+            with contextlib.suppress(RonnaError):
+                tracker.read_frame(READ_LIMIT_S)
+        check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)
+        refused(tracker.read_frame, StateError, "read_frame in fault")
+        tracker.recover("conformance suite")
+        bench.brought_to(Lifecycle.ACTIVE, tracker).read_frame()
+        bench.release()
+
+
+@SUITE.case(
+    "T22",
+    "a reply with one wrong bit or a lost byte is never a reading",
+    needs=("line faults", "checked replies"),
+)
+def wrong_bits_are_noticed(bench: Bench) -> None:
+    with bench.disturbed_line() as line:
+        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+        for disturb in (line.flip_next, line.lose_next_byte):
+            before = tracker.read_frame().stamp
+            disturb()
+            # one retry is allowed, a wrong reading is not
+            with contextlib.suppress(ProtocolError, LinkTimeout):
+                after = tracker.read_frame(2.0).stamp
+                check(after.device_clock >= before.device_clock, "a later frame", after)
+            tracker.read_frame(2.0)
+        bench.release()
+
+
+SUITE.cases.extend(POLARIS_UNIT.cases)

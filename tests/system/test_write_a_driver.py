@@ -1,0 +1,110 @@
+"""The how-to for drivers is true: its files are built, and its driver passes the suite."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ronna_hw.child_process import ChildProcess
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "how-to" / "write-a-driver.md"
+BLOCK = re.compile(r"^```\w+ file=(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# What an installed package has, without the time that installing it takes.
+METADATA = "Metadata-Version: 2.1\nName: lumen-tracker\nVersion: 0.1\n"
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package of the page, as if installed."""
+    folder = tmp_path_factory.mktemp("lumen-tracker")
+    files = dict(BLOCK.findall(DOCUMENT.read_text(encoding="utf-8")))
+    assert set(files) == {
+        "pyproject.toml",
+        "lumen/__init__.py",
+        "lumen/errors.py",
+        "lumen/line.py",
+        "lumen/tracker.py",
+        "lumen/device.py",
+    }
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(content, encoding="utf-8")
+    information = folder / "lumen_tracker-0.1.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text(METADATA)
+    entry_point = re.search(r'^lumen = "(.*)"$', files["pyproject.toml"], re.MULTILINE)
+    assert entry_point
+    (information / "entry_points.txt").write_text(f"[ronna_hw.drivers]\nlumen = {entry_point[1]}\n")
+    return folder
+
+
+@pytest.fixture
+def device(package: Path) -> Iterator[str]:
+    """Endpoint of the device of the page."""
+    script = package / "lumen" / "device.py"
+    with ChildProcess("the device of the page", [sys.executable, "-P", str(script), "0"]) as child:
+        yield child.ready["endpoint"]
+
+
+def conformance(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    program = Path(sys.executable).parent / "ronna-conformance"
+    return subprocess.run(
+        [program, "tracker", "--driver", "lumen", *arguments],
+        env={**os.environ, "PYTHONPATH": str(package)},
+        capture_output=True,
+        text=True,
+        timeout=50,
+        check=False,
+    )
+
+
+def test_the_driver_of_the_page_passes_the_suite(package: Path, device: str, tmp_path: Path) -> None:
+    report_file = tmp_path / "report.json"
+    run = conformance(package, "--endpoint", device, "--report", str(report_file))
+    assert run.returncode == 0, run.stdout + run.stderr
+    report = json.loads(report_file.read_text())
+    outcomes = {case["number"]: case["outcome"] for case in report["cases"]}
+    general = {number: outcome for number, outcome in outcomes.items() if number.startswith("T")}
+    assert [number for number, outcome in general.items() if outcome != "PASS"] == ["T22"]
+    reasons = {case["reason"] for case in report["cases"] if case["outcome"] == "SKIP"}
+    assert any("checksums" in reason for reason in reasons)
+    assert report["identity"]["model"] == "Lumen-2000"
+
+
+def test_a_mistake_in_the_driver_of_the_page_is_found(
+    package: Path, device: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The page tells its reader to spoil the driver and look: that must show."""
+    spoilt = tmp_path_factory.mktemp("spoilt")
+    for path in package.rglob("*"):
+        if path.is_file():
+            copy = spoilt / path.relative_to(package)
+            copy.parent.mkdir(exist_ok=True)
+            copy.write_bytes(path.read_bytes())
+    for name, right, wrong in (
+        ("tracker.py", "Validity.MISSING, None, None, None", "Validity.MISSING, (0, 0, 0, 0), (0, 0, 0), 0"),
+        ("line.py", "if found == tag:", "if found:"),
+    ):
+        file = spoilt / "lumen" / name
+        text = file.read_text()
+        assert right in text
+        file.write_text(text.replace(right, wrong))
+    run = conformance(spoilt, "--endpoint", device, "--json")
+    assert run.returncode == 1
+    failed = {case["number"] for case in json.loads(run.stdout)["cases"] if case["outcome"] == "FAIL"}
+    assert {"T09", "T20"} <= failed
+
+
+def test_the_driver_of_the_page_says_when_its_device_is_not_there(package: Path) -> None:
+    run = conformance(package, "--endpoint", "tcp://127.0.0.1:1")
+    assert run.returncode == 4
+    assert run.stderr.startswith("LUM-001")
+    assert "Traceback" not in run.stderr

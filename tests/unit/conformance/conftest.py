@@ -1,0 +1,98 @@
+"""A well-behaved tracker that exists only in the tests, and ways to spoil it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from ronna_hw.clock import Clock, HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.conformance import bench as bench_module
+from ronna_hw.conformance.bench import Bench
+from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
+from ronna_hw.errors import ConfigurationError, ConnectError
+
+
+class GoodTracker:
+    """Does what the interface says, without any wire: `host:` is its endpoint."""
+
+    def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
+        if set(config.options) - {"tools"}:
+            raise ConfigurationError("an option is unknown")
+        self.name, self.config, self.clock = name, config, clock
+        self.tools: tuple[str, ...] = tuple(config.options.get("tools", ("probe",)))
+        self.guard = LifecycleGuard(name)
+        self.frame = 0
+
+    @property
+    def state(self) -> Lifecycle:
+        return self.guard.state
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        self.guard.require("connect", {Lifecycle.DISCONNECTED})
+        if self.config.endpoint != "host:":
+            error = ConnectError("nobody is there", action="Look for it.")
+            error.code = "TST-001"  # type: ignore[misc]
+            raise error
+        self.guard.enter(Lifecycle.CONNECTED)
+        return Identity("Test", "Good", "1", "0")
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        self.guard.require("configure", {Lifecycle.CONNECTED})
+        self.guard.enter(Lifecycle.CONFIGURED)
+
+    def activate(self, timeout_s: float = 10.0) -> None:
+        self.guard.require("activate", {Lifecycle.CONFIGURED})
+        self.guard.enter(Lifecycle.ACTIVE)
+
+    def deactivate(self, timeout_s: float = 10.0) -> None:
+        self.guard.require("deactivate", {Lifecycle.ACTIVE})
+        self.guard.enter(Lifecycle.CONFIGURED)
+
+    def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
+        self.guard.require("read_frame", {Lifecycle.ACTIVE})
+        self.frame += 1
+        return TrackerFrame(
+            Stamp(self.frame, self.frame, self.clock.now_s()),
+            Validity.OK,
+            tuple(self.reading(tool) for tool in self.tools),
+            (StrayReading((0.0, 0.0, -1000.0), Validity.OK),),
+        )
+
+    def reading(self, tool: str) -> ToolReading:
+        if self.frame % 3 == 0:
+            return ToolReading(tool, Validity.MISSING, None, None, None)
+        return ToolReading(tool, Validity.OK, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -1500.0), 0.1)
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        self.guard.require("recover", {Lifecycle.FAULT})
+
+    def close(self) -> None:
+        self.guard.enter(Lifecycle.CLOSED)
+
+
+class QuickClock(HostClock):
+    """A clock on which a test does not wait."""
+
+    def sleep(self, duration_s: float) -> None:
+        return
+
+
+@pytest.fixture
+def good_tracker() -> type[GoodTracker]:
+    return GoodTracker
+
+
+@pytest.fixture
+def make_bench(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Bench]:
+    """A bench for a driver class, which need not be installed."""
+
+    def make(driver: Any, *, endpoint: str = "host:", allowed: frozenset[str] = frozenset()) -> Bench:
+        monkeypatch.setattr(bench_module, "load_driver", lambda name: driver)
+        monkeypatch.setattr(bench_module, "make_device", driver)
+        return Bench("tracker", DeviceConfig(driver="test", endpoint=endpoint), QuickClock(), allowed)
+
+    return make

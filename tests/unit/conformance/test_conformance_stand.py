@@ -1,0 +1,137 @@
+"""What the command line names is what is tested; mistakes are told before anything starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ronna_hw.child_process import ChildNotReady
+from ronna_hw.conformance import stand as stand_module
+from ronna_hw.conformance.case import Suite
+from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen
+from ronna_hw.conformance.stand import load_suite, stand
+from ronna_hw.devices.errors import UnknownDriver
+from ronna_hw.endpoints import BadEndpoint
+from ronna_hw.errors import EXIT_USAGE
+
+THEATRE = """
+schema = 1
+theatre = "two arms"
+[tracker]
+driver = "ndi_polaris"
+endpoint = "tcp://127.0.0.1:8765"
+options = { tools = [{ name = "M", rom = "robot_frame.rom" }] }
+[robot.left]
+driver = "kuka_rsi"
+endpoints = { rsi = "udp://127.0.0.1:1", eki_project = "tcp://127.0.0.1:2" }
+[robot.right]
+driver = "kuka_rsi"
+endpoints = { rsi = "udp://127.0.0.1:3", eki_project = "tcp://127.0.0.1:4" }
+"""
+
+
+@pytest.fixture
+def theatre(tmp_path: Path) -> Path:
+    path = tmp_path / "theatre.toml"
+    path.write_text(THEATRE)
+    return path
+
+
+@pytest.fixture
+def suite() -> Suite:
+    return load_suite("tracker")
+
+
+@pytest.mark.parametrize(
+    ("sim", "file", "endpoints"),
+    [
+        (False, False, []),
+        (True, True, []),
+        (True, False, ["tcp://127.0.0.1:1"]),
+        (False, True, ["tcp://127.0.0.1:1"]),
+    ],
+)
+def test_exactly_one_thing_must_be_named(
+    suite: Suite, theatre: Path, sim: bool, file: bool, endpoints: list[str]
+) -> None:
+    with (
+        pytest.raises(NoDeviceChosen) as caught,
+        stand(suite, sim, theatre if file else None, endpoints, None, None, []),
+    ):
+        pass
+    assert caught.value.exit_code == EXIT_USAGE
+    assert caught.value.code == "CNF-001"
+
+
+def test_an_unknown_permission_is_refused(suite: Suite) -> None:
+    with (
+        pytest.raises(NoDeviceChosen, match="fire"),
+        stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, ["fire"]),
+    ):
+        pass
+
+
+def test_the_device_of_a_theatre_file_keeps_its_options(suite: Suite, theatre: Path) -> None:
+    with stand(suite, False, theatre, [], None, None, []) as bench:
+        assert bench.name == "tracker"
+        assert bench.config.endpoint == "tcp://127.0.0.1:8765"
+        assert bench.make().tools == ("M",)
+        assert "destructive" not in bench.offers
+        assert {
+            "line faults",
+            "checked replies",
+            "polaris bytes",
+            "tool definition",
+            "host time",
+        } <= bench.offers
+
+
+def test_a_device_that_the_file_does_not_hold_is_told(theatre: Path) -> None:
+    with (
+        pytest.raises(DeviceNotInFile) as caught,
+        stand(Suite("stereo", "basler_stereo", ()), False, theatre, [], None, None, []),
+    ):
+        pass
+    assert caught.value.code == "CNF-002"
+    for device in (None, "middle"):
+        with (
+            pytest.raises(DeviceNotInFile, match="left, right"),
+            stand(Suite("robot", "kuka_rsi", ()), False, theatre, [], None, device, []),
+        ):
+            pass
+
+
+def test_an_endpoint_alone_means_the_usual_driver_with_its_usual_options(suite: Suite) -> None:
+    with stand(suite, False, None, ["serial:///dev/ttyUSB0"], None, None, ["destructive"]) as bench:
+        assert bench.config.driver == "ndi_polaris"
+        assert bench.make().tools == ("robot_frame",)
+        assert "destructive" in bench.offers
+
+
+def test_bad_endpoints_and_drivers_are_told(suite: Suite) -> None:
+    with pytest.raises(BadEndpoint), stand(suite, False, None, ["8765"], None, None, []):
+        pass
+    with (
+        pytest.raises(UnknownDriver),
+        stand(suite, False, None, ["tcp://127.0.0.1:1"], "no_such_driver", None, []),
+    ):
+        pass
+    two = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:2"]
+    with pytest.raises(NoDeviceChosen), stand(suite, False, None, two, None, None, []):
+        pass
+
+
+def test_named_endpoints_reach_the_driver_by_their_names() -> None:
+    named = stand_module._named
+    assert named("rsi=udp://127.0.0.1:1") == ("rsi", "udp://127.0.0.1:1")
+    assert named("udp://127.0.0.1:1") == (None, "udp://127.0.0.1:1")
+    assert named("serial:///dev/a=b") == (None, "serial:///dev/a=b")
+
+
+def test_a_simulator_that_does_not_start_is_told() -> None:
+    with (
+        pytest.raises(ChildNotReady),
+        stand(Suite("tracker", "ndi_polaris", ("no-such-device",)), True, None, [], None, None, []),
+    ):
+        pass

@@ -1,0 +1,134 @@
+"""The line that misbehaves does exactly what it is told, and only to what the device says."""
+
+from __future__ import annotations
+
+import os
+import pty
+import socket
+import threading
+import time
+import tty
+from collections.abc import Iterator
+
+import pytest
+
+from ronna_hw.conformance.disturbed_line import DisturbedLine
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+
+
+class Echo:
+    """A device that says back what it hears."""
+
+    def __init__(self) -> None:
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = Endpoint("tcp", host="127.0.0.1", port=self.server.getsockname()[1])
+        self.thread = threading.Thread(target=self.serve, daemon=True)
+        self.thread.start()
+
+    def serve(self) -> None:
+        while True:
+            try:
+                peer, _ = self.server.accept()
+            except OSError:
+                return
+            with peer:
+                while data := peer.recv(4096):
+                    peer.sendall(data)
+
+    def close(self) -> None:
+        self.server.shutdown(socket.SHUT_RDWR)
+        self.server.close()
+        self.thread.join()
+
+
+@pytest.fixture
+def line() -> Iterator[DisturbedLine]:
+    device = Echo()
+    with DisturbedLine(device.endpoint) as line:
+        yield line
+    device.close()
+
+
+def client_of(line: DisturbedLine) -> socket.socket:
+    address = parse_endpoint(line.endpoint)
+    client = socket.create_connection((address.host, address.port))
+    client.settimeout(2.0)
+    return client
+
+
+def ask(client: socket.socket, data: bytes) -> bytes:
+    client.sendall(data)
+    return client.recv(4096)
+
+
+def test_an_undisturbed_line_passes_everything_on(line: DisturbedLine) -> None:
+    with client_of(line) as client:
+        everything = bytes(range(256))
+        assert ask(client, everything) == everything
+
+
+def test_one_reply_is_spoilt_and_the_next_is_whole(line: DisturbedLine) -> None:
+    with client_of(line) as client:
+        ask(client, b"x")
+        line.flip_next()
+        assert ask(client, b"ABC") == b"ABB"
+        assert ask(client, b"ABC") == b"ABC"
+        line.lose_next_byte()
+        assert ask(client, b"ABC") == b"AB"
+        assert ask(client, b"ABC") == b"ABC"
+
+
+def test_a_held_reply_comes_late_and_nothing_overtakes_it(line: DisturbedLine) -> None:
+    with client_of(line) as client:
+        ask(client, b"x")
+        line.delay_next(0.2)
+        began_s = time.monotonic()
+        client.sendall(b"first")
+        time.sleep(0.05)
+        client.sendall(b"second")
+        heard = b""
+        while len(heard) < 11:
+            heard += client.recv(4096)
+        assert heard == b"firstsecond"
+        assert time.monotonic() - began_s >= 0.2
+
+
+def test_silence_swallows_until_it_is_switched_off(line: DisturbedLine) -> None:
+    with client_of(line) as client:
+        ask(client, b"x")
+        line.silence()
+        client.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            ask(client, b"lost")
+        line.silence(False)
+        client.settimeout(2.0)
+        assert ask(client, b"heard") == b"heard"
+
+
+def test_a_cut_connection_ends_and_the_next_is_served(line: DisturbedLine) -> None:
+    with client_of(line) as client:
+        ask(client, b"x")
+        line.cut()
+        assert client.recv(4096) == b""
+    with client_of(line) as client:
+        assert ask(client, b"again") == b"again"
+
+
+def test_a_device_that_is_not_there_is_an_end_not_a_crash() -> None:
+    with DisturbedLine(parse_endpoint("tcp://127.0.0.1:1")) as line, client_of(line) as client:
+        assert client.recv(4096) == b""
+
+
+def test_a_serial_device_is_reached_as_well() -> None:
+    unit, terminal = pty.openpty()
+    tty.setraw(terminal)
+    try:
+        endpoint = parse_endpoint(f"serial://{os.ttyname(terminal)}")
+        with DisturbedLine(endpoint) as line, client_of(line) as client:
+            client.sendall(b"INIT \r")
+            assert os.read(unit, 100) == b"INIT \r"
+            os.write(unit, b"OKAYA896\r")
+            assert client.recv(100) == b"OKAYA896\r"
+    finally:
+        os.close(unit)
+        os.close(terminal)
