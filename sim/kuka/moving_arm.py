@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from math import exp
 
 from sim.kuka.description import AXES, Description
-from sim.kuka.parameters import ControllerParameters
+from sim.kuka.parameters import IPO_FAST_S, ControllerParameters
 
 
 class MovingArm:
@@ -36,7 +36,7 @@ class MovingArm:
         self._braking = False
         self._cycle_s = 0.0
         self._pending: deque[list[float]] = deque()
-        self.start_cycles(0.004)
+        self.start_cycles(IPO_FAST_S)
 
     def start_cycles(self, cycle_s: float) -> None:
         """Prepare for commands every `cycle_s`, from rest."""

@@ -30,5 +30,6 @@ class ControllerParameters:
     end_switch_message: int = 1205  # number of the software end switch's message: unconfirmed
 
 
+IPO_FAST_S = 0.004  # cycle of #IPO_FAST, in which the drives work before a program sets another
 AUTOSTART_PAUSE_S = 2.0  # an autostarted program begins again this long after its run ended
 SUBMIT_CYCLE_S = 0.012  # the submit interpreter writes at most one EKI telegram per loop
