@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
+
+from ronna_hw.conformance.errors import NoSuchCase
 
 if TYPE_CHECKING:
     from ronna_hw.conformance.bench import Bench
@@ -60,6 +62,18 @@ class Suite:
     driver: str
     simulator: tuple[str, ...]
     cases: list[Case] = field(default_factory=list)
+
+    def only(self, beginnings: Sequence[str]) -> Suite:
+        """The same suite with the cases whose number begins so; all of them when nothing is named.
+
+        Raises CNF-003 when no case is left.
+        """
+        if not beginnings:
+            return self
+        cases = [case for case in self.cases if case.number.startswith(tuple(beginnings))]
+        if not cases:
+            raise NoSuchCase(f"no case of the {self.kind} suite begins with {' or '.join(beginnings)}")
+        return replace(self, cases=cases)
 
     def case(
         self, number: str, statement: str, *, needs: tuple[str, ...] = ()

@@ -41,6 +41,9 @@ DeviceOption = Annotated[str | None, typer.Option("--device", help="Which robot 
 AllowOption = Annotated[
     list[str] | None, typer.Option("--allow", help="Also run cases that need this: motion, destructive.")
 ]
+OnlyOption = Annotated[
+    list[str] | None, typer.Option("--only", help="Run only cases whose number begins so, such as P or T2.")
+]
 ReportOption = Annotated[Path | None, typer.Option("--report", help="Write the whole report as JSON here.")]
 
 
@@ -51,12 +54,13 @@ def tracker(
     endpoint: EndpointOption = None,
     driver: DriverOption = None,
     allow: AllowOption = None,
+    only: OnlyOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
 ) -> int:
     """An optical tracker."""
-    return _run("tracker", sim, config, endpoint, driver, None, allow, report, json, verbose)
+    return _run("tracker", sim, config, endpoint, driver, None, allow, only, report, json, verbose)
 
 
 @app.command()
@@ -67,12 +71,13 @@ def robot(
     driver: DriverOption = None,
     device: DeviceOption = None,
     allow: AllowOption = None,
+    only: OnlyOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
 ) -> int:
     """A robot arm."""
-    return _run("robot", sim, config, endpoint, driver, device, allow, report, json, verbose)
+    return _run("robot", sim, config, endpoint, driver, device, allow, only, report, json, verbose)
 
 
 @app.command()
@@ -82,12 +87,13 @@ def stereo(
     endpoint: EndpointOption = None,
     driver: DriverOption = None,
     allow: AllowOption = None,
+    only: OnlyOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
 ) -> int:
     """A stereo pair of cameras."""
-    return _run("stereo", sim, config, endpoint, driver, None, allow, report, json, verbose)
+    return _run("stereo", sim, config, endpoint, driver, None, allow, only, report, json, verbose)
 
 
 def _run(
@@ -98,6 +104,7 @@ def _run(
     driver: str | None,
     device: str | None,
     allow: list[str] | None,
+    only: list[str] | None,
     report_file: Path | None,
     json: bool,
     verbose: bool,
@@ -109,7 +116,7 @@ def _run(
 
     if report_file is not None:
         write_whole(report_file, b"")  # a place that cannot be written is told before the work, not after
-    suite = load_suite(kind)
+    suite = load_suite(kind).only(only or [])
     with (
         stand(suite, sim, config, endpoints or [], driver, device, allow or []) as bench,
         progress_bar(f"{kind} suite") as progress,

@@ -17,3 +17,10 @@ class DeviceNotInFile(ConfigurationError):
 
     code = "CNF-002"
     action = "Name a device that the theatre file holds, with --device for one of several robots."
+
+
+class NoSuchCase(ConfigurationError):
+    """The command line names cases that the suite does not have."""
+
+    code = "CNF-003"
+    action = "Run the suite without --only to see the numbers of its cases."

@@ -12,6 +12,7 @@ import pytest
 
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NEEDS, Case, NotShown, Outcome, Suite, check, refused
+from ronna_hw.conformance.errors import NoSuchCase
 from ronna_hw.conformance.report import run_case, run_suite
 from ronna_hw.conformance.tracker import SUITE
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -225,6 +226,16 @@ def test_case_numbers_are_unique_and_needs_known() -> None:
         suite.case("2", "two", needs=("magic",))
     numbers = [case.number for case in SUITE.cases]
     assert len(set(numbers)) == len(numbers) >= 40
+
+
+def test_a_part_of_a_suite_is_chosen_by_the_beginning_of_its_numbers() -> None:
+    assert SUITE.only([]) is SUITE
+    assert [case.number for case in SUITE.only(["T01", "P0"]).cases] == [
+        "T01", "P02", "P03", "P04", "P05", "P06", "P07"
+    ]  # fmt: skip
+    with pytest.raises(NoSuchCase) as caught:
+        SUITE.only(["Z"])
+    assert caught.value.code == "CNF-003"
 
 
 def test_a_check_says_what_was_expected_and_found() -> None:
