@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from dataclasses import replace
-from math import degrees
 
 from drivers.kuka_rsi.eki_client import EkiClient
 from drivers.kuka_rsi.eki_state import ControllerState, require_ours, require_ready
@@ -13,15 +13,16 @@ from drivers.kuka_rsi.errors import (
     ControllerNotFound,
     LinkProcessDied,
     MotionNotFinished,
+    MotionRefused,
     MotionStopped,
     NoTelegram,
 )
-from drivers.kuka_rsi.faults import error_of_fault, error_of_refusal
+from drivers.kuka_rsi.faults import axes_text, error_of_fault, error_of_refusal
 from drivers.kuka_rsi.link_client import Condition, LinkClient
-from drivers.kuka_rsi.mailbox import CommandKind, Fault, LinkState, Phase, Result, StopOrder
+from drivers.kuka_rsi.mailbox import NO_STATE, CommandKind, Fault, LinkState, Phase, Result, StopOrder
 from drivers.kuka_rsi.options import read_options
 from drivers.kuka_rsi.stream import end_stream, link_settings, open_controller, rest_of, start_stream
-from drivers.kuka_rsi.turnaround import EDGES_US, percentile_us
+from drivers.kuka_rsi.turnaround import link_statistics
 from ronna_hw.arm.limits import MotionLimits, working_limits
 from ronna_hw.arm.model import ArmModel, arm_model, radians6
 from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
@@ -67,6 +68,7 @@ class KukaRsiArm:
         self._guard = LifecycleGuard(name)
         self._eki: EkiClient | None = None
         self._link: LinkClient | None = None
+        self._motion = threading.Lock()  # held while a motion is followed
         self._sequence = 0
         self._told: RonnaError | None = None  # the fault that a caller has already been given
 
@@ -197,18 +199,8 @@ class KukaRsiArm:
         """Health of the link since the last `activate`."""
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
         if self._link is None:
-            return LinkStatistics(0, 0, 0, 0, 0.0, 0.0, EDGES_US, (0,) * (len(EDGES_US) - 1))
-        state, counts = self._link.state, self._link.histogram()
-        return LinkStatistics(
-            cycles=state.cycles,
-            late_cycles=state.late,
-            lost_cycles=state.lost,
-            rejected_telegrams=state.rejected,
-            turnaround_median_us=percentile_us(counts, 0.5),
-            turnaround_p99_us=percentile_us(counts, 0.99),
-            histogram_edges_us=EDGES_US,
-            histogram_counts=counts,
-        )
+            return link_statistics(NO_STATE, ())
+        return link_statistics(self._link.state, self._link.histogram())
 
     @property
     def degraded(self) -> bool:
@@ -266,14 +258,20 @@ class KukaRsiArm:
         self._guard.require("resume", STREAMING)
         self._guard.enter(Lifecycle.ACTIVE)
 
-    # Inside
-
     def _ready_to_move(self, call: str, speed_fraction: float) -> tuple[MotionLimits, LinkClient]:
         self._raise_fault()
         self._guard.require(call, (Lifecycle.ACTIVE,))
         return self._limits.slowed(speed_fraction), self._the_link
 
     def _follow(self, plan: MotionPlan, stops: int, timeout_s: float) -> ArmReading:
+        if not self._motion.acquire(blocking=False):
+            raise MotionRefused(f"{self._name}: another motion is under way")
+        try:
+            return self._carry_out(plan, stops, timeout_s)
+        finally:
+            self._motion.release()
+
+    def _carry_out(self, plan: MotionPlan, stops: int, timeout_s: float) -> ArmReading:
         link = self._the_link
         number = link.command(CommandKind.MOVE, plan, stops)
         begun = link.state.cycles
@@ -292,14 +290,14 @@ class KukaRsiArm:
                 raise MotionNotFinished(
                     f"{self._name}: the motion did not end or settle",
                     limit=f"{timeout_s:g} s",
-                    last=_axes_text(link.state),
+                    last=axes_text(link.state),
                 )
         self._notice_fault()
         if (fault := self._guard.fault) is not None:
             self._told = fault
             raise fault
         if state.result is Result.STOPPED:
-            raise MotionStopped(f"{self._name}: stopped on the way", last=_axes_text(state))
+            raise MotionStopped(f"{self._name}: stopped on the way", last=axes_text(state))
         if state.result is not Result.DONE:
             raise error_of_refusal(self._name, state)
         return self._reading(state)
@@ -350,8 +348,13 @@ class KukaRsiArm:
             return
         link = self._the_link
         state = link.state
+        latest = self._eki.latest if self._eki is not None else None
         error = error_of_fault(
-            self._name, state, self._options, link.recorded_cycles() if state.fault is Fault.MONITOR else ()
+            self._name,
+            state,
+            self._options,
+            link.recorded_cycles() if state.fault is Fault.MONITOR else (),
+            latest.error if latest is not None else 0,
         )
         if error is None and not link.alive:
             error = link.death()
@@ -394,7 +397,3 @@ class KukaRsiArm:
     def _stamp(self, device_clock: int) -> Stamp:
         self._sequence += 1
         return Stamp(self._sequence, device_clock, self._clock.now_s())
-
-
-def _axes_text(state: LinkState) -> str:
-    return "A1..A6 " + " ".join(f"{degrees(angle):.3f}" for angle in state.measured_rad) + " deg"

@@ -31,9 +31,13 @@ _REFUSALS = {
 
 
 def error_of_fault(
-    name: str, state: LinkState, options: KukaOptions, cycles: tuple[RecordedCycle, ...]
+    name: str,
+    state: LinkState,
+    options: KukaOptions,
+    cycles: tuple[RecordedCycle, ...] = (),
+    message: int = 0,
 ) -> RonnaError | None:
-    """The error of the latched fault, or None when there is none."""
+    """The error of the latched fault, or None when there is none. `message`: the controller's, 0 for none."""
     where = f"{name}: after {state.cycles} cycles"
     match state.fault:
         case Fault.NONE:
@@ -47,8 +51,9 @@ def error_of_fault(
             tripped.cycles = cycles
             return tripped
         case Fault.SILENCE:
+            said = f"; the controller shows message {message}" if message else ""
             return LinkSilent(
-                f"{where} telegrams ceased",
+                f"{where} telegrams ceased{said}",
                 awaited="a telegram in every cycle",
                 limit=f"{options.silence_limit_s:g} s",
                 last=f"IPOC {state.IPOC}",
@@ -70,7 +75,7 @@ def error_of_fault(
         case Fault.BASE:
             return PoseDisagrees(
                 f"{name}: the first telegram's axes are outside the joint ranges",
-                last=" ".join(f"{degrees(angle):.3f}" for angle in state.measured_rad),
+                last=axes_text(state),
             )
 
 
@@ -78,3 +83,8 @@ def error_of_refusal(name: str, state: LinkState) -> MotionRefused:
     """The error of a motion that the real-time process did not accept."""
     why = _REFUSALS.get(state.result, f"result {state.result.name}")
     return MotionRefused(f"{name}: the motion was refused: {why}")
+
+
+def axes_text(state: LinkState) -> str:
+    """The measured axes for a message."""
+    return "A1..A6 " + " ".join(f"{degrees(angle):.3f}" for angle in state.measured_rad) + " deg"

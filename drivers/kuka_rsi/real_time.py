@@ -6,15 +6,20 @@ import contextlib
 import ctypes
 import gc
 import os
+import resource
 import signal
 
 _MCL_CURRENT_AND_FUTURE = 3
 _PR_SET_PDEATHSIG = 1
+ENOUGH_LOCKED_BYTES = 1 << 30  # several times what the process maps
 PARENT_DEATH_SIGNAL = signal.SIGUSR1  # not SIGTERM: that one means what it says
 
 
 def lock_memory() -> bool:
     """Keep all pages in memory; True when granted."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if os.geteuid() != 0 and limit != resource.RLIM_INFINITY and limit < ENOUGH_LOCKED_BYTES:
+        return False  # granted now, it would refuse memory later on
     try:
         return bool(ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
     except (OSError, AttributeError):

@@ -126,7 +126,7 @@ def start_stream(
             )
     if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, rest_of(deadline)) is None:
         raise NoTelegram(f"{name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s")
-    fault = error_of_fault(name, link.state, options, ())
+    fault = error_of_fault(name, link.state, options)
     if fault is not None:
         raise fault
 

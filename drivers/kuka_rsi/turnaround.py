@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import log
 
-from drivers.kuka_rsi.mailbox import HISTOGRAM_BINS
+from drivers.kuka_rsi.mailbox import HISTOGRAM_BINS, LinkState
+from ronna_hw.devices.readings import LinkStatistics
 
 FIRST_EDGE_US = 2.0
 RATIO = 1.25  # a bin is a quarter wider than the one before: the last of 64 ends above 3 s
@@ -32,3 +33,17 @@ def percentile_us(counts: Sequence[int], share: float) -> float:
             return EDGES_US[k] + (EDGES_US[k + 1] - EDGES_US[k]) * (wanted - seen) / count
         seen += count
     return EDGES_US[-1]
+
+
+def link_statistics(state: LinkState, counts: Sequence[int]) -> LinkStatistics:
+    """The health of the link in the form of the device interface; no counts before a link was opened."""
+    return LinkStatistics(
+        cycles=state.cycles,
+        late_cycles=state.late,
+        lost_cycles=state.lost,
+        rejected_telegrams=state.rejected,
+        turnaround_median_us=percentile_us(counts, 0.5),
+        turnaround_p99_us=percentile_us(counts, 0.99),
+        histogram_edges_us=EDGES_US,
+        histogram_counts=tuple(counts) or (0,) * HISTOGRAM_BINS,
+    )

@@ -6,7 +6,6 @@ ARM-003 OutOfJointRange    a solution or a path leaves the range of a joint
 ARM-004 BranchUnavailable  the asked branch has no solution, or the branch would change on the way
 ARM-005 TooFast            a joint would exceed its working speed or acceleration
 ARM-006 MotionInvalid      the motion generator refused its input
-ARM-007 MonitorTripped     the independent monitor refused a set-point or a measured pose
 """
 
 from __future__ import annotations
@@ -54,10 +53,3 @@ class MotionInvalid(DataError):
 
     code = "ARM-006"
     action = "Check the numbers of the motion: finite, limits positive, six joints."
-
-
-class MonitorTripped(LimitError):
-    """The independent monitor refused a set-point or a measured pose."""
-
-    code = "ARM-007"
-    action = "Read the attached cycles, find the cause, then recover the arm."

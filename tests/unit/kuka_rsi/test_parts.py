@@ -253,16 +253,22 @@ def test_options_have_defaults_and_every_mistake_is_told() -> None:
     ],
 )
 def test_a_latched_fault_becomes_its_error(fault: Fault, error: type[Exception], code: str) -> None:
-    made = error_of_fault("arm", NO_STATE._replace(fault=fault), KukaOptions(), ())
+    made = error_of_fault("arm", NO_STATE._replace(fault=fault), KukaOptions())
     assert made is not None
     with pytest.raises(error) as caught:
         raise made
     assert getattr(caught.value, "code", "") == code
 
 
+def test_silence_names_the_message_that_the_controller_shows() -> None:
+    silent = NO_STATE._replace(fault=Fault.SILENCE)
+    assert "message 29002" in str(error_of_fault("arm", silent, KukaOptions(), message=29002))
+    assert "message" not in str(error_of_fault("arm", silent, KukaOptions())).split(";")[0]
+
+
 def test_every_fault_and_every_refusal_has_words() -> None:
     for fault in Fault:
-        made = error_of_fault("arm", NO_STATE._replace(fault=fault), KukaOptions(), ())
+        made = error_of_fault("arm", NO_STATE._replace(fault=fault), KukaOptions())
         assert (made is None) == (fault is Fault.NONE)
     for result in Result:
         if result.name.startswith("REFUSED"):
