@@ -22,6 +22,7 @@ from drivers.ndi_polaris.errors import (
     WrongMode,
     WrongUnit,
 )
+from drivers.ndi_polaris.geometry import alike_segments_mm
 from drivers.ndi_polaris.identity import check_identity, read_identity
 from drivers.ndi_polaris.options import read_options
 from drivers.ndi_polaris.rom import encode_definition
@@ -279,7 +280,11 @@ class PolarisTracker:
 
     def _set_up(self, deadline_s: float) -> None:
         link = self._link
-        self._notices.clear()
+        self._notices[:] = [
+            f"{name}: distances {a:.1f} and {b:.1f} mm between its markers are too alike"
+            for name, tool in self._definitions.items()
+            for a, b in alike_segments_mm(tool)
+        ]
         raise_baud(link, self._options.maximum_baud, deadline_s, self._pause)
         note = set_illuminator_rate(link, self._options.illuminator_rate_hz, deadline_s)
         if note is not None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from datetime import date
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost, MalformedReply, NoReply
+from drivers.ndi_polaris.rom import encode_definition, planar_tool
 from ronna_hw.devices import Lifecycle, OpticalTracker
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
@@ -150,6 +153,14 @@ def test_a_warning_to_pinit_is_success_and_reported(make_tracker: Make, unit: An
     unit._do_pinit = lambda argument: "WARNING05" if usual(argument) == "OKAY" else "ERROR13"
     device = bring_up(make_tracker())
     assert any("wavelength" in note for note in device.notices)
+
+
+def test_a_tool_whose_marker_distances_are_alike_is_reported(make_tracker: Make, tmp_path: Path) -> None:
+    corners = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (50.0, 60.0, 0.0), (0.0, 60.0, 0.0))
+    rectangle = planar_tool("BOX", corners, manufacturer="TEST", made_on=date(2025, 1, 1))
+    (tmp_path / "box.rom").write_bytes(encode_definition(rectangle))
+    device = bring_up(make_tracker(tools=[{"name": "box", "rom": str(tmp_path / "box.rom")}]))
+    assert any("50.0 and 50.0 mm" in note for note in device.notices)
 
 
 def test_a_lost_reply_to_phrq_leaves_no_orphan_handle(make_tracker: Make, unit: Any) -> None:
