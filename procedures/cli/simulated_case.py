@@ -43,7 +43,9 @@ class SimulatedCase:
             arguments += ["--faults", str(faults)]
         self._theatre = ChildProcess.begun("ronna-sim theatre", command("sim.cli", "theatre", *arguments))
         self._phantom = subprocess.Popen(
-            command("sim.cli", "phantom", *choice.arguments(), "--out", str(folder / "case")),
+            command(
+                "sim.cli", "phantom", "--with-parent", *choice.arguments(), "--out", str(folder / "case")
+            ),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -84,4 +86,10 @@ class SimulatedCase:
             self._phantom.wait()
         if self._phantom.stderr is not None:
             self._phantom.stderr.close()
+        fallen = not self._theatre.alive
         self._theatre.stop()
+        if fallen and error is not None and self._theatre.ready:
+            # What the procedure met is only the consequence: a device of the theatre has ended.
+            raise CommandRefused(
+                "ronna-sim theatre", self._theatre.messages[-1], self._theatre.process.returncode
+            ) from error

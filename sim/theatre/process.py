@@ -8,10 +8,12 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
+from ronna_hw.errors import EXIT_FAILED
 from sim.theatre.built_in import SCENES, built_in_scene
 from sim.theatre.scene import Scene, read_scene
 from sim.theatre.world import World
@@ -49,9 +51,18 @@ def end_with_parent(end: Callable[[], None]) -> None:
             time.sleep(PARENT_CHECK_S)
         leave()
 
+    threading.excepthook = _end_with_thread
     signal.signal(signal.SIGTERM, on_signal)
     signal.signal(signal.SIGINT, on_signal)
     threading.Thread(target=watch, name="parent watch", daemon=True).start()
+
+
+def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
+    """A device half of whose threads are dead would only fall silent: end it, and say why."""
+    traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback)
+    sys.stderr.write(f"{failure.thread.name if failure.thread else 'a thread'} failed: {failure.exc_value}\n")
+    sys.stderr.flush()
+    os._exit(EXIT_FAILED)
 
 
 def open_world(world: str | None, scene: str) -> World:

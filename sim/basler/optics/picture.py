@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import ceil, floor
 
 import numpy as np
@@ -16,6 +17,7 @@ from sim.basler.optics.grain import Grain
 from sim.basler.optics.lens import LARGEST_SIGMA_PX, Lens
 from sim.basler.optics.light import Lighting
 from sim.basler.optics.sphere import Sphere
+from sim.basler.optics.stalk import StalkImage
 from sim.theatre.scene import CameraTruth
 
 MARGIN_PX = reach_px(LARGEST_SIGMA_PX)  # drawn around the area of interest, so that blur has what it needs
@@ -58,22 +60,29 @@ class Optics:
     def _paint(self, canvas: Canvas, sphere: Sphere, sphere_area: Area, stalk_area: Area) -> None:
         # The light falls off with the square of the distance; full strength where the lens is focused.
         strength = np.float32((self.lens.focus_mm / sphere.distance_mm) ** 2)
-        stalk = stalk_image.image_of(sphere, self.lens, stalk_area)
-        stalk_light = stalk.light * self._lighting.on_film(stalk_area) * strength
-        _over(canvas.part(stalk_area), stalk.cover, stalk_light)
+        stalk = self._stalk(sphere, stalk_area, strength)
+        if stalk is not None:
+            _over(canvas.part(stalk_area), stalk.cover, stalk.light)
         if sphere_area.empty:
             return
         ball = sphere_image.image_of(sphere, self.lens, sphere_area, self._grain(sphere.number))
         ball_light = ball.light * self._lighting.on_film(sphere_area) * strength
         _over(canvas.part(sphere_area), ball.cover, ball_light)
         both = sphere_area.common(stalk_area)
-        if both.empty:
+        if stalk is None or both.empty:
             return
         stalk_part, ball_part = Canvas(stalk_area, stalk.depth_mm), Canvas(sphere_area, ball.depth_mm)
         in_front = stalk_part.part(both) < ball_part.part(both)
         in_front &= np.isfinite(ball_part.part(both))
         cover = Canvas(stalk_area, stalk.cover).part(both) * in_front
-        _over(canvas.part(both), cover, Canvas(stalk_area, stalk_light).part(both))
+        _over(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
+
+    def _stalk(self, sphere: Sphere, area: Area, strength: np.float32) -> StalkImage | None:
+        """Post and base as they appear in an area, or None when nothing of them does."""
+        if area.empty:
+            return None
+        image = stalk_image.image_of(sphere, self.lens, area)
+        return replace(image, light=image.light * self._lighting.on_film(area) * strength)
 
     def _bounds(self, points_mm: NDArray[np.float64]) -> Area:
         points = points_mm[points_mm[:, 2] > NEAREST_MM / 2]
