@@ -1,7 +1,8 @@
 """What the real-time process does with each telegram, without any input or output of its own.
 
-Reply k carries a point prepared after reply k-1. When a telegram comes, orders and measured axes are looked
-at, and that only decides between the point to go on and the first point of a stop.
+Reply k carries a point prepared after reply k-1. When a telegram comes, only orders, losses and what is known
+to be wrong are looked at, and that decides between the point to go on and the first point of a stop. The
+measured axes are judged when the reply is out.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class Session:
         self._command_number = 0
         self._ipoc = 0
         self._received_ns = 0
+        self._axes_deg: JointVector = NO_STATE.measured_rad
         self._measured: JointVector = NO_STATE.measured_rad
         self._losses = Losses(settings.cycle_ms)
         self._stopping = False
@@ -101,8 +103,7 @@ class Session:
 
         `new_peer`: it came from another address than the one before.
         """
-        a, b, c, d, e, f = telegram.axes_deg
-        self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
+        self._axes_deg = telegram.axes_deg
         self._received_ns = now_ns
         self._watch_heartbeat(orders.heartbeat, now_ns)
         ipoc = int(telegram.ipoc)
@@ -130,9 +131,6 @@ class Session:
             self._trip(points.violation)
         elif points.path_failed:
             self._latch(Fault.PATH)
-        following = points.monitor.check_measured(self._measured)
-        if following is not None:
-            self._trip(following)
         if missing > HELD_AFTER_CYCLES and points.moving:
             self.choice = Choice.HOLD
         else:
@@ -140,11 +138,15 @@ class Session:
         return self._heads[self.choice]
 
     def after_reply(self, command: Command | None) -> None:
-        """The reply was sent: commit it, take a new command, prepare the next one."""
+        """The reply was sent: judge the measured axes, take a new command, prepare the next reply."""
         points = self._points
         if points is None:
             return
         self.cycles += 1
+        self._measure()
+        following = points.monitor.check_measured(self._measured)
+        if following is not None:
+            self._trip(following)
         points.commit(self.choice)
         self._follow_motion(points)
         if command is not None:
@@ -225,12 +227,17 @@ class Session:
             0,
         )
 
+    def _measure(self) -> None:
+        a, b, c, d, e, f = self._axes_deg
+        self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
+
     def _begin(self, axes_deg: JointVector) -> bytes:
         """First reply of a run: corrections count from here, and the first one is zero."""
         lower, upper = self._model.lower_rad, self._model.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
             if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
                 self._latch(Fault.BASE)
+        self._measure()
         self._base_deg = axes_deg
         self._base_rad = self._measured
         self._points = SetPoints(self._model, self._limits, self._cycle_s, self._measured)
