@@ -87,11 +87,11 @@ def test_18_the_family_s_names_are_there_and_can_be_found_from_the_root(
     description: ElementTree.Element,
 ) -> None:
     nodes = {node.get("Name"): node for node in description}
-    assert NAMES <= set(nodes)
+    assert set(nodes) >= NAMES
     reachable = set()
     for category in nodes["Root"].findall("pFeature"):
         reachable |= {feature.text for feature in nodes[category.text].findall("pFeature")}
-    assert NAMES <= reachable
+    assert reachable >= NAMES
     selected = {entry.text for entry in nodes["TriggerSelector"].findall("pSelected")}
     assert {"TriggerMode", "TriggerSource", "TriggerSoftware"} <= selected
     for name in ("Width", "Height", "PixelFormat", "GevSCPSPacketSize"):
