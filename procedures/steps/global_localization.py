@@ -1,6 +1,7 @@
 """Global localization: the tracker reads the reference frame on the tool and all stray spheres.
 
-The arm rests and RSI is off. Exactly FRAMES consecutive frames are taken and averaged.
+The arm rests and RSI is off. Exactly FRAMES measurements are taken and averaged. A tracker that is asked
+faster than it measures gives the same one again; those do not count.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
 
 FRAMES = 60  # one second of a 60 Hz tracker
+FRAME_S = 1 / 60
+READING_LIMIT_S = 10.0  # theatre time; a 20 Hz illuminator needs three
 LEAST_FRAMES_WITH_TOOL = 30
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 
@@ -25,10 +28,7 @@ def run(context: StepContext) -> Outcome:
     tracker = context.devices.tracker
     tracker.activate()
     try:
-        frames = []
-        for number in range(FRAMES):
-            frames.append(tracker.read_frame())
-            context.progress((number + 1) / FRAMES, "reading the tracker")
+        frames = _fresh_frames(context)
     finally:
         tracker.deactivate()
     calibration = context.calibrations.tracker_frame
@@ -62,6 +62,25 @@ def run(context: StepContext) -> Outcome:
         parents=(context.case.get("set_up"),),
         summary=f"{len(groups)} stray spheres in {FRAMES} frames, largest spread {spread:.2f} mm",
     )
+
+
+def _fresh_frames(context: StepContext) -> list[TrackerFrame]:
+    """FRAMES measurements, each another one; raises PRO-007 when the tracker gives too few in time."""
+    clock, tracker = context.clock, context.devices.tracker
+    limit_s = clock.now_s() + READING_LIMIT_S
+    frames: list[TrackerFrame] = []
+    while len(frames) < FRAMES:
+        frame = tracker.read_frame()
+        if frame.validity is not Validity.STALE:
+            frames.append(frame)
+            context.progress(len(frames) / FRAMES, "reading the tracker")
+        elif clock.now_s() > limit_s:
+            raise GateFailed(
+                "the tracker gives no new measurements", awaited=f"{FRAMES}", last=f"{len(frames)}"
+            )
+        else:
+            clock.sleep(FRAME_S / 2)
+    return frames
 
 
 def _average_pose(frames: list[TrackerFrame], tool: str) -> Transform:

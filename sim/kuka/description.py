@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import atan2, degrees
 from typing import Literal
 
-Variant = Literal["sixx", "r900_2"]
+Variant = Literal["kr6_r900_sixx", "kr6_r900_2"]
 AXES = 6
 FLANGE_PITCH_DEG = 90.0  # the flange frame is the last link turned about its y: z points out of the flange
 
@@ -30,10 +30,9 @@ class Joint:
 
 @dataclass(frozen=True)
 class Description:
-    """An arm. `wire_name` is what the controller calls itself, `model` what $ROBTRAFO[] holds."""
+    """An arm. `variant` is also what the controller calls itself, `model` what $ROBTRAFO[] holds."""
 
     variant: Variant
-    wire_name: str
     model: str
     joints: tuple[Joint, ...]
 
@@ -63,12 +62,10 @@ def _arm(
 
 
 _DESCRIPTIONS: dict[Variant, Description] = {
-    "sixx": Description(
-        "sixx", "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _arm(35.0, 80.0, (381.0, 388.0, 615.0))
+    "kr6_r900_sixx": Description(
+        "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _arm(35.0, 80.0, (381.0, 388.0, 615.0))
     ),
-    "r900_2": Description(
-        "r900_2", "kr6_r900_2", "#KR6R900_2_C4SR_FLR", _arm(25.0, 90.0, (450.0, 450.0, 540.0))
-    ),
+    "kr6_r900_2": Description("kr6_r900_2", "#KR6R900_2_C4SR_FLR", _arm(25.0, 90.0, (450.0, 450.0, 540.0))),
 }
 
 

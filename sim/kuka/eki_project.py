@@ -127,7 +127,7 @@ class ProjectChannel:
             str(int(controller.holds_corrections)),
             str(controller.cycle_ms),
             controller.context_hash,
-            controller.arm.description.wire_name,
+            controller.arm.description.variant,
         )
 
     def _state(self, identifier: str) -> str:

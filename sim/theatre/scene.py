@@ -74,7 +74,7 @@ class ArmTruth(Strict):
     backlash with the sign of the last motion; at rest a repeatability error is added.
     """
 
-    variant: Literal["sixx", "r900_2"] = "sixx"
+    variant: Literal["kr6_r900_sixx", "kr6_r900_2"] = "kr6_r900_sixx"
     home_deg: Numbers6
     links: tuple[LinkError, LinkError, LinkError, LinkError, LinkError, LinkError]
     joint_offset_rad: Numbers6

@@ -21,7 +21,6 @@ from sim.theatre.scene import CalibrationError, CameraTruth, Scene
 from sim.theatre.stereo_head import WORKING_DISTANCE_MM
 
 RECORD_LIFE = timedelta(days=30)
-VARIANT_NAMES = {"sixx": "r900_sixx", "r900_2": "r900_2"}
 MADE_BY = "ronna-sim theatre"
 BANNER = "SIMULATED THEATRE"
 
@@ -45,7 +44,7 @@ def theatre_content(
                 "driver": "kuka_rsi",
                 "endpoints": {key: endpoints["kuka"][key] for key in ("rsi", "eki_project")},
                 "options": {
-                    "variant": f"kr6_{VARIANT_NAMES[scene.arm.variant]}",
+                    "variant": scene.arm.variant,
                     "silence_limit_s": silence_limit_s,
                 },
             }

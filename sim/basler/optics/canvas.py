@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from sim.basler.optics.lens import Lens
 
 Image = NDArray[np.float32]
+
+OUTLINE_MARGIN_PX = 3  # an outline is given by points, and a rim has a width
+NEAREST_POINT_MM = 30.0  # the lens is longer than that
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,17 @@ class Area:
     def empty(self) -> bool:
         """True when no pixel lies in it."""
         return self.width == 0 or self.height == 0
+
+
+def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
+    """Area of the images of points (n, 3), with a margin for what lies between them; empty behind the lens."""
+    points = points_mm[points_mm[:, 2] > NEAREST_POINT_MM]
+    if not len(points):
+        return Area(0, 0, 0, 0)
+    pixels = lens.project(points)
+    left, top = (floor(value) - OUTLINE_MARGIN_PX for value in pixels.min(axis=0))
+    right, bottom = (ceil(value) + OUTLINE_MARGIN_PX + 1 for value in pixels.max(axis=0))
+    return Area(left, top, right - left, bottom - top)
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import ceil, floor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.basler.optics import sphere as sphere_image
 from sim.basler.optics import stalk as stalk_image
 from sim.basler.optics.blur import blurred, reach_px
-from sim.basler.optics.canvas import Area, Canvas, Image
+from sim.basler.optics.canvas import Area, Canvas, Image, bounds_of
 from sim.basler.optics.grain import Grain
 from sim.basler.optics.lens import LARGEST_SIGMA_PX, Lens
 from sim.basler.optics.light import Lighting
@@ -21,7 +19,6 @@ from sim.basler.optics.stalk import StalkImage
 from sim.theatre.scene import CameraTruth
 
 MARGIN_PX = reach_px(LARGEST_SIGMA_PX)  # drawn around the area of interest, so that blur has what it needs
-OUTLINE_MARGIN_PX = 3  # the outline is a polygon, and the rim has a width
 NEAREST_MM = 60.0  # nothing is drawn that is nearer: the lens is longer than that
 
 
@@ -46,8 +43,8 @@ class Optics:
         if sphere.centre_mm[2] - sphere.radius_mm < NEAREST_MM:
             return
         sigma_px = self.lens.blur_sigma_px(float(sphere.centre_mm[2]))
-        sphere_area = self._bounds(sphere.outline_mm()).common(canvas.area)
-        stalk_area = self._bounds(stalk_image.outline_mm(sphere)).common(canvas.area)
+        sphere_area = bounds_of(self.lens, sphere.outline_mm()).common(canvas.area)
+        stalk_area = bounds_of(self.lens, stalk_image.outline_mm(sphere)).common(canvas.area)
         parts = [part for part in (sphere_area, stalk_area) if not part.empty]
         if not parts:
             return
@@ -83,15 +80,6 @@ class Optics:
             return None
         image = stalk_image.image_of(sphere, self.lens, area)
         return replace(image, light=image.light * self._lighting.on_film(area) * strength)
-
-    def _bounds(self, points_mm: NDArray[np.float64]) -> Area:
-        points = points_mm[points_mm[:, 2] > NEAREST_MM / 2]
-        if not len(points):
-            return Area(0, 0, 0, 0)
-        pixels = self.lens.project(points)
-        left, top = (floor(value) - OUTLINE_MARGIN_PX for value in pixels.min(axis=0))
-        right, bottom = (ceil(value) + OUTLINE_MARGIN_PX + 1 for value in pixels.max(axis=0))
-        return Area(left, top, right - left, bottom - top)
 
     def _grain(self, number: int) -> Grain:
         if number not in self._grains:

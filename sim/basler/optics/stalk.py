@@ -6,12 +6,13 @@ seen from above it lies behind the sphere and its outer edge touches the image o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Area, Image, Rays
+from sim.basler.optics.canvas import Area, Canvas, Image, Rays, bounds_of
 from sim.basler.optics.lens import Lens
 from sim.basler.optics.sphere import Sphere
 
@@ -19,6 +20,7 @@ Vector = NDArray[np.float64]
 
 SIDE_DARKENING = 0.6  # a cylinder's edge sends this much less light than its middle
 OUTLINE_POINTS = 16
+SMALLEST_ACROSS = 1e-6  # keeps divisions finite for rays along or across the axis
 
 
 @dataclass(frozen=True)
@@ -48,14 +50,14 @@ class StalkImage:
     depth_mm: Image
 
 
-def outline_mm(sphere: Sphere) -> Vector:
-    """Points (n, 3) that enclose the stalk of a sphere."""
+def outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> Vector:
+    """Points (n, 3) that enclose the stalk of a sphere, or some sections of it."""
     across, over, post = sphere.camera_from_sphere.T
     angle = np.linspace(0.0, 2 * np.pi, OUTLINE_POINTS, endpoint=False)[:, None]
     circle = np.cos(angle) * across + np.sin(angle) * over
     rings = [
         sphere.centre_mm - along * post + section.radius_mm * circle
-        for section in SECTIONS
+        for section in sections
         for along in (section.begin_mm, section.end_mm)
     ]
     return np.concatenate(rings)
@@ -67,47 +69,73 @@ def image_of(sphere: Sphere, lens: Lens, area: Area) -> StalkImage:
     image = StalkImage(
         area, np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32)
     )
-    rays = Rays(lens, area)
     for section in SECTIONS:
-        _add(image, sphere, section, lens, rays)
+        part = bounds_of(lens, outline_mm(sphere, (section,))).common(area)
+        if not part.empty:
+            _add(image, part, sphere, section, lens)
     return image
 
 
-def _add(image: StalkImage, sphere: Sphere, section: Section, lens: Lens, rays: Rays) -> None:
+def _add(image: StalkImage, part: Area, sphere: Sphere, section: Section, lens: Lens) -> None:
+    rays = Rays(lens, part)
     # From the skull end up to the sphere: the axis then points to the camera when seen from above.
     axis = sphere.camera_from_sphere[:, 2]
     foot = sphere.centre_mm - section.end_mm * axis
     length = section.end_mm - section.begin_mm
+    px_per_mm = lens.focal_px[0] / sphere.distance_mm
     along_axis = rays.dot(axis)
+    cover, light, depth = _side(rays, along_axis, foot, axis, section, px_per_mm)
+    # The end that faces the camera lies over the side.
+    end_mm = length if foot @ axis + length < 0 else 0.0
+    end_cover, end_light, end_depth = _end(rays, along_axis, foot + end_mm * axis, axis, section, px_per_mm)
+    on_end = end_cover > cover
+    for whole, end in ((cover, end_cover), (light, end_light), (depth, end_depth)):
+        np.copyto(whole, end, where=on_end)
+    kept = [Canvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
+    nearer = (cover > 0.0) & (depth < kept[2])
+    np.copyto(kept[0], np.maximum(cover, kept[0]), where=nearer)
+    np.copyto(kept[1], light, where=nearer)
+    np.copyto(kept[2], depth, where=nearer)
+
+
+def _side(
+    rays: Rays, along_axis: Image, foot: Vector, axis: Vector, section: Section, px_per_mm: float
+) -> tuple[Image, Image, Image]:
+    """Cover, light and depth of the curved side."""
+    radius, length = section.radius_mm, section.end_mm - section.begin_mm
     foot_along = float(foot @ axis)
     across = rays.squared - along_axis * along_axis  # squared part of the ray across the axis
-    np.maximum(across, np.float32(1e-6), out=across)
+    np.maximum(across, np.float32(SMALLEST_ACROSS), out=across)
     towards = rays.dot(foot - foot_along * axis)  # the axis, seen along each ray
-    gap = float(foot @ foot) - foot_along**2
     # Squared distance between ray and axis, and the half chord that the ray has in the cylinder.
-    distance2 = np.maximum(np.float32(gap) - towards * towards / across, np.float32(0.0))
-    chord = np.sqrt(np.maximum(np.float32(section.radius_mm**2) - distance2, np.float32(0.0)) / across)
+    distance2 = np.float32(foot @ foot - foot_along**2) - towards * towards / across
+    np.maximum(distance2, np.float32(0.0), out=distance2)
+    chord = np.sqrt(np.maximum(np.float32(radius**2) - distance2, np.float32(0.0)) / across)
     depth = towards / across - chord
     height = depth * along_axis - np.float32(foot_along)
-    px_per_mm = lens.focal_px[0] / sphere.distance_mm
-    side = np.float32(section.radius_mm) - np.sqrt(distance2)
-    cover = np.clip(0.5 + side * px_per_mm, 0.0, 1.0) * ((height >= 0.0) & (height <= length))
-    light = section.brightness * (
-        1 - SIDE_DARKENING + SIDE_DARKENING * np.sqrt(across) * chord / section.radius_mm
-    )
-    # The end that faces the camera: its plane, cut to the disc.
-    end = length if foot_along + length < 0 else 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        end_depth = np.float32(foot_along + end) / along_axis
-        centre = foot + end * axis
-        off2 = end_depth * end_depth * rays.squared - 2 * end_depth * rays.dot(centre) + centre @ centre
-        disc = np.clip(0.5 + (section.radius_mm - np.sqrt(np.maximum(off2, 0.0))) * px_per_mm, 0.0, 1.0)
-        tilt = np.abs(along_axis) / np.sqrt(rays.squared)
-    on_end = (disc > cover) & np.isfinite(end_depth) & (end_depth > 0)
-    cover = np.where(on_end, disc, cover)
-    depth = np.where(on_end, end_depth, depth)
-    light = np.where(on_end, section.brightness * tilt, light)
-    nearer = (cover > 0) & (depth < image.depth_mm)
-    np.copyto(image.cover, np.maximum(cover, image.cover), where=nearer, casting="same_kind")
-    np.copyto(image.light, light, where=nearer, casting="same_kind")
-    np.copyto(image.depth_mm, depth, where=nearer, casting="same_kind")
+    cover = _ramp(np.float32(radius) - np.sqrt(distance2), px_per_mm)
+    cover *= (height >= 0.0) & (height <= length)
+    light = np.sqrt(across) * chord
+    light *= np.float32(section.brightness * SIDE_DARKENING / radius)
+    light += np.float32(section.brightness * (1 - SIDE_DARKENING))
+    return cover, light, depth
+
+
+def _end(
+    rays: Rays, along_axis: Image, centre: Vector, axis: Vector, section: Section, px_per_mm: float
+) -> tuple[Image, Image, Image]:
+    """Cover, light and depth of a flat end."""
+    steep = np.where(np.abs(along_axis) < SMALLEST_ACROSS, np.float32(SMALLEST_ACROSS), along_axis)
+    depth = np.float32(centre @ axis) / steep
+    off2 = depth * depth * rays.squared - 2.0 * depth * rays.dot(centre) + np.float32(centre @ centre)
+    cover = _ramp(np.float32(section.radius_mm) - np.sqrt(np.maximum(off2, np.float32(0.0))), px_per_mm)
+    cover *= depth > 0.0
+    light = np.abs(along_axis) / np.sqrt(rays.squared)
+    light *= np.float32(section.brightness)
+    return cover, light, depth
+
+
+def _ramp(inside_mm: Image, px_per_mm: float) -> Image:
+    """Share of a pixel that is covered, by how far inside an edge its middle lies."""
+    cover: Image = np.clip(np.float32(0.5) + inside_mm * np.float32(px_per_mm), 0.0, 1.0)
+    return cover

@@ -23,7 +23,7 @@ ZERO6 = (0.0,) * 6
 def _perfect_arm(**changes: Any) -> ArmTruth:
     """An arm whose true geometry is the nominal one, except for `changes`."""
     plain: dict[str, Any] = {
-        "variant": "sixx",
+        "variant": "kr6_r900_sixx",
         "home_deg": HOME_DEG,
         "links": (NO_ERROR,) * 6,
         "joint_offset_rad": ZERO6,

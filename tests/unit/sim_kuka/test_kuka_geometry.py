@@ -47,12 +47,12 @@ def in_radians(axes_deg: tuple[float, ...]) -> list[float]:
     return [radians(angle) for angle in axes_deg]
 
 
-@pytest.mark.parametrize("variant", ["sixx", "r900_2"])
+@pytest.mark.parametrize("variant", ["kr6_r900_sixx", "kr6_r900_2"])
 @pytest.mark.parametrize("row", GOLDEN)
 def test_the_chain_reaches_the_golden_poses(variant: Variant, row: tuple[tuple[float, ...], ...]) -> None:
     axes_deg, sixx_mm, second_mm, orientation_deg = row
     pose = Chain(description(variant)).flange(in_radians(axes_deg))
-    expected = pose_of_frame((*(sixx_mm if variant == "sixx" else second_mm), *orientation_deg))
+    expected = pose_of_frame((*(sixx_mm if variant == "kr6_r900_sixx" else second_mm), *orientation_deg))
     assert np.abs(pose[:3, 3] - expected[:3, 3]).max() < 0.001
     turn = expected[:3, :3].T @ pose[:3, :3]
     angle_deg = np.degrees(np.linalg.norm([turn[2, 1], turn[0, 2], turn[1, 0]]))
@@ -62,7 +62,7 @@ def test_the_chain_reaches_the_golden_poses(variant: Variant, row: tuple[tuple[f
 @pytest.mark.parametrize("row", GOLDEN)
 def test_the_written_orientation_is_the_golden_one(row: tuple[tuple[float, ...], ...]) -> None:
     axes_deg, _, _, orientation_deg = row
-    written = frame_of(Chain(description("sixx")).flange(in_radians(axes_deg)))[3:]
+    written = frame_of(Chain(description("kr6_r900_sixx")).flange(in_radians(axes_deg)))[3:]
     difference = [(a - b + 180.0) % 360.0 - 180.0 for a, b in zip(written, orientation_deg, strict=True)]
     assert max(abs(value) for value in difference) < 0.001
 
@@ -77,7 +77,7 @@ def test_writing_and_reading_a_frame_is_the_identity_even_at_gimbal_lock() -> No
 
 
 def test_inverse_kinematics_finds_the_joints_of_a_pose_near_by() -> None:
-    chain = Chain(description("sixx"))
+    chain = Chain(description("kr6_r900_sixx"))
     joints = in_radians((30, -75, 110, -20, 45, 60))
     found = chain.joints_at(chain.flange(joints), [angle + 0.03 for angle in joints])
     assert found is not None
@@ -85,31 +85,31 @@ def test_inverse_kinematics_finds_the_joints_of_a_pose_near_by() -> None:
 
 
 def test_inverse_kinematics_gives_up_out_of_reach() -> None:
-    chain = Chain(description("sixx"))
+    chain = Chain(description("kr6_r900_sixx"))
     far = chain.flange(in_radians((0, 0, 0, 0, 0, 0)))
     far[0, 3] += 500.0
     assert chain.joints_at(far, in_radians((0, -20, 30, 0, 10, 0))) is None
 
 
 def test_status_and_turn_tell_postures_apart() -> None:
-    arm = description("sixx")
+    arm = description("kr6_r900_sixx")
     assert status_and_turn(arm, (0, -90, 90, 0, 90, 0)) == (2, 2)
     assert status_and_turn(arm, (0, -90, 90, 0, -90, 0)) == (6, 18)
     assert status_and_turn(arm, (0, -150, 0, 0, 10, -1))[0] & 1 == 1
     assert arm.stretched_A3_deg == pytest.approx(4.76, abs=0.01)
-    assert description("r900_2").stretched_A3_deg == pytest.approx(3.41, abs=0.01)
+    assert description("kr6_r900_2").stretched_A3_deg == pytest.approx(3.41, abs=0.01)
 
 
 def test_a_true_arm_without_errors_is_the_nominal_arm(perfect_arm: Callable[..., ArmTruth]) -> None:
     true = TrueArm(perfect_arm(), seed=0)
     joints = in_radians((30, -75, 110, -20, 45, 60))
-    nominal = Chain(description("sixx")).flange(joints)
+    nominal = Chain(description("kr6_r900_sixx")).flange(joints)
     assert np.allclose(true.at_rest(joints, (1.0,) * 6, 3), nominal, atol=1e-9)
 
 
 def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Callable[..., ArmTruth]) -> None:
     home = in_radians(HOME_DEG)
-    nominal = Chain(description("sixx")).flange(home)[:3, 3]
+    nominal = Chain(description("kr6_r900_sixx")).flange(home)[:3, 3]
 
     def moved_mm(flank: float = 0.0, **errors: object) -> float:
         pose = TrueArm(perfect_arm(**errors), seed=0).moving(home, (flank,) * 6)
@@ -133,7 +133,7 @@ def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Callable[...,
 def test_sag_turns_the_stretched_arm_down(perfect_arm: Callable[..., ArmTruth]) -> None:
     stretched = in_radians((0, 0, 0, 0, 0, 0))
     sagging = TrueArm(perfect_arm(sag_rad=(radians(0.03), radians(0.03))), seed=0)
-    nominal = Chain(description("sixx")).flange(stretched)
+    nominal = Chain(description("kr6_r900_sixx")).flange(stretched)
     assert sagging.moving(stretched, (0.0,) * 6)[2, 3] < nominal[2, 3] - 0.5
 
 
@@ -152,5 +152,7 @@ def test_a_drawn_arm_is_off_by_the_size_of_an_uncalibrated_robot() -> None:
         truth = draw_arm(np.random.default_rng(seed))
         joints = in_radians(truth.home_deg)
         true = TrueArm(truth, seed).at_rest(joints, (0.0,) * 6, 0)
-        errors_mm.append(np.linalg.norm(true[:3, 3] - Chain(description("sixx")).flange(joints)[:3, 3]))
+        errors_mm.append(
+            np.linalg.norm(true[:3, 3] - Chain(description("kr6_r900_sixx")).flange(joints)[:3, 3])
+        )
     assert 0.5 < float(np.mean(errors_mm)) < 3.0

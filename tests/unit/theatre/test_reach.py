@@ -7,7 +7,7 @@ import pytest
 from procedures.planning.reach import ArmSetting, check_paths
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.frames import Frame
 from sim.theatre.built_in import built_in_scene
 
@@ -21,7 +21,7 @@ LEAST_A5_RAD = math.radians(4.0)
 def test_every_pose_of_a_built_in_scene_is_reached(name: str, markers: int, targets: int, seed: int) -> None:
     scene = built_in_scene(name, seed=seed, markers=markers, targets=targets)
     setting = ArmSetting(
-        arm_model(ArmVariant.SIXX),
+        arm_model(scene.arm.variant),
         scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT),
         scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL),
         strategy_named("ocs"),
