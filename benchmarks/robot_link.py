@@ -1,163 +1,116 @@
-"""The robot link measured: round trips beside a bare echo, and what is done between telegrams.
-
-`python -P benchmarks/robot_link.py [--cycles N]` prints a table and, with --json FILE, writes the figures.
-Round trips are paced, one telegram per millisecond, over UDP on this machine; nothing else should run.
-"""
+"""The robot link: cycles per second in lock-step beside a bare exchange, and turnaround beside its peers."""
 
 from __future__ import annotations
 
-import json
-import os
-import socket
-import statistics
-import subprocess
-import sys
 import time
-from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from statistics import median
 
-import typer
+from benchmarks.contest import contest, family_cpu_s, process_cpu_s
+from benchmarks.controller_probe import ControllerProbe, bare_telegram
+from benchmarks.figures import Figure, compared
+from benchmarks.robot_cell import RobotCell, peer
+from ronna_hw.devices.readings import JointVector
 
-from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.mailbox import CommandKind, Phase
-from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.set_points import Choice, SetPoints
-from drivers.kuka_rsi.stream import link_settings
-from ronna_hw.arm.inverse import branch_of, solutions, solve_branch
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import arm_model, radians6
-from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.pose import Pose
-from ronna_hw.endpoints import Endpoint
-from ronna_hw.wire.kuka_context import load_context
-
-PACE_S = 0.001
-WARM_UP = 500
-MODEL = arm_model("kr6_r900_sixx")
-START = radians6(0, -90, 90, 0, 60, 0)
-ECHO = """
-import socket, sys
-link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-link.bind(("127.0.0.1", int(sys.argv[1])))
-print("ready", flush=True)
-while True:
-    data, address = link.recvfrom(8192)
-    link.sendto(data[-150:], address)
-"""
-TELEGRAM = (
-    b'<Rob Type="KUKA"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000" C="180.0000"/>'
-    b'<AIPos A1="0.0000" A2="-90.0000" A3="90.0000" A4="0.0000" A5="60.0000" A6="0.0000"/>'
-    b'<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
-    b'<Delay D="0"/><IPOC>%d</IPOC></Rob>'
+ETHERNET_FILE = (
+    Path(__file__).parents[1] / "drivers" / "kuka_rsi" / "controller" / "files" / "ronna_rsi_eth.xml"
 )
+LOCK_STEP_ROUNDS = 20
+SWING_RAD = 0.6
+BARE_EXCHANGES = 1000
+TURNAROUND_ROUNDS = 10
+TELEGRAMS_PER_BLOCK = 500
+PACE_S = 0.001
+ECHO, LINK_AT_REST, LINK_MOVING, RSIPI = "bare UDP echo", "driver at rest", "driver moving", "RSIPI"
 
 
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def measure() -> list[Figure]:
+    """Both measurements."""
+    return [*_lock_step(), *_turnaround()]
 
 
-def _round_trips(port: int, cycles: int) -> list[float]:
-    times = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
-        controller.settimeout(1.0)
-        for k in range(cycles + WARM_UP):
-            telegram = TELEGRAM % (1000 + 4 * k)
-            begun = time.perf_counter()
-            controller.sendto(telegram, ("127.0.0.1", port))
-            controller.recv(8192)
-            if k >= WARM_UP:
-                times.append((time.perf_counter() - begun) * 1e6)
-            time.sleep(PACE_S)
-    return times
+def _lock_step() -> list[Figure]:
+    with RobotCell() as cell, peer("udp_echo") as echo:
+        home = cell.arm.read_state().joints_rad
+        away: JointVector = (home[0] + SWING_RAD, *home[1:])
+        ends = [away, home]
+        link_pid = cell.arm._link._process.pid if cell.arm._link else 0
+        pids = {"simulator": cell.controller.process.pid, "driver's process": link_pid}
+        spent = {name: 0.0 for name in pids}
+        cycles_seen = 0
+
+        def move() -> float:
+            nonlocal cycles_seen
+            before = {name: process_cpu_s(pid) for name, pid in pids.items()}
+            cycles, began = cell.arm.link_statistics().cycles, time.perf_counter()
+            cell.arm.move_joints(ends[0])
+            ends.reverse()
+            elapsed = time.perf_counter() - began
+            cycles = cell.arm.link_statistics().cycles - cycles
+            for name, pid in pids.items():
+                spent[name] += process_cpu_s(pid) - before[name]
+            cycles_seen += cycles
+            return cycles / elapsed
+
+        probe = ControllerProbe(int(echo.ready["port"]))
+
+        def exchange() -> float:
+            began = time.perf_counter()
+            for _ in range(BARE_EXCHANGES):
+                probe.exchange(bare_telegram())
+            return BARE_EXCHANGES / (time.perf_counter() - began)
+
+        baseline = "bare UDP exchange"
+        samples = contest({"simulator and driver": move, baseline: exchange}, LOCK_STEP_ROUNDS)
+        probe.close()
+        figures = compared("lock-step cycles per second", "1/s", samples, baseline)
+        for name, cpu_s in spent.items():
+            figures.append(Figure("CPU per lock-step cycle", name, cpu_s / cycles_seen * 1e6, "µs"))
+        return figures
 
 
-def echo_round_trips(cycles: int) -> list[float]:
-    """A Python process that sends back what it gets."""
-    port = _free_port()
-    with subprocess.Popen(
-        [sys.executable, "-P", "-c", ECHO, str(port)], stdout=subprocess.PIPE, text=True
-    ) as echo:
-        assert echo.stdout is not None
-        echo.stdout.readline()
-        times = _round_trips(port, cycles)
-        echo.kill()
-    return times
+def _turnaround() -> list[Figure]:
+    """5,000 telegrams each, 1 ms apart, as a controller sees it: telegram sent to matching reply read."""
+    with ExitStack() as stack:
+        peers = {
+            ECHO: stack.enter_context(peer("udp_echo")),
+            LINK_AT_REST: stack.enter_context(peer("rsi_link", "rest")),
+            LINK_MOVING: stack.enter_context(peer("rsi_link", "move")),
+            RSIPI: stack.enter_context(peer("rsipi_client", str(ETHERNET_FILE))),
+        }
+        probes = {
+            name: stack.enter_context(ControllerProbe(int(child.ready["port"])))
+            for name, child in peers.items()
+        }
+        cpu_s = dict.fromkeys(peers, 0.0)
+
+        def block(name: str) -> float:
+            pid = peers[name].process.pid
+            before_s = family_cpu_s(pid)
+            found = median(probes[name].block(TELEGRAMS_PER_BLOCK, PACE_S))
+            cpu_s[name] += family_cpu_s(pid) - before_s
+            return found
+
+        samples = contest({name: partial(block, name) for name in peers}, TURNAROUND_ROUNDS)
+        figures = compared("turnaround at 1 ms", "µs", samples, ECHO, scale=1e6)
+        per_telegram = {name: [cpu_s[name] / len(probes[name].turnarounds_s)] for name in peers}
+        return [
+            *(_with_tail(figure, probes[figure.who]) for figure in figures),
+            *compared("CPU per telegram, all processes", "µs", per_telegram, ECHO, scale=1e6),
+        ]
 
 
-def link_round_trips(cycles: int, priority: int) -> list[float]:
-    """The real-time process with an open session, arm at rest."""
-    rsi = Endpoint("udp", host="127.0.0.1", port=_free_port())
-    options = KukaOptions(silence_limit_s=5.0, heartbeat_limit_s=5.0, real_time_priority=priority)
-    link = LinkClient(link_settings(rsi, load_context(), options))
-    try:
-        link.command(CommandKind.OPEN)
-        link.wait(lambda s: s.phase is Phase.ARMED, 2.0)
-        return _round_trips(rsi.port, cycles)
-    finally:
-        link.close()
-
-
-def preparation_times(plan: MotionPlan) -> list[float]:
-    """Everything between two telegrams that depends on the motion: both points, judged."""
-    points = SetPoints(MODEL, working_limits(MODEL), 0.004, plan.start_rad)
-    points.start(plan, 1.0)
-    times = []
-    while points.moving:
-        begun = time.perf_counter()
-        points.prepare()
-        points.commit(Choice.GO)
-        times.append((time.perf_counter() - begun) * 1e6)
-    return times
-
-
-def _repeated(call: Callable[[], object], count: int = 5000) -> list[float]:
-    times = []
-    for _ in range(count):
-        begun = time.perf_counter()
-        call()
-        times.append((time.perf_counter() - begun) * 1e6)
-    return times
-
-
-def measure(
-    cycles: Annotated[int, typer.Option(help="Telegrams per peer.")] = 5000,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
-) -> None:
-    """Measure and print."""
-    limits = working_limits(MODEL)
-    here = forward(MODEL, START)
-    x, y, z = here.position_mm
-    line = plan_line(MODEL, START, Pose((x - 60, y + 80, z - 60), here.rotation), limits, (0.0, 0.0, 200.0))
-    joint = plan_joint_move(MODEL, START, radians6(40, -60, 60, 30, 80, 90), limits)
-    branch = branch_of(MODEL, START)
-    rows = {
-        "round trip, bare echo": echo_round_trips(cycles),
-        "round trip, link process": link_round_trips(cycles, 0),
-        "round trip, link process, SCHED_FIFO": link_round_trips(cycles, 80),
-        "round trip, bare echo again": echo_round_trips(cycles),
-        "preparation, joint move": preparation_times(joint),
-        "preparation, straight line": preparation_times(line),
-        "inverse kinematics, all branches": _repeated(lambda: solutions(MODEL, here)),
-        "inverse kinematics, one branch": _repeated(lambda: solve_branch(MODEL, here, branch, START)),
-        "forward kinematics": _repeated(lambda: forward(MODEL, START)),
-        "plan of a straight line": _repeated(
-            lambda: plan_line(MODEL, START, Pose((x, y, z - 60), here.rotation), limits), 200
-        ),
+def _with_tail(figure: Figure, probe: ControllerProbe) -> Figure:
+    """The tail goes into the JSON, to look at and not to judge by: it belongs to the machine."""
+    ordered = sorted(probe.turnarounds_s)
+    tail = {
+        "p90_us": ordered[int(0.90 * len(ordered))] * 1e6,
+        "p99_us": ordered[int(0.99 * len(ordered))] * 1e6,
+        "telegrams": float(len(ordered)),
+        "unanswered": float(probe.unanswered),
+        "moved_deg": probe.moved_deg,
     }
-    figures = {}
-    print(f"{'microseconds':40} {'p50':>9} {'p99':>9} {'max':>10}   n    load {os.getloadavg()[0]:.1f}")
-    for name, times in rows.items():
-        ordered = sorted(times)
-        p50, p99 = statistics.median(ordered), ordered[int(0.99 * (len(ordered) - 1))]
-        figures[name] = {"p50_us": p50, "p99_us": p99, "max_us": ordered[-1], "n": len(ordered)}
-        print(f"{name:40} {p50:9.1f} {p99:9.1f} {ordered[-1]:10.1f}   {len(ordered)}")
-    if json_file is not None:
-        json_file.write_text(json.dumps({"load": os.getloadavg()[0], "figures": figures}, indent=1))
-
-
-if __name__ == "__main__":
-    typer.run(measure)
+    return replace(figure, more=tail)

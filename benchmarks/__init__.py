@@ -1,0 +1,1 @@
+"""Measurements beside bare baselines and peers, all in the same run. `make bench` runs them."""

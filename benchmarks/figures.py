@@ -1,0 +1,40 @@
+"""What a measurement hands on: figures, each beside a baseline of the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One number. `ratio` is the value over the baseline's, both from the same rounds."""
+
+    what: str
+    who: str
+    value: float
+    unit: str
+    ratio: float | None = None
+    baseline: str = ""
+    more: dict[str, float] = field(default_factory=dict)  # into the JSON only, such as p99
+
+
+def compared(
+    what: str, unit: str, samples: Mapping[str, Sequence[float]], baseline: str, *, scale: float = 1.0
+) -> list[Figure]:
+    """Medians of the contestants' samples, and the median of the ratios round by round.
+
+    A machine that stalls does so for everybody in the round: ratios within a round keep what medians over
+    the run lose.
+    """
+    base = samples[baseline]
+    figures = []
+    for who, values in samples.items():
+        ratio = None
+        if who != baseline:
+            ratio = median(one / other for one, other in zip(values, base, strict=True) if other)
+        figures.append(
+            Figure(what, who, median(values) * scale, unit, ratio, baseline if ratio is not None else "")
+        )
+    return figures

@@ -1,0 +1,73 @@
+"""The whole case on the small scene, from the command line: wall seconds beside the theatre's."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+from benchmarks.figures import Figure
+from ronna_hw.child_process import ChildProcess, command
+
+ROUNDS = 3
+SEED = 7
+CASE_LIMIT_S = 50.0
+COMMAND, THEATRE = "ronna-procedure run", "ronna-sim theatre, start to READY"
+
+
+def measure() -> list[Figure]:
+    """Cases and bare starts of the theatre in turn."""
+    wall_s: list[float] = []
+    theatre_s: list[float] = []
+    cpu_s: list[float] = []
+    start_s: list[float] = []
+    error_mm: list[float] = []
+    for _ in range(ROUNDS):
+        with tempfile.TemporaryDirectory() as folder:
+            began = time.perf_counter()
+            with ChildProcess("ronna-sim theatre", _theatre(folder)):
+                start_s.append(time.perf_counter() - began)
+        with tempfile.TemporaryDirectory() as folder:
+            before_s, began = _children_cpu_s(), time.perf_counter()
+            outcome = _case(folder)
+            wall_s.append(time.perf_counter() - began)
+            cpu_s.append(_children_cpu_s() - before_s)
+            theatre_s.append(float(outcome["sim_s"]))
+            error_mm.append(float(outcome["max_application_error_mm"]))
+    speed = median(theatre / wall for theatre, wall in zip(theatre_s, wall_s, strict=True))
+    starts = median(wall / start for wall, start in zip(wall_s, start_s, strict=True))
+    return [
+        Figure("mini case, wall", COMMAND, median(wall_s), "s", starts, THEATRE),
+        Figure("mini case, wall", THEATRE, median(start_s), "s"),
+        Figure("mini case, CPU of all processes", COMMAND, median(cpu_s), "s"),
+        Figure("mini case, theatre time", COMMAND, median(theatre_s), "s", speed, "wall time"),
+        Figure("mini case, largest error at a target", COMMAND, median(error_mm), "mm"),
+    ]
+
+
+def _theatre(folder: str) -> list[str]:
+    return command(
+        "sim.cli", "theatre", "--scene", "mini", "--seed", str(SEED), "--speed", "max", "--out", folder
+    )
+
+
+def _case(folder: str) -> dict[str, float]:
+    program = str(Path(sys.executable).parent / "ronna-procedure")
+    arguments = ["run", "--sim", "--scene", "mini", "--seed", str(SEED), "--out", folder, "--json"]
+    done = subprocess.run(
+        [program, *arguments], capture_output=True, text=True, timeout=CASE_LIMIT_S, check=False
+    )
+    if done.returncode:
+        raise RuntimeError(" ".join(done.stderr.split()))
+    return dict(json.loads(done.stdout))
+
+
+def _children_cpu_s() -> float:
+    """Of all children that have ended and been waited for, and of theirs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime

@@ -1,0 +1,65 @@
+"""The driver's real-time process with its session open. Argument: rest, or move for always in motion."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+
+from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.mailbox import CommandKind, Phase, Result
+from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.stream import link_settings
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.planning import plan_joint_move
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.wire.kuka_context import load_context
+from sim.theatre.process import end_with_parent
+
+PATIENCE_S = 60.0  # between two blocks of telegrams this process is left alone
+SWING_RAD = 0.6
+
+
+def main() -> None:
+    """Serve until this process is ended; the real-time process ends by itself when it is alone."""
+    end_with_parent(lambda: os._exit(0))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    options = KukaOptions(silence_limit_s=PATIENCE_S, heartbeat_limit_s=PATIENCE_S)
+    link = LinkClient(link_settings(parse_endpoint(f"udp://127.0.0.1:{port}"), load_context(), options))
+    try:
+        number = link.command(CommandKind.OPEN)
+        link.wait(lambda state: state.command_number >= number, PATIENCE_S)
+        print("READY " + json.dumps({"port": port, "pid": link._process.pid}), flush=True)
+        link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
+        if sys.argv[1] == "move":
+            _swing(link, options)
+        while link.alive:
+            link.wait(lambda state: state.phase is not Phase.RUNNING, PATIENCE_S)
+    finally:
+        link.close()
+
+
+def _swing(link: LinkClient, options: KukaOptions) -> None:
+    model = arm_model(options.variant)
+    limits = working_limits(model, options.speed_fraction)
+    home = link.state.commanded_rad
+    away: JointVector = (home[0] + SWING_RAD, *home[1:])
+    while True:
+        for target in (away, home):
+            plan = plan_joint_move(model, link.state.commanded_rad, target, limits)
+            number = link.command(CommandKind.MOVE, plan, link.stop_number)
+
+            def ended(state: object, number: int = number) -> bool:
+                return state.command_number >= number and state.result is not Result.RUNNING  # type: ignore[attr-defined]
+
+            while link.wait(ended, PATIENCE_S) is None:
+                pass
+
+
+if __name__ == "__main__":
+    main()

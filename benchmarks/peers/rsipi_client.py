@@ -1,0 +1,42 @@
+"""RSIPI, the Python client from the package index, with the Ethernet file of our own context."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import socket
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from sim.theatre.process import end_with_parent
+
+LONGEST_LIFE_S = 600.0
+
+
+def main() -> None:
+    """Serve until this process is ended. Argument: the Ethernet file."""
+    from RSIPI import RSIAPI  # type: ignore[import-untyped]
+
+    end_with_parent(lambda: os._exit(0))
+    logging.disable(logging.CRITICAL)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    text = Path(sys.argv[1]).read_text(encoding="utf-8")
+    text = re.sub("<IP_NUMBER>[^<]*", "<IP_NUMBER>127.0.0.1", text)
+    text = re.sub("<PORT>[^<]*", f"<PORT>{port}", text)
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / "ethernet.xml"
+        config.write_text(text, encoding="utf-8")
+        client = RSIAPI(str(config), rsi_mode="absolute")  # reads the file once
+    client.start()
+    print("READY " + json.dumps({"port": port}), flush=True)
+    time.sleep(LONGEST_LIFE_S)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""A simulated controller in a world of its own, the arm driver at the other end, and bare UDP to compare."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Self
+
+from drivers.kuka_rsi import KukaRsiArm
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+from sim.theatre.process import load_scene
+from sim.theatre.world import World
+
+PEERS = Path(__file__).parent / "peers"
+SILENCE_LIMIT_S = 5.0  # lock-step waits up to 2 s for a reply
+
+
+def free_udp_port() -> int:
+    """A port that is free now; whoever asked binds it in a moment."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def peer(name: str, *arguments: str) -> ChildProcess:
+    """Start one of the peers and wait until it is ready; its READY line names the port."""
+    return ChildProcess(name, [sys.executable, "-P", str(PEERS / f"{name}.py"), *arguments])
+
+
+class RobotCell:
+    """`ronna-sim kuka` in lock-step, and an active arm."""
+
+    def __init__(self) -> None:
+        self._ending = ExitStack()
+        self.world = World.create(load_scene("bench"), paced=False)
+        free = "tcp://127.0.0.1:0"
+        more = ["--world", self.world.endpoint, "--rsi", f"udp://127.0.0.1:{free_udp_port()}"]
+        arguments = command("sim.cli", "kuka", *more, "--eki", free, "--eki-project", free)
+        self.controller = self._ending.enter_context(ChildProcess("ronna-sim kuka", arguments))
+        ready = self.controller.ready["endpoints"]
+        config = DeviceConfig(
+            driver="kuka_rsi",
+            endpoints={"rsi": ready["rsi"], "eki_project": ready["eki_project"]},
+            options={"silence_limit_s": SILENCE_LIMIT_S},
+        )
+        self.arm = KukaRsiArm("robot.master", config, open_clock(self.world.endpoint))
+        self._ending.callback(self.arm.close)
+
+    def __enter__(self) -> Self:
+        try:
+            self.arm.connect()
+            self.arm.configure()
+            self.arm.activate()
+        except BaseException:
+            self._ending.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.close()

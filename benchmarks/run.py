@@ -1,0 +1,138 @@
+"""Runs the measurements, prints a table and writes `benchmarks/results/<date>.json`.
+
+    make bench
+    .venv/bin/python -P benchmarks/run.py --only stereo --only ct
+
+Each measurement runs in a process of its own with a time limit; what it started ends with it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import platform
+import subprocess
+import sys
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+ROOT = Path(__file__).resolve().parents[1]
+if str(ROOT) not in sys.path:
+    sys.path.append(str(ROOT))  # benchmarks are not installed; our packages are
+
+from benchmarks.figures import Figure  # noqa: E402
+from ronna_hw.command_line.console import message_console, on_terminal, run  # noqa: E402
+from ronna_hw.errors import EXIT_DONE, EXIT_FAILED  # noqa: E402
+
+RESULTS = ROOT / "benchmarks" / "results"
+LIMIT_S = 90.0  # for one measurement; all of them take about two minutes on a quiet machine
+MEASUREMENTS = {
+    "robot-link": "robot_link",
+    "set-points": "set_points",
+    "tracker": "tracker",
+    "stereo": "stereo",
+    "ct": "ct",
+    "registration": "registration",
+    "mini-case": "mini_case",
+}
+PEERS = (
+    "ndicapi", "scikit-surgerynditracker", "RSIPI", "opencv-contrib-python-headless", "scipy", "numpy",
+    "pydicom", "ruckig",
+)  # fmt: skip
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def bench(
+    only: Annotated[list[str] | None, typer.Option(help="One of: " + ", ".join(MEASUREMENTS))] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = RESULTS,
+    in_process: Annotated[str | None, typer.Option("--in-process", hidden=True)] = None,
+) -> int:
+    """Measure against bare baselines and peers in the same run."""
+    if in_process is not None:
+        figures = importlib.import_module(f"benchmarks.{MEASUREMENTS[in_process]}").measure()
+        sys.stdout.write(json.dumps([asdict(figure) for figure in figures]))
+        return EXIT_DONE
+    names = only or list(MEASUREMENTS)
+    if unknown := [name for name in names if name not in MEASUREMENTS]:
+        raise typer.BadParameter(f"{', '.join(unknown)}: none of {', '.join(MEASUREMENTS)}")
+    figures_of: dict[str, list[Figure]] = {}
+    failures: dict[str, str] = {}
+    with message_console().status("measuring"):
+        for name in names:
+            try:
+                figures_of[name] = _measured(name)
+            except (RuntimeError, subprocess.TimeoutExpired) as problem:
+                failures[name] = str(problem)
+    _show(figures_of, failures)
+    path = _write(out, figures_of, failures)
+    sys.stdout.write(f"written to {path}\n")
+    return EXIT_FAILED if failures else EXIT_DONE
+
+
+def _measured(name: str) -> list[Figure]:
+    """Run one measurement in its own process; raises RuntimeError with its last words."""
+    done = subprocess.run(
+        [sys.executable, "-P", __file__, "--in-process", name],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    if done.returncode:
+        raise RuntimeError(" ".join(done.stderr.split()[-60:]) or f"exit code {done.returncode}")
+    return [Figure(**figure) for figure in json.loads(done.stdout)]
+
+
+def _show(figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if on_terminal(sys.stdout) else 160)
+    table = Table(title="Medians of interleaved rounds", title_justify="left")
+    for column in ("figure", "who", "value", "unit", "ratio"):
+        table.add_column(column, justify="right" if column == "value" else "left", overflow="fold")
+    for figures in figures_of.values():
+        table.add_section()
+        for figure in figures:
+            ratio = "" if figure.ratio is None else f"{figure.ratio:.3g} x {figure.baseline}"
+            table.add_row(figure.what, figure.who, f"{figure.value:.4g}", figure.unit, ratio)
+    console.print(table)
+    for name, reason in failures.items():
+        sys.stderr.write(f"{name} was not measured: {reason}\n")
+
+
+def _write(folder: Path, figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    now = datetime.now(UTC)
+    content: dict[str, Any] = {
+        "date": now.isoformat(timespec="seconds"),
+        "commit": _commit(),
+        "machine": {"cpus": os.cpu_count(), "load": os.getloadavg(), "platform": platform.platform()},
+        "python": platform.python_version(),
+        "peers": {name: metadata.version(name) for name in PEERS},
+        "figures": {name: [asdict(figure) for figure in figures] for name, figures in figures_of.items()},
+        "failures": failures,
+    }
+    path = folder / f"{now:%Y-%m-%dT%H%M%S}.json"
+    path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    return path
+
+
+def _commit() -> str:
+    done = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    return done.stdout.strip()
+
+
+if __name__ == "__main__":
+    run(app)

@@ -1,0 +1,80 @@
+"""What one set-point costs, prepared and judged for go and stop, beside a bare step of the generator."""
+
+from __future__ import annotations
+
+from ruckig import InputParameter, OutputParameter, Result, Ruckig
+
+from benchmarks.contest import contest, cpu_of
+from benchmarks.figures import Figure, compared
+from drivers.kuka_rsi.set_points import Choice, SetPoints
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.pose import Pose
+
+CYCLE_S = 0.004
+ROUNDS = 20
+CYCLES_PER_ROUND = 150  # fewer than any of the motions takes
+START = radians6(0, -90, 90, 0, 60, 0)
+AWAY = radians6(40, -70, 70, 20, 40, 30)
+LINE_MM = 150.0
+TOOL_MM = (0.0, 0.0, 150.0)
+BARE = "bare 6-axis step of ruckig"
+
+
+def measure() -> list[Figure]:
+    """CPU per cycle of the real-time process' preparation."""
+    model = arm_model(ArmVariant.SIXX)
+    limits = working_limits(model)
+    here = forward(model, START)
+    x, y, z = here.position_mm
+    line = plan_line(model, START, Pose((x, y + LINE_MM, z), here.rotation), limits, TOOL_MM)
+    samples = contest(
+        {
+            "joint move": lambda: _per_cycle(plan_joint_move(model, START, AWAY, limits)),
+            "straight line": lambda: _per_cycle(line),
+            "at rest": lambda: _per_cycle(None),
+            BARE: _bare,
+        },
+        ROUNDS,
+    )
+    return compared("CPU per set-point, go and stop judged", "µs", samples, BARE, scale=1e6)
+
+
+def _per_cycle(plan: MotionPlan | None) -> float:
+    model = arm_model(ArmVariant.SIXX)
+    points = SetPoints(model, working_limits(model), CYCLE_S, START)
+    if plan is not None:
+        points.start(plan, 1.0)
+    points.prepare()
+
+    def cycle() -> None:
+        points.commit(Choice.GO)
+        points.prepare()
+
+    spent = cpu_of(cycle, CYCLES_PER_ROUND)
+    if plan is not None and not (points.moving and points.violation is None):
+        raise RuntimeError("the motion ended, or tripped, while it was measured")
+    return spent
+
+
+def _bare() -> float:
+    model = arm_model(ArmVariant.SIXX)
+    limits = working_limits(model)
+    generator, wanted, found = Ruckig(6, CYCLE_S), InputParameter(6), OutputParameter(6)
+    wanted.current_position, wanted.target_position = list(START), list(AWAY)
+    wanted.current_velocity = wanted.current_acceleration = [0.0] * 6
+    wanted.max_velocity = list(limits.speed_rad_s)
+    wanted.max_acceleration = list(limits.acceleration_rad_s2)
+    wanted.max_jerk = list(limits.jerk_rad_s3)
+    results: list[Result] = []
+
+    def cycle() -> None:
+        results.append(generator.update(wanted, found))
+        found.pass_to_input(wanted)
+
+    spent = cpu_of(cycle, CYCLES_PER_ROUND)
+    if results[-1] is not Result.Working:
+        raise RuntimeError("the bare motion ended while it was measured")
+    return spent

@@ -1,0 +1,102 @@
+"""The measurements' own arithmetic, and one of them from the command line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+RUN = ROOT / "benchmarks" / "run.py"
+BUSY = """
+import sys
+for _ in range(2):
+    sum(range(6_000_000))
+    print(flush=True)
+    sys.stdin.read(1)
+"""
+
+
+@pytest.fixture(scope="module")
+def bench() -> dict[str, ModuleType]:
+    sys.path.append(str(ROOT))
+    try:
+        from benchmarks import contest, figures, run
+    finally:
+        sys.path.remove(str(ROOT))
+    return {"contest": contest, "figures": figures, "run": run}
+
+
+def test_contestants_take_turns_and_the_first_rounds_do_not_count(bench: dict[str, ModuleType]) -> None:
+    order: list[str] = []
+
+    def contestant(name: str) -> float:
+        order.append(name)
+        return float(len(order))
+
+    names = ("a", "b", "c")
+    samples = bench["contest"].contest({n: (lambda n=n: contestant(n)) for n in names}, 2, warm_up=1)
+    assert "".join(order) == "abcbcacab"
+    assert samples == {"a": [6.0, 8.0], "b": [4.0, 9.0], "c": [5.0, 7.0]}
+
+
+def test_a_ratio_is_taken_round_by_round_so_that_a_stall_of_the_machine_cancels(
+    bench: dict[str, ModuleType],
+) -> None:
+    samples = {"ours": [2.0, 20.0, 2.2], "bare": [1.0, 10.0, 1.0]}
+    ours, bare = bench["figures"].compared("time", "s", samples, "bare")
+    assert (ours.value, ours.ratio, ours.baseline) == (2.2, 2.0, "bare")
+    assert (bare.value, bare.ratio) == (1.0, None)
+
+
+def test_processor_time_of_a_process_grows_with_its_work(bench: dict[str, ModuleType]) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", BUSY], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as busy:
+        assert busy.stdin is not None
+        assert busy.stdout is not None
+        busy.stdout.readline()
+        first = bench["contest"].process_cpu_s(busy.pid)
+        busy.stdin.write(b"\n")
+        busy.stdin.flush()
+        busy.stdout.readline()
+        second = bench["contest"].family_cpu_s(busy.pid)
+        busy.stdin.close()
+    assert 0.0 < first < second
+
+
+def test_every_measurement_that_can_be_named_exists(bench: dict[str, ModuleType]) -> None:
+    for module in bench["run"].MEASUREMENTS.values():
+        assert (ROOT / "benchmarks" / f"{module}.py").exists()
+
+
+def test_one_measurement_prints_a_table_and_writes_its_figures(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", str(RUN), "--only", "set-points", "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=50,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "joint move" in done.stdout
+    (file,) = tmp_path.iterdir()
+    content = json.loads(file.read_text())
+    figures = {figure["who"]: figure for figure in content["figures"]["set-points"]}
+    assert figures["joint move"]["ratio"] > 0.0
+    assert content["failures"] == {}
+
+
+def test_an_unknown_measurement_names_those_that_exist(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", str(RUN), "--only", "tea", "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=50,
+    )
+    assert done.returncode == 2
+    assert "robot-link" in done.stderr
+    assert list(tmp_path.iterdir()) == []
