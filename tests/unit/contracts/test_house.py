@@ -1,0 +1,55 @@
+"""What can be seen of the house's rules without running it."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+PACKAGES = ("ronna_hw", "drivers", "sim", "procedures")
+MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+LONGEST_LINES = 400
+LARGEST_MEDIAN_LINES = 130
+
+
+def test_drivers_do_not_know_that_devices_can_be_simulated() -> None:
+    for path in (ROOT / "drivers").rglob("*"):
+        if path.is_file() and path.suffix not in (".pyc", ".rom"):
+            found = re.search(r"(?i)\b(sim\b|simulat)", path.read_text(encoding="utf-8"))
+            assert found is None, f"{path.relative_to(ROOT)}: {found}"
+
+
+def test_modules_hold_one_idea() -> None:
+    lengths = sorted(len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES)
+    assert lengths[-1] <= LONGEST_LINES
+    assert lengths[len(lengths) // 2] <= LARGEST_MEDIAN_LINES
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_folder_says_what_lives_in_it(package: str) -> None:
+    for path in (ROOT / package).rglob("__init__.py"):
+        assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path.relative_to(ROOT)
+
+
+def test_the_lock_names_no_package_index() -> None:
+    lock = (ROOT / "requirements" / "locked.txt").read_text(encoding="utf-8")
+    assert "://" not in lock
+    assert lock.count("--hash=sha256:") > lock.count("==")
+
+
+@pytest.mark.parametrize(
+    ("module", "unwanted"),
+    [
+        ("sim.polaris.server", ("scipy", "cv2", "pydicom")),
+        ("sim.kuka.station", ("scipy", "cv2", "pydicom")),
+        ("drivers.kuka_rsi.link_process", ("scipy", "cv2", "pydicom", "pydantic")),
+        ("procedures.cli.procedure", ("numpy", "scipy", "cv2", "pydantic", "pydicom", "matplotlib")),
+    ],
+)
+def test_a_process_imports_only_what_it_uses(module: str, unwanted: tuple[str, ...]) -> None:
+    program = f"import sys, {module}; print(' '.join(name for name in {unwanted!r} if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
