@@ -44,7 +44,7 @@ class Area:
 
 
 def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
-    """Area of the images of points (n, 3), with a margin for what lies between them; empty behind the lens."""
+    """Area of the images of points (n, 3), with a margin for what lies between; empty behind the lens."""
     points = points_mm[points_mm[:, 2] > NEAREST_POINT_MM]
     if not len(points):
         return Area(0, 0, 0, 0)

@@ -111,11 +111,11 @@ def _side(
     distance2 = np.float32(foot @ foot - foot_along**2) - towards * towards / across
     np.maximum(distance2, np.float32(0.0), out=distance2)
     chord = np.sqrt(np.maximum(np.float32(radius**2) - distance2, np.float32(0.0)) / across)
-    depth = towards / across - chord
+    depth: Image = (towards / across - chord).astype(np.float32, copy=False)
     height = depth * along_axis - np.float32(foot_along)
     cover = _ramp(np.float32(radius) - np.sqrt(distance2), px_per_mm)
     cover *= (height >= 0.0) & (height <= length)
-    light = np.sqrt(across) * chord
+    light: Image = (np.sqrt(across) * chord).astype(np.float32, copy=False)
     light *= np.float32(section.brightness * SIDE_DARKENING / radius)
     light += np.float32(section.brightness * (1 - SIDE_DARKENING))
     return cover, light, depth
@@ -126,11 +126,11 @@ def _end(
 ) -> tuple[Image, Image, Image]:
     """Cover, light and depth of a flat end."""
     steep = np.where(np.abs(along_axis) < SMALLEST_ACROSS, np.float32(SMALLEST_ACROSS), along_axis)
-    depth = np.float32(centre @ axis) / steep
+    depth: Image = (np.float32(centre @ axis) / steep).astype(np.float32, copy=False)
     off2 = depth * depth * rays.squared - 2.0 * depth * rays.dot(centre) + np.float32(centre @ centre)
     cover = _ramp(np.float32(section.radius_mm) - np.sqrt(np.maximum(off2, np.float32(0.0))), px_per_mm)
     cover *= depth > 0.0
-    light = np.abs(along_axis) / np.sqrt(rays.squared)
+    light: Image = (np.abs(along_axis) / np.sqrt(rays.squared)).astype(np.float32, copy=False)
     light *= np.float32(section.brightness)
     return cover, light, depth
 

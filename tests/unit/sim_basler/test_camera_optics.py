@@ -17,6 +17,7 @@ from sim.basler.optics.picture import Optics
 from sim.basler.optics.sphere import Sphere
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.noise import noise
+from sim.theatre.rigid import rotation_from_vector
 from sim.theatre.scene import CameraTruth
 
 Array = NDArray[np.float64]
@@ -295,3 +296,23 @@ def test_a_servo_image_costs_less_than_the_budget() -> None:
         optics.light_on(area, [ball((0.0, 0.0, 250.0))])
         costs.append(time.thread_time() - begun)
     assert min(costs) < 0.040
+
+
+def test_any_sphere_in_any_area_gives_light_that_a_sensor_can_take() -> None:
+    optics = Optics(bare_camera(), 0)
+    chance = noise(1, "spheres and areas", 0)
+    for _ in range(60):
+        spheres = []
+        for number in range(int(chance.integers(0, 4))):
+            place = (*chance.normal(0.0, (30.0, 20.0)), chance.choice((chance.uniform(40, 1000), 250.0)))
+            spheres.append(
+                Sphere(np.array(place), RADIUS_MM, rotation_from_vector(chance.normal(0, 2, 3)), number)
+            )
+        width, height = int(chance.choice((16, 640, 2048))), int(chance.choice((1, 480, 1088)))
+        area = Area(
+            int(chance.integers(0, 2049 - width)), int(chance.integers(0, 1089 - height)), width, height
+        )
+        light = optics.light_on(area, spheres)
+        assert light.shape == (height, width)
+        assert np.isfinite(light).all()
+        assert light.min() >= 0.0
