@@ -81,6 +81,7 @@ def test_a_theatre_file_with_three_mistakes_names_all_three(
         assert mistake in line
 
 
+@pytest.mark.hazard(9)
 def test_a_plan_for_another_series(commands: Commands, patient: Path, tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
     text = (patient / "plan.toml").read_text()
@@ -169,6 +170,7 @@ def test_a_read_only_output_folder(commands: Commands) -> None:
     assert one_error(done.stderr)[0].startswith("CLI-00")
 
 
+@pytest.mark.hazard(33)
 def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path: Path) -> None:
     """A limit on the size of a file stands in for a full disk: the first CT slice already exceeds it."""
     out = tmp_path / "runs"

@@ -244,6 +244,7 @@ def test_lost_packets_are_asked_for_again(make_pair, peers):
     assert device.counters[0].resend_requests == 4
 
 
+@pytest.mark.hazard(25)
 def test_packets_that_are_gone_make_a_partial_reading(make_pair, peers):
     device = make_pair(packet_bytes=576)
     device.connect(5.0)
@@ -259,6 +260,7 @@ def test_packets_that_are_gone_make_a_partial_reading(make_pair, peers):
     assert device.grab_pair(2.0).validity is Validity.OK
 
 
+@pytest.mark.hazard(25)
 def test_a_leader_that_tells_of_another_area_makes_a_corrupt_reading(pair, peers):
     peers[0].fault("wrong-area")
     reading = pair.grab_pair(2.0)
@@ -266,6 +268,7 @@ def test_a_leader_that_tells_of_another_area_makes_a_corrupt_reading(pair, peers
     assert reading.right.validity is Validity.OK
 
 
+@pytest.mark.hazard(25)
 def test_a_side_that_sends_no_image_is_missing_and_the_next_pair_is_in_step(pair, peers):
     peers[0].fault("no-frames")
     reading = pair.grab_pair(0.3)
@@ -299,6 +302,7 @@ def test_a_stream_that_stops_in_the_middle_is_given_up_within_the_limit(pair, pe
     assert time.monotonic() - start_s < 2.5
 
 
+@pytest.mark.hazard(4)
 def test_a_dead_camera_latches_a_fault_and_recover_brings_it_back(pair, peers, make_pair):
     peers[1].fault("mute")
     with pytest.raises(CameraLost, match="GEV-014"):
@@ -359,6 +363,7 @@ def test_another_model_is_refused(make_pair, make_peer):
         make_pair(left=other).connect(2.0)
 
 
+@pytest.mark.hazard(25)
 def test_swapped_cables_are_told_from_a_wrong_camera(make_pair, peers):
     with pytest.raises(CablesSwapped, match="GEV-004"):
         make_pair(left=peers[1], right=peers[0]).connect(2.0)
@@ -368,6 +373,7 @@ def test_swapped_cables_are_told_from_a_wrong_camera(make_pair, peers):
         make_pair(left=peers[0], right=peers[0]).connect(2.0)
 
 
+@pytest.mark.hazard(34)
 def test_a_second_controller_is_refused_and_the_first_goes_on(pair, make_pair):
     second = make_pair()
     second.connect(2.0)

@@ -159,6 +159,7 @@ def test_hold_in_motion_comes_to_rest_and_a_new_motion_may_follow(make_arm: Call
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.hazard(30)
 def test_when_the_program_is_killed_the_arm_stops_and_the_controller_is_left_clean(
     endpoints: dict[str, str], make_arm: Callable[[], KukaRsiArm], how: signal.Signals
 ) -> None:
@@ -183,6 +184,7 @@ def test_when_the_program_is_killed_the_arm_stops_and_the_controller_is_left_cle
     arm.move_joints(_moved(before, -1, 0, 0, 0, 0, 0))
 
 
+@pytest.mark.hazard(4)
 def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
     make_arm: Callable[[], KukaRsiArm],
 ) -> None:
@@ -199,6 +201,7 @@ def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
     assert reading.joints_rad == pytest.approx(_moved(start, 1, 0, 0, 0, 0, 0), abs=radians(0.0002))
 
 
+@pytest.mark.hazard(32)
 def test_switching_the_drives_off_is_latched_and_recovered(make_arm: Callable[[], KukaRsiArm]) -> None:
     arm = _activated(make_arm())
     arm.stop(StopKind.DRIVES_OFF)

@@ -327,6 +327,7 @@ def test_the_state_comes_unasked_and_requests_may_be_split_merged_and_padded(
     eki.until(lambda element: element.get("Id") == "11")
 
 
+@pytest.mark.hazard(34)
 def test_a_second_client_is_refused_and_a_lost_one_does_not_end_the_run(cell: Callable[..., Cell]) -> None:
     here = cell()
     eki, rsi = here.project(), here.rsi
