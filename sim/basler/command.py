@@ -18,6 +18,7 @@ def basler(
     world: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Two GigE Vision cameras that see the scene; runs until it is ended."""
+    from sim.basler.memory import keep_freed_memory
     from sim.basler.pair import CameraPair
     from sim.theatre.process import announce, end_with_parent, open_world
 
@@ -26,6 +27,7 @@ def basler(
         raise typer.BadParameter("give two addresses, left then right, or none", param_hint="--address")
     if len(set(addresses)) != len(addresses):
         raise typer.BadParameter("the cameras need two different addresses", param_hint="--address")
+    keep_freed_memory()
     pair = CameraPair(open_world(world, scene), addresses)
     end_with_parent(pair.end)
     announce("basler", endpoints=pair.endpoints)

@@ -1,0 +1,28 @@
+"""Keeps freed memory in the process, so that the next image finds it there.
+
+An image needs some thirty arrays of a few megabytes. The C library gives such memory back to the kernel
+when it is freed, and the kernel clears it page by page when it is asked for again: half of the time that
+drawing takes (measured: 15 of 30 ms for 1024 x 1024 pixels).
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # from malloc.h of the GNU C library
+KEPT_BYTES = 256 << 20
+LARGEST_KEPT_BYTES = 32 << 20  # the largest value that the library accepts
+
+
+def keep_freed_memory() -> bool:
+    """Set the allocator of this process; False where the C library has no such settings."""
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):
+        return False
+    settings = (
+        (M_MMAP_THRESHOLD, LARGEST_KEPT_BYTES),
+        (M_TRIM_THRESHOLD, KEPT_BYTES),
+        (M_ARENA_MAX, 1),  # threads share what is kept
+    )
+    return all([mallopt(name, value) == 1 for name, value in settings])

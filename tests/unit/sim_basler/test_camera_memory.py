@@ -1,0 +1,31 @@
+"""The setting that halves the cost of an image must take hold."""
+
+import subprocess
+import sys
+
+SCRIPT = """
+import resource, threading
+import numpy as np
+from sim.basler.memory import keep_freed_memory
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(20):
+        np.ones((1024, 1024), np.float32) * 2
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+kept = keep_freed_memory()
+faults()
+found = []
+thread = threading.Thread(target=lambda: (faults(), found.append(faults())))
+thread.start()
+thread.join()
+print(kept, found[0])
+"""
+
+
+def test_memory_that_was_freed_is_used_again_without_the_kernel() -> None:
+    ended = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
+    kept, faults = ended.stdout.split()
+    assert kept == "True"
+    assert int(faults) < 200  # 40 arrays of 1024 pages each
