@@ -1,11 +1,14 @@
-"""Check every pose and line of the whole procedure before anything moves: reach, limits, one branch."""
+"""Check every pose and line of the whole procedure before it moves: sight, reach, limits, one branch."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from procedures.engine.step import Outcome, StepContext, StepSpec
-from procedures.planning.reach import ArmSetting, PathCheck, Reached, VisitKind, check_paths
+from procedures.planning.free_angle import TurnedPaths, choose_free_angles
+from procedures.planning.reach import ArmSetting, PathCheck, Reached, VisitKind
+from procedures.planning.sight import StereoSight
 from procedures.steps.arm_frames import guide_in_flange, model_of, stereo_tool_in_flange
 from procedures.steps.payloads import points_from, pose_from, pose_payload
 from procedures.steps.plan_check import planned
@@ -39,11 +42,17 @@ def run(context: StepContext) -> Outcome:
     trajectories = [one.trajectory for one in planned(context).trajectories]
     centres = points_from([markers[index]["centre_mm"] for index in matched])
     context.progress(0.0, "checking every path")
-    check = check_paths(setting, trajectories, centres)
+    turned = choose_free_angles(
+        setting, trajectories, centres, StereoSight.of(context.calibrations.stereo_head)
+    )
+    check = turned.check
     check.require()
     return Outcome(
         payload={
             "strategy": STRATEGY,
+            "free_angle_turns_rad": {
+                one.identifier: turn for one, turn in zip(turned.trajectories, turned.turns_rad, strict=True)
+            },
             "branch_status": None if check.branch is None else check.branch.status,
             "joint_ranges_rad": [list(limits) for limits in check.joint_ranges_rad],
             "largest_move_rad": max(move.largest_rad for move in check.moves),
@@ -51,8 +60,17 @@ def run(context: StepContext) -> Outcome:
             "targets": _targets(check, setting),
         },
         parents=(correspondence, plan, context.case.get("set_up")),
-        summary=f"{len(check.reached)} poses in one branch",
+        summary=f"{len(check.reached)} poses in one branch" + _turns_told(turned),
     )
+
+
+def _turns_told(turned: TurnedPaths) -> str:
+    told = [
+        f"{one.identifier} turned by {math.degrees(turn):+.0f} deg"
+        for one, turn in zip(turned.trajectories, turned.turns_rad, strict=True)
+        if turn
+    ]
+    return f"; {', '.join(told)}" if told else ""
 
 
 def _localizations(check: PathCheck, matched: list[int]) -> dict[str, list[dict[str, Any]]]:
