@@ -66,7 +66,7 @@ STEPS = {
 @pytest.fixture
 def make(tmp_path: Path) -> Any:
     def build(steps: dict[str, StepSpec] | None = None, operator: Doubter | None = None) -> Engine:
-        engine = Engine(
+        return Engine(
             steps=steps or STEPS,
             trajectories=(),
             case=Case(tmp_path, tmp_path / "ct", tmp_path / "plan.toml"),
@@ -76,7 +76,6 @@ def make(tmp_path: Path) -> Any:
             operator=operator or Doubter(),
             journal=Journal(tmp_path),
         )
-        return engine
 
     return build
 
