@@ -14,6 +14,7 @@ from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading
 
 # What a look may end with when the sphere is not there, or is another thing; everything else is a fault.
 NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
+FURTHER_TRIES = 2  # a lost image is an everyday matter on a network; three in a row are a fault
 OFFSET_STEP_PX = 16  # of the older firmware of the camera family; newer firmware takes any
 
 
@@ -45,8 +46,12 @@ def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
 
 
 def look(context: StepContext) -> Look:
-    """Trigger the pair once and measure the sphere in it."""
+    """Take a pair and measure the sphere in it; a pair that did not come whole is taken again."""
     reading = context.devices.stereo.grab_pair()
+    for _ in range(FURTHER_TRIES):
+        if reading.validity is Validity.OK:
+            break
+        reading = context.devices.stereo.grab_pair()
     if reading.validity is not Validity.OK or reading.left is None or reading.right is None:
         return Look(reading, None, None, None, f"the pair is {reading.validity}")
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -25,6 +26,7 @@ from ronna_hw.own_packages import require_own_packages
 if TYPE_CHECKING:
     from rich.console import Console
 
+FRAME_WIDTH = 3  # of a table's frame, per column
 PROGRESS_DELAY_S = 2.0  # shorter work shows no bar
 
 VERBOSE_FLAG = "--verbose"
@@ -105,23 +107,36 @@ def message_console() -> Console:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table on standard output: framed on a terminal, tab-separated lines elsewhere."""
-    if not on_terminal(sys.stdout):
-        for row in (columns, *rows):
-            sys.stdout.write("\t".join(str(cell) for cell in row) + "\n")
+    """Print a table on standard output: framed where it fits on a terminal, tab-separated lines elsewhere.
+
+    Only cells with blanks may be folded. A number is never cut or folded: where the frame would do so, the
+    lines are printed instead.
+    """
+    cells = [[str(cell) for cell in row] for row in rows]
+    widths = [_least_width([row[number] for row in cells]) for number in range(len(columns))]
+    if not on_terminal(sys.stdout) or sum(widths) + FRAME_WIDTH * len(columns) + 1 > _terminal_width():
+        for row in (columns, *cells):
+            sys.stdout.write("\t".join(row) + "\n")
         return
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(title=title, title_justify="left")
-    for number, column in enumerate(columns):
-        longest = max((len(str(row[number])) for row in rows), default=0)
-        last = number == len(columns) - 1  # only the last may be folded: numbers are never cut
-        table.add_column(column, min_width=None if last else longest, overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(str(cell)) for cell in row))
+    for column, width in zip(columns, widths, strict=True):
+        table.add_column(column, min_width=width, overflow="fold")
+    for row in cells:
+        table.add_row(*(Text(cell) for cell in row))
     Console().print(table)
+
+
+def _least_width(cells: Sequence[str]) -> int:
+    """Width that a column needs so that no word of it is folded."""
+    return max((len(word) for cell in cells for word in cell.split()), default=0)
+
+
+def _terminal_width() -> int:
+    return shutil.get_terminal_size().columns
 
 
 def print_json(document: dict[str, Any]) -> None:
