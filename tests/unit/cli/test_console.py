@@ -150,9 +150,10 @@ from ronna_hw.command_line import console
 app = typer.Typer()
 @app.command()
 def only(wait: bool = False) -> None:
-    print("x" * 100_000, flush=wait)
+    print("x" * 100_000)
     if wait:
         try:
+            print("waiting", flush=True)
             time.sleep(30)
         finally:
             print("closed", file=sys.stderr)
@@ -189,7 +190,8 @@ def test_a_signal_unwinds_the_command(script: list[str], number: signal.Signals)
     with subprocess.Popen([*script, "--wait"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         assert child.stdout is not None
         assert child.stderr is not None
-        child.stdout.readline()
+        while child.stdout.readline() != b"waiting\n":
+            pass
         child.send_signal(number)
         assert child.stderr.read().split() == [b"closed", b"interrupted"]
     assert child.returncode == 130
