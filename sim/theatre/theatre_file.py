@@ -22,6 +22,9 @@ from sim.theatre.stereo_head import WORKING_DISTANCE_MM
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"
+# What an arm of parameter set S does to the points of one head when all are approached alike: seen over 20
+# seeds as 0.20 mm rms at the targets.
+ARM_ERROR_MM = 0.10
 BANNER = "SIMULATED THEATRE"
 
 
@@ -58,7 +61,7 @@ def theatre_content(
             },
         },
         "calibration": _calibrations(scene),
-        "procedure": {"servo_area_px": list(scene.servo_area_px)},
+        "procedure": {"servo_area_px": list(scene.servo_area_px), "arm_error_mm": ARM_ERROR_MM},
     }
 
 

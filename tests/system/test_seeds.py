@@ -1,0 +1,70 @@
+"""Twenty whole cases with five markers: all of them end, and the tip is where it should be."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from user_commands import Commands
+
+SEEDS = range(20)
+MEAN_LIMIT_MM = 0.5
+LARGEST_LIMIT_MM = 1.5
+LEAST_SPEED = 5.0  # times life
+# 60 targets: of an honest 95 % limit some three are exceeded; seven or more come once in fifty campaigns.
+MOST_BEYOND_LIMIT = 0.12
+
+
+def _run(commands: Commands, out: Path, seed: int) -> dict[str, Any]:
+    done = commands.run(
+        "ronna-procedure", "run", "--sim", "--seed", str(seed), "--out", str(out), "--json", timeout_s=120
+    )
+    assert done.returncode == 0, f"seed {seed}: {done.stderr}"
+    outcome: dict[str, Any] = json.loads(done.stdout)
+    return outcome
+
+
+@pytest.fixture(scope="module")
+def outcomes(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    out = tmp_path_factory.mktemp("runs")
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(lambda seed: _run(shared_commands, out, seed), SEEDS))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_every_seed_completes_and_finds_every_sphere(outcomes: list[dict[str, Any]]) -> None:
+    assert [outcome["outcome"] for outcome in outcomes] == ["done"] * len(SEEDS)
+    for outcome in outcomes:
+        assert (outcome["ct"]["found"], outcome["ct"]["missed"], outcome["ct"]["false"]) == (5, 0, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_application_error_stays_within_its_limits(outcomes: list[dict[str, Any]]) -> None:
+    errors = [row["application_error_mm"] for outcome in outcomes for row in outcome["targets"]]
+    assert len(errors) == 3 * len(SEEDS)
+    assert np.mean(errors) <= MEAN_LIMIT_MM
+    assert max(errors) <= LARGEST_LIMIT_MM
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_prediction_is_of_the_size_of_the_error(outcomes: list[dict[str, Any]]) -> None:
+    rows = [row for outcome in outcomes for row in outcome["targets"]]
+    errors = np.array([row["application_error_mm"] for row in rows])
+    predicted = np.array([row["predicted_tre_mm"] for row in rows])
+    assert 0.6 < np.sqrt(np.mean(errors**2) / np.mean(predicted**2)) < 1.4
+    assert np.mean(errors > 1.61 * predicted) <= MOST_BEYOND_LIMIT
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_same_seed_gives_the_same_results_also_on_the_default_scene(
+    outcomes: list[dict[str, Any]], commands: Commands, tmp_path: Path
+) -> None:
+    again = _run(commands, tmp_path, 3)
+    for key in ("ct", "registration", "targets"):
+        assert again[key] == outcomes[3][key]
