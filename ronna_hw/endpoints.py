@@ -49,8 +49,11 @@ class Endpoint:
         return self
 
 
-def parse_endpoint(text: str) -> Endpoint:
-    """Parse an endpoint; raises CFG-002 with the reason."""
+def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
+    """Parse an endpoint; raises CFG-002 with the reason.
+
+    An address to listen on may have port 0, which asks for any free one.
+    """
     if text == "host:":
         return Endpoint("host")
     try:
@@ -68,6 +71,6 @@ def parse_endpoint(text: str) -> Endpoint:
         raise BadEndpoint(f"{text!r} needs a host", awaited=f"{parts.scheme}://host:port")
     if parts.scheme == "gev":
         return Endpoint("gev", host=parts.hostname, port=port or 0)
-    if not port:
+    if port is None or (port == 0 and not listening):
         raise BadEndpoint(f"{text!r} needs a port", awaited=f"{parts.scheme}://host:port")
     return Endpoint(parts.scheme, host=parts.hostname, port=port)

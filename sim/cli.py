@@ -17,18 +17,14 @@ app = typer.Typer(
 
 def register(app: typer.Typer) -> None:
     """Add every command; their modules import nothing heavy until they run."""
-    import importlib
-    import importlib.util
-
+    from sim.basler.command import basler
+    from sim.kuka.command import kuka
+    from sim.phantom.command import phantom
+    from sim.polaris.command import polaris
     from sim.theatre.command import theatre, verify
 
-    app.command()(theatre)
-    app.command()(verify)
-    for name in ("polaris", "kuka", "basler", "phantom"):
-        if importlib.util.find_spec(f"sim.{name}.command") is None:
-            continue  # lead: removed once every room has its command
-        module = importlib.import_module(f"sim.{name}.command")
-        app.command(name)(getattr(module, name))
+    for command in (theatre, polaris, kuka, basler, phantom, verify):
+        app.command()(command)
 
 
 register(app)

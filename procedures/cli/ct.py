@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from procedures.cli import console
+from ronna_hw.command_line import console
 
 if TYPE_CHECKING:
     from procedures.imaging import Localization, Volume

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from procedures.cli.console import print_json, print_table
+from ronna_hw.command_line.console import print_json, print_table
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError

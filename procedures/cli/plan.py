@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli import console
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
@@ -84,7 +85,7 @@ def _arm_setting(
     if config is None and robot_from_ct is None:
         return None
     if config is None or robot_from_ct is None:
-        raise console.UsageMistake("the reach needs both --config and --robot-from-ct")
+        raise UsageMistake("the reach needs both --config and --robot-from-ct")
     from procedures.planning.reach import ArmSetting
     from procedures.strategies.catalogue import strategy_named
     from ronna_hw.arm.model import ArmVariant, arm_model
@@ -94,12 +95,10 @@ def _arm_setting(
 
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
-        raise console.UsageMistake(
-            f"{config.name} has no robot.{MASTER} or no calibration: no reach to check"
-        )
+        raise UsageMistake(f"{config.name} has no robot.{MASTER} or no calibration: no reach to check")
     variant = theatre.robot[MASTER].options.get("variant", ArmVariant.SIXX)
     if variant not in list(ArmVariant):
-        raise console.UsageMistake(
+        raise UsageMistake(
             f"{config.name} names the arm variant {variant!r}", action=f"Use one of {', '.join(ArmVariant)}."
         )
     pose = Pose.from_kuka(*robot_from_ct)

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from procedures.cli.console import message_console, on_terminal, print_json, print_table
 from procedures.cli.run_case import Watcher
+from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table
 
 if TYPE_CHECKING:
     from procedures.engine.step import Outcome, StepKey

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.console import JsonOption, VerboseOption, run, set_up_logging
+from procedures.cli.scene_choice import SceneChoice
 from procedures.engine.errors import NotYet
+from ronna_hw.command_line.console import JsonOption, VerboseOption, run, set_up_logging
 from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.cli.run_case import CaseRequest
 
 app = typer.Typer(
     name="ronna-procedure",
@@ -87,7 +91,15 @@ def run_command(
     from procedures.cli.present import following, show_outcome
     from procedures.cli.run_case import run_case
 
-    request = _request(sim, config, case, scene, seed, markers, targets, speed, faults, out)
+    request = _request(
+        sim=sim,
+        config=config,
+        case=case,
+        scene=SceneChoice(scene, seed, markers, targets),
+        speed=speed,
+        faults=faults,
+        out=out,
+    )
     with following(quiet=as_json, verbose=verbose) as watcher:
         outcome = run_case(request, watcher)
     show_outcome(outcome, as_json=as_json)
@@ -111,14 +123,24 @@ def step_command(
     set_up_logging(verbose)
     from procedures.cli.stepping import step_through
 
-    step_through(_request(sim, config, case, scene, seed, markers, targets, speed, faults, out))
+    step_through(
+        _request(
+            sim=sim,
+            config=config,
+            case=case,
+            scene=SceneChoice(scene, seed, markers, targets),
+            speed=speed,
+            faults=faults,
+            out=out,
+        )
+    )
 
 
 @app.command("steps")
 def steps_command(as_json: JsonOption = False) -> None:
     """List the steps of the procedure and what each one needs."""
-    from procedures.cli.console import print_json, print_table
     from procedures.steps.catalogue import STEPS
+    from ronna_hw.command_line.console import print_json, print_table
 
     if as_json:
         rows = [
@@ -170,24 +192,23 @@ def doctor_command(
     show(examine(config), as_json=as_json)
 
 
-def _request(  # type: ignore[no-untyped-def]
-    sim: bool, config, case, scene, seed, markers, targets, speed, faults, out
-):
+def _request(
+    *,
+    sim: bool,
+    config: Path | None,
+    case: Path | None,
+    scene: SceneChoice,
+    speed: SpeedChoice,
+    faults: Path | None,
+    out: Path,
+) -> CaseRequest:
     from procedures.cli.run_case import CaseRequest
-    from procedures.cli.simulated_case import SceneChoice
 
     if sim == (config is not None):
         raise UsageMistake("give either --sim or --config", action="See ronna-procedure run --help.")
     if config is not None and case is None:
         raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
-    return CaseRequest(
-        out=out,
-        choice=SceneChoice(scene, seed, markers, targets),
-        speed=speed.value,
-        faults=faults,
-        config=config,
-        case=case,
-    )
+    return CaseRequest(out=out, choice=scene, speed=speed.value, faults=faults, config=config, case=case)
 
 
 def main() -> None:

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from procedures.cli.operators import ScriptedOperator, TerminalOperator
-from procedures.cli.simulated_case import SceneChoice, SimulatedCase
+from procedures.cli.scene_choice import SceneChoice
+from procedures.cli.simulated_case import SimulatedCase
 from procedures.engine.errors import CommandRefused
 from procedures.engine.step import Progress
 from ronna_hw.child_process import command

@@ -3,33 +3,15 @@
 from __future__ import annotations
 
 import subprocess
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from procedures.cli.scene_choice import SceneChoice
 from procedures.engine.errors import CommandRefused, RoomUnreachable
 from ronna_hw.child_process import ChildProcess, command
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
-
-
-@dataclass(frozen=True)
-class SceneChoice:
-    """What the theatre and the phantom are drawn from; both get the same."""
-
-    scene: str = "default"
-    seed: int = 0
-    markers: int | None = None
-    targets: int | None = None
-
-    def arguments(self) -> list[str]:
-        """As options of `ronna-sim theatre` and `ronna-sim phantom`."""
-        options = ["--scene", self.scene, "--seed", str(self.seed)]
-        for name, value in (("--markers", self.markers), ("--targets", self.targets)):
-            if value is not None:
-                options += [name, str(value)]
-        return options
 
 
 class SimulatedCase:

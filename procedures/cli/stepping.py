@@ -6,8 +6,8 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from procedures.cli.console import fail_with, on_terminal
 from procedures.cli.run_case import CaseRequest, Watcher, new_run_folder, opened_engine
+from ronna_hw.command_line.console import fail_with, on_terminal
 from ronna_hw.errors import RefusedError, RonnaError
 
 if TYPE_CHECKING:

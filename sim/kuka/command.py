@@ -137,10 +137,6 @@ def _file_address(context: RsiContext) -> str:
 
 def _listening(text: str) -> Endpoint:
     """An endpoint to listen on, where port 0 asks for a free one."""
-    from dataclasses import replace
-
     from ronna_hw.endpoints import parse_endpoint
 
-    if text.endswith(":0"):
-        return replace(parse_endpoint(text + "1").require("tcp"), port=0)
-    return parse_endpoint(text).require("tcp")
+    return parse_endpoint(text, listening=True).require("tcp")

@@ -6,16 +6,13 @@ import os
 import select
 import socket
 import time
-from dataclasses import replace
 
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.wire.polaris import TCP_PORT
 from sim.errors import EndpointTaken
 from sim.polaris.channel import Channel, Connection, PseudoTerminal
 from sim.polaris.framing import LineBuffer
 from sim.polaris.session import Session
 
-ANY_PORT = ":0"
 WAITING_HOSTS = 4  # further hosts wait until the one before them hangs up
 
 
@@ -83,10 +80,7 @@ class Server:
 
 def network_address(text: str) -> Endpoint:
     """Where to listen; port 0 asks for any free one. Raises CFG-002 for anything but tcp://host:port."""
-    if text.endswith(ANY_PORT):
-        known = parse_endpoint(text.removesuffix(ANY_PORT) + f":{TCP_PORT}")
-        return replace(known.require("tcp"), port=0)
-    return parse_endpoint(text).require("tcp")
+    return parse_endpoint(text, listening=True).require("tcp")
 
 
 def listen(address: Endpoint) -> socket.socket:

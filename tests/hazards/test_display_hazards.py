@@ -33,7 +33,7 @@ OUTCOME = {
     "report": "report.html",
 }
 ON_TERMINAL = (
-    "import sys; from procedures.cli.console import print_table as t; t('errors', {head!r}, {rows!r})"
+    "import sys; from ronna_hw.command_line.console import print_table as t; t('errors', {head!r}, {rows!r})"
 )
 
 

@@ -161,7 +161,8 @@ def test_bad_input_is_one_clear_message_with_its_code(series: Path, tmp_path: Pa
 
 def test_help_imports_nothing_heavy() -> None:
     script = (
-        "import sys; from procedures.cli.console import exit_code_of; from procedures.cli.ct import app; "
+        "import sys; from ronna_hw.command_line.console import exit_code_of; "
+        "from procedures.cli.ct import app; "
         "code = exit_code_of(app, ['localize', '--help']); "
         "print(code, sorted({'numpy', 'scipy', 'pydicom', 'cv2', 'matplotlib'} & set(sys.modules)))"
     )

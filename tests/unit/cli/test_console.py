@@ -200,7 +200,7 @@ def test_a_signal_unwinds_the_command(script: list[str], number: signal.Signals)
 @pytest.mark.parametrize(("verbose", "shown"), [(True, ["asked", "grave"]), (False, ["grave"])])
 def test_log_lines_go_to_standard_error_and_only_on_request(verbose: bool, shown: list[str]) -> None:
     script = (
-        "from procedures.cli import console; import structlog; "
+        "from ronna_hw.command_line import console; import structlog; "
         f"console.set_up_logging({verbose}); log = structlog.get_logger(); "
         "log.info('asked'); log.critical('grave'); print('data')"
     )
