@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from procedures.cli.pause import pause_on_interrupt
 from procedures.cli.run_case import Watcher
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table
 
@@ -31,7 +32,7 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
         console=console,
         transient=True,
     )
-    with bar:
+    with pause_on_interrupt() as pause, bar:
         task = bar.add_task("starting", total=1.0)
 
         def progress(share: float, text: str) -> None:
@@ -40,7 +41,13 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
         def listener(key: StepKey, outcome: Outcome) -> None:
             console.print(f"[green]✓[/green] {key!s:<26} {outcome.summary}", highlight=False)
 
-        yield Watcher(progress, listener, lambda text: progress(0.0, text))
+        def safe_point() -> None:
+            if pause.wanted:
+                bar.stop()  # the live line would write over the question
+                pause.safe_point()
+                bar.start()
+
+        yield Watcher(progress, listener, lambda text: progress(0.0, text), safe_point)
 
 
 def _write_line(key: StepKey, outcome: Outcome) -> None:

@@ -47,6 +47,7 @@ class Watcher:
     progress: Progress = lambda _share, _text: None
     listener: Listener = lambda _key, _outcome: None
     status: Callable[[str], None] = lambda _text: None
+    safe_point: Callable[[], None] = lambda: None
 
 
 def new_run_folder(out: Path, seed: int) -> Path:
@@ -137,6 +138,7 @@ def _make_engine(
         journal=journal,
         progress=watcher.progress,
         listener=watcher.listener,
+        safe_point=watcher.safe_point,
     )
 
 

@@ -9,7 +9,7 @@ from typing import Self
 
 from procedures.cli.scene_choice import SceneChoice
 from procedures.engine.errors import CommandRefused, RoomUnreachable
-from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.child_process import ChildNotReady, ChildProcess, command
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 
@@ -44,8 +44,15 @@ class SimulatedCase:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 
     def await_theatre(self) -> None:
-        """Return when every device of the theatre is ready; raises PRC-001 with the command's words."""
-        self._theatre.await_ready()
+        """Return when every device of the theatre is ready; raises PRO-013 with the command's words."""
+        try:
+            self._theatre.await_ready()
+        except ChildNotReady as error:
+            words = self._theatre.messages
+            if not words:
+                raise
+            code = self._theatre.process.returncode
+            raise CommandRefused("ronna-sim theatre", words[-1], code) from error
 
     @property
     def theatre_file(self) -> Path:

@@ -50,6 +50,7 @@ class Engine:
     journal: Journal
     progress: Progress = lambda _share, _text: None
     listener: Listener = lambda _key, _outcome: None
+    safe_point: Callable[[], None] = lambda: None  # may wait, or raise to end the procedure here
     machine: ProcedureMachine = field(default_factory=ProcedureMachine)
     _done: int = 0
     _workspace: dict[str, Any] = field(default_factory=dict)
@@ -111,6 +112,7 @@ class Engine:
     def run_to(self, last: StepKey | None = None) -> None:
         """Run the upcoming steps up to and including `last`, or all."""
         while (key := self.upcoming) is not None:
+            self.safe_point()
             self.run_step(key)
             if key == last:
                 return

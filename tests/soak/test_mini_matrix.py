@@ -1,0 +1,55 @@
+"""Long runs on the mini scene: a matrix of seeds, sizes and faults, and kills at random moments."""
+
+import json
+import random
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from user_commands import Commands
+
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(1800)]
+
+LARGEST_ERROR_MM = 1.5
+FAULTS = {
+    "none": "",
+    "sphere hidden at first": "at 0 s: tracker occlude marker 2 for 0.3 s\n",
+    "replies lost": "when step == relocalization: robot drop 5 % for 2 s\n",
+    "packets lost": "when step == relocalization: camera drop 1 % for 5 s\n",
+}
+
+
+@pytest.fixture
+def commands() -> Iterator[Commands]:
+    started = Commands()
+    yield started
+    assert started.await_no_survivors() == []
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("markers", [3, 4, 6, 8])
+def test_every_seed_of_the_matrix_ends_at_its_target(
+    commands: Commands, tmp_path: Path, markers: int, fault: str
+) -> None:
+    script = tmp_path / "faults.txt"
+    script.write_text(FAULTS[fault])
+    for seed in range(8):
+        done = commands.run(
+            "ronna-procedure", "run", "--sim", "--scene", "mini", "--seed", str(seed), "--markers", str(markers),
+            "--faults", str(script), "--out", str(tmp_path / "runs"), "--json", timeout_s=120,
+        )  # fmt: skip
+        assert done.returncode == 0, f"seed {seed}: {done.stderr}"
+        assert json.loads(done.stdout)["max_application_error_mm"] <= LARGEST_ERROR_MM
+
+
+def test_killed_at_fifty_random_moments_nothing_stays_behind(commands: Commands, tmp_path: Path) -> None:
+    chosen = random.Random(50)
+    for number in range(50):
+        process = commands.start(
+            "ronna-procedure", "run", "--sim", "--scene", "mini", "--out", str(tmp_path / str(number))
+        )
+        time.sleep(chosen.uniform(0.05, 6.0))  # the moment itself is what is random here
+        process.kill()
+        process.communicate(timeout=15)
+        assert commands.await_no_survivors() == []

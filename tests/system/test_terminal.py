@@ -1,0 +1,103 @@
+"""The case on a terminal, as a person sees it: live progress, pause, stop."""
+
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from user_commands import Commands
+
+AWAITED_S = 40.0
+STYLE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours and cursor moves
+
+
+class Terminal:
+    """A pseudo-terminal with the command on it."""
+
+    def __init__(self, commands: Commands, out: Path) -> None:
+        self._primary, secondary = pty.openpty()
+        self.process = subprocess.Popen(
+            commands.line(
+                "ronna-procedure", "run", "--sim", "--scene", "mini", "--seed", "3", "--out", str(out)
+            ),
+            env={**commands.environment, "TERM": "xterm", "COLUMNS": "120"},
+            stdin=secondary,
+            stdout=secondary,
+            stderr=secondary,
+            start_new_session=True,
+        )
+        os.close(secondary)
+        self._raw = self.text = ""
+
+    def await_text(self, pattern: str) -> None:
+        deadline = time.monotonic() + AWAITED_S
+        while not re.search(pattern, self.text):
+            assert time.monotonic() < deadline, self.text[-2000:]
+            assert self.process.poll() is None, self.text[-2000:]
+            self._read()
+
+    def type(self, text: str) -> None:
+        os.write(self._primary, text.encode())
+
+    def rest(self) -> int:
+        deadline = time.monotonic() + AWAITED_S
+        while self.process.poll() is None and time.monotonic() < deadline:
+            self._read()
+        self._read()
+        return self.process.wait(5)
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        os.close(self._primary)
+
+    def _read(self) -> None:
+        ready, _, _ = select.select([self._primary], [], [], 0.2)
+        if ready:
+            try:
+                self._raw += os.read(self._primary, 65536).decode(errors="replace")
+            except OSError:  # the line has hung up: the command has ended
+                return
+            self.text = STYLE.sub("", self._raw)
+
+
+@pytest.fixture
+def terminal(commands: Commands, tmp_path: Path) -> Iterator[Terminal]:
+    opened = Terminal(commands, tmp_path / "runs")
+    yield opened
+    opened.close()
+
+
+@pytest.mark.slow
+def test_ctrl_c_once_pauses_between_steps_and_enter_goes_on_to_the_end(terminal: Terminal) -> None:
+    terminal.await_text("✓ ct_import")
+    terminal.process.send_signal(signal.SIGINT)
+    terminal.await_text("paused, the arm rests")
+    terminal.type("\n")
+    assert terminal.rest() == 0
+    assert "error mm" in terminal.text
+
+
+def test_ctrl_c_twice_stops_now(terminal: Terminal) -> None:
+    terminal.await_text("✓ path_check")
+    terminal.process.send_signal(signal.SIGINT)
+    terminal.await_text("Ctrl-C again stops now")
+    terminal.process.send_signal(signal.SIGINT)
+    assert terminal.rest() == 130
+    assert "Traceback" not in terminal.text
+
+
+def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> None:
+    terminal.await_text("✓ ct_import")
+    terminal.process.send_signal(signal.SIGINT)
+    terminal.await_text("paused, the arm rests")
+    terminal.type("abort\n")
+    assert terminal.rest() == 7
+    assert "PRO-004" in terminal.text
