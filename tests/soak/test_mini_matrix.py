@@ -35,10 +35,18 @@ def test_every_seed_of_the_matrix_ends_at_its_target(
     script = tmp_path / "faults.txt"
     script.write_text(FAULTS[fault])
     for seed in range(8):
+        options = {"--scene": "mini", "--seed": seed, "--markers": markers, "--faults": script}
+        words = [str(word) for pair in options.items() for word in pair]
         done = commands.run(
-            "ronna-procedure", "run", "--sim", "--scene", "mini", "--seed", str(seed), "--markers", str(markers),
-            "--faults", str(script), "--out", str(tmp_path / "runs"), "--json", timeout_s=120,
-        )  # fmt: skip
+            "ronna-procedure",
+            "run",
+            "--sim",
+            *words,
+            "--out",
+            str(tmp_path / "runs"),
+            "--json",
+            timeout_s=120,
+        )
         assert done.returncode == 0, f"seed {seed}: {done.stderr}"
         assert json.loads(done.stdout)["max_application_error_mm"] <= LARGEST_ERROR_MM
 

@@ -1,1 +1,0 @@
-"""Campaigns against truth; the one place that may import the simulators."""

@@ -1,1 +1,0 @@
-"""Flight recorder: raw bytes and readings of the last moments."""
