@@ -52,7 +52,7 @@ class RecordedCycle:
     IPOC: int
     received_ns: int  # host monotonic
     turnaround_us: float
-    choice: str  # "go", "stop" or "hold"
+    choice: str  # "go", "stop", "repeat" or "hold"
     measured_rad: JointVector
     sent_rad: JointVector
 

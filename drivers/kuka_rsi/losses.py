@@ -1,4 +1,9 @@
-"""Counts what goes missing on the real-time link, and says when the arm should go slower."""
+"""Counts what goes missing on the real-time link: which replies acted, and when the arm should go slower.
+
+A telegram that never came shows as a gap in the time stamps. A reply that was lost, or was late, shows in the
+controller's own count in the next telegram. The controller counts the cycles of a gap as well, for nobody
+answered them: only what it counts beyond the gap says that our last reply was not taken.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +26,8 @@ class Losses:
         self.lost = 0
         self.late = 0
         self.degraded = False
+        self.untaken = False  # the last reply did not act
+        self.standing = 0  # cycles in a row up to now in which no reply acted
 
     def count(self, ipoc: int, delay: int) -> int | None:
         """Cycles missing before this telegram; -1 for a repeated one, None when another run began."""
@@ -42,6 +49,8 @@ class Losses:
             self._last_delay = delay
         self.lost += missing
         self.late += late
+        self.untaken = late > missing
+        self.standing = missing + self.standing + 1 if self.untaken else missing
         self._judge(max(missing, late))
         return missing
 

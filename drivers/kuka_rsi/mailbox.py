@@ -103,7 +103,7 @@ class Result(IntEnum):
 
 
 VIOLATIONS = ("", "range", "total correction", "step", "acceleration", "jerk", "following error")
-CHOICES = ("go", "stop", "hold")
+CHOICES = ("go", "stop", "repeat", "hold")
 
 
 class Orders(NamedTuple):

@@ -14,7 +14,7 @@ SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 SILENCE_LIMIT_S = 0.25
 HEARTBEAT_LIMIT_S = 1.0  # a program that does other work may be held up for tens of milliseconds
 FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
-LARGEST_SPEED_FRACTION = 0.125  # above it one lost packet is a step that a controller may refuse
+LARGEST_SPEED_FRACTION = 0.125  # above it two prepared steps at once are more than a controller takes
 
 
 class KukaOptions(BaseModel):

@@ -3,6 +3,11 @@
 Reply k carries a point prepared after reply k-1. When a telegram comes, only orders, losses and what is known
 to be wrong are looked at, and that decides between the point to go on and the first point of a stop. The
 measured axes are judged when the reply is out.
+
+When the controller tells that it did not take the last reply, the path waits: the same point is sent again,
+and what was prepared keeps. So each step that acts is one that was prepared, whatever is lost. If the
+controller tells one telegram late, two prepared steps may act at once, which it accepts below an eighth of
+full speed; one that never tells gets the path as it was planned.
 """
 
 from __future__ import annotations
@@ -33,7 +38,7 @@ from ronna_hw.errors import RonnaError
 
 SETTLE_CYCLES = 10  # in a row within the tolerance
 DEGRADED_SPEED = 0.5  # part of the planned speed after losses
-HELD_AFTER_CYCLES = 3  # missing cycles after which the arm stands still at the held point
+HELD_AFTER_CYCLES = 3  # without a reply that acts; after more the arm stands still at the held point
 START_TOLERANCE_RAD = 1e-9  # between where a motion was planned from and the last point sent
 RANGE_TOLERANCE_DEG = 0.01  # of the first telegram's axes: an arm may stand at its end switch
 
@@ -81,7 +86,7 @@ class Session:
         self._speed = 1.0
         self._base_deg: JointVector = NO_STATE.base_rad
         self._points: SetPoints | None = None
-        self._heads = (b"", b"", b"")
+        self._heads = (b"", b"")  # of the replies to go on and to stop
 
     @property
     def moving(self) -> bool:
@@ -131,10 +136,9 @@ class Session:
             self._trip(points.violation)
         elif points.path_failed:
             self._latch(Fault.PATH)
-        if missing > HELD_AFTER_CYCLES and points.moving:
-            self.choice = Choice.HOLD
-        else:
-            self.choice = Choice.STOP if self._stopping else Choice.GO
+        if points.moving and (self._losses.untaken or missing > HELD_AFTER_CYCLES):
+            return self._answer_loss(points)
+        self.choice = Choice.STOP if self._stopping else Choice.GO
         return self._heads[self.choice]
 
     def after_reply(self, command: Command | None) -> None:
@@ -226,6 +230,17 @@ class Session:
             violation.limit if violation else 0.0,
             0,
         )
+
+    def _answer_loss(self, points: SetPoints) -> bytes:
+        """The reply while the arm waits at a point, because replies or telegrams were lost."""
+        violation = points.monitor.not_taken() if self._losses.untaken else None
+        if violation is not None:
+            self._trip(violation)
+        if violation is not None or self._losses.standing > HELD_AFTER_CYCLES:
+            self.choice = Choice.HOLD
+            return self._head(points.held_rad, False)
+        self.choice = Choice.REPEAT
+        return self._head(points.last_rad, False)
 
     def _measure(self) -> None:
         a, b, c, d, e, f = self._axes_deg
@@ -323,12 +338,11 @@ class Session:
         self._stopping = self.moving
 
     def _write_heads(self, points: SetPoints) -> None:
-        ending = self.phase is Phase.ENDING
-        hold = self._head(points.last_rad, ending)
         if points.moving:
-            self._heads = (self._head(points.go_rad, False), self._head(points.stop_rad, False), hold)
+            self._heads = (self._head(points.go_rad, False), self._head(points.stop_rad, False))
         else:
-            self._heads = (hold, hold, hold)
+            hold = self._head(points.last_rad, self.phase is Phase.ENDING)
+            self._heads = (hold, hold)
 
     def _head(self, joints_rad: JointVector, stop: bool) -> bytes:
         base = self._base_deg

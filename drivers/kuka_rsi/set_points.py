@@ -22,7 +22,8 @@ class Choice(IntEnum):
 
     GO = 0
     STOP = 1
-    HOLD = 2  # the last point again: right only when the controller has held it for some cycles already
+    REPEAT = 2  # the last point again: it was not taken, and the path waits for it
+    HOLD = 3  # the point the controller holds: right only when it has held it for some cycles already
 
 
 class SetPoints:
@@ -45,6 +46,11 @@ class SetPoints:
     def last_rad(self) -> JointVector:
         """The last point sent."""
         return self.monitor.last_rad
+
+    @property
+    def held_rad(self) -> JointVector:
+        """The point that the controller holds, as far as it has told."""
+        return self.monitor.held_rad
 
     @property
     def moving(self) -> bool:
@@ -93,13 +99,9 @@ class SetPoints:
     def commit(self, choice: Choice) -> None:
         """This one was sent."""
         if choice is Choice.HOLD:
-            for _ in self.monitor.history_rad:
-                self.monitor.sent(self.last_rad)
-            if isinstance(self._motion, PathMotion):
-                self._motion.restart_from_rest()
-            elif self._motion is not None:
-                self._motion = None
-                self.stopped_early = True
+            self._stand()
+        elif choice is Choice.REPEAT:
+            self.monitor.sent_again()
         elif choice is Choice.GO:
             if self._motion is not None:
                 self._motion.take_go()
@@ -119,8 +121,16 @@ class SetPoints:
         if self._motion is not None:
             self.stopped_early = True
         self._motion = None
-        for _ in self.monitor.history_rad:
-            self.monitor.sent(self.last_rad)
+        self.monitor.stands()
+
+    def _stand(self) -> None:
+        one_back = self.held_rad is not self.last_rad
+        self.monitor.stands()
+        if isinstance(self._motion, PathMotion):
+            self._motion.restart_from_rest(one_back=one_back)
+        elif self._motion is not None:
+            self._motion = None
+            self.stopped_early = True
 
     def _use_joint_stop(self) -> None:
         state = state_from_history(self.monitor.history_rad, self._cycle_s)

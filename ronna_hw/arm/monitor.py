@@ -1,7 +1,7 @@
 """The independent monitor: judges every set-point before it is sent, and every measured pose.
 
 It shares no code with the generators: plain comparisons of plain numbers against limits given at start. It
-knows only what was really sent before.
+knows only what was really sent before, and what the receiver said it did not take.
 """
 
 from __future__ import annotations
@@ -81,12 +81,13 @@ def monitor_limits(
 
 
 class Monitor:
-    """One per session. `check` judges without remembering; `sent` remembers."""
+    """One per session. `check` judges without remembering; `sent` and what follows it remember."""
 
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits
         self._start = start_rad
         self._last = (start_rad, start_rad, start_rad)  # newest first: the arm starts at rest
+        self._held = start_rad
 
     @property
     def last_rad(self) -> JointVector:
@@ -97,6 +98,11 @@ class Monitor:
     def history_rad(self) -> tuple[JointVector, JointVector, JointVector]:
         """The last three set-points sent, newest first."""
         return self._last
+
+    @property
+    def held_rad(self) -> JointVector:
+        """The set-point that the arm follows: the last one sent, unless that was not taken."""
+        return self._held
 
     def check(self, joints_rad: JointVector) -> Violation | None:
         """The first limit a set-point would exceed if it were sent next, or None."""
@@ -130,6 +136,24 @@ class Monitor:
         """This set-point was sent."""
         one, two, _ = self._last
         self._last = (joints_rad, one, two)
+        self._held = joints_rad
+
+    def not_taken(self) -> Violation | None:
+        """The last set-point was not taken: the one before is held. Judges the step from it once more."""
+        held = self._held = self._last[1]
+        for i in range(AXES):
+            step = self._last[0][i] - held[i]
+            if not abs(step) <= self.limits.step_rad[i]:
+                return Violation("step", i + 1, step, self.limits.step_rad[i])
+        return None
+
+    def sent_again(self) -> None:
+        """The last set-point was sent once more. What comes next is judged as if there had been no pause."""
+        self._held = self._last[0]
+
+    def stands(self) -> None:
+        """The arm has come to rest at the held set-point, and that was sent."""
+        self._last = (self._held, self._held, self._held)
 
     def check_measured(self, measured_rad: JointVector) -> Violation | None:
         """Whether the measured axes left their ranges or fell too far behind the last set-point."""

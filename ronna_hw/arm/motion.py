@@ -74,6 +74,7 @@ class PathMotion:
         self._bounds = _path_bounds(limits, 1.0)
         self._state = State.resting([0.0])
         self._profile = self._profiler.move(self._state, [1.0], self._bounds)
+        self._before = self._state  # of the point before the last one taken
         self._time_s = 0.0
         self._joints = start_rad
         self._stopping = False
@@ -112,7 +113,7 @@ class PathMotion:
 
     def take_go(self) -> None:
         if self._next is not None:
-            self._state = self._next[0]
+            self._before, self._state = self._state, self._next[0]
             self._time_s += self._cycle_s
             self._joints = self._prepared.go_rad
             self._next = None
@@ -121,6 +122,7 @@ class PathMotion:
         if self._stopping:
             self.take_go()
         elif self._next is not None:
+            self._before = self._state
             _, self._profile, self._state = self._next
             self._time_s = self._cycle_s
             self._joints = self._prepared.stop_rad
@@ -135,10 +137,14 @@ class PathMotion:
         self._profile = self._profiler.move(self._state, [1.0], self._bounds)
         self._time_s = 0.0
 
-    def restart_from_rest(self) -> None:
-        """The arm was brought to rest at the last point by somebody else: go on from there at speed zero."""
+    def restart_from_rest(self, *, one_back: bool = False) -> None:
+        """The arm was brought to rest at the last point by somebody else: go on from there at speed zero.
+
+        With `one_back` it rests at the point before the last one.
+        """
         self._next = None
-        self._state = State.resting([min(max(self._state.position[0], 0.0), 1.0)])
+        at = self._before if one_back else self._state
+        self._state = self._before = State.resting([min(max(at.position[0], 0.0), 1.0)])
         self._time_s = 0.0
         if self._stopping:
             self._profile = self._profiler.stop(self._state, self._bounds)

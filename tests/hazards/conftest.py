@@ -52,13 +52,13 @@ class RobotCell:
         )  # fmt: skip
         ready = self.controller.ready["endpoints"]
         self.endpoints = {"rsi": ready["rsi"], "eki_project": ready["eki_project"]}
-        self._arms: list[KukaRsiArm] = []
+        self.arms: list[KukaRsiArm] = []
 
     def arm(self, **options: Any) -> KukaRsiArm:
         """A driver for this controller, closed at the end of the test."""
         config = DeviceConfig(driver="kuka_rsi", endpoints=self.endpoints, options=options)
-        self._arms.append(KukaRsiArm("robot.master", config, open_clock(self.world.endpoint)))
-        return self._arms[-1]
+        self.arms.append(KukaRsiArm("robot.master", config, open_clock(self.world.endpoint)))
+        return self.arms[-1]
 
     def active_arm(self, **options: Any) -> KukaRsiArm:
         arm = self.arm(**options)
@@ -71,7 +71,7 @@ class RobotCell:
         return np.array(self.world.arm().joints_rad)
 
     def close(self) -> None:
-        for arm in self._arms:
+        for arm in self.arms:
             arm.close()
         self.controller.stop()
 

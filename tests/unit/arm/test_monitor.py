@@ -87,6 +87,32 @@ def test_an_axis_that_does_not_follow_trips() -> None:
     assert _kind(monitor.check_measured(_with(3, math.nan))) == ("following error", 3)
 
 
+@pytest.mark.hazard(18)
+def test_a_point_that_was_not_taken_is_judged_again_from_the_one_that_is_held() -> None:
+    monitor = _monitor()
+    near, far = (_with(6, START[5] + share * LIMITS.step_rad[5]) for share in (0.9, 1.1))
+    monitor.sent(near)
+    assert monitor.held_rad == near
+    assert monitor.not_taken() is None
+    assert monitor.held_rad == START
+    monitor.sent_again()
+    assert monitor.held_rad == near
+    assert monitor.history_rad == (near, START, START)
+    monitor = _monitor()
+    monitor.sent(far)
+    assert _kind(monitor.not_taken()) == ("step", 6)
+
+
+def test_an_arm_that_stands_is_judged_from_rest_at_the_held_point() -> None:
+    monitor = _monitor()
+    step = _with(6, START[5] + 0.5 * LIMITS.step_rad[5])
+    monitor.sent(step)
+    monitor.not_taken()
+    monitor.stands()
+    assert monitor.history_rad == (START, START, START)
+    assert _kind(monitor.check(step)) == ("acceleration", 6) or _kind(monitor.check(step)) == ("jerk", 6)
+
+
 def test_judging_does_not_remember() -> None:
     monitor = _monitor()
     monitor.check(_with(1, 0.5))

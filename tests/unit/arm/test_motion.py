@@ -124,17 +124,20 @@ def test_less_speed_on_the_way_keeps_the_path_and_the_end() -> None:
     assert cycles > 2 * len(_run(_motion(plan), START))
 
 
+@pytest.mark.parametrize("one_back", [False, True])
 @pytest.mark.parametrize("stopping", [False, True])
-def test_after_an_interruption_the_motion_goes_on_from_rest(stopping: bool) -> None:
+def test_after_an_interruption_the_motion_goes_on_from_rest(stopping: bool, one_back: bool) -> None:
     target = radians6(40, -70, 70, 20, 50, 30)
     motion = _motion(plan_joint_move(MODEL, START, target, LIMITS))
+    before = here = START
     for _ in range(150):
-        here = motion.prepare().go_rad
+        before, here = here, motion.prepare().go_rad
         motion.take_go()
     if stopping:
-        here = motion.prepare().stop_rad
+        before, here = here, motion.prepare().stop_rad
         motion.take_stop()
-    motion.restart_from_rest()
+    motion.restart_from_rest(one_back=one_back)
+    here = before if one_back else here
     monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, START), START)
     for _ in range(3):
         monitor.sent(here)

@@ -135,9 +135,13 @@ class FakeController:
             client.sendall(self.state(number))
             return
         code = self.ack_codes.get(name, 0)
+        if not code:
+            self._act(name)  # before it is acknowledged: whoever reads the answer looks at the facts
         client.sendall(f'<Ack Id="{number}" Cmd="{name}" Code="{code}" Text=""></Ack>'.encode())
-        if code:
-            return
+        if not code:
+            client.sendall(self.state())
+
+    def _act(self, name: str) -> None:
         if name == "RSI_START":
             self.facts["RSI"] = "2"
             self.late = 0
@@ -150,7 +154,6 @@ class FakeController:
             self.facts["Drives"] = "0" if self.facts["Drives"] == "1" else "1"
         elif name == "ACK_ERRORS":
             self.facts["Err"] = "0"
-        client.sendall(self.state())
 
     def _telegram(self) -> bytes:
         axis = " ".join(f'A{k + 1}="{v:.4f}"' for k, v in enumerate(self.axes_deg))

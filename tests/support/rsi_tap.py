@@ -1,0 +1,71 @@
+"""Stands on the wire between a robot controller and the arm's driver, passes everything on and looks."""
+
+from __future__ import annotations
+
+import re
+import select
+import socket
+import threading
+from collections.abc import Callable, Sequence
+
+LOOK_S = 0.05  # between two looks whether to end
+DATAGRAM_BYTES = 4096
+LOOPBACK = "127.0.0.1"
+DELAY = re.compile(rb'<Delay D="(\d+)"/>')
+CORRECTIONS = re.compile(
+    rb'<AK A1="([^"]+)" A2="([^"]+)" A3="([^"]+)" A4="([^"]+)" A5="([^"]+)" A6="([^"]+)"'
+)
+
+
+class RsiTap:
+    """Give the driver `endpoint` to listen on. In lock-step the world stands still at each look."""
+
+    def __init__(self, controller_sends_to: str, look: Callable[[], Sequence[float]], *, late: bool) -> None:
+        """`look` is called with each telegram. `late`: the count of lost replies is told a telegram late."""
+        self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._front.bind((LOOPBACK, int(controller_sends_to.rpartition(":")[2])))
+        self._back = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._back.bind((LOOPBACK, 0))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind((LOOPBACK, 0))
+            self._driver = free.getsockname()
+        self.endpoint = f"udp://{LOOPBACK}:{self._driver[1]}"
+        self._look = look
+        self._late = late
+        self.seen: list[Sequence[float]] = []  # what `look` gave, one per cycle
+        self.acting_deg: list[Sequence[float]] = []  # the corrections that acted in each cycle
+        self._sent_deg: Sequence[float] = (0.0,) * 6
+        self.lost = 0  # replies, by the controller's count
+        self._controller: tuple[str, int] | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._pass_on)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+        self._front.close()
+        self._back.close()
+
+    def _pass_on(self) -> None:
+        while not self._ending.is_set():
+            for ready in select.select((self._front, self._back), (), (), LOOK_S)[0]:
+                data, sender = ready.recvfrom(DATAGRAM_BYTES)
+                if ready is self._front:
+                    self._controller = sender
+                    self._back.sendto(self._telegram(data), self._driver)
+                elif self._controller is not None:
+                    found = CORRECTIONS.search(data)
+                    assert found is not None
+                    self._sent_deg = tuple(float(value) for value in found.groups())
+                    self._front.sendto(data, self._controller)
+
+    def _telegram(self, data: bytes) -> bytes:
+        found = DELAY.search(data)
+        assert found is not None
+        before, self.lost = self.lost, int(found[1])
+        taken = self.lost == before or not self.acting_deg
+        self.acting_deg.append(self._sent_deg if taken else self.acting_deg[-1])
+        self.seen.append(self._look())
+        told = before if self._late else self.lost
+        return data[: found.start(1)] + str(told).encode() + data[found.end(1) :]

@@ -1,0 +1,338 @@
+"""Replies and telegrams that are lost on the way, against a controller that holds what it took last."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from math import degrees
+from typing import Literal
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.kuka_rsi.losses import Losses
+from drivers.kuka_rsi.mailbox import Command, CommandKind, Fault, Orders, Result, StopOrder
+from drivers.kuka_rsi.session import Session
+from drivers.kuka_rsi.set_points import Choice
+from drivers.kuka_rsi.settings import LinkSettings
+from drivers.kuka_rsi.telegram import Telegram
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.readings import JointVector
+
+MODEL = arm_model("kr6_r900_sixx")
+LIMITS = working_limits(MODEL)
+CYCLE_MS = 4
+FULL_STEP_DEG = [degrees(speed) * CYCLE_MS / 1000 for speed in MODEL.full_speed_rad_s]
+WORKING_SHARE = 0.12
+TAKEN_SHARE = 0.25  # of a full-speed step: what a controller takes in one cycle
+ROUNDING = 1.001
+START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
+START = radians6(*START_DEG)
+FAR = radians6(40, -60, 60, 30, 80, 90)
+JOINT_MOVE = plan_joint_move(MODEL, START, FAR, LIMITS)
+TAGS = tuple(f"AK.A{k}" for k in range(1, 7))
+NUMBERS = re.compile(rb'"(-?\d+\.\d{6})"')
+AT_SPEED = 150  # cycles after which the motion runs at full working speed
+
+Loss = Literal["", "reply", "telegram"]
+LOSSES = st.lists(st.sampled_from(["", "", "", "reply", "telegram"]), min_size=1, max_size=120)
+
+
+class HoldingController:
+    """Takes what arrives, keeps it otherwise. `tells`: by how many telegrams too late; None is never."""
+
+    def __init__(self, tells: int | None = 0) -> None:
+        self.session = Session(
+            LinkSettings(
+                host="127.0.0.1",
+                port=1,
+                parent_pid=1,
+                mailbox_fd=0,
+                event_fd=0,
+                variant="kr6_r900_sixx",
+                cycle_ms=CYCLE_MS,
+                sentype="KROSHU",
+                send_tags=("DEF_AIPos", "DEF_Delay"),
+                receive_tags=("Stop", *TAGS),
+                axis_tags=TAGS,
+                stop_tag="Stop",
+                silence_limit_s=0.25,
+                heartbeat_limit_s=1.0,
+                settle_tolerance_deg=0.0002,
+                speed_fraction=WORKING_SHARE,
+                real_time_priority=0,
+            )
+        )
+        self._tells = tells
+        self._cycle = 0
+        self._commands = 0
+        self._command: Command | None = None
+        self.stop_word = 0
+        self.late = [0, 0]  # the count as of each cycle's begin
+        self.taken: list[JointVector] = [(0.0,) * 6]  # the corrections that act, one per cycle
+        self.sent: list[JointVector] = []
+        self.session.take(self._new(CommandKind.OPEN))
+        for _ in range(3):
+            self.cycle()
+
+    def move(self, plan: MotionPlan = JOINT_MOVE) -> None:
+        self._command = self._new(CommandKind.MOVE, plan)
+        self.cycle()
+
+    def lose(self, losses: Sequence[Loss]) -> None:
+        for loss in losses:
+            self.cycle(loss)
+
+    def stop(self) -> None:
+        self.stop_word = ((self.stop_word >> 3) + 1) * 8 + StopOrder.HOLD
+
+    def cycle(self, loss: Loss = "") -> None:
+        self._cycle += 1
+        held, late = self.taken[-1], self.late[-1]
+        if loss != "telegram":
+            a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, held, strict=True))
+            told = 0 if self._tells is None else self.late[-1 - self._tells]
+            ipoc = str(CYCLE_MS * (1000 + self._cycle)).encode()
+            head = self.session.answer(
+                Telegram((a, b, c, d, e, f), told, ipoc),
+                Orders(self._cycle, self.stop_word, self._commands),
+                1_000_000_000 + self._cycle * CYCLE_MS * 1_000_000,
+            )
+            assert head is not None
+            A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
+            self.sent.append((A1, A2, A3, A4, A5, A6))
+            self.session.after_reply(self._command)
+        if not loss:
+            held = self.sent[-1]
+        self.taken.append(held)
+        self.late.append(late + bool(loss))
+
+    def finish(self) -> None:
+        """Cycles without loss until the motion has a result."""
+        for _ in range(3000):
+            if self.session.result is not Result.RUNNING:
+                return
+            self.cycle()
+        raise AssertionError("no result")
+
+    @property
+    def largest_share(self) -> float:
+        """Largest step that acted, over the full-speed step of its axis."""
+        return max(
+            abs(y - x) / full
+            for a, b in pairwise(self.taken)
+            for x, y, full in zip(a, b, FULL_STEP_DEG, strict=True)
+        )
+
+    @property
+    def end_deg(self) -> JointVector:
+        a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, self.taken[-1], strict=True))
+        return (a, b, c, d, e, f)
+
+    def _new(self, kind: CommandKind, plan: MotionPlan | None = None) -> Command:
+        self._commands += 1
+        return Command(self._commands, kind, plan, self.stop_word >> 3)
+
+
+def _moving(cycles: int = AT_SPEED, tells: int | None = 0) -> HoldingController:
+    controller = HoldingController(tells)
+    controller.move()
+    controller.lose([""] * cycles)
+    return controller
+
+
+def _whole() -> list[JointVector]:
+    """What acts, cycle by cycle, when nothing is lost."""
+    controller = _moving(0)
+    controller.finish()
+    return controller.taken
+
+
+def _arrived(controller: HoldingController) -> bool:
+    session = controller.session
+    there = tuple(degrees(angle) for angle in FAR)
+    assert (session.result, session.fault, session.violation) == (Result.DONE, Fault.NONE, None)
+    return controller.end_deg == pytest.approx(there, abs=2e-6)
+
+
+# Replies that are told as lost in the next telegram
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize("neighbours", [1, 2, 3])
+def test_the_path_slips_by_one_cycle_for_each_lost_reply(neighbours: int) -> None:
+    whole = _whole()
+    controller = _moving()
+    controller.lose(["reply"] * neighbours)
+    at = len(controller.taken) - neighbours
+    controller.finish()
+    assert controller.taken == whole[:at] + [whole[at - 1]] * neighbours + whole[at:]
+    assert _arrived(controller)
+    assert controller.session.state(real_time=False, locked=False).late == neighbours
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize("neighbours", [4, 5, 30])
+def test_after_more_than_three_neighbouring_lost_replies_the_motion_begins_from_rest(neighbours: int) -> None:
+    controller = _moving()
+    held = controller.taken[-1]
+    controller.lose(["reply"] * neighbours)
+    controller.cycle()
+    assert controller.session.choice is Choice.HOLD
+    assert controller.taken[-1] == held  # the arm stood there, not one point further
+    controller.cycle()
+    assert max(abs(y - x) for x, y in zip(held, controller.taken[-1], strict=True)) < 1e-3
+    controller.finish()
+    assert controller.largest_share <= WORKING_SHARE * ROUNDING
+    assert _arrived(controller)
+
+
+@pytest.mark.hazard(18)
+def test_more_than_three_lost_replies_in_a_second_halve_the_speed_until_four_seconds_are_clean() -> None:
+    controller = _moving(100)
+    for lost in range(1, 5):
+        assert not controller.session.state(real_time=False, locked=False).degraded
+        controller.lose(["reply", ""])
+        assert controller.session.state(real_time=False, locked=False).late == lost
+        controller.lose([""] * 3)
+    assert controller.session.state(real_time=False, locked=False).degraded
+    controller.lose([""] * 40)
+    slowed = len(controller.taken)
+    controller.finish()
+    del controller.taken[:slowed]
+    assert controller.largest_share <= WORKING_SHARE / 2 * ROUNDING
+    controller.lose([""] * 1000)
+    assert not controller.session.state(real_time=False, locked=False).degraded
+
+
+@pytest.mark.hazard(18)
+@settings(max_examples=60, deadline=None)
+@given(before=st.integers(0, AT_SPEED), losses=LOSSES)
+def test_whatever_is_lost_each_step_that_acts_is_one_prepared_step(before: int, losses: list[Loss]) -> None:
+    controller = _moving(before)
+    controller.lose(losses)
+    controller.finish()
+    assert controller.largest_share <= WORKING_SHARE * ROUNDING
+    assert _arrived(controller)
+
+
+def test_a_point_that_is_too_far_from_the_held_one_is_not_sent_again() -> None:
+    controller = _moving()
+    points = controller.session._points
+    assert points is not None
+    points.monitor.limits = replace(points.monitor.limits, step_rad=(1e-6,) * 6)
+    held = controller.taken[-1]
+    controller.lose(["reply", ""])
+    assert controller.taken[-1] == held
+    assert controller.session.fault is Fault.MONITOR
+    controller.lose([""] * 5)
+    assert not controller.session.moving
+    assert controller.taken[-1] == held
+
+
+@settings(max_examples=30, deadline=None)
+@given(before=st.integers(1, 200), losses=LOSSES)
+def test_a_stop_while_replies_are_lost_is_smooth_and_ends_at_rest(before: int, losses: list[Loss]) -> None:
+    here = forward(MODEL, START)
+    x, y, z = here.position_mm
+    line = Pose((x - 40, y + 60, z - 40), here.rotation)
+    controller = HoldingController()
+    controller.move(plan_line(MODEL, START, line, LIMITS, (0.0, 0.0, 200.0)))
+    controller.lose([""] * before)
+    controller.stop()
+    controller.lose(losses)
+    controller.lose([""] * 150)
+    assert not controller.session.moving
+    assert controller.session.fault is Fault.NONE
+    assert controller.largest_share <= WORKING_SHARE * ROUNDING
+    assert len(set(controller.taken[-20:])) == 1
+
+
+# Telegrams that never came
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize("gap", [1, 3])
+def test_a_lost_telegram_is_no_lost_reply_though_the_controller_counts_it(gap: int) -> None:
+    whole = _whole()
+    controller = _moving()
+    at = len(controller.taken)
+    controller.lose(["telegram"] * gap)
+    controller.cycle()
+    # The last reply acted before the gap: the path goes on from it, and nothing is sent twice.
+    assert controller.session.choice is Choice.GO
+    assert controller.taken[at - 1 :] == [whole[at - 1]] * (gap + 1) + [whole[at]]
+
+
+@pytest.mark.hazard(18)
+def test_a_reply_lost_just_before_a_gap_is_sent_again_after_it() -> None:
+    whole = _whole()
+    controller = _moving()
+    at = len(controller.taken)
+    controller.lose(["reply", "telegram", ""])
+    assert controller.session.choice is Choice.REPEAT
+    assert controller.taken[at - 1 :] == [whole[at - 1]] * 3 + [whole[at]]
+    controller.cycle()
+    assert controller.taken[-1] == whole[at + 1]
+
+
+# Controllers that tell late, or never
+
+
+@pytest.mark.hazard(18)
+@settings(max_examples=100, deadline=None)
+@given(before=st.integers(0, AT_SPEED), losses=LOSSES)
+def test_told_one_telegram_late_no_more_than_two_prepared_steps_act_at_once(
+    before: int, losses: list[Loss]
+) -> None:
+    controller = _moving(before, tells=1)
+    controller.lose(losses)
+    controller.finish()
+    assert controller.largest_share <= 2 * WORKING_SHARE * ROUNDING < TAKEN_SHARE
+    assert _arrived(controller)
+
+
+@pytest.mark.parametrize("neighbours", [1, 2, 3, 4, 30])
+def test_told_one_telegram_late_a_burst_at_full_speed_passes(neighbours: int) -> None:
+    controller = _moving(tells=1)
+    controller.lose(["reply"] * neighbours)
+    controller.finish()
+    assert controller.largest_share <= 2 * WORKING_SHARE * ROUNDING < TAKEN_SHARE
+    assert _arrived(controller)
+
+
+def test_a_controller_that_never_tells_gets_the_path_as_it_was_planned() -> None:
+    controller, undisturbed = _moving(tells=None), _moving(tells=None)
+    controller.lose(["reply", "", "reply", "reply", ""])
+    undisturbed.lose([""] * 5)
+    assert controller.sent == undisturbed.sent
+    assert controller.session.state(real_time=False, locked=False).late == 0
+
+
+# The counts
+
+
+def test_what_is_counted_beyond_a_gap_says_that_the_last_reply_was_not_taken() -> None:
+    losses = Losses(CYCLE_MS)
+    said = []
+    for ipoc, delay in ((0, 5), (4, 5), (8, 6), (12, 7), (16, 7), (28, 9), (36, 11), (52, 11), (56, 11)):
+        losses.count(ipoc, delay)
+        said.append((losses.untaken, losses.standing))
+    assert said == [
+        (False, 0),
+        (False, 0),
+        (True, 1),
+        (True, 2),
+        (False, 0),
+        (False, 2),  # two telegrams missing, both counted
+        (True, 4),  # one missing, two counted
+        (False, 3),  # three missing, none counted: as if the last one had been taken
+        (False, 0),
+    ]
