@@ -93,6 +93,7 @@ class Engine:
         try:
             outcome = step.run(self._context(key))
             record = self.case.add(key.name, outcome.payload, outcome.parents, key.trajectory)
+            self._write(Entry.RESULT, step=str(key), record=record.identifier, sha256=record.sha256)
         except KeyboardInterrupt:
             self.devices.stop()
             self.machine.abort()
@@ -101,7 +102,6 @@ class Engine:
         except Exception as problem:
             self._fail(key, problem)
             raise
-        self._write(Entry.RESULT, step=str(key), record=record.identifier, sha256=record.sha256)
         if key == self.upcoming:
             self._done += 1
         if self._done == len(self.sequence):
