@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from rsi_tap import RsiTap
+from user_commands import Commands
 
 from drivers.kuka_rsi.errors import WrongController
 from ronna_hw.arm.limits import WORKING_SPEED_FRACTION
@@ -24,6 +27,7 @@ FULL_STEP_RAD = np.array(arm_model(ArmVariant.SIXX).full_speed_rad_s) * CYCLE_S
 WORKING_STEP_SHARE = WORKING_SPEED_FRACTION + 1e-3  # of a full-speed step: one prepared step and rounding
 LATE_STEP_SHARE = 2 * WORKING_SPEED_FRACTION + 1e-3  # two at once, below the quarter that a controller takes
 AWAY_RAD = 0.5
+LARGEST_ERROR_MM = 1.5  # at the target, as without any loss
 GENEROUS_S = 5.0  # for limits that are not the subject of a test: these machines stall
 
 MOVER = """
@@ -114,6 +118,23 @@ def test_after_a_burst_of_lost_replies_at_full_working_speed_the_arm_goes_on_wit
     commanded, truly = _largest_steps(tap)
     assert commanded > 0.99 * WORKING_SPEED_FRACTION  # the burst came at full speed
     assert max(commanded, truly) < (LATE_STEP_SHARE if late else WORKING_STEP_SHARE)
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "fault", ["when step == relocalization: robot drop 5 % for 3 s", "at 0 s: robot drop 20 % for 1000 s"]
+)
+def test_a_case_goes_on_to_its_targets_while_replies_are_lost(tmp_path: Path, fault: str) -> None:
+    script = tmp_path / "faults"
+    script.write_text(fault + "\n")
+    commands = Commands()
+    case = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json", "--faults", str(script))
+    done = commands.run("ronna-procedure", *case, "--out", str(tmp_path / "runs"))
+    assert done.returncode == 0, done.stderr
+    outcome = json.loads(done.stdout)
+    assert 0.0 < outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
+    assert commands.await_no_survivors() == []
 
 
 @pytest.mark.hazard(20)
