@@ -98,20 +98,20 @@ class SetPoints:
 
     def commit(self, choice: Choice) -> None:
         """This one was sent."""
-        if choice is Choice.HOLD:
-            self._stand()
-        elif choice is Choice.REPEAT:
-            self.monitor.sent_again()
-        elif choice is Choice.GO:
+        if choice is Choice.GO:
             if self._motion is not None:
                 self._motion.take_go()
             self.monitor.sent(self.go_rad)
-        else:
+        elif choice is Choice.STOP:
             if self._joint_stop is not None:
                 self._motion = self._joint_stop
             if self._motion is not None:
                 self._motion.take_stop()
             self.monitor.sent(self.stop_rad)
+        elif choice is Choice.REPEAT:
+            self.monitor.sent_again()
+        else:
+            self._stand()
         if self._motion is not None and self._motion.finished:
             self.stopped_early = not isinstance(self._motion, PathMotion) or self._motion.stopped_early
             self._motion = None

@@ -36,6 +36,7 @@ class RsiTap:
         self.acting_deg: list[Sequence[float]] = []  # the corrections that acted in each cycle
         self._sent_deg: Sequence[float] = (0.0,) * 6
         self.lost = 0  # replies, by the controller's count
+        self.on_cycle: Callable[[], None] | None = None  # called with each telegram, after looking
         self._controller: tuple[str, int] | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._pass_on)
@@ -67,5 +68,7 @@ class RsiTap:
         taken = self.lost == before or not self.acting_deg
         self.acting_deg.append(self._sent_deg if taken else self.acting_deg[-1])
         self.seen.append(self._look())
+        if self.on_cycle is not None:
+            self.on_cycle()
         told = before if self._late else self.lost
         return data[: found.start(1)] + str(told).encode() + data[found.end(1) :]
