@@ -178,13 +178,13 @@ def _results(engine: Engine) -> dict[str, Any]:
     """What the run itself knows: residuals and predictions per trajectory, and the link's health."""
     case, trajectories = engine.case, engine.trajectories
     fits = {name: case.get("registration", name).payload for name in trajectories}
-    link = case.get("retreat", trajectories[-1]).payload["link"]
+    links = [record.payload["link"] for record in case.records if "link" in record.payload]
     return {
         "n": fits[trajectories[0]]["pairs"],
         "fre_mm": [fits[name]["fre_mm"] for name in trajectories],
         "predicted": {name: fits[name]["predicted_tre_mm"] for name in trajectories},
         "markers": len(case.get("fiducial_localization").payload["markers"]),
-        "late_cycles": link["late_cycles"] + link["lost_cycles"],
+        "late_cycles": sum(link["late_cycles"] + link["lost_cycles"] for link in links),
     }
 
 

@@ -45,11 +45,14 @@ def target_errors(targets: list[dict[str, Any]], simulated: bool) -> bytes:
     return _png(figure)
 
 
-def cycle_histogram(link: dict[str, Any]) -> bytes:
-    """Histogram of the turnaround of the robot link."""
+def cycle_histogram(sessions: list[dict[str, Any]]) -> bytes:
+    """Histogram of the turnaround of the robot link over all its sessions; empty ends are left out."""
     figure, axes = _figure(7.6, 2.6)
-    edges = np.array(link["histogram_edges_us"])
-    counts = np.array(link["histogram_counts"])
+    edges = np.array(sessions[0]["histogram_edges_us"])
+    counts = np.sum([session["histogram_counts"] for session in sessions], axis=0)
+    filled = np.flatnonzero(counts)
+    first, last = (filled[0], filled[-1] + 1) if len(filled) else (0, len(counts))
+    edges, counts = edges[first : last + 1], counts[first:last]
     axes.bar(edges[:-1], counts, width=np.diff(edges), align="edge", color=OURS_COLOUR)
     axes.set_yscale("symlog", linthresh=1)
     if edges[0] > 0:

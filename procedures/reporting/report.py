@@ -31,7 +31,7 @@ def write_report(folder: Path, outcome: dict[str, Any]) -> Path:
     template = resources.files("procedures.reporting").joinpath(TEMPLATE).read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     by_kind = _by_kind(records)
-    link = by_kind["retreat"][-1].payload.get("link") if by_kind.get("retreat") else None
+    sessions = [record.payload["link"] for record in records if "link" in record.payload]
     banner = journal[0].get("banner", "") if journal else ""
     text = environment.from_string(template).render(
         outcome=outcome,
@@ -44,12 +44,12 @@ def write_report(folder: Path, outcome: dict[str, Any]) -> Path:
         registrations=[record.payload for record in by_kind.get("registration", [])],
         relocalizations=[record.payload for record in by_kind.get("relocalization", [])],
         set_up=_payload(by_kind, "set_up"),
-        link=link,
+        sessions=sessions,
         confirmations=[line for line in journal if line["entry"] == Entry.CONFIRMATION],
         journal=journal,
         records=records,
         errors_figure=_inline(target_errors(outcome["targets"], bool(banner))) if outcome["targets"] else "",
-        link_figure=_inline(cycle_histogram(link)) if link else "",
+        link_figure=_inline(cycle_histogram(sessions)) if sessions else "",
         ct_pictures=[_inline(path.read_bytes()) for path in _pictures(folder, "ct-")],
         stereo_pictures=[
             (path.stem, _inline(path.read_bytes()))

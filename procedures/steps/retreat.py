@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.steps.guide_path import flange_of, standoff_pose
+from procedures.steps.link_health import link_payload
 from procedures.steps.payloads import pose_from
 from ronna_hw.devices.readings import JointVector
 
@@ -22,28 +23,13 @@ def run(context: StepContext) -> Outcome:
     if last:
         home: JointVector = tuple(context.case.get("set_up").payload["home_rad"])
         reached = arm.move_joints(home)
-        payload["link"] = _link(context)
+        payload["link"] = link_payload(context)
         arm.deactivate()
     return Outcome(
         payload={**payload, "joints_rad": list(reached.joints_rad)},
         parents=(positioning,),
         summary="parked" if last else "outside the entry",
     )
-
-
-def _link(context: StepContext) -> dict[str, object]:
-    """Health of the real-time link since the arm was last activated, for the report."""
-    statistics = context.devices.arm.link_statistics()
-    return {
-        "cycles": statistics.cycles,
-        "late_cycles": statistics.late_cycles,
-        "lost_cycles": statistics.lost_cycles,
-        "rejected_telegrams": statistics.rejected_telegrams,
-        "turnaround_median_us": statistics.turnaround_median_us,
-        "turnaround_p99_us": statistics.turnaround_p99_us,
-        "histogram_edges_us": list(statistics.histogram_edges_us),
-        "histogram_counts": list(statistics.histogram_counts),
-    }
 
 
 STEP = StepSpec(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from procedures.engine.errors import WrongTool
 from procedures.engine.step import Outcome, StepContext, StepSpec
+from procedures.steps.link_health import link_payload
 from ronna_hw.devices.readings import JointVector
 
 
@@ -13,6 +14,7 @@ def run(context: StepContext) -> Outcome:
     set_up = context.case.get("set_up")
     home: JointVector = tuple(set_up.payload["home_rad"])
     devices.arm.move_joints(home)
+    link = link_payload(context)
     devices.arm.deactivate()
     devices.stereo.deactivate()
     context.operator.change_tool(calibration.tool_number, "the surgical guide")
@@ -25,7 +27,7 @@ def run(context: StepContext) -> Outcome:
         f"stated error {calibration.stated_error_mm:.2f} mm",
     )
     return Outcome(
-        payload={"tool_number": mounted, "calibration": calibration.identifier},
+        payload={"tool_number": mounted, "calibration": calibration.identifier, "link": link},
         parents=(set_up,),
         summary=f"tool {mounted} mounted",
     )
