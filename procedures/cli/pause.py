@@ -7,6 +7,7 @@ changed: one signal ends the command.
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -14,6 +15,8 @@ from types import FrameType
 
 from procedures.engine.errors import OperatorAborted
 from ronna_hw.command_line.console import on_terminal, tell
+
+STANDARD_ERROR = 2
 
 
 class Pause:
@@ -32,7 +35,8 @@ class Pause:
         if self._wanted:
             raise KeyboardInterrupt
         self._wanted = True
-        tell("pausing after this step; Ctrl-C again stops now")
+        # This runs inside a signal handler: the buffered streams may be in the middle of a write.
+        os.write(STANDARD_ERROR, b"\npausing after this step; Ctrl-C again stops now\n")
 
     def safe_point(self) -> None:
         """Rest here if a pause was asked for; raises PRO-004 when the operator ends the procedure."""

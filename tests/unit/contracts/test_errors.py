@@ -14,7 +14,7 @@ PACKAGES = (ronna_hw, drivers, sim, procedures)
 def _load_all_error_modules() -> None:
     for package in PACKAGES:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-            if module.name.endswith("errors"):
+            if module.name.endswith("errors") or package is ronna_hw:
                 importlib.import_module(module.name)
 
 
@@ -34,3 +34,11 @@ def test_an_error_is_one_line_with_what_was_awaited_the_limit_and_what_to_do() -
         "no answer", awaited="OKAY", limit="2 s", last="nothing", action="Try.", wire=b"\x01\xff"
     )
     assert str(error) == "no answer; awaited OKAY; limit 2 s; last value nothing; last bytes 01 ff. Try."
+
+
+def test_outside_the_contracts_errors_live_in_their_packages_errors_module() -> None:
+    _load_all_error_modules()
+    for error in concrete_errors():
+        package = error.__module__.partition(".")[0]
+        if package in ("drivers", "sim", "procedures"):
+            assert error.__module__.endswith(".errors"), error
