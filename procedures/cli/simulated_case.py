@@ -10,6 +10,7 @@ from typing import Self
 from procedures.cli.scene_choice import SceneChoice
 from procedures.engine.errors import CommandRefused, RoomUnreachable
 from ronna_hw.child_process import ChildNotReady, ChildProcess, command
+from ronna_hw.errors import EXIT_LINK_LOST
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 
@@ -79,6 +80,5 @@ class SimulatedCase:
         self._theatre.stop()
         if fallen and error is not None and self._theatre.ready:
             # What the procedure met is only the consequence: a device of the theatre has ended.
-            raise CommandRefused(
-                "ronna-sim theatre", self._theatre.messages[-1], self._theatre.process.returncode
-            ) from error
+            words = " / ".join(self._theatre.messages) or "nothing and ended"
+            raise CommandRefused("ronna-sim theatre", words, EXIT_LINK_LOST) from error

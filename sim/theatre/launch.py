@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,9 @@ from sim.theatre.truth import SCENE_FILE
 from sim.theatre.world import World
 
 THEATRE_FILE = "theatre.toml"
+CLOSE_LIMIT_S = (
+    1.0  # for all devices; one that is halted is then ended hard, before this process must be gone
+)
 SILENCE_LIMIT_PACED_S = 0.25
 # In lock-step the controller waits up to 2 s for a reply, so silence is judged above that.
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
@@ -58,8 +62,9 @@ class Theatre:
         """Call `gone` with a reason when a device process ends by itself."""
 
         def wait(child: ChildProcess) -> None:
-            child.process.wait()
-            gone(f"{child.name} ended: {' / '.join(child.messages)}")
+            code = child.process.wait()
+            words = " / ".join(child.messages) or f"exit code {code}"
+            gone(f"{child.name} ended: {words}")
 
         for child in self._children:
             threading.Thread(target=wait, args=(child,), daemon=True).start()
@@ -69,8 +74,9 @@ class Theatre:
         for child in self._children:
             if child.alive:
                 child.process.terminate()  # all at once, then wait for each
+        deadline = time.monotonic() + CLOSE_LIMIT_S
         for child in self._children:
-            child.stop()
+            child.stop(max(0.0, deadline - time.monotonic()))
         self._control.close()
 
     def _start_devices(self) -> dict[str, Any]:

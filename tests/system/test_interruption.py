@@ -1,14 +1,16 @@
 """Whatever ends the command early: the arm stops, the run is closed, nothing stays behind."""
 
+import os
 import random
 import signal
 import time
 from pathlib import Path
 
 import pytest
-from user_commands import Commands
+from user_commands import Commands, one_error
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
+from ronna_hw.errors import EXIT_LINK_LOST
 from ronna_hw.records import read_record
 
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "5")
@@ -86,3 +88,36 @@ def test_interrupted_at_twenty_random_moments_nothing_stays_behind(
         assert process.returncode in (0, 130), stderr
         assert commands.await_no_survivors() == []
         _nothing_half_written(out)
+
+
+def _process_of(commands: Commands, words: str) -> int:
+    for number in commands.survivors():
+        try:
+            if words in Path(f"/proc/{number}/cmdline").read_bytes().replace(b"\0", b" ").decode():
+                return number
+        except OSError:
+            continue
+    raise AssertionError(f"no process {words}")
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [
+        ("sim.cli basler", signal.SIGKILL),
+        ("sim.cli theatre", signal.SIGKILL),
+        pytest.param("sim.cli kuka", signal.SIGSTOP, marks=pytest.mark.slow),
+    ],
+)
+def test_a_device_that_dies_in_the_middle_is_told_and_everything_ends(
+    commands: Commands, tmp_path: Path, words: str, number: signal.Signals
+) -> None:
+    out = tmp_path / "runs"
+    process = commands.start("ronna-procedure", *CASE, "--out", str(out))
+    _await_step(out, MOVING_STEP)
+    os.kill(_process_of(commands, words), number)
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode == EXIT_LINK_LOST, stderr
+    one_error(stderr)
+    assert commands.await_no_survivors() == []
+    _nothing_half_written(out)
