@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sim.theatre.parent  # noqa: F401 - first of all: a parent that dies during the imports is still noticed
+
+# isort: split
 import typer
 
 from ronna_hw.command_line.console import run

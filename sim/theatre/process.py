@@ -15,6 +15,7 @@ from types import FrameType
 
 from ronna_hw.errors import EXIT_FAILED
 from sim.theatre.built_in import SCENES, built_in_scene
+from sim.theatre.parent import PARENT
 from sim.theatre.scene import Scene, read_scene
 from sim.theatre.world import World
 
@@ -34,7 +35,6 @@ def end_with_parent(end: Callable[[], None]) -> None:
 
     `end` must make the process leave its main loop; if it is still there 1.5 s later, it is ended hard.
     """
-    parent = os.getppid()
 
     def leave() -> None:
         end()
@@ -47,7 +47,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
         leave()
 
     def watch() -> None:
-        while os.getppid() == parent:
+        while not PARENT.gone:
             time.sleep(PARENT_CHECK_S)
         leave()
 
