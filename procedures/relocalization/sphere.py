@@ -64,8 +64,8 @@ MODEL_ERROR_PX = 0.01  # grain and uneven light move the centre by about this mu
 class SphereStatus(StrEnum):
     """Whether a centre may be used for a measurement."""
 
-    OK = "ok"
-    UNRELIABLE = "unreliable"
+    OK = "OK"
+    UNRELIABLE = "UNRELIABLE"
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ def measure_sphere(
 ) -> SphereImage:
     """The bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image, left untouched.
 
-    `radius_range_px` keeps out discs of another size when the size is known. Raises STE-001 for an input
-    that is no such image, STE-002 without contrast, STE-003 when no sphere is in view. A sphere of which
-    too little rim is seen comes back as UNRELIABLE.
+    Any byte order is taken. `radius_range_px` keeps out discs of another size when the size is known.
+    Raises STE-001 for an input that is no such image, STE-002 without contrast, STE-003 when no sphere is
+    in view. A sphere of which too little rim is seen comes back as UNRELIABLE.
     """
     grey = _checked(image)
     factor = max(1, math.ceil(max(grey.shape) / REDUCED_SIDE_PX))
@@ -135,13 +135,14 @@ def measure_sphere(
 def _checked(image: object) -> GreyImage:
     if not isinstance(image, np.ndarray):
         raise BadImage("the image is not an array", last=type(image).__name__)
-    if image.ndim != 2 or image.dtype not in (np.dtype(np.uint8), np.dtype(np.uint16)):
+    native = image.dtype.newbyteorder("=")
+    if image.ndim != 2 or native not in (np.dtype(np.uint8), np.dtype(np.uint16)):
         raise BadImage("the image is not a grey image", last=f"{image.ndim}-D {image.dtype}")
     if min(image.shape) < SMALLEST_SIDE_PX:
         raise BadImage("the image is too small", limit=f"{SMALLEST_SIDE_PX} px", last=str(image.shape))
-    if image.dtype == np.uint16 and int(image.max()) > TWELVE_BIT_LIMIT:
+    if native == np.uint16 and int(image.max()) > TWELVE_BIT_LIMIT:
         raise BadImage("values of more than 12 bits", limit=str(TWELVE_BIT_LIMIT), last=str(image.max()))
-    return image
+    return image.astype(native, copy=False)  # OpenCV takes the byte order of this machine only
 
 
 def _enlarged(guess: Circle, factor: int) -> Circle:

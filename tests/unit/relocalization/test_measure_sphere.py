@@ -184,3 +184,18 @@ def test_a_full_frame_takes_at_most_twelve_milliseconds_of_cpu(renderer, look):
         spent.append(time.process_time() - start)
     # the figure that counts is measured by the benchmark; twice it means that something broke
     assert float(np.median(spent)) < 2 * CPU_LIMIT_S
+
+
+def test_a_status_is_the_word_of_the_interface(renderer, look):
+    assert measure_sphere(renderer.sphere(NOMINAL, look())).status == "OK"
+    assert [str(status) for status in SphereStatus] == ["OK", "UNRELIABLE"]
+
+
+@pytest.mark.parametrize("order", ["<u2", ">u2", "=u2"])
+def test_any_byte_order_gives_the_same_centre_and_stays_as_it_was(renderer, look, order):
+    image = renderer.sphere(NOMINAL, look(bits=12)).astype(order)
+    before = image.tobytes()
+    image.flags.writeable = False
+    assert measure_sphere(image) == measure_sphere(image.astype(np.uint16))
+    assert image.dtype == np.dtype(order)
+    assert image.tobytes() == before
