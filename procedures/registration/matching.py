@@ -6,18 +6,18 @@ likely than any contradicting one, or the answer is AMBIGUOUS.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import Match, MatchStatus, Prior
 from procedures.registration.errors import BadParameter, BadPoints
 from procedures.registration.hypotheses import Noise
 from procedures.registration.pairing_search import PairingSearch
-from procedures.registration.points import FEWEST_PAIRS, checked_points
+from procedures.registration.points import FEWEST_PAIRS, REAL_KINDS, checked_points
 
 MOST_POINTS = 40  # a head carries up to ten; the graph grows with the square of both counts
 
@@ -26,14 +26,15 @@ def match(
     image_mm: ArrayLike,
     physical_mm: ArrayLike,
     *,
-    sigma_image_mm: float,
-    sigma_physical_mm: float,
+    sigma_image_mm: float | Sequence[float] | NDArray[np.float64],
+    sigma_physical_mm: float | Sequence[float] | NDArray[np.float64],
     expected: int | None = None,
     prior: Prior | Rotation | None = None,
 ) -> Match:
     """Pair image points (n, 3) with physical points (m, 3), in mm, order unknown, outliers in both.
 
-    The sigmas are one standard deviation per axis. `expected` is the planned number of pairs; UNIQUE then
+    A sigma is one standard deviation, of every axis or one for each of the three; pairing is isotropic and
+    takes the rms of three. `expected` is the planned number of pairs; UNIQUE then
     means exactly that many. `prior` is an approximate rotation physical <- image (bare: 60 degrees
     tolerance). Raises REG-001 and REG-007 (both ValueError); too few points is an answer, not an error.
     """
@@ -53,14 +54,27 @@ def match(
     return search.answer()
 
 
-def _noise(sigma_image_mm: float, sigma_physical_mm: float) -> Noise:
-    for name, sigma in (("image", sigma_image_mm), ("physical", sigma_physical_mm)):
-        if not (isinstance(sigma, int | float | np.number) and math.isfinite(sigma) and sigma >= 0.0):
-            raise BadParameter(f"sigma_{name}_mm must be a finite number, not negative", last=f"{sigma}")
-    variance = float(sigma_image_mm) ** 2 + float(sigma_physical_mm) ** 2
+def _noise(sigma_image_mm: Any, sigma_physical_mm: Any) -> Noise:
+    variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
         raise BadParameter("at least one sigma must be positive", last=f"{variance} mm2")
     return Noise(variance)
+
+
+def _variance_mm2(name: str, sigma_mm: Any) -> float:
+    """Variance per axis: the mean of the squares of three numbers, or the square of one."""
+    try:
+        given = np.asarray(sigma_mm)
+    except ValueError:  # rows of unequal length
+        given = np.asarray(None)
+    real = given.dtype.kind in REAL_KINDS and given.shape in ((), (3,))
+    if not (real and np.all(np.isfinite(given)) and np.all(given >= 0)):
+        raise BadParameter(
+            f"sigma_{name}_mm is no standard deviation",
+            awaited="one number or three (x, y, z), finite, not negative",
+            last=" ".join(str(sigma_mm).split()),
+        )
+    return float(np.square(given.astype(float)).mean())
 
 
 def _check_expected(expected: Any) -> None:

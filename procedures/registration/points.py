@@ -14,13 +14,12 @@ NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be nearer; a repeated det
 FEWEST_PAIRS = 3  # a rigid transform has six unknowns, two points leave one of them free
 SYMMETRY_TOLERANCE = 1e-9  # relative; covariances come from products and are symmetric to rounding
 
+REAL_KINDS = "iuf"  # of a NumPy type: signed, unsigned, floating
+
 
 def checked_points(points_mm: ArrayLike, name: str) -> Array:
     """The points as a float array (n, 3) of its own; an empty list is (0, 3). Raises REG-001."""
-    try:
-        values = np.array(points_mm, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise BadPoints(f"the {name} points are not an array of numbers") from error
+    values = _real_numbers(points_mm, f"the {name} points", BadPoints)
     if values.size == 0 and values.ndim <= 2:
         return np.zeros((0, 3))
     if values.ndim != 2 or values.shape[1] != 3:
@@ -74,10 +73,7 @@ def refuse_duplicates(points: Array, name: str) -> None:
 
 def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
     """Covariances (count, 3, 3) in mm2, exactly symmetric. Raises REG-005."""
-    try:
-        values = np.array(covariance_mm2, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise BadCovariance("the covariances are not an array of numbers") from error
+    values = _real_numbers(covariance_mm2, "the covariances", BadCovariance)
     if values.shape != (count, 3, 3):
         raise BadCovariance(f"the covariances have shape {values.shape}", awaited=f"({count}, 3, 3)")
     if not np.all(np.isfinite(values)):
@@ -94,3 +90,14 @@ def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
             f"covariance {row} is not positive definite", last=f"smallest variance {smallest[row]:.3g} mm2"
         )
     return np.asarray(values, dtype=float)
+
+
+def _real_numbers(numbers: ArrayLike, what: str, mistake: type[BadPoints] | type[BadCovariance]) -> Array:
+    """A float array of its own; complex numbers, truth values, texts and objects are refused."""
+    try:
+        given = np.asarray(numbers)
+    except (TypeError, ValueError) as error:
+        raise mistake(f"{what} are not an array of numbers") from error
+    if given.dtype.kind not in REAL_KINDS:
+        raise mistake(f"{what} are not real numbers", awaited="integers or floats", last=str(given.dtype))
+    return np.array(given, dtype=float)

@@ -252,3 +252,37 @@ def test_impossible_parameters_are_refused(options, random, fiducials):
 def test_an_impossible_prior_is_refused(tolerance_rad):
     with pytest.raises(BadParameter, match="REG-007"):
         Prior(Rotation.identity(), tolerance_rad)
+
+
+@pytest.mark.parametrize("kind", [complex, object, bool, str])
+def test_points_that_are_no_real_numbers_are_refused_by_their_type(kind, random, fiducials):
+    points = fiducials(4, random)
+    for image, physical in ((points.astype(kind), points), (points, points.astype(kind))):
+        with pytest.raises(BadPoints, match=r"REG-001.*not real numbers"):
+            match(image, physical, **SIGMAS)
+
+
+def test_a_sigma_of_three_axes_counts_by_its_rms(random, fiducials, reading):
+    seen = reading(fiducials(6, random), 2, random)
+    three = match(seen.image_mm, seen.physical_mm, sigma_image_mm=[0.06, 0.06, 0.3], sigma_physical_mm=0.2)
+    rms_mm = float(np.sqrt(np.mean(np.square([0.06, 0.06, 0.3]))))
+    one = match(seen.image_mm, seen.physical_mm, sigma_image_mm=rms_mm, sigma_physical_mm=0.2)
+    assert three.status is one.status
+    assert np.array_equal(three.pairs, one.pairs)
+
+
+@pytest.mark.parametrize(
+    "sigma_mm", [[0.1, 0.1], [0.1] * 4, [0.1, 0.1, -0.1], [0.1, 0.1, np.inf], [[0.1] * 3] * 3, [[1], [1, 2]]]
+)
+def test_another_number_of_sigmas_is_refused_in_clear_words(sigma_mm, random, fiducials):
+    points = fiducials(4, random)
+    with pytest.raises(BadParameter, match=r"REG-007.*one number or three") as caught:
+        match(points, points, sigma_image_mm=sigma_mm, sigma_physical_mm=0.1)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("sigma_mm", [True, 0.1 + 0j, None])
+def test_a_sigma_that_is_no_real_number_is_refused(sigma_mm, random, fiducials):
+    points = fiducials(4, random)
+    with pytest.raises(BadParameter, match="REG-007"):
+        match(points, points, sigma_image_mm=sigma_mm, sigma_physical_mm=0.1)

@@ -87,3 +87,12 @@ def test_a_weighted_fit_that_cannot_settle_says_so(monkeypatch):
     monkeypatch.setattr("procedures.registration.weighted.MOST_STEPS", 1)
     with pytest.raises(NotConverged, match="REG-006"):
         fit_weighted(GOOD, GOOD @ np.diag([1.0, 1.1, 0.9]) + 5.0, UNIT, np.eye(3), np.zeros(3))
+
+
+@pytest.mark.parametrize("kind", [complex, object, bool, str])
+def test_numbers_that_are_not_real_are_refused_by_their_type(kind):
+    for image, physical in ((GOOD.astype(kind), GOOD), (GOOD, GOOD.astype(kind))):
+        with pytest.raises(BadPoints, match=r"REG-001.*not real numbers"):
+            register(image, physical)
+    with pytest.raises(BadCovariance, match=r"REG-005.*not real numbers"):
+        register(GOOD, GOOD, covariance_mm2=UNIT.astype(kind))
