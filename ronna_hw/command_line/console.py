@@ -43,11 +43,15 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
 def run(app: typer.Typer) -> NoReturn:
     """Run a command with the arguments of this process and end it with the documented exit code."""
-    sys.exit(exit_code_of(app, sys.argv[1:]))
+    code = exit_code_of(app, sys.argv[1:])
+    for number in (signal.SIGINT, signal.SIGTERM):  # the outcome stands; only the interpreter has to end
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
     """Run a command, print any error as a message, and return the exit code. Never raises."""
+    _open_missing_streams()
     _unwind_on_signals()
     try:
         require_own_packages()
@@ -109,13 +113,13 @@ def message_console() -> Console:
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print a table on standard output: framed where it fits on a terminal, tab-separated lines elsewhere.
 
-    Only cells with blanks may be folded. A number is never cut or folded: where the frame would do so, the
-    lines are printed instead.
+    Cells and headings are folded between words only. A word or a number is never cut: where the frame would
+    do so, the lines are printed instead.
     """
-    cells = [[str(cell) for cell in row] for row in rows]
-    widths = [_least_width([row[number] for row in cells]) for number in range(len(columns))]
-    if not on_terminal(sys.stdout) or sum(widths) + FRAME_WIDTH * len(columns) + 1 > _terminal_width():
-        for row in (columns, *cells):
+    table_rows = [list(columns), *([str(cell) for cell in row] for row in rows)]
+    widths = _column_widths(table_rows, _terminal_width()) if on_terminal(sys.stdout) else None
+    if widths is None:
+        for row in table_rows:
             sys.stdout.write("\t".join(row) + "\n")
         return
     from rich.console import Console
@@ -124,10 +128,26 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
 
     table = Table(title=title, title_justify="left")
     for column, width in zip(columns, widths, strict=True):
-        table.add_column(column, min_width=width, overflow="fold")
-    for row in cells:
+        table.add_column(Text(column), width=width, overflow="fold")
+    for row in table_rows[1:]:
         table.add_row(*(Text(cell) for cell in row))
     Console().print(table)
+
+
+def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
+    """Widths that fill the terminal without cutting a word, headings included; None where none do."""
+    by_column = list(zip(*rows, strict=True))
+    widths = [_least_width(cells) for cells in by_column]
+    wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
+    spare = terminal_width - 1 - FRAME_WIDTH * len(widths) - sum(widths)
+    if spare < 0:
+        return None
+    for _ in range(spare):  # one more to the column that lacks most
+        lacking = [want - width for want, width in zip(wanted, widths, strict=True)]
+        if max(lacking, default=0) <= 0:
+            break
+        widths[lacking.index(max(lacking))] += 1
+    return widths
 
 
 def _least_width(cells: Sequence[str]) -> int:
@@ -222,6 +242,13 @@ def _report(problem: Exception, *, verbose: bool) -> int:
             traceback.print_exception(problem, file=sys.stderr)
     fail_with(error)
     return error.exit_code
+
+
+def _open_missing_streams() -> None:
+    """A shell may start a command with its streams closed: Python then has None where others write."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
 
 
 def _unwind_on_signals() -> None:

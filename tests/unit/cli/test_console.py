@@ -207,3 +207,35 @@ def test_log_lines_go_to_standard_error_and_only_on_request(verbose: bool, shown
     done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
     assert done.stdout == "data\n"
     assert [word for word in ("asked", "grave") if word in done.stderr] == shown
+
+
+WORDY = [
+    ("registration", "register the markers of the series", "procedures.registration"),
+    ("a-rather-long-name", "x", "tracker robot stereo " * 4),
+]
+
+
+@pytest.mark.parametrize("width", [72, 80, 90, 100, 140])
+def test_a_table_on_a_terminal_cuts_no_word_and_no_heading(
+    width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "on_terminal", lambda stream: True)
+    monkeypatch.setenv("COLUMNS", str(width))
+    headings = ["step", "what it does", "needs-everything"]
+    console.print_table("title", headings, WORDY)
+    printed = capsys.readouterr().out
+    shown = printed.split()
+    for cell in (*headings, *(cell for row in WORDY for cell in row)):
+        for word in cell.split():
+            assert word in shown
+    assert all(len(line) <= width for line in printed.splitlines())
+    assert "\t" not in printed
+
+
+def test_a_heading_too_wide_for_the_frame_gives_tab_separated_lines(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "on_terminal", lambda stream: True)
+    monkeypatch.setenv("COLUMNS", "20")
+    console.print_table("title", ["a-long-heading", "note"], [[1, "text"]])
+    assert capsys.readouterr().out == "a-long-heading\tnote\n1\ttext\n"
