@@ -57,6 +57,8 @@ class ChildProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            # Ctrl-C reaches the whole foreground group: it is for the parent to say what ends, and when.
+            start_new_session=True,
         )
         self._readers = [
             threading.Thread(target=self._read_output, args=(self.process.stdout,), daemon=True),

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import socket
 import sys
+import termios
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from procedures.engine.errors import NotConfirmed, RoomUnreachable
+from procedures.engine.errors import RoomUnreachable
 from procedures.engine.operator import Question
 from ronna_hw.endpoints import parse_endpoint
 
@@ -53,7 +56,13 @@ class ScriptedOperator:
 
 
 class TerminalOperator:
-    """A person at the terminal. Without a terminal every answer is no."""
+    """A person at the terminal. Without a terminal every answer is no.
+
+    `asking` is held while a question stands, so that nothing else writes over it.
+    """
+
+    def __init__(self, asking: Callable[[], AbstractContextManager[None]] = nullcontext) -> None:
+        self._asking = asking
 
     def announce(self, step: str) -> None:
         """Nothing to do: the person sees the progress."""
@@ -62,14 +71,18 @@ class TerminalOperator:
         """Show the value and wait for a typed `yes`; anything else, or no answer in time, is no."""
         if not sys.stdin.isatty():
             return False
-        sys.stderr.write(f"{question.subject}\n  {question.value}\nType yes to confirm: ")
-        sys.stderr.flush()
-        return _line_within(question.timeout_s).strip().lower() == "yes"
+        with self._asking():
+            # What was typed before the question was seen answers nothing.
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+            sys.stderr.write(f"{question.subject}\n  {question.value}\nType yes to confirm: ")
+            sys.stderr.flush()
+            return _line_within(question.timeout_s).strip().lower() == "yes"
 
     def change_tool(self, number: int, description: str) -> None:
-        """Ask for the exchange and wait until it is confirmed."""
-        if not self.confirm(Question("change the tool", f"mount {description} (tool {number})")):
-            raise NotConfirmed("the tool was not changed")
+        """Tell what to mount; that it is done is confirmed, and recorded, by the step."""
+        with self._asking():
+            sys.stderr.write(f"Mount {description} (tool {number}).\n")
+            sys.stderr.flush()
 
 
 def _line_within(timeout_s: float) -> str:

@@ -10,6 +10,7 @@ import contextlib
 import os
 import signal
 import sys
+import termios
 from collections.abc import Iterator
 from types import FrameType
 
@@ -43,6 +44,8 @@ class Pause:
         if not self._wanted:
             return
         tell("paused, the arm rests. Enter goes on, abort ends the procedure:")
+        with contextlib.suppress(OSError, ValueError, termios.error):
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before answers nothing
         answer = sys.stdin.readline()
         self._wanted = False
         if not answer or answer.strip().lower() == "abort":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -86,6 +87,10 @@ def _arm_setting(
         return None
     if config is None or robot_from_ct is None:
         raise UsageMistake("the reach needs both --config and --robot-from-ct")
+    if not all(math.isfinite(value) for value in robot_from_ct):
+        raise UsageMistake(
+            "--robot-from-ct needs finite numbers", last=" ".join(f"{value:g}" for value in robot_from_ct)
+        )
     from procedures.planning.reach import ArmSetting
     from procedures.strategies.catalogue import strategy_named
     from ronna_hw.arm.model import ArmVariant, arm_model

@@ -8,7 +8,16 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from procedures.cli.pause import pause_on_interrupt
-from procedures.cli.run_case import Watcher
+from procedures.cli.run_case import (
+    CaseRequest,
+    Watcher,
+    check_request,
+    forget_if_empty,
+    new_run_folder,
+    report,
+    run_case,
+    unfinished,
+)
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table
 
 if TYPE_CHECKING:
@@ -41,13 +50,20 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
         def listener(key: StepKey, outcome: Outcome) -> None:
             console.print(f"[green]✓[/green] {key!s:<26} {outcome.summary}", highlight=False)
 
-        def safe_point() -> None:
-            if pause.wanted:
-                bar.stop()  # the live line would write over the question
-                pause.safe_point()
+        @contextlib.contextmanager
+        def asking() -> Iterator[None]:
+            bar.stop()  # the live line would write over the question
+            try:
+                yield
+            finally:
                 bar.start()
 
-        yield Watcher(progress, listener, lambda text: progress(0.0, text), safe_point)
+        def safe_point() -> None:
+            if pause.wanted:
+                with asking():
+                    pause.safe_point()
+
+        yield Watcher(progress, listener, lambda text: progress(0.0, text), safe_point, asking)
 
 
 def _write_line(key: StepKey, outcome: Outcome) -> None:
@@ -60,14 +76,14 @@ def show_outcome(outcome: dict[str, Any], *, as_json: bool) -> None:
         print_json(outcome)
         return
     print_table(
-        f"Run {outcome['run']}: error of the needle tip against truth",
+        f"Run {outcome['run']}: predicted error of the needle tip, and its error against truth where known",
         ("target", "depth mm", "predicted mm", "error mm"),
         [
             (
                 row["id"],
                 f"{row['depth_mm']:.1f}",
                 f"{row['predicted_tre_mm']:.3f}",
-                f"{row['application_error_mm']:.3f}",
+                "-" if row["application_error_mm"] is None else f"{row['application_error_mm']:.3f}",
             )
             for row in outcome["targets"]
         ],
@@ -79,5 +95,26 @@ def show_outcome(outcome: dict[str, Any], *, as_json: bool) -> None:
             f"largest {outcome['max_application_error_mm']:.3f} mm; "
             f"{outcome['sim_s']:.0f} s of theatre time in {outcome['wall_s']:.0f} s"
         )
-    lines.append(f"report {outcome['report']}")
+    if outcome["report"] is not None:
+        lines.append(f"report {outcome['report']}")
     sys.stdout.write("\n".join(lines) + "\n")
+
+
+def follow_case(request: CaseRequest, *, as_json: bool, verbose: bool) -> None:
+    """Run a case and show it; with JSON one object also for a run that did not end."""
+    check_request(request)
+    folder = new_run_folder(request)
+    try:
+        with following(quiet=as_json, verbose=verbose) as watcher:
+            outcome = run_case(request, folder, watcher)
+    except BaseException as problem:
+        forget_if_empty(folder)
+        if as_json:
+            ended = "interrupted" if isinstance(problem, KeyboardInterrupt) else "failed"
+            print_json(unfinished(request, folder, ended, problem))
+        raise
+    outcome["report"] = None
+    try:
+        outcome["report"] = str(report(folder, outcome))
+    finally:  # the errors at the targets are known, whatever became of the report
+        show_outcome(outcome, as_json=as_json)

@@ -88,8 +88,7 @@ def run_command(
     if calibrated:
         raise NotYet("--calibrated is not yet available")
     set_up_logging(verbose)
-    from procedures.cli.present import following, show_outcome
-    from procedures.cli.run_case import run_case
+    from procedures.cli.present import follow_case
 
     request = _request(
         sim=sim,
@@ -100,9 +99,7 @@ def run_command(
         faults=faults,
         out=out,
     )
-    with following(quiet=as_json, verbose=verbose) as watcher:
-        outcome = run_case(request, watcher)
-    show_outcome(outcome, as_json=as_json)
+    follow_case(request, as_json=as_json, verbose=verbose)
 
 
 @app.command("step")
@@ -208,6 +205,18 @@ def _request(
         raise UsageMistake("give either --sim or --config", action="See ronna-procedure run --help.")
     if config is not None and case is None:
         raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
+    if config is None and case is not None:
+        raise UsageMistake("--case goes with --config", action="A simulated case brings its own patient.")
+    if config is not None and (scene != SceneChoice() or faults is not None or speed is not SpeedChoice.MAX):
+        raise UsageMistake(
+            "--scene, --seed, --markers, --targets, --speed and --faults go with --sim",
+            action="With --config the theatre is what it is.",
+        )
+    if Path(scene.scene).suffix and scene != SceneChoice(scene.scene):
+        raise UsageMistake(
+            "--seed, --markers and --targets do not go with a scene file",
+            action="The file holds its own seed, markers and targets.",
+        )
     return CaseRequest(out=out, choice=scene, speed=speed.value, faults=faults, config=config, case=case)
 
 

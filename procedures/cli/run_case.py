@@ -5,10 +5,15 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import math
 import secrets
+import shutil
+import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +25,7 @@ from procedures.cli.simulated_case import SimulatedCase
 from procedures.engine.errors import CommandRefused
 from procedures.engine.step import Progress
 from ronna_hw.child_process import command
+from ronna_hw.command_line.errors import PathProblem, UsageMistake, as_ronna_error
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine, Listener
@@ -48,12 +54,13 @@ class Watcher:
     listener: Listener = lambda _key, _outcome: None
     status: Callable[[str], None] = lambda _text: None
     safe_point: Callable[[], None] = lambda: None
+    asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
 
 
-def new_run_folder(out: Path, seed: int) -> Path:
-    """Make `OUT/<run id>`; the id is the moment, the seed and four random hex digits."""
-    name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-s{seed}-{secrets.token_hex(2)}"
-    folder = out / name
+def new_run_folder(request: CaseRequest) -> Path:
+    """Make `OUT/<run id>`; the id is the moment, the seed of a simulated case and four random hex digits."""
+    seed = f"s{request.choice.seed}-" if request.config is None else ""
+    folder = request.out / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
     folder.mkdir(parents=True)
     return folder
 
@@ -61,7 +68,7 @@ def new_run_folder(out: Path, seed: int) -> Path:
 @contextlib.contextmanager
 def opened_engine(request: CaseRequest, folder: Path, watcher: Watcher) -> Iterator[Engine]:
     """The engine of a case, ready to run its first step. Whatever happens, everything ends with it."""
-    operator: ScriptedOperator | TerminalOperator = TerminalOperator()
+    operator: ScriptedOperator | TerminalOperator = TerminalOperator(watcher.asking)
     with contextlib.ExitStack() as stack:
         if request.config is not None:
             series = (request.case or Path()) / "ct"
@@ -79,21 +86,23 @@ def opened_engine(request: CaseRequest, folder: Path, watcher: Watcher) -> Itera
             series, plan, theatre_file = simulated.series, simulated.plan, simulated.theatre_file
             operator = stack.enter_context(contextlib.closing(ScriptedOperator(simulated.control)))
         engine = _make_engine(request, folder, (series, plan, theatre_file), operator, watcher)
-        ending = _Ending()
-        stack.callback(lambda: engine.close(ending.outcome))
+        outcome = "failed"
         try:
             yield engine
+            outcome = "done" if engine.upcoming is None else "left"
         except KeyboardInterrupt:
-            ending.outcome = "interrupted"
+            outcome = "interrupted"
             raise
-        except BaseException:
-            ending.outcome = "failed"
-            raise
+        finally:
+            ignore_further_signals()
+            engine.close(outcome)
 
 
-@dataclass
-class _Ending:
-    outcome: str = "done"
+def ignore_further_signals() -> None:
+    """From here on everything ends anyway; a second signal would only tear the ending apart."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _make_engine(
@@ -139,13 +148,13 @@ def _make_engine(
         progress=watcher.progress,
         listener=watcher.listener,
         safe_point=watcher.safe_point,
+        on_ending=ignore_further_signals,
     )
 
 
-def run_case(request: CaseRequest, watcher: Watcher) -> dict[str, Any]:
-    """Run a whole case and return what `--json` prints; raises what a step raises."""
+def run_case(request: CaseRequest, folder: Path, watcher: Watcher) -> dict[str, Any]:
+    """Run a whole case and return what `--json` prints, without the report; raises what a step raises."""
     began = time.monotonic()
-    folder = new_run_folder(request.out, request.choice.seed)
     with opened_engine(request, folder, watcher) as engine:
         engine.run_to()
         sim_s = engine.clock.now_s()
@@ -153,10 +162,40 @@ def run_case(request: CaseRequest, watcher: Watcher) -> dict[str, Any]:
     truth = verify(folder) if request.config is None else {"ct": None, "targets": []}
     outcome = _outcome(request, folder, results, truth)
     outcome["sim_s"] = round(sim_s, 3)
-    outcome["wall_s"] = round(time.monotonic() - began, 3)  # as the report shows it
-    outcome["report"] = str(_report(folder, outcome))
     outcome["wall_s"] = round(time.monotonic() - began, 3)
     return outcome
+
+
+def unfinished(request: CaseRequest, folder: Path, outcome: str, problem: BaseException) -> dict[str, Any]:
+    """What `--json` prints for a run that did not end: the run, how it ended, and why."""
+    error = as_ronna_error(problem) if isinstance(problem, Exception) else None
+    return {
+        "run": folder.name,
+        "outcome": outcome,
+        "seed": request.choice.seed if request.config is None else None,
+        "strategy": request.strategy,
+        "error": None if error is None else {"code": error.code, "what": error.what},
+    }
+
+
+def check_request(request: CaseRequest) -> None:
+    """Raise what can be known to be wrong before a run folder is made."""
+    from ronna_hw.config import read_theatre_file
+
+    if request.config is not None:
+        read_theatre_file(request.config)
+        for part in ("ct", "plan.toml"):
+            path = (request.case or Path()) / part
+            if not path.exists():
+                raise PathProblem(f"{path} does not exist", awaited="a case folder with ct/ and plan.toml")
+    if request.faults is not None and not request.faults.is_file():
+        raise UsageMistake(f"there is no fault script {request.faults}", action="Give the path of a file.")
+
+
+def forget_if_empty(folder: Path) -> None:
+    """Remove a run folder in which nothing was written."""
+    if not any(path.is_file() for path in folder.rglob("*")):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def verify(folder: Path) -> dict[str, Any]:
@@ -182,6 +221,10 @@ def _results(engine: Engine) -> dict[str, Any]:
     return {
         "n": fits[trajectories[0]]["pairs"],
         "fre_mm": [fits[name]["fre_mm"] for name in trajectories],
+        "depths": {
+            row["id"]: math.dist(row["entry_mm"], row["target_mm"])
+            for row in case.get("plan_check").payload["plan"]["trajectories"]
+        },
         "predicted": {name: fits[name]["predicted_tre_mm"] for name in trajectories},
         "markers": len(case.get("fiducial_localization").payload["markers"]),
         "late_cycles": sum(link["late_cycles"] + link["lost_cycles"] for link in links),
@@ -191,20 +234,21 @@ def _results(engine: Engine) -> dict[str, Any]:
 def _outcome(
     request: CaseRequest, folder: Path, results: dict[str, Any], truth: dict[str, Any]
 ) -> dict[str, Any]:
+    truths = {row["id"]: row for row in truth["targets"]}
     targets = [
         {
-            "id": row["id"],
-            "depth_mm": row["depth_mm"],
-            "predicted_tre_mm": results["predicted"][row["id"]],
-            "application_error_mm": row["application_error_mm"],
+            "id": name,
+            "depth_mm": results["depths"][name],
+            "predicted_tre_mm": predicted,
+            "application_error_mm": truths[name]["application_error_mm"] if name in truths else None,
         }
-        for row in truth["targets"]
+        for name, predicted in results["predicted"].items()
     ]
-    errors = [row["application_error_mm"] for row in targets]
+    errors = [row["application_error_mm"] for row in truth["targets"]]
     return {
         "run": folder.name,
         "outcome": "done",
-        "seed": request.choice.seed,
+        "seed": request.choice.seed if request.config is None else None,
         "strategy": request.strategy,
         "markers": results["markers"],
         "ct": truth["ct"],
@@ -216,7 +260,8 @@ def _outcome(
     }
 
 
-def _report(folder: Path, outcome: dict[str, Any]) -> Path:
+def report(folder: Path, outcome: dict[str, Any]) -> Path:
+    """Write the report of a finished run."""
     from procedures.reporting.report import write_report
 
     return write_report(folder, outcome)

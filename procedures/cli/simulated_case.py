@@ -33,6 +33,7 @@ class SimulatedCase:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
+            start_new_session=True,
         )
 
     def await_patient(self) -> None:

@@ -6,7 +6,8 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from procedures.cli.run_case import CaseRequest, Watcher, new_run_folder, opened_engine
+from procedures.cli.pause import pause_on_interrupt
+from procedures.cli.run_case import CaseRequest, Watcher, check_request, new_run_folder, opened_engine
 from ronna_hw.command_line.console import fail_with, on_terminal
 from ronna_hw.errors import RefusedError, RonnaError
 
@@ -23,8 +24,12 @@ def step_through(request: CaseRequest) -> None:
 
     Any other error of a step is told too and ends the case: its state chart is then in `fault`.
     """
-    folder = new_run_folder(request.out, request.choice.seed)
-    with opened_engine(request, folder, Watcher(listener=_told)) as engine:
+    check_request(request)
+    folder = new_run_folder(request)
+    with (
+        pause_on_interrupt() as pause,
+        opened_engine(request, folder, Watcher(listener=_told, safe_point=pause.safe_point)) as engine,
+    ):
         _say(f"run {folder.name}; {HELP}")
         while (line := _ask()) is not None:
             name, _, argument = line.strip().partition(" ")

@@ -51,6 +51,7 @@ class Engine:
     progress: Progress = lambda _share, _text: None
     listener: Listener = lambda _key, _outcome: None
     safe_point: Callable[[], None] = lambda: None  # may wait, or raise to end the procedure here
+    on_ending: Callable[[], None] = lambda: None  # before the arm is stopped for good
     machine: ProcedureMachine = field(default_factory=ProcedureMachine)
     _done: int = 0
     _workspace: dict[str, Any] = field(default_factory=dict)
@@ -95,6 +96,7 @@ class Engine:
             record = self.case.add(key.name, outcome.payload, outcome.parents, key.trajectory)
             self._write(Entry.RESULT, step=str(key), record=record.identifier, sha256=record.sha256)
         except KeyboardInterrupt:
+            self.on_ending()
             self.devices.stop()
             self.machine.abort()
             self._write(Entry.INTERRUPTED, step=str(key))

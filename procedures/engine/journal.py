@@ -42,7 +42,9 @@ class Journal:
         self._sequence = 0
         self._previous = FIRST
         try:
-            self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC)
+            self._file = os.open(
+                self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644
+            )
             directory = os.open(folder, os.O_RDONLY)
             try:
                 os.fsync(directory)

@@ -30,5 +30,5 @@ class Operator(Protocol):
         ...
 
     def change_tool(self, number: int, description: str) -> None:
-        """Mount another tool and return when it is done; raises PRO-002 when refused."""
+        """Have another tool mounted; the step then has it confirmed and reads the controller's inputs."""
         ...

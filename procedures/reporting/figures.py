@@ -29,9 +29,13 @@ def target_errors(targets: list[dict[str, Any]], simulated: bool) -> bytes:
     values: list[float] = []
     colours: list[str] = []
     for row in targets:
-        labels += [f"{row['id']}, {row['depth_mm']:.0f} mm deep", f"{row['id']}, predicted (rms)"]
-        values += [row["application_error_mm"], row["predicted_tre_mm"]]
-        colours += [OURS_COLOUR, PREDICTED_COLOUR]
+        if row["application_error_mm"] is not None:
+            labels.append(f"{row['id']}, {row['depth_mm']:.0f} mm deep")
+            values.append(row["application_error_mm"])
+            colours.append(OURS_COLOUR)
+        labels.append(f"{row['id']}, predicted (rms)")
+        values.append(row["predicted_tre_mm"])
+        colours.append(PREDICTED_COLOUR)
     for label, value in PUBLISHED_MM:
         labels.append(label)
         values.append(value)

@@ -9,6 +9,8 @@ def link_payload(context: StepContext) -> dict[str, object]:
     """Counters and turnaround since the arm was last activated, as plain numbers."""
     statistics = context.devices.arm.link_statistics()
     return {
+        # Without the host's pace a turnaround says nothing about real time; it is kept, and marked.
+        "lock_step": not getattr(context.clock, "paced", True),
         "cycles": statistics.cycles,
         "late_cycles": statistics.late_cycles,
         "lost_cycles": statistics.lost_cycles,

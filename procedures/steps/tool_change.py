@@ -18,6 +18,7 @@ def run(context: StepContext) -> Outcome:
     devices.arm.deactivate()
     devices.stereo.deactivate()
     context.operator.change_tool(calibration.tool_number, "the surgical guide")
+    context.confirm("the tool has been exchanged", f"the surgical guide, tool {calibration.tool_number}")
     mounted = devices.arm.read_tool_identity().number
     if mounted != calibration.tool_number:
         raise WrongTool("the guide is not mounted", awaited=str(calibration.tool_number), last=str(mounted))

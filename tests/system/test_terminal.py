@@ -1,11 +1,12 @@
 """The case on a terminal, as a person sees it: live progress, pause, stop."""
 
+import fcntl
 import os
 import pty
 import re
 import select
-import signal
 import subprocess
+import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,14 @@ import pytest
 from user_commands import Commands
 
 AWAITED_S = 40.0
+CTRL_C = "\x03"  # typed: the terminal signals every process of its foreground group
 STYLE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours and cursor moves
+
+
+def _lead_the_terminal() -> None:
+    """Make the new process the leader of a session whose terminal is its standard input."""
+    os.setsid()
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 
 class Terminal:
@@ -30,7 +38,7 @@ class Terminal:
             stdin=secondary,
             stdout=secondary,
             stderr=secondary,
-            start_new_session=True,
+            preexec_fn=_lead_the_terminal,  # noqa: PLW1509 - no thread of the test runs yet
         )
         os.close(secondary)
         self._raw = self.text = ""
@@ -78,7 +86,7 @@ def terminal(commands: Commands, tmp_path: Path) -> Iterator[Terminal]:
 @pytest.mark.slow
 def test_ctrl_c_once_pauses_between_steps_and_enter_goes_on_to_the_end(terminal: Terminal) -> None:
     terminal.await_text("✓ ct_import")
-    terminal.process.send_signal(signal.SIGINT)
+    terminal.type(CTRL_C)
     terminal.await_text("paused, the arm rests")
     terminal.type("\n")
     assert terminal.rest() == 0
@@ -87,16 +95,16 @@ def test_ctrl_c_once_pauses_between_steps_and_enter_goes_on_to_the_end(terminal:
 
 def test_ctrl_c_twice_stops_now(terminal: Terminal) -> None:
     terminal.await_text("✓ path_check")
-    terminal.process.send_signal(signal.SIGINT)
+    terminal.type(CTRL_C)
     terminal.await_text("Ctrl-C again stops now")
-    terminal.process.send_signal(signal.SIGINT)
+    terminal.type(CTRL_C)
     assert terminal.rest() == 130
     assert "Traceback" not in terminal.text
 
 
 def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> None:
     terminal.await_text("✓ ct_import")
-    terminal.process.send_signal(signal.SIGINT)
+    terminal.type(CTRL_C)
     terminal.await_text("paused, the arm rests")
     terminal.type("abort\n")
     assert terminal.rest() == 7
