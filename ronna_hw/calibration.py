@@ -28,9 +28,9 @@ class CalibrationExpired(DataError):
 
 
 class Strict(BaseModel):
-    """Base of every model of the theatre file: strict types, no unknown keys, immutable."""
+    """Base of every model of the theatre file: strict types, finite numbers, no unknown keys, immutable."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class PoseRecord(Strict):

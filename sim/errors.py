@@ -45,3 +45,10 @@ class NothingToVerify(DataError):
 
     code = "SIM-006"
     action = "Give the folder of a run that was made with --sim and reached a target."
+
+
+class BadTruth(DataError):
+    """The samples of the truth in a run folder cannot be read."""
+
+    code = "SIM-007"
+    action = "The file was changed or cut off after the run; repeat the run."

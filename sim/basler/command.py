@@ -18,6 +18,8 @@ def basler(
     world: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Two GigE Vision cameras that see the scene; runs until it is ended."""
+    from ipaddress import IPv4Address
+
     from sim.basler.memory import keep_freed_memory
     from sim.basler.pair import CameraPair
     from sim.theatre.process import announce, end_with_parent, open_world
@@ -27,6 +29,13 @@ def basler(
         raise typer.BadParameter("give two addresses, left then right, or none", param_hint="--address")
     if len(set(addresses)) != len(addresses):
         raise typer.BadParameter("the cameras need two different addresses", param_hint="--address")
+    for one in addresses:
+        try:
+            IPv4Address(one)
+        except ValueError as error:
+            raise typer.BadParameter(
+                f"{one!r} is not an IPv4 address, such as 127.77.0.1", param_hint="--address"
+            ) from error
     keep_freed_memory()
     pair = CameraPair(open_world(world, scene), addresses)
     end_with_parent(pair.end)

@@ -33,13 +33,12 @@ def theatre(
     import threading
 
     from ronna_hw.errors import EXIT_FAILED
-    from sim.theatre.faults import parse_faults
+    from sim.theatre.faults import read_faults
     from sim.theatre.launch import Theatre
     from sim.theatre.process import announce, end_with_parent, fail, load_scene
 
-    script = faults.read_text(encoding="utf-8") if faults else ""
-    parse_faults(script)
     truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+    script = read_faults(faults, truth) if faults else ""
     ended = threading.Event()
     end_with_parent(ended.set)
     running = Theatre(truth, out, paced=speed is Speed.REAL, faults=script)

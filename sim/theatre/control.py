@@ -7,6 +7,7 @@ the truth at that target.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socketserver
 import threading
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.errors import RonnaError
-from sim.theatre.faults import parse_faults
+from sim.theatre.faults import check_faults, parse_faults
 from sim.theatre.truth import append_sample, sample_tip
 from sim.theatre.world import World
 
@@ -64,7 +65,7 @@ class Room:
     def _fault(self, request: dict[str, Any]) -> None:
         line = str(request["line"])
         _, text = self._world.fault_script()
-        parse_faults(line)
+        check_faults(parse_faults(line), self._world.scene)
         self._world.set_fault_script(f"{text}\n{line}" if text else line)
 
 
@@ -74,13 +75,14 @@ class ControlPort:
     def __init__(self, room: Room) -> None:
         class Handler(socketserver.StreamRequestHandler):
             def handle(self) -> None:
-                while line := self.rfile.readline(LONGEST_REQUEST):
-                    try:
-                        request = json.loads(line)
-                    except ValueError:
-                        request = {}
-                    answer = room.answer(request if isinstance(request, dict) else {})
-                    self.wfile.write(json.dumps(answer).encode() + b"\n")
+                with contextlib.suppress(OSError):  # the operator went away without a farewell
+                    while line := self.rfile.readline(LONGEST_REQUEST):
+                        try:
+                            request = json.loads(line)
+                        except ValueError:
+                            request = {}
+                        answer = room.answer(request if isinstance(request, dict) else {})
+                        self.wfile.write(json.dumps(answer).encode() + b"\n")
 
         class Server(socketserver.ThreadingTCPServer):
             daemon_threads = True

@@ -8,35 +8,40 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadScene
 
 Numbers6 = tuple[float, float, float, float, float, float]
+Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Name = Annotated[str, Field(min_length=1)]
+ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as the controller's inputs report it
 SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
 
 
 class Fiducial(Strict):
     """A sphere on a bone screw. `post` is the unit vector from the skull to the sphere, CT frame."""
 
-    number: int
+    number: Count
     centre_ct_mm: Numbers3
     post_ct: Numbers3
-    radius_mm: float = SPHERE_RADIUS_MM
+    radius_mm: Positive = SPHERE_RADIUS_MM
 
 
 class Target(Strict):
     """A planned trajectory in the CT frame."""
 
-    identifier: str
+    identifier: Name
     entry_ct_mm: Numbers3
     target_ct_mm: Numbers3
     free_angle_deg: float = 0.0
-    margin_mm: float = 2.0
+    margin_mm: NotNegative = 2.0
 
 
 class Head(Strict):
@@ -44,20 +49,30 @@ class Head(Strict):
 
     robot_from_ct: PoseRecord
     centre_ct_mm: Numbers3
-    semi_axes_mm: Numbers3
-    fiducials: tuple[Fiducial, ...]
-    targets: tuple[Target, ...]
+    semi_axes_mm: tuple[Positive, Positive, Positive]
+    fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)]
+    targets: Annotated[tuple[Target, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> Self:
+        numbers = [fiducial.number for fiducial in self.fiducials]
+        identifiers = [target.identifier for target in self.targets]
+        if len(set(numbers)) < len(numbers):
+            raise ValueError(f"every fiducial needs a number of its own, not {numbers}")
+        if len(set(identifiers)) < len(identifiers):
+            raise ValueError(f"every target needs an identifier of its own, not {identifiers}")
+        return self
 
 
 class CtProtocol(Strict):
     """How the CT is scanned: voxel size, grid and noise."""
 
-    pixel_mm: float = 0.5
-    slice_mm: float = 1.0
-    columns: int = 512
-    rows: int = 512
-    slices: int = 200
-    noise_HU: float = 20.0
+    pixel_mm: Positive = 0.5
+    slice_mm: Positive = 1.0
+    columns: Count = 512
+    rows: Count = 512
+    slices: Count = 200
+    noise_HU: NotNegative = 20.0
 
 
 class LinkError(Strict):
@@ -84,7 +99,7 @@ class ArmTruth(Strict):
     harmonic_2_phase_rad: Numbers6
     sag_rad: tuple[float, float]  # A2 and A3 when stretched out horizontally
     backlash_rad: Numbers6
-    repeatability_mm: float  # per axis at the tool, one standard deviation
+    repeatability_mm: NotNegative  # per axis at the tool, one standard deviation
 
 
 class Mount(Strict):
@@ -94,21 +109,27 @@ class Mount(Strict):
     flange_from_tool_true: PoseRecord  # tool centre point of the stereo head
     tool_from_tip_true: PoseRecord  # guide tip relative to the head's tool centre point
     tool_from_marker_true: PoseRecord  # reference frame M, which stays on the mount
-    tool_number_stereo: int = 1
-    tool_number_guide: int = 2
+    tool_number_stereo: ToolNumber = 1
+    tool_number_guide: ToolNumber = 2
+
+    @model_validator(mode="after")
+    def _two_tools(self) -> Self:
+        if self.tool_number_stereo == self.tool_number_guide:
+            raise ValueError(f"both tools have the number {self.tool_number_guide}")
+        return self
 
 
 class CameraTruth(Strict):
     """A camera as it really is: pinhole, distortion k1 k2 p1 p2 k3, and its place on the head."""
 
     serial: str
-    focal_px: tuple[float, float]
+    focal_px: tuple[Positive, Positive]
     principal_point_px: tuple[float, float]
     distortion: tuple[float, float, float, float, float]
-    sensor_px: tuple[int, int] = (2048, 1088)
+    sensor_px: tuple[Count, Count] = (2048, 1088)
     camera_from_tool: PoseRecord
-    read_noise_electrons: float = 13.5
-    full_well_electrons: float = 11900.0
+    read_noise_electrons: NotNegative = 13.5
+    full_well_electrons: Positive = 11900.0
 
 
 class TrackerTool(Strict):
@@ -124,24 +145,26 @@ class TrackerTruth(Strict):
     """The tracker: where it stands and how noisy a single marker is at mid volume."""
 
     robot_from_tracker: PoseRecord
-    tools: tuple[TrackerTool, ...]  # the first is the reference frame M on the mount
+    tools: Annotated[
+        tuple[TrackerTool, ...], Field(min_length=1)
+    ]  # the first is the reference frame M on the mount
     places: tuple[PoseRecord, ...] = ()  # tracker <- tool, for other loaded definitions, in order of loading
     fiducials_visible: bool = True  # false on the bench, where there is no head
-    noise_xy_mm: float = 0.04
-    noise_z_mm: float = 0.14
-    bias_mm: float = 0.10  # amplitude of the smooth bias field
+    noise_xy_mm: NotNegative = 0.04
+    noise_z_mm: NotNegative = 0.14
+    bias_mm: NotNegative = 0.10  # amplitude of the smooth bias field
     strays_mm: tuple[Numbers3, ...] = ()  # further stray markers, fixed in the tracker frame
 
 
 class CalibrationError(Strict):
     """Stated errors of the calibration records that the theatre hands out, one standard deviation."""
 
-    camera_rotation_rad: float = 4e-5
-    camera_translation_mm: float = 0.01
-    focal_relative: float = 1e-4
-    tip_mm: float = 0.03  # per axis: 0.05 mm in space
-    marker_translation_mm: float = 0.2
-    marker_rotation_rad: float = 1e-3
+    camera_rotation_rad: NotNegative = 4e-5
+    camera_translation_mm: NotNegative = 0.01
+    focal_relative: NotNegative = 1e-4
+    tip_mm: NotNegative = 0.03  # per axis: 0.05 mm in space
+    marker_translation_mm: NotNegative = 0.2
+    marker_rotation_rad: NotNegative = 1e-3
 
 
 class Scene(Strict):
@@ -149,7 +172,7 @@ class Scene(Strict):
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
     name: str
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     head: Head
     ct: CtProtocol = CtProtocol()
     arm: ArmTruth
@@ -157,7 +180,10 @@ class Scene(Strict):
     tracker: TrackerTruth
     left: CameraTruth
     right: CameraTruth
-    servo_area_px: tuple[int, int] = (1024, 1024)  # area of interest that holds a sphere with room to move
+    servo_area_px: tuple[Count, Count] = (
+        1024,
+        1024,
+    )  # area of interest that holds a sphere with room to move
     calibration_error: CalibrationError = CalibrationError()
 
 

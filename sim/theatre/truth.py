@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
 from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.config import describe_mistakes
+from sim.errors import BadTruth
 from sim.theatre.rigid import apply, matrix_of
 from sim.theatre.world import World
 
@@ -54,12 +57,26 @@ def append_sample(sample: TipSample, folder: Path) -> None:
 
 
 def read_samples(folder: Path) -> list[TipSample]:
-    """All samples of a theatre, in order; an empty list when none was taken."""
+    """All samples of a theatre, in order; an empty list when none was taken. Raises SIM-007."""
     path = folder / TRUTH_FILE
     if not path.exists():
         return []
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return [TipSample.model_validate_json(line) for line in lines]
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise BadTruth(f"{path.name} is not text in UTF-8: {error.reason}") from error
+    except OSError as error:
+        raise BadTruth(f"cannot read {path.name}: {error.strerror}") from error
+    samples: list[TipSample] = []
+    mistakes: list[str] = []
+    for number, line in enumerate(lines, 1):
+        try:
+            samples.append(TipSample.model_validate_json(line))
+        except ValidationError as error:
+            mistakes.append(f"line {number}: {', '.join(describe_mistakes(error))}")
+    if mistakes:
+        raise BadTruth(f"{path.name} has {len(mistakes)} bad line(s): {'; '.join(mistakes)}")
+    return samples
 
 
 def _three(vector: np.ndarray) -> Numbers3:

@@ -21,7 +21,8 @@ SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; sphe
 
 
 def verify_run(run: Path) -> dict[str, Any]:
-    """Compare a run folder with its theatre's truth; raises SIM-006 when there is nothing to compare.
+    """Compare a run folder with its theatre's truth; raises SIM-006 when there is nothing to compare,
+    SIM-007 when the truth cannot be read.
 
     Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
     lateral_mm, axial_mm, axis_error_rad), as plain data.

@@ -12,6 +12,7 @@ import pytest
 from user_commands import Commands, one_error
 
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
+from sim.theatre.built_in import built_in_scene
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +156,40 @@ def test_a_port_in_use(commands: Commands, silent_port: int) -> None:
     done = commands.run("ronna-sim", "polaris", "--endpoint", f"tcp://127.0.0.1:{silent_port}")
     line = _refused(done, "SIM-004", EXIT_NOT_FOUND)
     assert str(silent_port) in line
+
+
+def test_a_camera_address_that_is_none(commands: Commands) -> None:
+    done = commands.run("ronna-sim", "basler", "--address", "foo", "--address", "127.77.9.2")
+    assert "'foo' is not an IPv4 address" in " ".join(one_error(done.stderr))
+    assert done.returncode == EXIT_USAGE
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        (b"at 0 s: \xff for 1 s", "UTF-8"),
+        (b"at 0 s: tracker occlude marker 99 for 1 s", "marker 99"),
+        (b"at 0 s: tracker occlude marker 99 for 1 s\nwhen step == tea: robot drop 5 % for 1 s", "'tea'"),
+    ],
+)
+def test_a_fault_script_that_cannot_happen(
+    commands: Commands, tmp_path: Path, script: bytes, said: str
+) -> None:
+    path = tmp_path / "faults.txt"
+    path.write_bytes(script)
+    done = commands.run(
+        "ronna-sim", "theatre", "--scene", "mini", "--faults", str(path), "--out", str(tmp_path / "theatre")
+    )
+    assert said in _refused(done, "SIM-003", EXIT_USAGE)
+
+
+def test_truth_with_a_bad_line(commands: Commands, tmp_path: Path) -> None:
+    theatre = tmp_path / "theatre"
+    theatre.mkdir()
+    (theatre / "scene.json").write_text(built_in_scene("mini").model_dump_json(by_alias=True))
+    (theatre / "truth.jsonl").write_text("nonsense\n")
+    done = commands.run("ronna-sim", "verify", str(tmp_path))
+    assert "line 1" in _refused(done, "SIM-007", EXIT_FAILED)
 
 
 def test_an_output_folder_that_cannot_be_written(commands: Commands, tmp_path: Path) -> None:

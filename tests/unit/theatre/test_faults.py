@@ -1,8 +1,11 @@
+from pathlib import Path
+
 import pytest
 
+from procedures.engine.machine import PREDECESSORS
 from sim.errors import BadFaultScript
 from sim.theatre.built_in import built_in_scene
-from sim.theatre.faults import FaultBoard, parse_faults
+from sim.theatre.faults import STEPS, FaultBoard, check_faults, parse_faults, read_faults
 from sim.theatre.world import World
 
 
@@ -48,3 +51,46 @@ def test_a_fault_of_a_step_begins_with_the_step_and_concerns_its_device_only() -
     assert tracker.active("drop") == ()
     world.clock.sleep(1.0)
     assert robot.active("drop") == ()
+
+
+def test_the_steps_of_a_script_are_the_steps_of_the_procedure() -> None:
+    assert tuple(PREDECESSORS) == STEPS
+
+
+def test_every_wrong_line_is_named() -> None:
+    script = "at 1 s: tea for 2 s\nat 2 s: robot drop 5 % for 1 s\nat 3 s: robot drop 500 % for 1 s\nnow: tea"
+    with pytest.raises(BadFaultScript, match=r"SIM-003: line 1, .*; line 3: 500 % .*; line 4, ") as caught:
+        parse_faults(script)
+    assert "line 2" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("when step == relocalisation: robot drop 5 % for 1 s", "no step 'relocalisation'"),
+        ("when step == relocalization:T9: robot drop 5 % for 1 s", "no target 'T9'"),
+        ("at 1 s: tracker occlude marker 99 for 1 s", "no marker 99, only 1, 2, 3"),
+        ("at 1 s: tracker occlude tool spoon for 1 s", "no tool 'spoon', only robot_frame"),
+    ],
+)
+def test_what_is_not_in_the_scene_cannot_fail(line: str, said: str) -> None:
+    with pytest.raises(BadFaultScript, match=f"SIM-003: line 2: there is {said}"):
+        check_faults(parse_faults("\n" + line), built_in_scene("mini"))
+
+
+def test_a_script_that_fits_the_scene_is_taken_whole(tmp_path: Path) -> None:
+    path = tmp_path / "faults.txt"
+    path.write_text(
+        "at 0 s: tracker occlude marker 3 for 1 s\nat 1 s: tracker occlude tool robot_frame for 1 s\n"
+        "when step == at_target:T1: camera drop 100 % for 1 s\n"
+    )
+    assert read_faults(path, built_in_scene("mini")) == path.read_text()
+
+
+def test_a_script_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "faults.txt"
+    path.write_bytes(b"at 0 s: \xff\xfe")
+    with pytest.raises(BadFaultScript, match=r"SIM-003: faults.txt is not text"):
+        read_faults(path, built_in_scene("mini"))
+    with pytest.raises(BadFaultScript, match="cannot read"):
+        read_faults(tmp_path, built_in_scene("mini"))

@@ -1,10 +1,14 @@
+import json
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
 from sim.errors import BadScene
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.head import SMALLEST_DISTANCE_MM
-from sim.theatre.scene import parse_scene
+from sim.theatre.scene import parse_scene, read_scene
 
 
 def test_the_same_seed_draws_the_same_scene_and_another_seed_another() -> None:
@@ -54,3 +58,37 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
     content["seed"] = "x"
     with pytest.raises(BadScene, match=r"2 mistake\(s\)"):
         parse_scene(content, "scene.toml")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        (("seed",), -1, "seed"),
+        (("head", "fiducials"), [], "head.fiducials"),
+        (("head", "targets"), [], "head.targets"),
+        (("head", "fiducials", 0, "radius_mm"), -5.75, "head.fiducials.0.radius_mm"),
+        (("head", "fiducials", 0, "number"), 2, "head: every fiducial needs a number of its own"),
+        (("head", "centre_ct_mm"), [float("nan"), 0.0, 0.0], "head.centre_ct_mm.0"),
+        (("mount", "tool_number_guide"), 1, "mount: both tools have the number 1"),
+        (("tracker", "noise_z_mm"), float("inf"), "tracker.noise_z_mm"),
+    ],
+)
+def test_an_impossible_scene_is_refused_by_name(
+    path: tuple[str | int, ...], value: Any, said: str, tmp_path: Path
+) -> None:
+    content = json.loads(built_in_scene("mini").model_dump_json(by_alias=True))
+    place = content
+    for part in path[:-1]:
+        place = place[part]
+    place[path[-1]] = value
+    file = tmp_path / "scene.json"
+    file.write_text(json.dumps(content))
+    with pytest.raises(BadScene, match=f"SIM-001: .*{said}"):
+        read_scene(file)
+
+
+def test_every_built_in_scene_survives_its_file(tmp_path: Path) -> None:
+    for name in ("default", "mini", "bench"):
+        file = tmp_path / "scene.json"
+        file.write_text(built_in_scene(name).model_dump_json(by_alias=True))
+        assert read_scene(file) == built_in_scene(name)
