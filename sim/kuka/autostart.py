@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from sim.kuka.controller import Controller
-from sim.kuka.messages import RSI_OBJECT_ERROR
 from sim.kuka.parameters import AUTOSTART_PAUSE_S
 
 
 class Autostart:
     """Starts the program, and again a while after a run has ended.
 
-    A client that went away or asked for the end is followed by the next run. A fault of the arm stays until
-    somebody acknowledges it.
+    A client that went away, asked for the end or commanded what the arm cannot do is followed by the next
+    run: without EKI nobody else could acknowledge the message.
     """
 
     def __init__(self, controller: Controller, *, wanted: bool) -> None:
@@ -34,8 +33,7 @@ class Autostart:
     def tick(self, now_s: float) -> None:
         """Start again when it is time; called while no run is active and the arm rests."""
         controller = self._controller
-        message = controller.message
-        if not self._armed or (message is not None and message.number != RSI_OBJECT_ERROR):
+        if not self._armed:
             return
         if self._ended_s is None:
             self._ended_s = now_s

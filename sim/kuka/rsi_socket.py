@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+from ipaddress import IPv4Address
 
 from ronna_hw.endpoints import Endpoint
 from sim.kuka.errors import ClientAddressInvalid
@@ -29,6 +30,8 @@ class RsiSocket:
         self._client = client
         self._host = client[0]
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        if IPv4Address(self._host).is_loopback:
+            self.socket.bind((LOOPBACK, 0))  # a client on this host is nobody else's business
         self.socket.setblocking(False)
 
     def send(self, telegram: bytes) -> None:

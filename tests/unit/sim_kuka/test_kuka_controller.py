@@ -15,7 +15,7 @@ from sim.kuka.autostart import Autostart
 from sim.kuka.eki_server import EkiServer, cut_requests
 from sim.kuka.errors import ClientAddressInvalid
 from sim.kuka.parameters import AUTOSTART_PAUSE_S, ControllerParameters
-from sim.kuka.rsi_socket import resolve
+from sim.kuka.rsi_socket import RsiSocket, resolve
 
 GOAL = (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -121,9 +121,14 @@ def test_autostart_waits_for_its_client_and_serves_the_next_one(make_bench: Call
     assert controller.run is not None
     bench.enter_movecorr()
     bench.answer((50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert controller.message is not None
+    while controller.moving:
+        controller.settle()
     autostart.tick(20.0)
-    autostart.tick(30.0)
-    assert controller.run is None  # a fault of the arm waits for somebody
+    assert controller.run is None
+    autostart.tick(20.0 + AUTOSTART_PAUSE_S)
+    assert controller.run is not None  # a fault of the arm too is over after the pause
+    assert controller.message is None
 
 
 def test_requests_are_cut_from_padding_fragments_and_merged_reads() -> None:
@@ -162,3 +167,12 @@ def test_a_client_without_an_address_has_its_own_error() -> None:
     with pytest.raises(ClientAddressInvalid) as caught:
         resolve(parse_endpoint("udp://ip.address.of.rospc:59152"))
     assert caught.value.code == "KRC-002"
+
+
+@pytest.mark.parametrize(("host", "source"), [("127.0.0.1", "127.0.0.1"), ("127.0.0.2", "127.0.0.1")])
+def test_a_client_on_this_host_is_served_from_loopback_only(host: str, source: str) -> None:
+    rsi = RsiSocket((host, 59152))
+    try:
+        assert rsi.socket.getsockname()[0] == source
+    finally:
+        rsi.close()
