@@ -70,13 +70,18 @@ def _write_line(key: StepKey, outcome: Outcome) -> None:
     sys.stderr.write(f"{key}: {outcome.summary}\n")
 
 
+def _what_is_shown(outcome: dict[str, Any]) -> str:
+    known = outcome["mean_application_error_mm"] is not None
+    return "error of the needle tip against truth" if known else "predicted error of the needle tip"
+
+
 def show_outcome(outcome: dict[str, Any], *, as_json: bool) -> None:
     """Print the table of target errors, or the whole object as JSON."""
     if as_json:
         print_json(outcome)
         return
     print_table(
-        f"Run {outcome['run']}: predicted error of the needle tip, and its error against truth where known",
+        f"Run {outcome['run']}: {_what_is_shown(outcome)}",
         ("target", "depth mm", "predicted mm", "error mm"),
         [
             (
