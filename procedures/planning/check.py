@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from procedures.planning.errors import (
+    FiducialsNotYet,
     NotReachable,
     OutsideField,
+    UnknownTool,
     WrongMarkerCount,
     WrongOrientation,
     WrongSeries,
     raise_together,
 )
-from procedures.planning.plan import Plan
+from procedures.planning.plan import FiducialKind, Plan
+from procedures.planning.tissue import way_into_head
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
 LEAST_SIDE_DIFFERENCE_MM = 6.0  # of a triangle of fiducials: below it three points are often ambiguous
 RECOMMENDED_MARKERS = 4  # with three, one that moved cannot be told from the others
+KNOWN_TOOLS = ("guide",)  # the calibration records of a theatre know this one only
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,7 @@ def check_plan(
 
     Never raises for a wrong plan: all findings come back together; `PlanCheck.require` raises them.
     """
-    findings: list[RonnaError] = []
+    findings: list[RonnaError] = _unknown(plan)
     warnings: list[str] = []
     if plan.series_instance_uid != volume.series_instance_uid:
         findings.append(
@@ -81,7 +85,13 @@ def check_plan(
             )
         )
     else:
-        findings += _outside(plan, volume)
+        outside = _outside(plan, volume)
+        findings += outside
+        if not outside:
+            for one in plan.trajectories:
+                finding, warning = way_into_head(volume, one)
+                findings += [finding] if finding else []
+                warnings += [warning] if warning else []
     if not volume.patient_position:
         warnings.append("the series does not say how the patient lay; compare left and right by eye")
     elif volume.patient_position != plan.patient_orientation.value:
@@ -109,6 +119,24 @@ def check_plan(
         unmet = arm.check_reach(tuple(one.trajectory for one in plan.trajectories))
         findings += [NotReachable(f"{one.pose}: {one.reason}") for one in unmet]
     return PlanCheck(plan, tuple(findings), tuple(warnings))
+
+
+def _unknown(plan: Plan) -> list[RonnaError]:
+    """What the plan asks for and this version does not have."""
+    found: list[RonnaError] = []
+    if plan.tool not in KNOWN_TOOLS:
+        found.append(
+            UnknownTool("the plan names an unknown tool", awaited=" or ".join(KNOWN_TOOLS), last=plan.tool)
+        )
+    if plan.fiducials is FiducialKind.XFRAME:
+        found.append(
+            FiducialsNotYet(
+                "the x-shaped frame of fiducials is not supported yet",
+                awaited=FiducialKind.FREE.value,
+                last=plan.fiducials.value,
+            )
+        )
+    return found
 
 
 def _outside(plan: Plan, volume: Volume) -> list[RonnaError]:

@@ -10,9 +10,12 @@
     WrongMarkerCount      PLAN-008  the CT shows another number of fiducials than were implanted
     WrongOrientation      PLAN-009  the CT was taken in another patient position than the plan says
     PlanNotWritten        PLAN-010  the plan file cannot be written
+    NotIntoHead           PLAN-011  a way does not lead from the air outside to a target inside the head
+    UnknownTool           PLAN-012  the plan names a tool that is not known; the known ones are given
+    FiducialsNotYet       PLAN-013  the plan asks for a kind of fiducials that is not supported yet
 
-All but PLAN-007, -001 and -010 mean that the plan is wrong. Several findings of one check are raised as one
-error; when they are of one kind it has that kind's code, else PLAN-002.
+All but PLAN-007, -001, -010 and -013 mean that the plan is wrong. Several findings of one check are raised
+as one error; when they are of one kind it has that kind's code, else PLAN-002.
 """
 
 from __future__ import annotations
@@ -94,6 +97,27 @@ class PlanNotWritten(ConfigurationError):
 
     code = "PLAN-010"
     action = "Choose a folder that this account may write to, with free space."
+
+
+class NotIntoHead(PlanError):
+    """A way does not lead from the air outside the head to a target inside it, as the CT shows."""
+
+    code = "PLAN-011"
+    action = "Look at entry and target in the CT; exchanged points or coordinates in RAS look like this."
+
+
+class UnknownTool(PlanError):
+    """The plan names a tool that is not known."""
+
+    code = "PLAN-012"
+    action = "Name a known tool, the one that was planned for; another one has another length."
+
+
+class FiducialsNotYet(ConfigurationError):
+    """The plan asks for a kind of fiducials that is not supported yet."""
+
+    code = "PLAN-013"
+    action = 'Use single spheres on screws and plan with fiducials = "free".'
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

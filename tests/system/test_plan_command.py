@@ -41,11 +41,16 @@ CAMERA = {
 
 @pytest.fixture
 def case(tmp_path: Path) -> tuple[Path, Path]:
-    """A plan file and a coarse empty CT around it: 61 slices of 20 x 20 voxels of 10 mm, 2 mm apart."""
+    """A plan file and a coarse CT around it: 61 slices of 20 x 20 voxels of 10 mm, 2 mm apart.
+
+    Tissue lies below a slanting plane through the entry, air above it.
+    """
     (tmp_path / "plan.toml").write_text(PLAN)
     series = tmp_path / "series"
     series.mkdir()
+    rows_mm = np.arange(-95.0, 100.0, 10.0)[:, None]
     for number in range(61):
+        in_tissue = 0.8 * (-20.0 + 2.0 * number) - 0.6 * rows_mm < 79.0
         data = Dataset()
         data.file_meta, data.preamble = FileMetaDataset(), b"\0" * 128
         data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
@@ -63,7 +68,7 @@ def case(tmp_path: Path) -> tuple[Path, Path]:
         data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
         data.Rows = data.Columns = 20
         data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
-        data.PixelData = np.zeros((20, 20), dtype="<i2").tobytes()
+        data.PixelData = np.broadcast_to(np.where(in_tissue, 1064, 24), (20, 20)).astype("<i2").tobytes()
         data.save_as(series / f"{number:03d}.dcm", enforce_file_format=True)
     return tmp_path / "plan.toml", series
 
@@ -192,6 +197,30 @@ def test_the_reach_needs_both_options(case, theatre):
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre)
     assert done.returncode == 2
     assert "--robot-from-ct" in one_line(done)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_a_place_of_the_head_that_is_no_number_is_a_usage_error(case, theatre, value):
+    place = (value, "0", "250", "-90", "0", "-90")
+    done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *place)
+    assert done.returncode == 2
+    assert one_line(done).startswith("CLI-001")
+    assert "finite" in done.stderr
+
+
+def test_exchanged_entry_and_target_are_refused(case):
+    text = PLAN.replace("entry_mm", "x_mm").replace("target_mm", "entry_mm").replace("x_mm", "target_mm")
+    case[0].write_text(text)
+    done = ronna_plan("check", case[0], "--ct", case[1])
+    assert done.returncode == 1
+    assert one_line(done).startswith("PLAN-011")
+
+
+def test_the_x_shaped_frame_is_not_there_yet(case):
+    case[0].write_text(PLAN.replace('"free"', '"xframe"'))
+    done = ronna_plan("check", case[0], "--ct", case[1])
+    assert done.returncode == 2
+    assert one_line(done).startswith("PLAN-013")
 
 
 def test_help_costs_little_processor_time():

@@ -59,7 +59,10 @@ def plan_path(tmp_path: Path) -> Callable[[str], Path]:
 
 @pytest.fixture
 def make_volume() -> Callable[..., Volume]:
-    """A CT of 200 mm cubed around the origin; options replace fields."""
+    """A CT of 200 mm cubed around the origin: tissue below a slanting plane, air above it.
+
+    The entries of the plan lie at the plane. Options replace fields.
+    """
 
     def make(**changes: Any) -> Volume:
         geometry = VoxelGeometry(
@@ -68,8 +71,9 @@ def make_volume() -> Callable[..., Volume]:
             axes=np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
             spacing_mm=np.array([10.0, 10.0, 10.0]),
         )
+        z, y, _ = np.meshgrid(*[np.arange(-95.0, 100.0, 10.0)] * 3, indexing="ij")
         fields = {
-            "voxels": np.zeros((20, 20, 20), dtype=np.int16),
+            "voxels": np.where(0.8 * z - 0.6 * y < 79.0, 40, -1000).astype(np.int16),
             "geometry": geometry,
             "series_instance_uid": SERIES,
             "frame_of_reference_uid": "1.2.3",

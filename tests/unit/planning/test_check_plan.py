@@ -9,15 +9,18 @@ import pytest
 
 from procedures.planning.check import check_plan
 from procedures.planning.errors import (
+    FiducialsNotYet,
+    NotIntoHead,
     NotReachable,
     OutsideField,
     PlanMistakes,
+    UnknownTool,
     WrongMarkerCount,
     WrongOrientation,
     WrongSeries,
 )
 from procedures.planning.plan_file import read_plan
-from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
 
 FOUR = [[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]]
 
@@ -102,3 +105,47 @@ def test_everything_wrong_comes_in_one_error(plan, make_volume):
         result.require()
     for code in ("PLAN-003", "PLAN-009", "PLAN-008"):
         assert code in str(caught.value)
+
+
+ENTRY, TARGET = "entry_mm = [10.0, -50.0, 60.0]", "target_mm = [5.0, -20.0, 20.0]"
+
+
+def test_exchanged_entry_and_target_are_refused_and_told(plan_text, plan_path, make_volume):
+    text = plan_text.replace(ENTRY, "target_mm = [10.0, -50.0, 60.0]").replace(
+        TARGET, "entry_mm = [5.0, -20.0, 20.0]"
+    )
+    with pytest.raises(NotIntoHead, match=r"PLAN-011.*T1.*probably exchanged"):
+        check_plan(read_plan(plan_path(text)), make_volume()).require()
+
+
+def test_two_points_in_air_are_refused(plan_text, plan_path, make_volume):
+    text = plan_text.replace(ENTRY, "entry_mm = [10, -85, 90]").replace(TARGET, "target_mm = [5, -80, 75]")
+    with pytest.raises(NotIntoHead, match=r"PLAN-011.*T1.*in air") as caught:
+        check_plan(read_plan(plan_path(text)), make_volume()).require()
+    assert "probably" not in str(caught.value)
+
+
+def test_an_entry_deep_inside_the_head_is_refused(plan_text, plan_path, make_volume):
+    text = plan_text.replace(ENTRY, "entry_mm = [5, -35, 40]")
+    with pytest.raises(NotIntoHead, match=r"PLAN-011.*T1.*before the entry"):
+        check_plan(read_plan(plan_path(text)), make_volume()).require()
+
+
+def test_a_ct_that_ends_at_the_entry_is_warned_about(plan_text, plan_path, make_volume):
+    plan = read_plan(plan_path(plan_text.replace(ENTRY, "entry_mm = [10, -20, 99.9]")))
+    result = check_plan(plan, make_volume())
+    assert result.passed
+    assert any("entry of trajectory T1" in one for one in result.warnings)
+
+
+def test_an_unknown_tool_is_refused_with_the_known_ones(plan_text, plan_path, make_volume):
+    plan = read_plan(plan_path(plan_text.replace('"guide"', '"drill"')))
+    with pytest.raises(UnknownTool, match=r"PLAN-012.*guide.*drill"):
+        check_plan(plan, make_volume()).require()
+
+
+def test_the_x_shaped_frame_is_not_there_yet(plan_text, plan_path, make_volume):
+    plan = read_plan(plan_path(plan_text.replace('"free"', '"xframe"')))
+    with pytest.raises(FiducialsNotYet, match=r"PLAN-013") as caught:
+        check_plan(plan, make_volume()).require()
+    assert caught.value.exit_code == EXIT_USAGE
