@@ -1,8 +1,10 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from ronna_hw.config import read_theatre_file
+from ronna_hw.config import parse_theatre, read_theatre_file
+from ronna_hw.errors import ConfigurationError
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.rigid import inverse, matrix_of
 from sim.theatre.scene import Scene
@@ -66,3 +68,14 @@ def test_a_cameras_record_sees_the_tool_centre_within_a_tenth_of_a_millimetre(tm
     stated = matrix_of(record.stereo_head.left.camera_from_tool)
     shift = (inverse(true) @ stated)[:3, 3]
     assert 0.0 < float(np.linalg.norm(shift)) < 0.1
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_calibration_that_is_no_number_is_refused(value: float) -> None:
+    content = theatre_content(
+        built_in_scene("mini"), ENDPOINTS, "host:", {"robot_frame": "robot_frame.rom"}, 2.0
+    )
+    head = content["calibration"]["stereo_head"]
+    head["flange_from_tool"]["translation_mm"] = [value, 0.0, 0.0]
+    with pytest.raises(ConfigurationError, match=r"CFG-001: .*flange_from_tool.translation_mm.0"):
+        parse_theatre(content)
