@@ -11,16 +11,17 @@ from drivers.basler_stereo.assembly import Frame, FrameAssembler, StreamCounters
 from drivers.basler_stereo.control import ControlChannel
 from drivers.basler_stereo.description import fetch_description, parse_description
 from drivers.basler_stereo.discovery import CameraIdentity, identify
-from drivers.basler_stereo.errors import CommandRefused, ControlTaken, NoCamera
+from drivers.basler_stereo.errors import CommandRefused, NoCamera
 from drivers.basler_stereo.features import FeatureMap
 from drivers.basler_stereo.heartbeat import Heartbeat, require_control
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.packet_size import choose_packet_bytes, point_stream_to
+from drivers.basler_stereo.privilege import take_control
 from drivers.basler_stereo.reception import StreamReceiver, open_stream_socket
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import gige_vision as gev
-from ronna_hw.wire.gige_vision import Bootstrap, GevStatus
+from ronna_hw.wire.gige_vision import Bootstrap
 
 
 class Camera:
@@ -81,7 +82,8 @@ class Camera:
     def configure(self, deadline_s: float) -> None:
         """Take control, read the description, bring everything to a known state, find the packet size.
 
-        Raises GEV-005 when another application is in control; on any error control is given back.
+        Waits for the heartbeat of a controller that died. Raises GEV-005 when another application is
+        in control; on any error control is given back.
         """
         try:
             self._take_control(deadline_s)
@@ -172,18 +174,7 @@ class Camera:
         self._control = None
 
     def _take_control(self, deadline_s: float) -> None:
-        taken = ControlTaken(
-            f"the {self.side} camera at {self._address} is controlled by another application"
-        )
-        try:
-            self.control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
-            privilege = self.control.read_register(Bootstrap.CCP, deadline_s)
-        except CommandRefused as error:
-            if error.status == GevStatus.ACCESS_DENIED:
-                raise taken from error
-            raise
-        if not privilege & gev.CCP_CONTROL:
-            raise taken
+        take_control(self.control, f"the {self.side} camera at {self._address}", deadline_s)
         self.lost = None
         self._set_heartbeat_timeout(deadline_s)
         with contextlib.suppress(CommandRefused):  # older devices know no extended status codes

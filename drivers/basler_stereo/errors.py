@@ -44,7 +44,7 @@ class ControlTaken(ConnectError):
     """Another application controls the camera."""
 
     code = "GEV-005"
-    action = "Close the other application; after a crash wait for its heartbeat time-out and try again."
+    action = "Close the other application. One that crashed is waited for; if it was slow, allow more time."
 
 
 class CommandRefused(DeviceError):

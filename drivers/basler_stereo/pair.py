@@ -117,8 +117,9 @@ class BaslerStereoPair:
     def configure(self, timeout_s: float = 10.0) -> None:
         """Take control of both and bring them to a known state: software trigger, full frame, packet size.
 
-        Raises GEV-005 when another application is in control, GEV-006 to GEV-012 for what does not work;
-        then neither camera is controlled.
+        Where a client died in control, its heartbeat time-out is awaited within `timeout_s`. Raises GEV-005
+        when another application is in control, GEV-006 to GEV-012 for what does not work; then neither
+        camera is controlled.
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._set_up(time.monotonic() + timeout_s)
