@@ -1,7 +1,8 @@
-"""Use the angle that a trajectory leaves free: turn about its axis until everything is seen and reached.
+"""Use the angle that a trajectory leaves free: turn about its axis until all is seen and reached well.
 
-The plan's own angle is tried first, then others from near to far. What is chosen is a result, not a
-change of the plan: entry, target and axis stay as they are.
+Turns are tried from the plan's own angle to far ones. The first is taken that keeps the wrist clear of its
+singularity; if none does, the clearest. What is chosen is a result, not a change of the plan: entry, target
+and axis stay as they are.
 """
 
 from __future__ import annotations
@@ -11,11 +12,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.reach import ArmSetting, PathCheck, Unmet, check_paths, visits_of
+from procedures.planning.reach import (
+    ArmSetting,
+    PathCheck,
+    Unmet,
+    branches_for,
+    check_paths,
+    drive,
+    visits_of,
+)
 from procedures.planning.sight import StereoSight
+from procedures.planning.wrist import WristState
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.inverse import Branch
+
+Array = NDArray[np.float64]
 
 STEP_RAD = math.radians(10.0)
 FURTHEST_RAD = math.radians(90.0)
@@ -43,48 +56,98 @@ def choose_free_angles(
 ) -> TurnedPaths:
     """Find an angle for each trajectory in which all is seen and one branch drives all.
 
-    Trajectories and fiducials (n, 3) are in CT mm. When there is none, the answer's `check` names what is
-    unmet at the plan's own angles.
+    Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState.good`) comes
+    before one that only passes. When there is none, the answer's `check` names what is unmet at the plan's
+    own angles, or at the nearest that are seen.
     """
     fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
-    options = [list(_seen(setting, trajectory, fiducials, sight)) for trajectory in trajectories]
+    options = [_seen(setting, trajectory, fiducials, sight) for trajectory in trajectories]
     blind = [
         problem
         for trajectory, turns in zip(trajectories, options, strict=True)
         if not turns
         for problem in _hidden(setting, trajectory, fiducials, sight)
     ]
+    own = (0.0,) * len(trajectories)
     if blind:
-        return TurnedPaths(
-            PathCheck(None, (), (), tuple(blind)), tuple(trajectories), (0.0,) * len(trajectories)
-        )
-    chosen = [0] * len(trajectories)
-    first: PathCheck | None = None
+        return TurnedPaths(PathCheck(None, (), (), tuple(blind)), tuple(trajectories), own)
+    nearest = tuple(turns[0] for turns in options)
+    turned = tuple(_turned(one, turn) for one, turn in zip(trajectories, nearest, strict=True))
+    for branch in branches_for(setting, visits_of(setting, turned, fiducials)):
+        found = _in_branch(setting, trajectories, fiducials, options, branch)
+        if found is not None:
+            return found
+    check = check_paths(setting, turned, fiducials)
+    return (
+        TurnedPaths(check, turned, nearest) if check.passed else TurnedPaths(check, tuple(trajectories), own)
+    )
+
+
+def _in_branch(
+    setting: ArmSetting,
+    trajectories: Sequence[Trajectory],
+    fiducials_mm: Array,
+    options: Sequence[Sequence[float]],
+    branch: Branch,
+) -> TurnedPaths | None:
+    """The best turns that this branch drives, one trajectory after the other; None when it cannot."""
+    ranked = [
+        _ranked(setting, trajectory, fiducials_mm, turns, branch)
+        for trajectory, turns in zip(trajectories, options, strict=True)
+    ]
+    chosen: list[float] = []
+    for turns in ranked:
+        first = next(turns, None)
+        if first is None:
+            return None
+        chosen.append(first)
     while True:
-        turns = tuple(turns[index] for turns, index in zip(options, chosen, strict=True))
-        turned = tuple(_turned(one, turn) for one, turn in zip(trajectories, turns, strict=True))
-        check = check_paths(setting, turned, fiducials)
+        turned = tuple(_turned(one, turn) for one, turn in zip(trajectories, chosen, strict=True))
+        check = drive(setting, visits_of(setting, turned, fiducials_mm), branch)
         if check.passed:
-            return TurnedPaths(check, turned, turns)
-        first = first or check
+            return TurnedPaths(check, turned, tuple(chosen))
+        # Each passes alone, but here it comes from another place: whole turns of an axis may differ.
         failed = {problem.pose.partition("/")[0] for problem in check.unmet}
         for number, trajectory in enumerate(trajectories):
             if trajectory.identifier in failed:
-                chosen[number] += 1
-                if chosen[number] == len(options[number]):
-                    return TurnedPaths(first, tuple(trajectories), (0.0,) * len(trajectories))
+                other = next(ranked[number], None)
+                if other is None:
+                    return None
+                chosen[number] = other
+
+
+def _ranked(
+    setting: ArmSetting,
+    trajectory: Trajectory,
+    fiducials_mm: Array,
+    turns: Sequence[float],
+    branch: Branch,
+) -> Iterator[float]:
+    """The turns this branch drives: those with a good wrist from near to far, then the others, best first."""
+    others: list[tuple[float, float]] = []
+    for turn in turns:
+        check = drive(setting, visits_of(setting, (_turned(trajectory, turn),), fiducials_mm), branch)
+        if not check.passed:
+            continue
+        wrist = WristState.of(check)
+        if wrist.good:
+            yield turn
+        else:
+            others.append((wrist.least_A5_rad, turn))
+    for _, turn in sorted(others, key=lambda one: -one[0]):
+        yield turn
 
 
 def _seen(
-    setting: ArmSetting, trajectory: Trajectory, fiducials_mm: np.ndarray, sight: StereoSight
-) -> Iterator[float]:
-    for turn in turns_rad():
-        if not _hidden(setting, _turned(trajectory, turn), fiducials_mm, sight):
-            yield turn
+    setting: ArmSetting, trajectory: Trajectory, fiducials_mm: Array, sight: StereoSight
+) -> list[float]:
+    return [
+        turn for turn in turns_rad() if not _hidden(setting, _turned(trajectory, turn), fiducials_mm, sight)
+    ]
 
 
 def _hidden(
-    setting: ArmSetting, trajectory: Trajectory, fiducials_mm: np.ndarray, sight: StereoSight
+    setting: ArmSetting, trajectory: Trajectory, fiducials_mm: Array, sight: StereoSight
 ) -> tuple[Unmet, ...]:
     visits = visits_of(setting, (trajectory,), fiducials_mm)
     return sight.unmet(visits, setting.robot_from_ct.apply(fiducials_mm))

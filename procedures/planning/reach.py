@@ -209,15 +209,20 @@ def check_paths(
     how little the joints turn. When none serves, the answer names what is unmet in the one with the least.
     """
     visits = visits_of(setting, trajectories, fiducials_mm)
-    flanges = [_flange(setting, visit) for visit in visits]
     best: PathCheck | None = None
-    for branch in ranked_branches(setting.model, flanges, setting.start_rad):
-        checked = _drive(setting, visits, branch)
+    for branch in branches_for(setting, visits):
+        checked = drive(setting, visits, branch)
         if checked.passed:
             return checked
         if best is None or len(checked.unmet) < len(best.unmet):
             best = checked
     return best or PathCheck(None, (), (), ())
+
+
+def branches_for(setting: ArmSetting, visits: Sequence[Visit]) -> tuple[Branch, ...]:
+    """All branches in the order in which they are worth trying for these visits."""
+    flanges = [_flange(setting, visit) for visit in visits]
+    return ranked_branches(setting.model, flanges, setting.start_rad)
 
 
 @dataclass
@@ -231,7 +236,8 @@ class _Journey:
     unmet: list[Unmet] = field(default_factory=list)
 
 
-def _drive(setting: ArmSetting, visits: Sequence[Visit], branch: Branch) -> PathCheck:
+def drive(setting: ArmSetting, visits: Sequence[Visit], branch: Branch) -> PathCheck:
+    """Joints for these visits, one after the other, in this branch, and what is unmet in it."""
     limits = setting.limits or working_limits(setting.model)
     journey = _Journey(setting.start_rad)
     for visit in visits:

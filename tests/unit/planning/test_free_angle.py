@@ -1,13 +1,15 @@
 """Turning about a trajectory's axis until the stereo head sees every sphere and the arm reaches it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from procedures.planning.free_angle import FURTHEST_RAD, choose_free_angles, turns_rad
-from procedures.planning.reach import ArmSetting, visits_of
+from procedures.planning.reach import ArmSetting, check_paths, visits_of
 from procedures.planning.sight import StereoSight
+from procedures.planning.wrist import LEAST_A5_RAD, WristState
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.model import arm_model, radians6
@@ -90,3 +92,56 @@ def test_turns_go_from_near_to_far_on_both_sides() -> None:
     assert np.all(np.diff(np.abs(turns)) >= -1e-12)
     assert max(turns) == pytest.approx(FURTHEST_RAD)
     assert min(turns) == pytest.approx(-FURTHEST_RAD)
+
+
+def _leaning(x_mm: float) -> Trajectory:
+    return Trajectory("T1", (x_mm, 0.0, 40.0), (0.0, 0.0, 0.0))
+
+
+def _wrist_at(trajectory: Trajectory, turn_rad: float) -> WristState | None:
+    turned = replace(trajectory, free_angle_rad=trajectory.free_angle_rad + turn_rad)
+    check = check_paths(SETTING, (turned,), FREE)
+    return WristState.of(check) if check.passed else None
+
+
+def test_an_angle_that_turns_the_wrist_far_gives_way_to_the_next_good_one() -> None:
+    leaning = _leaning(-40.0)
+    own = _wrist_at(leaning, 0.0)
+    assert own is not None
+    assert not own.good
+    turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
+    assert WristState.of(turned.check).good
+    assert turned.turns_rad == pytest.approx((math.radians(10.0),))
+
+
+def test_the_wrist_is_turned_away_from_its_singularity() -> None:
+    leaning = _leaning(-20.0)  # along the forearm
+    own = _wrist_at(leaning, 0.0)
+    assert own is not None
+    assert own.least_A5_rad < math.radians(5.0)
+    turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
+    assert WristState.of(turned.check).least_A5_rad >= LEAST_A5_RAD
+
+
+def test_where_no_angle_is_good_the_clearest_of_the_singularity_is_taken() -> None:
+    leaning = _leaning(-22.0)
+    wrists = [wrist for turn in turns_rad() if (wrist := _wrist_at(leaning, turn)) is not None]
+    assert not any(wrist.good for wrist in wrists)
+    turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
+    assert turned.check.passed
+    best_rad = max(wrist.least_A5_rad for wrist in wrists)
+    assert best_rad > 1.5 * wrists[0].least_A5_rad
+    assert WristState.of(turned.check).least_A5_rad == pytest.approx(best_rad)
+
+
+def test_the_wrist_of_each_trajectory_is_judged_by_itself() -> None:
+    both = [replace(_leaning(x_mm), identifier=name) for name, x_mm in (("A", 20.0), ("B", -40.0))]
+    turned = choose_free_angles(SETTING, both, FREE, SIGHT)
+    assert turned.check.passed
+    assert turned.turns_rad[0] == 0.0
+
+
+def test_a_wrist_is_good_only_away_from_the_singularity_and_alike_at_all_poses() -> None:
+    assert WristState(LEAST_A5_RAD, math.radians(44.0)).good
+    assert not WristState(LEAST_A5_RAD - 0.01, 0.0).good
+    assert not WristState(math.radians(60.0), math.radians(46.0)).good
