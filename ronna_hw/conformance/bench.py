@@ -17,14 +17,24 @@ _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED
 
 
 class Bench:
-    """One device configuration under test. `offers` is what the cases may rely on."""
+    """One device configuration under test. `offers` is what the cases may rely on.
+
+    `clock_known` is False where the host's clock was taken because nobody said which clock the device has.
+    """
 
     def __init__(
-        self, name: str, config: DeviceConfig, clock: Clock, allowed: frozenset[str] = frozenset()
+        self,
+        name: str,
+        config: DeviceConfig,
+        clock: Clock,
+        allowed: frozenset[str] = frozenset(),
+        *,
+        clock_known: bool = True,
     ) -> None:
         self.name = name
         self.config = config
         self.clock = clock
+        self.clock_known = clock_known
         self._shared: Device | None = None
         self._made: list[Device] = []
         self.offers = allowed | self._capabilities()

@@ -65,7 +65,7 @@ def stand(
         else:
             chosen = _device(driver or suite.driver, _by_name(endpoints))
         theatre_clock = open_clock(clock)
-        bench = Bench(name, chosen, theatre_clock, allowed)
+        bench = Bench(name, chosen, theatre_clock, allowed, clock_known=sim or config is not None)
         stack.callback(bench.release)
         yield bench
 
