@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import pytest
 
@@ -14,6 +16,19 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 
 AREA = AreaOfInterest(640, 160, 768, 768)
+
+CLIENT = """
+import json, sys, time
+from drivers.basler_stereo import BaslerStereoPair
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+config = DeviceConfig(driver="basler_stereo", endpoints=json.loads(sys.argv[1]))
+pair = BaslerStereoPair("stereo", config, HostClock())
+pair.connect(5.0)
+pair.configure(5.0)
+print("in control", flush=True)
+sys.stdin.read()
+"""
 
 
 @pytest.fixture
@@ -48,6 +63,28 @@ def test_a_longer_exposure_is_brighter(pair):
     dim = pair.grab_pair(5.0).left.pixels.mean()
     pair.set_exposure(2000.0, 36)
     assert pair.grab_pair(5.0).left.pixels.mean() > 1.5 * dim
+
+
+def test_after_a_client_was_killed_the_next_one_waits_for_the_cameras():
+    with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as cameras:
+        endpoints = dict(cameras.ready["endpoints"])
+        with subprocess.Popen(
+            [sys.executable, "-P", "-c", CLIENT, json.dumps(endpoints)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as client:
+            assert client.stdout is not None
+            assert client.stdout.readline() == "in control\n"
+            client.kill()
+        device = BaslerStereoPair(
+            "stereo", DeviceConfig(driver="basler_stereo", endpoints=endpoints), HostClock()
+        )
+        device.connect(5.0)
+        device.configure(10.0)
+        device.activate(5.0)
+        assert device.grab_pair(5.0).validity is Validity.OK
+        device.close()
 
 
 @pytest.mark.slow
