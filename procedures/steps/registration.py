@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from procedures.engine.errors import GateFailed
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.registration import Registration, RoomPoint, register, verify_two_way
+from procedures.registration.error_theory import FreGate
 from procedures.steps.payloads import points_from, pose_from, pose_payload
 from procedures.steps.plan_check import trajectory_of
 from ronna_hw.frames import Frame
@@ -44,8 +45,7 @@ def run(context: StepContext) -> Outcome:
     measured = rotation @ ct @ rotation.T + stereo
     fit = register(image, physical, covariance_mm2=measured + _arm_covariance_mm2(arm_mm))
     fit.require_sound()
-    allowed = measured + _arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)
-    gate = register(image, physical, covariance_mm2=allowed).gate(confidence=GATE_CONFIDENCE)
+    gate = residual_gate(image, physical, measured, arm_mm)
     if not gate.passed:
         raise GateFailed(
             f"the fit does not agree with its own error budget at {context.key.trajectory}",
@@ -92,6 +92,16 @@ def run(context: StepContext) -> Outcome:
         parents=(localization, fine, correspondence),
         summary=f"predicted target error {rms_mm:.2f} mm rms",
     )
+
+
+def residual_gate(image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float) -> FreGate:
+    """Judge the residual of paired points (n, 3) mm with the reserve for the arm's shared error.
+
+    `measured_mm2` (n, 3, 3) is the covariance of CT and stereo head, `arm_mm` the arm's sigma per axis.
+    Raises REG-001 to REG-006.
+    """
+    allowed = measured_mm2 + _arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)
+    return register(image_mm, physical_mm, covariance_mm2=allowed).gate(confidence=GATE_CONFIDENCE)
 
 
 def _arm_covariance_mm2(arm_mm: float) -> Array:
