@@ -203,6 +203,23 @@ def test_the_controller_speaks_first_on_a_constant_port_with_even_stamps(cell: C
     assert rsi.late < 125  # a stalled machine may lose some
 
 
+def test_without_eki_the_stream_begins_again_after_a_command_that_the_arm_cannot_follow(
+    cell: Callable[..., Cell],
+) -> None:
+    rsi = cell("--autostart").rsi
+    rsi.cycles(10)
+    first = rsi.source
+    for _ in range(250):  # until the port of the next run; its first telegram comes after a pause
+        rsi.receive()
+        if rsi.source != first:
+            break
+        rsi.answer((50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert rsi.source != first
+    assert rsi.source[0] == "127.0.0.1"
+    rsi.answer()
+    rsi.cycles(50)
+
+
 def test_a_late_reply_is_counted_and_does_not_delay_the_following_ones(cell: Callable[..., Cell]) -> None:
     rsi = cell("--autostart").rsi
     rsi.cycles(10)
