@@ -7,8 +7,9 @@ import threading
 import time
 from dataclasses import replace
 
+from drivers.kuka_rsi import stream
 from drivers.kuka_rsi.eki_client import EkiClient
-from drivers.kuka_rsi.eki_state import ControllerState, require_ours, require_ready
+from drivers.kuka_rsi.eki_state import ControllerState
 from drivers.kuka_rsi.errors import (
     ControllerNotFound,
     LinkProcessDied,
@@ -21,7 +22,6 @@ from drivers.kuka_rsi.faults import axes_text, error_of_fault, error_of_refusal
 from drivers.kuka_rsi.link_client import Condition, LinkClient
 from drivers.kuka_rsi.mailbox import NO_STATE, CommandKind, Fault, LinkState, Phase, Result, StopOrder
 from drivers.kuka_rsi.options import read_options
-from drivers.kuka_rsi.stream import end_stream, link_settings, open_controller, rest_of, start_stream
 from drivers.kuka_rsi.turnaround import link_statistics
 from ronna_hw.arm.limits import MotionLimits, working_limits
 from ronna_hw.arm.model import ArmModel, arm_model, radians6
@@ -118,7 +118,8 @@ class KukaRsiArm:
         """
         self._guard.require("activate", (Lifecycle.CONFIGURED,))
         try:
-            start_stream(self._the_eki, self._the_link, self._context, self._options, self._name, timeout_s)
+            eki, link = self._the_eki, self._the_link
+            stream.start_stream(eki, link, self._context, self._options, self._name, timeout_s)
         except RonnaError as error:
             self._latch(error)
             raise
@@ -131,7 +132,7 @@ class KukaRsiArm:
         if self._the_link.state.moving:
             self.stop(StopKind.HOLD, timeout_s)
         try:
-            end_stream(self._the_eki, self._the_link, deadline)
+            stream.end_stream(self._the_eki, self._the_link, deadline)
         except RonnaError as error:
             self._latch(error)
             raise
@@ -140,26 +141,27 @@ class KukaRsiArm:
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED: ends what runs, acknowledges the controller's messages, reads everything anew.
 
-        Moves nothing. Raises what stands in the way; the fault then stays latched.
+        Moves nothing. While CONNECTED a message of an earlier run is acknowledged, and the arm stays so.
+        Raises what stands in the way, such as EKI-007; a fault then stays latched.
         """
         self._notice_fault()
-        self._guard.require("recover", (Lifecycle.FAULT,))
+        if not acknowledged_by.strip():
+            raise ValueError("a recovery needs the name of the person who acknowledges the fault")
         deadline = time.monotonic() + timeout_s
+        if self._guard.state is Lifecycle.CONNECTED and self._ask(timeout_s).error:
+            stream.acknowledge(self._the_eki, self._context, self._options, deadline)
+            return
+        self._guard.require("recover", (Lifecycle.FAULT,))
         if self._eki is None or self._eki.failure is not None:
             self._close_eki()
             self._open_eki(timeout_s)
         if self._link is not None:
             if self._link.alive:
                 with contextlib.suppress(RonnaError):
-                    end_stream(self._the_eki, self._the_link, deadline)
+                    stream.end_stream(self._the_eki, self._link, deadline)
             self._close_link()
-        eki = self._the_eki
-        eki.command(CommandName.RSI_STOP, rest_of(deadline))
-        eki.require(CommandName.ACK_ERRORS, rest_of(deadline))
-        state = eki.status(rest_of(deadline))
-        require_ours(state, self._context, self._options.variant)
-        require_ready(state, drives=False)
-        self._open_link(rest_of(deadline))
+        stream.acknowledge(self._the_eki, self._context, self._options, deadline)
+        self._open_link(stream.rest_of(deadline))
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
@@ -171,7 +173,7 @@ class KukaRsiArm:
             if link is not None and link.alive and link.state.phase in (Phase.RUNNING, Phase.FAULT):
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
-                end_stream(self._the_eki, link, time.monotonic() + CLOSING_STOP_S)
+                stream.end_stream(self._the_eki, link, time.monotonic() + CLOSING_STOP_S)
         self._close_link()
         self._close_eki()
         self._guard.enter(Lifecycle.CLOSED)
@@ -303,13 +305,12 @@ class KukaRsiArm:
         return self._reading(state)
 
     def _open_eki(self, timeout_s: float) -> Identity:
-        self._eki, identity = open_controller(
-            self._eki_address, self._context, self._options.variant, timeout_s
-        )
+        variant = self._options.variant
+        self._eki, identity = stream.open_controller(self._eki_address, self._context, variant, timeout_s)
         return identity
 
     def _open_link(self, timeout_s: float) -> None:
-        self._link = LinkClient(link_settings(self._rsi, self._context, self._options), timeout_s)
+        self._link = LinkClient(stream.link_settings(self._rsi, self._context, self._options), timeout_s)
 
     def _close_eki(self) -> None:
         if self._eki is not None:

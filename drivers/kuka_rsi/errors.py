@@ -218,7 +218,10 @@ class ControllerNotReady(RefusedError):
     """Mode, drives, emergency stop, guard or an active message forbid motion."""
 
     code = "EKI-007"
-    action = "Bring the controller to EXT with drives on and no message, then recover the arm."
+    action = (
+        "Bring the controller to EXT, guard closed and emergency stop released; then call the arm's "
+        "recover(acknowledged_by), which acknowledges messages (ACK_ERRORS), and activate it again."
+    )
 
 
 class CommandRefused(DeviceError):

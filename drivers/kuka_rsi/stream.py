@@ -131,6 +131,18 @@ def start_stream(
         raise fault
 
 
+def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadline: float) -> None:
+    """Acknowledge the controller's messages and read it anew, with no RSI program running.
+
+    Raises EKI-008 when it refuses, EKI-005 to EKI-007 for what is not as it must be.
+    """
+    eki.command(CommandName.RSI_STOP, rest_of(deadline))
+    eki.require(CommandName.ACK_ERRORS, rest_of(deadline))
+    state = eki.status(rest_of(deadline))
+    require_ours(state, context, options.variant)
+    require_ready(state, drives=False)
+
+
 def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:
     """End the RSI program by the STOP object, by EKI when that cannot help, and close the session."""
     number = link.command(CommandKind.END)

@@ -544,3 +544,34 @@ def test_the_real_time_process_imports_nothing_heavy() -> None:
 
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_message_of_an_earlier_run_is_acknowledged_only_by_name(controller: Any, make_arm: Any) -> None:
+    controller.facts["Err"] = "29002"
+    arm = make_arm()
+    arm.connect()
+    assert "ACK_ERRORS" not in controller.commands
+    with pytest.raises(ValueError, match="name"):
+        arm.recover("  ")
+    assert controller.facts["Err"] == "29002"
+    arm.recover("operator")
+    assert controller.facts["Err"] == "0"
+    assert _state(arm) is Lifecycle.CONNECTED
+    with pytest.raises(WrongState):  # nothing is pending any more
+        arm.recover("operator")
+    arm.configure()
+    arm.activate()
+    assert _state(arm) is Lifecycle.ACTIVE
+
+
+def test_configure_acknowledges_nothing_and_the_error_names_the_call(controller: Any, make_arm: Any) -> None:
+    controller.facts["Err"] = "29002"
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    with pytest.raises(ControllerNotReady, match=r"recover\(acknowledged_by\)"):
+        arm.activate()
+    assert "ACK_ERRORS" not in controller.commands
+    arm.recover("operator")
+    arm.activate()
+    assert _state(arm) is Lifecycle.ACTIVE
