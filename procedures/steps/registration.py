@@ -22,9 +22,10 @@ Array = NDArray[np.float64]
 
 REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
 # The arm's error varies slowly with its joints: neighbours share it, far points do not, so its share of a
-# residual is not that of independent points of one sigma. The gate alone allows twice the sigma; the
-# prediction and the weights of the fit keep the stated one.
-GATE_ARM_RESERVE = 2.0
+# residual is not that of independent points of one sigma. The gate alone allows more of it; the
+# prediction and the weights of the fit keep the stated sigma. The price: with 4 spheres and a sigma of 0.1 mm
+# a sphere is found to have moved (9 times of 10) from 1.2 mm on, not from 1.0; twice the sigma: from 1.8.
+GATE_ARM_RESERVE = 1.5
 
 
 def run(context: StepContext) -> Outcome:
