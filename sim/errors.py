@@ -52,3 +52,10 @@ class BadTruth(DataError):
 
     code = "SIM-007"
     action = "The file was changed or cut off after the run; repeat the run."
+
+
+class RoomRefused(ConnectError):
+    """A running theatre does not answer at its control port, or refuses what was asked."""
+
+    code = "SIM-008"
+    action = "Give the control endpoint of the theatre's READY line, and a tool that it has."

@@ -10,6 +10,8 @@ import typer
 
 from ronna_hw.command_line.console import JsonOption, print_json, print_table
 
+CONTROL_LIMIT_S = 5.0  # host time, for an answer of the control port
+
 
 class Speed(StrEnum):
     """Pace of the theatre's time."""
@@ -61,6 +63,28 @@ def theatre(
         running.close()
     if reasons:
         fail(reasons[0], EXIT_FAILED)
+
+
+def mount(
+    number: Annotated[int, typer.Argument(min=0, help="Tool to hang on the mount; 0 takes it off.")],
+    control: Annotated[str, typer.Option(help="Control port, as the theatre's READY line tells it.")],
+) -> None:
+    """Exchange the tool of a running theatre, as the staff would."""
+    import json
+    import socket
+
+    from ronna_hw.endpoints import parse_endpoint
+    from sim.errors import RoomRefused
+
+    address = parse_endpoint(control).require("tcp")
+    try:
+        with socket.create_connection((address.host, address.port), CONTROL_LIMIT_S) as door:
+            door.sendall(json.dumps({"do": "mount", "number": number}).encode() + b"\n")
+            answer = json.loads(door.makefile("rb").readline() or b"{}")
+    except (OSError, ValueError) as error:
+        raise RoomRefused(f"no theatre answers at {control}: {error}") from error
+    if not answer.get("ok"):
+        raise RoomRefused(str(answer.get("reason", "no answer")))
 
 
 def verify(

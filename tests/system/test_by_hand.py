@@ -1,0 +1,65 @@
+"""A theatre started by hand, with the procedure on its file and a person who answers."""
+
+import json
+import os
+import pty
+import select
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from user_commands import Commands, one_error
+
+CASE_S = 50.0
+
+
+@pytest.mark.slow
+def test_a_person_confirms_each_value_and_exchanges_the_tool(commands: Commands, tmp_path: Path) -> None:
+    scene = ("--scene", "mini", "--seed", "4")
+    assert commands.run("ronna-sim", "phantom", *scene, "--out", str(tmp_path / "patient")).returncode == 0
+    theatre = commands.start("ronna-sim", "theatre", *scene, "--out", str(tmp_path / "theatre"))
+    assert theatre.stdout is not None
+    ready = json.loads(theatre.stdout.readline().removeprefix("READY "))
+    control = ready["endpoints"]["control"]
+    primary, secondary = pty.openpty()
+    runs = str(tmp_path / "runs")
+    line = ("run", "--config", ready["file"], "--case", str(tmp_path / "patient"), "--out", runs)
+    process = subprocess.Popen(
+        commands.line("ronna-procedure", *line),
+        env={**commands.environment, "TERM": "xterm"},
+        stdin=secondary,
+        stdout=secondary,
+        stderr=secondary,
+    )
+    os.close(secondary)
+    text, answered, deadline = "", 0, time.monotonic() + CASE_S
+    try:
+        while process.poll() is None and time.monotonic() < deadline:
+            if not select.select([primary], [], [], 0.2)[0]:
+                continue
+            try:
+                text += os.read(primary, 65536).decode(errors="replace")
+            except OSError:
+                break
+            if text.count("Type yes to confirm") > answered:
+                if "the tool has been exchanged" in text and answered == 1:
+                    assert commands.run("ronna-sim", "mount", "2", "--control", control).returncode == 0
+                answered += 1
+                os.write(primary, b"yes\n")
+        assert process.wait(5) == 0, text[-1500:]
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        os.close(primary)
+        theatre.terminate()
+        theatre.communicate(timeout=5)
+    assert answered == 4
+    assert "predicted error of" in text
+
+
+def test_a_theatre_that_is_not_there_cannot_exchange_its_tool(commands: Commands) -> None:
+    done = commands.run("ronna-sim", "mount", "2", "--control", "tcp://127.0.0.1:9")
+    assert done.returncode == 4
+    assert one_error(done.stderr)[0].startswith("SIM-008")
