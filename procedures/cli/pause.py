@@ -43,9 +43,10 @@ class Pause:
         """Rest here if a pause was asked for; raises PRO-004 when the operator ends the procedure."""
         if not self._wanted:
             return
-        tell("paused, the arm rests. Enter goes on, abort ends the procedure:")
+        # What was typed before answers nothing; what is typed as soon as the question stands there does.
         with contextlib.suppress(OSError, ValueError, termios.error):
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before answers nothing
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        tell("paused, the arm rests. Enter goes on, abort ends the procedure:")
         answer = sys.stdin.readline()
         self._wanted = False
         if not answer or answer.strip().lower() == "abort":

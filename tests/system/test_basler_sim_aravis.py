@@ -57,6 +57,8 @@ def opened(address):
     stream = camera.create_stream(None, None)
     stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
     stream.set_property("socket-buffer-size", 4 << 20)
+    # Aravis gives a frame up after 0.1 s of host time; a stall of this machine is not a lost packet.
+    stream.set_property("frame-retention", 4_000_000)
     for _ in range(4):
         stream.push_buffer(Aravis.Buffer.new_allocate(camera.get_payload()))
     camera.start_acquisition()
