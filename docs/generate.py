@@ -19,6 +19,7 @@ import sim
 from procedures.engine.machine import mermaid
 from ronna_hw.config import TheatreFile
 from ronna_hw.errors import concrete_errors
+from sim.theatre.faults import FAULT_KINDS
 
 sys.path.append(str(Path(__file__).parent))  # when this file is loaded by path, its neighbours are not found
 from hazard_matrix import hazard_page
@@ -32,6 +33,7 @@ def pages() -> dict[str, str]:
     """File name -> content of every generated page."""
     return {
         "error-codes.md": NOTE + _error_codes(),
+        "faults.md": NOTE + _faults(),
         "hazards.md": NOTE + hazard_page(),
         "state-chart.md": NOTE + f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
         "theatre-file.md": NOTE + _theatre_keys(),
@@ -51,6 +53,21 @@ def _error_codes() -> str:
         meaning = (error.__doc__ or "").strip().splitlines()[0]
         rows.append(f"| {error.code} | {meaning} | {error.action} | {error.exit_code} |")
     return "\n".join(rows) + "\n"
+
+
+def _faults() -> str:
+    lines = [
+        "# Faults of the simulated devices\n",
+        "One fault per line of a script (`--faults FILE`), or live:",
+        "`ronna-sim fault --control URI 'LINE'`. Times are theatre time.\n",
+        "```\nat 12.5 s: tracker occlude marker 3 for 2 s",
+        "when step == relocalization: robot drop 5 % for 1 s\n```\n",
+        "What lasts and has no `for` acts to the end; what happens once has no `for`.",
+        "`when step == relocalization:T1` means the step of one trajectory.\n",
+        "| fault | | what happens |\n|---|---|---|",
+    ]
+    lines += [f"| `{k.usage}` | {'once' if k.momentary else 'lasts'} | {k.meaning} |" for k in FAULT_KINDS]
+    return "\n".join(lines) + "\n"
 
 
 def _theatre_keys() -> str:

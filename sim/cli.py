@@ -24,9 +24,9 @@ def register(app: typer.Typer) -> None:
     from sim.kuka.command import kuka
     from sim.phantom.command import phantom
     from sim.polaris.command import polaris
-    from sim.theatre.command import mount, theatre, verify
+    from sim.theatre.command import fault, mount, theatre, verify
 
-    for command in (theatre, polaris, kuka, basler, phantom, mount, verify):
+    for command in (theatre, polaris, kuka, basler, phantom, mount, fault, verify):
         app.command()(command)
 
 

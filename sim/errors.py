@@ -54,8 +54,15 @@ class BadTruth(DataError):
     action = "The file was changed or cut off after the run; repeat the run."
 
 
-class RoomRefused(ConnectError):
-    """A running theatre does not answer at its control port, or refuses what was asked."""
+class RoomSilent(ConnectError):
+    """No theatre answers at the control port."""
 
     code = "SIM-008"
-    action = "Give the control endpoint of the theatre's READY line, and a tool that it has."
+    action = "Give the control endpoint of the READY line of the theatre or simulator."
+
+
+class RoomRefused(ConfigurationError):
+    """A running theatre does not do what was asked at its control port."""
+
+    code = "SIM-009"
+    action = "See ronna-sim mount --help, or ronna-sim fault for all kinds of fault."

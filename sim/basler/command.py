@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,6 +16,7 @@ def basler(
         typer.Option(help="IP address of the left, then of the right camera; a free pair when not given."),
     ] = None,
     scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
+    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Two GigE Vision cameras that see the scene; runs until it is ended."""
@@ -37,7 +39,8 @@ def basler(
                 f"{one!r} is not an IPv4 address, such as 127.77.0.1", param_hint="--address"
             ) from error
     keep_freed_memory()
-    pair = CameraPair(open_world(world, scene), addresses)
+    room, control = open_world(world, scene, faults)
+    pair = CameraPair(room, addresses)
     end_with_parent(pair.end)
-    announce("basler", endpoints=pair.endpoints)
+    announce("basler", control=control, endpoints=pair.endpoints)
     pair.serve()

@@ -68,11 +68,11 @@ def _losses(world: World, serial: str) -> Losses:
     board = FaultBoard(world, "camera")
 
     def lost(block_id: int, packets: int) -> Collection[int]:
-        shares = board.active("camera_drop")
+        shares = [float(fault.argument) for fault in board.active("camera_drop")]
         if not shares:
             return ()
         drawn = noise(world.scene.seed, f"stream of camera {serial}", block_id).uniform(0.0, 100.0, packets)
-        return set(np.flatnonzero(drawn < max(float(share) for share in shares)).tolist())
+        return set(np.flatnonzero(drawn < max(shares)).tolist())
 
     return lost
 

@@ -56,6 +56,7 @@ def kuka(
         bool, typer.Option("--autostart", help="Stream and accept corrections without EKI.")
     ] = False,
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
+    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """A KUKA controller with its arm: RSI over UDP, EKI over TCP; runs until it is ended."""
@@ -77,7 +78,7 @@ def kuka(
     where = rsi or (_file_address(context) if rsi_config is not None else RSI_DEFAULT)
     client = parse_endpoint(where).require("udp")
     address = resolve(client)
-    room = open_world(world, scene)
+    room, control = open_world(world, scene, faults)
     parameters = ControllerParameters()
     arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters)
     controller = Controller(context, arm, room.mounted_tool, parameters)
@@ -89,6 +90,7 @@ def kuka(
     end_with_parent(station.end)
     announce(
         "kuka",
+        control=control,
         endpoints={"rsi": str(client), "eki": sdk_server.endpoint, "eki_project": project_server.endpoint},
         **_summary(context, inferred=rsi_config is not None and rsi_context is None),
     )

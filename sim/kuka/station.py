@@ -140,11 +140,11 @@ class Station:
         self._serve_timers(now_s)
 
     def _after_faults(self, reply: Reply | None) -> Reply | None:
-        shares = self._faults.active("drop")
+        shares = [float(fault.argument) for fault in self._faults.active("drop")]
         if not shares or reply is None:
             return reply
         lost = noise(self._seed, DROP_NOISE, self.cycles).random() * PERCENT
-        return None if lost < max(float(share) for share in shares) else reply
+        return None if lost < max(shares) else reply
 
     def _enter_run(self, run: RsiRun) -> None:
         if self._rsi is not None:

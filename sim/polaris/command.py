@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,6 +16,7 @@ def polaris(
     ] = SERIAL_PTY,
     scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
     throttle: Annotated[bool, typer.Option(help="Keep a serial line to its baud rate.")] = False,
+    faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra, for any client; runs until it is ended."""
@@ -25,16 +27,17 @@ def polaris(
     from sim.theatre.process import announce, end_with_parent, open_world
 
     address = None if endpoint == SERIAL_PTY else network_address(endpoint)
-    unit = Unit(open_world(world, scene))
+    room, control = open_world(world, scene, faults)
+    unit = Unit(room)
     end = EndSignal()
     server = Server(Session(unit), end, unit.profile.longest_command)
     end_with_parent(end.give)
     if address is None:
         line = PseudoTerminal(throttle=throttle)
-        announce("polaris", line.endpoint)
+        announce("polaris", line.endpoint, control)
         server.serve_line(line)
     else:
         with listen(address) as listener:
             host, port = listener.getsockname()[:2]
-            announce("polaris", f"tcp://{host}:{port}")
+            announce("polaris", f"tcp://{host}:{port}", control)
             server.serve_network(listener)

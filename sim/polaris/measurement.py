@@ -73,7 +73,7 @@ class Measurer:
         """Measure frame `number`, the `since_start`-th since tracking began."""
         if status & WITHHELD:
             return Frame(number, tuple((port, None) for port in ports), (), status)
-        hidden = self._faults.active("occlude_tool")
+        hidden = tuple(fault.argument for fault in self._faults.active("occlude_tool"))
         generator = noise(self._seed, DEVICE, since_start, TOOL_LANE)
         tools: list[tuple[Port, Tracked | None]] = []
         frame_found = False
@@ -124,7 +124,7 @@ class Measurer:
     ) -> tuple[Stray, ...]:
         generator = noise(self._seed, DEVICE, since_start, STRAY_LANE)
         measured = self._fixed_sight.measured(generator.standard_normal(self._fixed.shape))
-        covered = self._faults.active("occlude_marker")
+        covered = [fault.argument for fault in self._faults.active("occlude_marker")]
         if covered:
             numbers = self._stage.fiducial_numbers
             seen = [k for k in range(len(measured)) if k >= len(numbers) or str(numbers[k]) not in covered]

@@ -10,8 +10,6 @@ import typer
 
 from ronna_hw.command_line.console import JsonOption, print_json, print_table
 
-CONTROL_LIMIT_S = 5.0  # host time, for an answer of the control port
-
 
 class Speed(StrEnum):
     """Pace of the theatre's time."""
@@ -70,21 +68,34 @@ def mount(
     control: Annotated[str, typer.Option(help="Control port, as the theatre's READY line tells it.")],
 ) -> None:
     """Exchange the tool of a running theatre, as the staff would."""
-    import json
-    import socket
+    from sim.theatre.door import ask_room
 
-    from ronna_hw.endpoints import parse_endpoint
-    from sim.errors import RoomRefused
+    ask_room(control, {"do": "mount", "number": number})
 
-    address = parse_endpoint(control).require("tcp")
-    try:
-        with socket.create_connection((address.host, address.port), CONTROL_LIMIT_S) as door:
-            door.sendall(json.dumps({"do": "mount", "number": number}).encode() + b"\n")
-            answer = json.loads(door.makefile("rb").readline() or b"{}")
-    except (OSError, ValueError) as error:
-        raise RoomRefused(f"no theatre answers at {control}: {error}") from error
-    if not answer.get("ok"):
-        raise RoomRefused(str(answer.get("reason", "no answer")))
+
+def fault(
+    line: Annotated[
+        str | None,
+        typer.Argument(help="A fault, such as 'tracker occlude marker 3 for 2 s'; none lists all."),
+    ] = None,
+    control: Annotated[str | None, typer.Option(help="Control port, as the READY line tells it.")] = None,
+    clear: Annotated[bool, typer.Option("--clear", help="End all faults first.")] = False,
+) -> None:
+    """Switch a fault on in a running theatre or simulator, at once or as the line says; or list all kinds."""
+    from sim.theatre.door import ask_room
+    from sim.theatre.faults import FAULT_KINDS, TRIGGERS
+
+    if line is None and not clear:
+        rows = [(kind.usage, "once" if kind.momentary else "lasts", kind.meaning) for kind in FAULT_KINDS]
+        print_table("Faults that can be switched on", ("fault", "", "what happens"), rows)
+        return
+    if control is None:
+        raise typer.BadParameter("say whose: --control tcp://...", param_hint="--control")
+    if clear:
+        ask_room(control, {"do": "clear_faults"})
+    if line is not None:
+        timed = line.split(maxsplit=1)[0].rstrip(":") in TRIGGERS
+        ask_room(control, {"do": "fault", "line": line if timed else f"now: {line}"})
 
 
 def verify(

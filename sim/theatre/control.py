@@ -1,8 +1,9 @@
-"""The theatre's control port: the one door by which the scripted operator reaches the simulated room.
+"""The control port: the one door by which the scripted operator reaches the simulated room.
 
 JSON lines over TCP on loopback, one answer per request: `{"do": "step", "name": "..."}`,
-`{"do": "mount", "number": 2}`, `{"do": "fault", "line": "..."}`. Naming the step `at_target:<id>` samples
-the truth at that target.
+`{"do": "mount", "number": 2}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. Naming the
+step `at_target:<id>` samples the truth at that target. A theatre has one port, and so has each simulator that
+was started alone.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.errors import RonnaError
-from sim.theatre.faults import check_faults, parse_faults
+from sim.theatre.faults import begin_now, check_faults, parse_faults
 from sim.theatre.truth import append_sample, sample_tip
 from sim.theatre.world import World
 
@@ -25,9 +26,9 @@ LONGEST_REQUEST = 64 * 1024
 
 
 class Room:
-    """What the operator can do in the room."""
+    """What the operator can do in the room. Truth at a target is kept in `folder`, where there is one."""
 
-    def __init__(self, world: World, folder: Path) -> None:
+    def __init__(self, world: World, folder: Path | None) -> None:
         self._world = world
         self._folder = folder
 
@@ -37,6 +38,7 @@ class Room:
             "step": self._step,
             "mount": self._mount,
             "fault": self._fault,
+            "clear_faults": self._clear_faults,
         }
         action = actions.get(str(request.get("do")))
         if action is None:
@@ -44,7 +46,7 @@ class Room:
         try:
             action(request)
         except RonnaError as error:
-            return {"ok": False, "reason": str(error)}
+            return {"ok": False, "reason": f"{error.code}: {error.what}"}
         except (KeyError, TypeError, ValueError) as error:
             return {"ok": False, "reason": f"bad request: {error!r}"}
         return {"ok": True, "theatre_time_s": self._world.clock.now_s()}
@@ -52,7 +54,7 @@ class Room:
     def _step(self, request: dict[str, Any]) -> None:
         name = str(request["name"])
         self._world.enter_step(name)
-        if name.startswith(AT_TARGET):
+        if name.startswith(AT_TARGET) and self._folder is not None:
             append_sample(sample_tip(self._world, name.removeprefix(AT_TARGET)), self._folder)
 
     def _mount(self, request: dict[str, Any]) -> None:
@@ -66,7 +68,11 @@ class Room:
         line = str(request["line"])
         _, text = self._world.fault_script()
         check_faults(parse_faults(line), self._world.scene)
+        line = begin_now(line, self._world.clock.now_s())
         self._world.set_fault_script(f"{text}\n{line}" if text else line)
+
+    def _clear_faults(self, _request: dict[str, Any]) -> None:
+        self._world.set_fault_script("")
 
 
 class ControlPort:

@@ -15,6 +15,8 @@ from types import FrameType
 
 from ronna_hw.errors import EXIT_FAILED
 from sim.theatre.built_in import SCENES, built_in_scene
+from sim.theatre.control import ControlPort, Room
+from sim.theatre.faults import read_faults
 from sim.theatre.parent import PARENT
 from sim.theatre.scene import Scene, read_scene
 from sim.theatre.world import World
@@ -22,11 +24,13 @@ from sim.theatre.world import World
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
 
 
-def announce(device: str, endpoint: str | None = None, **more: object) -> None:
+def announce(device: str, endpoint: str | None = None, control: str | None = None, **more: object) -> None:
     """Print the one line `READY {json}` that says that clients may connect."""
     content: dict[str, object] = {"device": device}
     if endpoint is not None:
         content["endpoint"] = endpoint
+    if control is not None:
+        content["control"] = control
     print("READY " + json.dumps({**content, **more}), flush=True)  # noqa: T201 - this line is the contract
 
 
@@ -65,14 +69,20 @@ def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
     os._exit(EXIT_FAILED)
 
 
-def open_world(world: str | None, scene: str) -> World:
-    """The theatre's world, or for a simulator that was started alone a world of its own.
+def open_world(world: str | None, scene: str, faults: Path | None = None) -> tuple[World, str | None]:
+    """The theatre's world, or for a simulator that was started alone a world and a control port of its own.
 
-    A world of its own follows the host's clock. `scene` is a built-in name or a file.
+    A world of its own follows the host's clock. `scene` is a built-in name or a file. Also the endpoint of
+    the control port; None in a theatre, whose own it is.
     """
     if world is not None:
-        return World.open(world)
-    return World.create(load_scene(scene), paced=True)
+        return World.open(world), None
+    truth = load_scene(scene)
+    script = read_faults(faults, truth) if faults else ""
+    own = World.create(truth, paced=True)
+    if script:
+        own.set_fault_script(script)
+    return own, ControlPort(Room(own, None)).endpoint
 
 
 def load_scene(scene: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None) -> Scene:

@@ -5,8 +5,20 @@ import pytest
 from procedures.engine.machine import PREDECESSORS
 from sim.errors import BadFaultScript
 from sim.theatre.built_in import built_in_scene
-from sim.theatre.faults import STEPS, FaultBoard, check_faults, parse_faults, read_faults
+from sim.theatre.faults import (
+    FAULT_KINDS,
+    STEPS,
+    FaultBoard,
+    begin_now,
+    check_faults,
+    parse_faults,
+    read_faults,
+)
 from sim.theatre.world import World
+
+
+def arguments(board: FaultBoard, kind: str) -> tuple[str, ...]:
+    return tuple(fault.argument for fault in board.active(kind))
 
 
 def test_a_script_is_read_line_by_line_with_comments() -> None:
@@ -14,7 +26,7 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
         "# a bad day\nat 12.5 s: tracker occlude marker 3 for 2 s\n\n"
         "when step == relocalization:T1: robot drop 5 % for 1 s  # burst\n"
     )
-    assert [(f.device, f.kind, f.argument, f.duration_s) for f in faults] == [
+    assert [(f.kind.device, f.kind.name, f.argument, f.duration_s) for f in faults] == [
         ("tracker", "occlude_marker", "3", 2.0),
         ("robot", "drop", "5", 1.0),
     ]
@@ -35,7 +47,7 @@ def test_a_fault_acts_from_its_onset_for_its_duration() -> None:
     world.set_fault_script("at 1 s: tracker occlude marker 2 for 0.5 s")
     seen = []
     for _ in range(4):
-        seen.append(board.active("occlude_marker"))
+        seen.append(arguments(board, "occlude_marker"))
         world.clock.sleep(0.5)
     assert seen == [(), (), ("2",), ()]
 
@@ -47,7 +59,7 @@ def test_a_fault_of_a_step_begins_with_the_step_and_concerns_its_device_only() -
     assert robot.active("drop") == ()
     world.clock.sleep(3.0)
     world.enter_step("relocalization:T1")
-    assert robot.active("drop") == ("5",)
+    assert arguments(robot, "drop") == ("5",)
     assert tracker.active("drop") == ()
     world.clock.sleep(1.0)
     assert robot.active("drop") == ()
@@ -58,8 +70,8 @@ def test_the_steps_of_a_script_are_the_steps_of_the_procedure() -> None:
 
 
 def test_every_wrong_line_is_named() -> None:
-    script = "at 1 s: tea for 2 s\nat 2 s: robot drop 5 % for 1 s\nat 3 s: robot drop 500 % for 1 s\nnow: tea"
-    with pytest.raises(BadFaultScript, match=r"SIM-003: line 1, .*; line 3: 500 % .*; line 4, ") as caught:
+    script = "at 1 s: tea for 2 s\nat 2 s: robot drop 5 % for 1 s\nat 3 s robot drop 5 % for 1 s\nnow: tea"
+    with pytest.raises(BadFaultScript, match=r"SIM-003: line 1, .*; line 3, .*; line 4, ") as caught:
         parse_faults(script)
     assert "line 2" not in str(caught.value)
 
@@ -94,3 +106,30 @@ def test_a_script_that_is_not_text_is_refused(tmp_path: Path) -> None:
         read_faults(path, built_in_scene("mini"))
     with pytest.raises(BadFaultScript, match="cannot read"):
         read_faults(tmp_path, built_in_scene("mini"))
+
+
+def test_a_share_of_more_than_everything_is_refused() -> None:
+    with pytest.raises(BadFaultScript, match="line 1: 500 % is more than everything"):
+        check_faults(parse_faults("at 3 s: robot drop 500 % for 1 s"), built_in_scene("mini"))
+
+
+def test_a_fault_without_a_duration_lasts_to_the_end() -> None:
+    world = World.create(built_in_scene("mini"), paced=False)
+    world.set_fault_script("now: robot drop 5 %")
+    world.clock.sleep(1e6)
+    assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)
+
+
+def test_now_becomes_the_moment_at_which_it_was_said() -> None:
+    assert begin_now("now: robot drop 5 % for 1 s", 12.5) == "at 12.500000 s: robot drop 5 % for 1 s"
+    assert begin_now("at 1 s: robot drop 5 %", 12.5) == "at 1 s: robot drop 5 %"
+
+
+def test_every_kind_has_a_phrase_of_its_own_that_the_language_reads() -> None:
+    words = {"INT": "1", "NUMBER": "2.5", "NAME": "robot_frame", "HEX": "0x01"}
+    for kind in FAULT_KINDS:
+        phrase = " ".join(words.get(word, word) for word in kind.phrase.split())
+        (fault,) = parse_faults(f"now: {kind.device} {phrase}")
+        assert fault.kind is kind
+        assert kind.meaning.endswith(".")
+    assert len({kind.name for kind in FAULT_KINDS}) == len(FAULT_KINDS)

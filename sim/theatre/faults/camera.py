@@ -1,0 +1,15 @@
+"""Faults of the cameras and of their stream."""
+
+from __future__ import annotations
+
+from sim.theatre.faults.kinds import FaultKind, at_most_all
+
+CAMERA_FAULTS = (
+    FaultKind(
+        "camera_drop",
+        "camera",
+        "drop NUMBER %",
+        "That share of the image packets is lost.",
+        check=at_most_all,
+    ),
+)

@@ -1,0 +1,145 @@
+"""The language of fault scripts: one fault per line, the same on the command line, in tests and live.
+
+    at 12.5 s: tracker occlude marker 3 for 2 s
+    when step == relocalization: robot drop 5 % for 1 s
+    now: tracker occlude tool robot_frame for 1 s
+
+Times are theatre time. A fault of `when` begins with the step; `relocalization:T1` is the step of one
+trajectory, `relocalization` that of each. `now` is for the control port; in a script it is the beginning.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sim.errors import BadFaultScript
+from sim.theatre.faults.camera import CAMERA_FAULTS
+from sim.theatre.faults.fault import Fault
+from sim.theatre.faults.kinds import FaultKind
+from sim.theatre.faults.robot import ROBOT_FAULTS
+from sim.theatre.faults.steps import STEPS
+from sim.theatre.faults.tracker import TRACKER_FAULTS
+from sim.theatre.scene import Scene
+
+if TYPE_CHECKING:
+    from lark import Lark
+
+FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS)
+TERMINALS = ("INT", "NUMBER", "NAME", "HEX")
+NOW = "now"
+TRIGGERS = ("at", "when", NOW)
+
+GRAMMAR = r"""
+start: statement?
+statement: trigger ":" fault duration?
+?trigger: "at" NUMBER "s"            -> at
+        | "when" "step" "==" STEP    -> when
+        | "now"                      -> now
+duration: "for" NUMBER "s"
+?fault: {faults}
+STEP: /[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?/
+NAME: /[A-Za-z0-9_][A-Za-z0-9_.-]*/
+HEX: /0x[0-9A-Fa-f]+/
+COMMENT: /#[^\n]*/
+%import common.NUMBER
+%import common.INT
+%import common.WS_INLINE
+%ignore WS_INLINE
+%ignore COMMENT
+"""
+
+
+def parse_faults(text: str) -> tuple[Fault, ...]:
+    """Parse a script; raises SIM-003 with every line that is not a fault."""
+    from lark.exceptions import UnexpectedInput
+
+    faults: list[Fault] = []
+    mistakes: list[str] = []
+    for number, line in enumerate(text.split("\n"), 1):
+        try:
+            tree = _grammar().parse(line.rstrip())
+        except UnexpectedInput as error:
+            place = f", column {error.column}" if error.column > 0 else ""
+            mistakes.append(f"line {number}{place}: {line.strip()!r} is not a fault")
+            continue
+        for statement in tree.children:
+            fault, told = _fault(statement, number)
+            faults.append(fault)
+            if told and fault.kind.momentary:
+                mistakes.append(f"line {number}: {fault.kind.usage!r} happens once and has no duration")
+    _refuse(mistakes)
+    return tuple(faults)
+
+
+def begin_now(line: str, now_s: float) -> str:
+    """The line with `now` replaced by the present theatre time."""
+    trigger, colon, rest = line.partition(":")
+    return f"at {now_s:.6f} s{colon}{rest}" if trigger.strip() == NOW else line
+
+
+def read_faults(path: Path, scene: Scene) -> str:
+    """Text of a script that is right for `scene`; raises SIM-003."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise BadFaultScript(f"cannot read the fault script {path.name}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise BadFaultScript(f"{path.name} is not text in UTF-8: {error.reason}") from error
+    check_faults(parse_faults(text), scene)
+    return text
+
+
+def check_faults(faults: Iterable[Fault], scene: Scene) -> None:
+    """Raise SIM-003 with every fault that names a step, target, marker or tool that is not there."""
+    _refuse([f"line {fault.line}: {mistake}" for fault in faults for mistake in _mistakes(fault, scene)])
+
+
+def _mistakes(fault: Fault, scene: Scene) -> Iterator[str]:
+    step, _, target = (fault.step or "").partition(":")
+    if step and step not in STEPS:
+        yield f"there is no step {step!r}, only {', '.join(STEPS)}"
+    targets = [item.identifier for item in scene.head.targets]
+    if target and target not in targets:
+        yield f"there is no target {target!r}, only {', '.join(targets)}"
+    yield from fault.kind.check(fault.arguments, scene)
+
+
+def _refuse(mistakes: list[str]) -> None:
+    if mistakes:
+        raise BadFaultScript("; ".join(mistakes))
+
+
+@cache
+def _grammar() -> Lark:
+    from lark import Lark
+
+    alternatives = "\n      | ".join(
+        " ".join([f'"{kind.device}"', *(_symbol(word) for word in kind.phrase.split())]) + f" -> {kind.name}"
+        for kind in FAULT_KINDS
+    )
+    return Lark(GRAMMAR.replace("{faults}", alternatives), parser="lalr")
+
+
+def _symbol(word: str) -> str:
+    return word if word in TERMINALS else f'"{word}"'
+
+
+def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
+    """The fault, and whether the line told a duration."""
+    trigger, phrase, *ending = statement.children
+    kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
+    duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)
+    begin = str(trigger.children[0]) if trigger.children else "0"
+    fault = Fault(
+        kind=kind,
+        arguments=tuple(str(argument) for argument in phrase.children),
+        duration_s=duration_s,
+        at_s=None if trigger.data == "when" else float(begin),
+        step=begin if trigger.data == "when" else None,
+        line=line,
+    )
+    return fault, bool(ending)

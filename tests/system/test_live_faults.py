@@ -1,0 +1,45 @@
+"""A fault is switched on in a simulator that runs, without touching its protocol link."""
+
+from __future__ import annotations
+
+from user_commands import Commands, one_error
+
+from drivers.ndi_polaris import PolarisTracker
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.readings import Validity
+
+
+def test_a_simulator_alone_takes_faults_at_its_control_port(shared_commands: Commands) -> None:
+    with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris")) as unit:
+        control = unit.ready["control"]
+        config = DeviceConfig(
+            driver="ndi_polaris",
+            endpoint=unit.ready["endpoint"],
+            options=PolarisTracker.conformance_options(),
+        )
+        tracker = PolarisTracker("tracker", config, HostClock())
+        tracker.connect()
+        tracker.configure()
+        tracker.activate()
+        assert tracker.read_frame().tools[0].validity is Validity.OK
+        hide = ("ronna-sim", "fault", "tracker occlude tool robot_frame", "--control", control)
+        assert shared_commands.run(*hide).returncode == 0
+        assert _settles(tracker, Validity.MISSING)
+        assert shared_commands.run("ronna-sim", "fault", "--clear", "--control", control).returncode == 0
+        assert _settles(tracker, Validity.OK)
+        refused = shared_commands.run("ronna-sim", "fault", "tea", "--control", control)
+        assert refused.returncode == 2
+        assert one_error(refused.stderr)[0].startswith("SIM-009")
+        tracker.close()
+
+
+def test_without_a_fault_all_kinds_are_listed(shared_commands: Commands) -> None:
+    listed = shared_commands.run("ronna-sim", "fault")
+    assert listed.returncode == 0
+    assert "tracker occlude marker N" in listed.stdout
+
+
+def _settles(tracker: PolarisTracker, validity: Validity) -> bool:
+    return any(tracker.read_frame().tools[0].validity is validity for _ in range(100_000))
