@@ -47,7 +47,7 @@ class RobotCell:
             endpoints={"rsi": ready["rsi"], "eki_project": ready["eki_project"]},
             options={"silence_limit_s": SILENCE_LIMIT_S},
         )
-        self.arm = KukaRsiArm("robot.master", config, open_clock(self.world.endpoint))
+        self.arm = KukaRsiArm("robot.master", config, open_clock(self.world.clock_endpoint))
         self._ending.callback(self.arm.close)
 
     def __enter__(self) -> Self:

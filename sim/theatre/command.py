@@ -53,7 +53,11 @@ def theatre(
         running.watch(gone)
         announce(
             "theatre",
-            endpoints={**running.endpoints, "control": running.control, "clock": running.world.endpoint},
+            endpoints={
+                **running.endpoints,
+                "control": running.control,
+                "clock": running.world.clock_endpoint,
+            },
             file=str(running.file.resolve()),
         )
         ended.wait()

@@ -46,7 +46,9 @@ class Theatre:
             self.endpoints = self._start_devices()
             limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S
             write_theatre_file(
-                theatre_content(scene, self.endpoints, self.world.endpoint, self._write_tools(), limit_s),
+                theatre_content(
+                    scene, self.endpoints, self.world.clock_endpoint, self._write_tools(), limit_s
+                ),
                 self.file,
             )
         except BaseException:

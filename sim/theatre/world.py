@@ -1,7 +1,8 @@
 """The shared world: the scene, the clock, and what changes while the theatre runs.
 
 One block of anonymous memory (a memfd), opened by the other processes through `/proc/<pid>/fd/<n>`:
-it vanishes with the last process that holds it, however that process ends.
+it vanishes with the last process that holds it, however that process ends. The clock lies in a block of its
+own: the procedure opens the clock, and nothing of the scene lies beside it.
 
 What changes has one writer each: the arm is written by the robot simulator, the mounted tool, the step and
 the fault script by the theatre's control port.
@@ -19,12 +20,14 @@ from numpy.typing import NDArray
 
 from ronna_hw.clock import SharedClock
 from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.wire.theatre_clock import CLOCK_BYTES
 from sim.errors import WorldUnavailable
 from sim.theatre.rigid import matrix_of
 from sim.theatre.scene import Scene
 
 MAGIC = b"RONNAWLD"
-MAGIC_OFFSET = 64
+MAGIC_OFFSET = 0
+CLOCK_PATH_OFFSET = 16
 ARM_SEQUENCE_OFFSET = 128  # u64, odd while the arm is being written
 ARM_OFFSET = 136
 TOOL_OFFSET = 512  # u32 number of the mounted tool, 0 nothing
@@ -33,6 +36,7 @@ FAULTS_OFFSET = 1024
 FAULTS_CAPACITY = 32 * 1024
 SCENE_OFFSET = FAULTS_OFFSET + FAULTS_CAPACITY
 
+_clock_path = struct.Struct("<100s")
 _sequence = struct.Struct("<Q")
 _arm = struct.Struct("<6d12dQI")  # encoder joints rad, flange pose rows, motion number, at rest
 _tool = struct.Struct("<I")
@@ -63,7 +67,8 @@ class World:
             raise WorldUnavailable(f"cannot open the world at {path}: {error}") from error
         if self._memory[MAGIC_OFFSET : MAGIC_OFFSET + 8] != MAGIC:
             raise WorldUnavailable(f"{path} is not a world of this version")
-        self.clock = SharedClock(path)
+        self._clock_path = _clock_path.unpack_from(self._memory, CLOCK_PATH_OFFSET)[0].rstrip(b"\0").decode()
+        self.clock = SharedClock(self._clock_path)
         self.scene = scene or self._read_scene()
 
     @classmethod
@@ -71,16 +76,18 @@ class World:
         """Make a world of `scene`; `paced` worlds follow the host's clock."""
         text = scene.model_dump_json(by_alias=True).encode()
         size = SCENE_OFFSET + _scene_length.size + len(text)
-        file = os.memfd_create("ronna-world", os.MFD_CLOEXEC)
-        os.ftruncate(file, size)
-        with mmap.mmap(file, size) as memory:
-            SharedClock.initialise(memory, paced=paced)
+        clock_path, clock_memory = _block("ronna-clock", CLOCK_BYTES)
+        with clock_memory:
+            SharedClock.initialise(clock_memory, paced=paced)
+        path, memory = _block("ronna-world", size)
+        with memory:
+            _clock_path.pack_into(memory, CLOCK_PATH_OFFSET, clock_path.encode())
             _scene_length.pack_into(memory, SCENE_OFFSET, len(text))
             start = SCENE_OFFSET + _scene_length.size
             memory[start : start + len(text)] = text
             _tool.pack_into(memory, TOOL_OFFSET, scene.mount.tool_number_stereo)
             memory[MAGIC_OFFSET : MAGIC_OFFSET + 8] = MAGIC
-        return cls(f"/proc/{os.getpid()}/fd/{file}", scene)
+        return cls(path, scene)
 
     @classmethod
     def open(cls, endpoint: str) -> World:
@@ -89,8 +96,13 @@ class World:
 
     @property
     def endpoint(self) -> str:
-        """Where other processes open this world, and its clock."""
+        """Where the devices open this world."""
         return f"shm://{self._path}"
+
+    @property
+    def clock_endpoint(self) -> str:
+        """Where anybody opens the clock of this world, and nothing else of it."""
+        return f"shm://{self._clock_path}"
 
     def publish_arm(self, state: ArmState) -> None:
         """Say where the arm is. For the robot simulator only."""
@@ -162,3 +174,10 @@ class World:
         length = _scene_length.unpack_from(self._memory, SCENE_OFFSET)[0]
         start = SCENE_OFFSET + _scene_length.size
         return Scene.model_validate_json(self._memory[start : start + length], strict=False)
+
+
+def _block(name: str, size: int) -> tuple[str, mmap.mmap]:
+    """Path for other processes, and memory, of a new anonymous block; it stays open in this process."""
+    file = os.memfd_create(name, os.MFD_CLOEXEC)
+    os.ftruncate(file, size)
+    return f"/proc/{os.getpid()}/fd/{file}", mmap.mmap(file, size)

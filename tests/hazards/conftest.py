@@ -57,7 +57,7 @@ class RobotCell:
     def arm(self, **options: Any) -> KukaRsiArm:
         """A driver for this controller, closed at the end of the test."""
         config = DeviceConfig(driver="kuka_rsi", endpoints=self.endpoints, options=options)
-        self.arms.append(KukaRsiArm("robot.master", config, open_clock(self.world.endpoint)))
+        self.arms.append(KukaRsiArm("robot.master", config, open_clock(self.world.clock_endpoint)))
         return self.arms[-1]
 
     def active_arm(self, **options: Any) -> KukaRsiArm:

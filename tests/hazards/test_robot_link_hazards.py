@@ -176,7 +176,7 @@ def test_when_the_program_that_leads_the_arm_halts_the_arm_comes_to_rest_on_its_
 ) -> None:
     cell = robot_cell(paced=True)
     start = cell.true_joints_rad()
-    arguments = [cell.endpoints["rsi"], cell.endpoints["eki_project"], cell.world.endpoint, "0.2"]
+    arguments = [cell.endpoints["rsi"], cell.endpoints["eki_project"], cell.world.clock_endpoint, "0.2"]
     mover = subprocess.Popen(
         [sys.executable, "-P", "-c", MOVER, *arguments], stdout=subprocess.PIPE, text=True
     )

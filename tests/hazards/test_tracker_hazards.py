@@ -32,7 +32,7 @@ def tracker(world: World) -> Iterator[PolarisTracker]:
             endpoint=child.ready["endpoint"],
             options={"tools": [{"name": TOOL, "rom": "robot_frame.rom"}]},
         )
-        tracker = PolarisTracker("tracker", config, open_clock(world.endpoint))
+        tracker = PolarisTracker("tracker", config, open_clock(world.clock_endpoint))
         tracker.connect()
         tracker.configure()
         tracker.activate()

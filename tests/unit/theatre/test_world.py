@@ -1,6 +1,10 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from ronna_hw.clock import open_clock
+from ronna_hw.wire.theatre_clock import CLOCK_BYTES
 from sim.errors import WorldUnavailable
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.rigid import matrix_from, rotation_from_vector
@@ -28,3 +32,11 @@ def test_another_process_sees_scene_arm_tool_step_and_faults() -> None:
 def test_a_world_that_has_gone_is_refused() -> None:
     with pytest.raises(WorldUnavailable, match="SIM-002"):
         World.open("shm:///proc/self/fd/9999")
+
+
+def test_the_clock_lies_in_a_block_of_its_own_with_nothing_of_the_scene() -> None:
+    world = World.create(built_in_scene("mini"), paced=False)
+    assert world.clock_endpoint != world.endpoint
+    assert Path(world.clock_endpoint.removeprefix("shm://")).stat().st_size == CLOCK_BYTES
+    world.clock.sleep(2.0)
+    assert World.open(world.endpoint).clock.now_s() == open_clock(world.clock_endpoint).now_s() == 2.0
