@@ -55,3 +55,10 @@ EXTENDED_PYRAMID = Volume(
     dimensions=(-300000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, 73500),
     wavelengths="40",
 )
+# About 491 x 392 mm at 557 mm and 938 x 887 mm at 1336 mm; the ten numbers themselves are not public.
+VICRA_VOLUME = Volume(
+    name="Vicra",
+    shape="7",
+    dimensions=(-133600, -55700, -55700, 24550, 19600, 28690, 28690, 31772, NO_CAP, NO_CAP),
+    wavelengths="40",
+)
