@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks.contest import contest, process_cpu_s, rate_of
 from benchmarks.figures import Figure, compared
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.driver import FRAME_OPTIONS
+from drivers.ndi_polaris.tracking import FRAME_OPTIONS
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig

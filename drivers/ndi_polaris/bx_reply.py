@@ -7,11 +7,10 @@ import struct
 from drivers.ndi_polaris.errors import MalformedReply
 from drivers.ndi_polaris.tracking_reply import HandleReport, HandleState, TrackingReply
 from ronna_hw.devices.readings import Vector3
-from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus, PortStatus, SystemStatus
+from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus
 
-_HANDLE = struct.Struct("<BB")
-_POSE = struct.Struct("<8f")  # Q0 Qx Qy Qz Tx Ty Tz error
-_STATUS_AND_FRAME = struct.Struct("<II")
+_POSE = struct.Struct("<8f2I")  # Q0 Qx Qy Qz Tx Ty Tz error, port status, frame
+_STATUS_AND_FRAME = struct.Struct("<2I")
 _POSITION = struct.Struct("<3f")
 _SYSTEM_STATUS = struct.Struct("<H")
 
@@ -31,25 +30,19 @@ def _decode(body: bytes, with_strays: bool) -> TrackingReply:
     at = 1
     handles = []
     for _ in range(body[0]):
-        number, status = _HANDLE.unpack_from(body, at)
-        at += _HANDLE.size
-        if status == HandleStatus.DISABLED:
-            handles.append(HandleReport(number, HandleState.DISABLED))
-        elif status == HandleStatus.VALID:
-            q0, qx, qy, qz, tx, ty, tz, fit = _POSE.unpack_from(body, at)
-            port, frame = _STATUS_AND_FRAME.unpack_from(body, at + _POSE.size)
-            at += _POSE.size + _STATUS_AND_FRAME.size
-            handles.append(
-                HandleReport(
-                    number, HandleState.VALID, (q0, qx, qy, qz), (tx, ty, tz), fit, PortStatus(port), frame
-                )
-            )
+        number, status = body[at], body[at + 1]
+        at += 2
+        if status == HandleStatus.VALID:
+            q0, qx, qy, qz, tx, ty, tz, fit, port, frame = _POSE.unpack_from(body, at)
+            at += _POSE.size
+            rotation, position = (q0, qx, qy, qz), (tx, ty, tz)
+            handles.append(HandleReport(number, HandleState.VALID, rotation, position, fit, port, frame))
         elif status == HandleStatus.MISSING:
             port, frame = _STATUS_AND_FRAME.unpack_from(body, at)
             at += _STATUS_AND_FRAME.size
-            handles.append(
-                HandleReport(number, HandleState.MISSING, port_status=PortStatus(port), frame=frame)
-            )
+            handles.append(HandleReport(number, HandleState.MISSING, port_status=port, frame=frame))
+        elif status == HandleStatus.DISABLED:
+            handles.append(HandleReport(number, HandleState.DISABLED))
         else:
             raise MalformedReply(f"BX gives handle {number:02X} the unknown status {status:02X}", wire=body)
     positions: tuple[Vector3, ...] = ()
@@ -59,16 +52,16 @@ def _decode(body: bytes, with_strays: bool) -> TrackingReply:
     (system,) = _SYSTEM_STATUS.unpack_from(body, at)
     if at + _SYSTEM_STATUS.size != len(body):
         raise MalformedReply("a BX reply is longer than its content", wire=body)
-    return TrackingReply(tuple(handles), positions, outside, SystemStatus(system))
+    return TrackingReply(tuple(handles), positions, outside, system)
 
 
 def _strays(body: bytes, at: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
     count = body[at]
     if count > MAXIMUM_STRAYS:
         raise MalformedReply(f"BX announces {count} strays", limit=str(MAXIMUM_STRAYS), wire=body)
-    bit_bytes = body[at + 1 : at + 1 + (count + 7) // 8]
-    outside = tuple(bool(bit_bytes[k // 8] >> (k % 8) & 1) for k in range(count))
-    at += 1 + len(bit_bytes)
+    bits = int.from_bytes(body[at + 1 : at + 1 + (count + 7) // 8], "little")
+    outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
+    at += 1 + (count + 7) // 8
     # Units may leave the positions outside the volume out; what remains tells which was done.
     sent, odd = divmod(len(body) - _SYSTEM_STATUS.size - at, _POSITION.size)
     if odd or sent not in (count, count - sum(outside)):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import struct
+from functools import lru_cache
 
 from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply, UnitError, error_for
 from ronna_hw.wire.polaris import (
@@ -20,6 +21,7 @@ from ronna_hw.wire.polaris import (
     crc16,
 )
 
+KEPT_COMMANDS = 32  # the command of every reading is the same
 TRAILING_TEXT_BYTES = 128  # short texts only: errors, echoes, revisions
 BX_START_BYTES = struct.pack("<H", BX_START)
 
@@ -29,6 +31,7 @@ _ERROR = re.compile(r"ERROR([0-9A-F]{2})")
 _WARNING = re.compile(rf"{REPLY_WARNING}([0-9A-F]{{2}})?")
 
 
+@lru_cache(maxsize=KEPT_COMMANDS)
 def encode_command(name: str, argument: str = "") -> bytes:
     """`NAME:argument` + CRC + CR: the form that the unit checks before it acts."""
     text = f"{name}:{argument}".encode("ascii")
@@ -74,17 +77,23 @@ def binary_reply_bytes(header: bytes) -> int:
     return BX_HEADER_BYTES + int(length) + BX_CRC_BYTES
 
 
-def open_binary(reply: bytes) -> bytes:
-    """The body of one whole binary reply; raises NDI-005 or NDI-006."""
-    if len(reply) < BX_HEADER_BYTES or len(reply) != binary_reply_bytes(reply):
-        raise MalformedReply("a binary reply has not the length that it announces", wire=reply)
-    body = reply[BX_HEADER_BYTES:-BX_CRC_BYTES]
-    (crc,) = _CRC.unpack_from(reply, len(reply) - BX_CRC_BYTES)
+def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
+    """Split off the first binary reply: (its body, rest), or None while incomplete.
+
+    Raises NDI-005 for a wrong CRC of header or body, NDI-006 for other bytes than those of a reply.
+    """
+    if len(buffer) < BX_HEADER_BYTES:
+        return None
+    whole = binary_reply_bytes(buffer)
+    if len(buffer) < whole:
+        return None
+    body = buffer[BX_HEADER_BYTES : whole - BX_CRC_BYTES]
+    (crc,) = _CRC.unpack_from(buffer, whole - BX_CRC_BYTES)
     if crc != crc16(body):
         raise BadReplyCrc(
-            "the body of a binary reply has a wrong CRC", awaited=f"{crc16(body):04X}", wire=reply
+            "the body of a binary reply has a wrong CRC", awaited=f"{crc16(body):04X}", wire=buffer[:whole]
         )
-    return body
+    return body, buffer[whole:]
 
 
 def unit_error(text: str, command: str = "") -> UnitError | None:

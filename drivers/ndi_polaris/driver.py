@@ -5,23 +5,18 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from drivers.ndi_polaris.assembly import assemble, frame_number
-from drivers.ndi_polaris.bx_reply import decode_bx
 from drivers.ndi_polaris.discovery import find_unit, initialise
 from drivers.ndi_polaris.errors import (
-    HandleRefused,
     HardwareFailure,
     LinkLost,
     SensorBumped,
     TemperatureHold,
-    UnitError,
     UnitRestarted,
-    WrongMode,
     WrongUnit,
 )
+from drivers.ndi_polaris.frame_clock import ClockFit
 from drivers.ndi_polaris.geometry import alike_segments_mm
 from drivers.ndi_polaris.identity import check_identity, read_identity
 from drivers.ndi_polaris.options import read_options
@@ -35,44 +30,24 @@ from drivers.ndi_polaris.setup import (
     raise_baud,
     set_illuminator_rate,
 )
-from drivers.ndi_polaris.status import alarm, clear_bump
-from drivers.ndi_polaris.tracking_reply import TrackingReply
+from drivers.ndi_polaris.status import clear_bump
+from drivers.ndi_polaris.tracking import Tracking, TrackingStatistics, stop_tracking
 from drivers.ndi_polaris.transport import Transport, open_transport
-from drivers.ndi_polaris.tx_reply import decode_tx
 from drivers.ndi_polaris.volume import MeasuringVolume
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard
-from ronna_hw.devices.readings import Stamp, TrackerFrame
+from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.wire.polaris import (
-    BX_CRC_BYTES,
-    BX_HEADER_BYTES,
-    COMM_DEFAULT_ARGUMENT,
-    MAXIMUM_STRAYS,
-    TSTART_RESET_FRAME_COUNTER,
-    ReplyOption,
-)
+from ronna_hw.wire.polaris import COMM_DEFAULT_ARGUMENT
 
 CLOSE_LIMIT_S = 1.5  # for all farewell commands together; a dead peer costs no more
-FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
-BYTES_PER_HANDLE = 80  # of TX, the longer form
-BYTES_PER_STRAY = 21
 
 _FAULTS = (HardwareFailure, LinkLost, SensorBumped, UnitRestarted)  # latched; left only by `recover`
 
 T = TypeVar("T")
 OpenTransport = Callable[[Endpoint, float], Transport]
-
-
-@dataclass
-class TrackingStatistics:
-    """Counts since `activate`, from the unit's frame numbers."""
-
-    frames: int = 0
-    repeated: int = 0
-    missed: int = 0  # measurements that the unit made between two of our requests
 
 
 class PolarisTracker:
@@ -98,7 +73,7 @@ class PolarisTracker:
         self._clock = clock
         self._endpoint = config.address().require("serial", "tcp")
         self._options = read_options(config)
-        self._definitions = self._options.definitions()
+        self._definitions = self._options.definitions(config.folder)
         self._open_transport = transport
         self._monotonic = monotonic
         self._pause = pause
@@ -107,11 +82,8 @@ class PolarisTracker:
         self._identity: Identity | None = None
         self._loaded: tuple[LoadedTool, ...] = ()
         self._volume: MeasuringVolume | None = None
-        self._binary = self._options.reply != "TX"
-        self._sequence = 0
-        self._last_frame: int | None = None
+        self._tracking: Tracking | None = None
         self._notices: list[str] = []
-        self.statistics = TrackingStatistics()
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
@@ -160,6 +132,16 @@ class PolarisTracker:
         """What the unit said at `configure` that is no error but should be known."""
         return tuple(self._notices)
 
+    @property
+    def statistics(self) -> TrackingStatistics:
+        """Counts of the present or last run of tracking."""
+        return self._tracking.statistics if self._tracking else TrackingStatistics()
+
+    @property
+    def clock_fit(self) -> ClockFit | None:
+        """The unit's clock beside the theatre's, with its drift; None before the first reading."""
+        return self._tracking.frame_clock.fit if self._tracking else None
+
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find the unit at whatever rate it was left, initialise it and check who it is.
 
@@ -182,16 +164,13 @@ class PolarisTracker:
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start tracking; the unit's frame number begins at 0."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
-        self._guarded(self._start, self._monotonic() + timeout_s)
-        self._sequence = 0
-        self._last_frame = None
-        self.statistics = TrackingStatistics()
+        self._guarded(self._run.start, self._monotonic() + timeout_s)
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop tracking; the tools stay loaded."""
         self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
-        self._guarded(self._stop, self._monotonic() + timeout_s)
+        self._guarded(self._run.stop, self._monotonic() + timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
@@ -202,22 +181,17 @@ class PolarisTracker:
         FAULT latched, NDI-008 (link lost), NDI-009 (restarted), NDI-020 (hardware), NDI-021 (bumped).
         """
         self._guard.require("read_frame", {Lifecycle.ACTIVE, Lifecycle.HOLD})
-        deadline_s = self._monotonic() + timeout_s
-        reply = self._guarded(self._newest, deadline_s)
-        theatre_time_s = self._clock.now_s()
-        self._guarded(lambda limit_s: self._judge(reply, limit_s), deadline_s)
-        number = frame_number(reply)
-        repeated = number == self._last_frame
-        self._count(number, repeated)
-        self._sequence += 1
-        return assemble(
-            reply,
-            self._loaded,
-            stamp=Stamp(self._sequence, number, theatre_time_s),
-            repeated=repeated,
-            volume=self._volume,
-            stray_to_marker_mm=self._options.stray_to_marker_mm,
-        )
+        try:
+            frame = self._run.read(self._monotonic() + timeout_s)
+        except TemperatureHold:
+            self._guard.enter(Lifecycle.HOLD)
+            raise
+        except _FAULTS as fault:
+            self._guard.latch(fault)
+            raise
+        if self._guard.state is Lifecycle.HOLD:
+            self._guard.enter(Lifecycle.ACTIVE)
+        return frame
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED by a new session with the same unit; a bump is cleared on the way.
@@ -255,6 +229,11 @@ class PolarisTracker:
     def _link(self) -> Session:
         assert self._session is not None, "the lifecycle allows this call only with a session"
         return self._session
+
+    @property
+    def _run(self) -> Tracking:
+        assert self._tracking is not None, "the lifecycle allows this call only when configured"
+        return self._tracking
 
     def _guarded(self, work: Callable[[float], T], deadline_s: float) -> T:
         """Do one piece of work; latch the faults that only `recover` may leave."""
@@ -294,74 +273,13 @@ class PolarisTracker:
             self._notices.append("the unit does not tell its volume: strays are judged by its own bits")
         wanted = ((tool, self._definitions[tool.name]) for tool in self._options.tools)
         self._loaded = load_tools(link, wanted, deadline_s, self._notices.append)
-
-    def _start(self, deadline_s: float) -> None:
-        try:
-            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
-        except WrongMode:  # already tracking: an earlier start was carried out, its answer lost
-            self._link.ask("TSTOP", deadline_s=deadline_s, retry=False)
-            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
-
-    def _stop(self, deadline_s: float) -> None:
-        try:
-            self._link.ask("TSTOP", deadline_s=deadline_s)
-        except WrongMode:  # it had stopped by itself, or the answer to the first try was lost
-            return
-
-    def _newest(self, deadline_s: float) -> TrackingReply:
-        """A reply that is not older than the one before; an older one is a late copy, and asked for anew."""
-        reply = self._request(deadline_s)
-        if not self._is_older(reply):
-            return reply
-        self._link.distrust()
-        reply = self._request(deadline_s)
-        if self._is_older(reply):
-            raise UnitRestarted("the frame number went backwards: tracking was started anew by somebody else")
-        return reply
-
-    def _is_older(self, reply: TrackingReply) -> bool:
-        return self._last_frame is not None and frame_number(reply) < self._last_frame
-
-    def _request(self, deadline_s: float) -> TrackingReply:
-        options = f"{FRAME_OPTIONS.value:04X}"
-        size = BX_HEADER_BYTES + BX_CRC_BYTES + len(self._loaded) * BYTES_PER_HANDLE
-        size += MAXIMUM_STRAYS * BYTES_PER_STRAY
-        try:
-            if self._binary:
-                try:
-                    return decode_bx(
-                        self._link.ask_binary("BX", options, deadline_s=deadline_s, reply_bytes=size)
-                    )
-                except UnitError as error:
-                    if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
-                        raise
-                    self._binary = False  # this unit has no binary reply
-            return decode_tx(self._link.ask("TX", options, deadline_s=deadline_s, reply_bytes=size))
-        except WrongMode as error:
-            raise UnitRestarted("the unit is no longer tracking") from error
-
-    def _judge(self, reply: TrackingReply, deadline_s: float) -> None:
-        problem = alarm(reply.system_status, self._link, deadline_s)
-        if problem is None:
-            self._guard.enter(Lifecycle.ACTIVE)
-            return
-        if isinstance(problem, TemperatureHold):
-            self._guard.enter(Lifecycle.HOLD)
-        raise problem
-
-    def _count(self, number: int, repeated: bool) -> None:
-        self.statistics.frames += 1
-        self.statistics.repeated += repeated
-        if self._last_frame is not None and not repeated:
-            step = number - self._last_frame
-            self.statistics.missed += max(0, step // self._options.frames_per_measurement - 1)
-        self._last_frame = number
+        self._tracking = Tracking(link, self._loaded, self._volume, self._options, self._clock)
 
     def _farewell(self, session: Session, deadline_s: float) -> None:
         if isinstance(self._guard.fault, LinkLost):
             return
         if self._guard.state in (Lifecycle.ACTIVE, Lifecycle.HOLD, Lifecycle.FAULT):
-            self._stop(deadline_s)
+            stop_tracking(session, deadline_s)
         for tool in self._loaded:
             free_handle(session, tool.handle, deadline_s)
         if session.transport.baud is not None:

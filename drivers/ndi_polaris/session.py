@@ -16,10 +16,9 @@ from enum import Enum
 from drivers.ndi_polaris.codec import (
     BX_START_BYTES,
     ascii_line,
-    binary_reply_bytes,
     encode_command,
     open_ascii,
-    open_binary,
+    split_binary,
     trailing_text,
     unit_error,
 )
@@ -35,7 +34,6 @@ from drivers.ndi_polaris.transport import Transport
 from ronna_hw.errors import ProtocolError
 from ronna_hw.wire.polaris import (
     BITS_PER_BYTE_ON_LINE,
-    BX_HEADER_BYTES,
     COMMAND_TIMEOUT_S,
     REPLY_RESET,
     crc16,
@@ -43,6 +41,7 @@ from ronna_hw.wire.polaris import (
 
 ORDINARY_REPLY_BYTES = 128  # what a reply is reckoned with for its transfer time unless the command says more
 LONGEST_REPLY_BYTES = 16384  # beyond any reply of these units: a line that never ends is noise
+LONGEST_LIMIT_S = max(COMMAND_TIMEOUT_S.values())  # for a command that the unit gives no limit
 QUIET_S = 0.02  # a drained line has said nothing for this long
 STALL_S = 0.5  # a reply that has begun and then pauses this long is cut off
 BABBLE_BYTES = 1_000_000  # a line that yields this much unasked is not a unit's
@@ -125,7 +124,7 @@ class Session:
         """How long the unit may take: its own limit and the transfer both ways."""
         baud = self.transport.baud
         transfer_s = (sent_bytes + reply_bytes) * BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
-        return self._limits_s.get(name, max(COMMAND_TIMEOUT_S.values())) + transfer_s
+        return self._limits_s.get(name, LONGEST_LIMIT_S) + transfer_s
 
     def drain(self, quiet_s: float = QUIET_S, deadline_s: float | None = None) -> bytes:
         """Discard input until the line has been quiet for `quiet_s`; returns the last part of it.
@@ -211,10 +210,8 @@ class Session:
         buffer = b""
         while True:
             if binary and buffer[:1] == BX_START_BYTES[:1]:
-                if len(buffer) >= BX_HEADER_BYTES:
-                    whole = binary_reply_bytes(buffer)
-                    if len(buffer) >= whole:
-                        return open_binary(buffer[:whole]), buffer[whole:]
+                if (reply := split_binary(buffer)) is not None:
+                    return reply
             elif binary and buffer and buffer[0] not in _FIRST_BYTES_OF_TEXT:
                 raise MalformedReply("a binary reply begins with other bytes than C4 A5", wire=buffer)
             elif (split := ascii_line(buffer)) is not None:

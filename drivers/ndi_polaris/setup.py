@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 from drivers.ndi_polaris.codec import warning_meaning
 from drivers.ndi_polaris.discovery import answers
@@ -52,6 +54,12 @@ class LoadedTool:
     handle: int
     name: str | None
     definition: ToolDefinition | None
+
+    @cached_property
+    def reach_mm(self) -> float:
+        """Distance of the farthest marker from the tool's origin."""
+        markers_mm = self.definition.markers_mm if self.definition else ()
+        return max((math.hypot(*marker) for marker in markers_mm), default=0.0)
 
 
 def raise_baud(

@@ -27,19 +27,24 @@ FAILURE_ALERTS = (
     | Alert.FIRMWARE_INCOMPATIBLE
 )
 TEMPERATURE_ALERTS = Alert.TOO_HOT | Alert.TOO_COLD
-DOUBTFUL_STATUS = (
+DOUBTFUL_STATUS = int(
     SystemStatus.SYNC_ERROR
     | SystemStatus.TOO_MUCH_INFRARED
     | SystemStatus.CRC_ERROR
     | SystemStatus.RECOVERABLE_EXCEPTION
 )
+# Everything else leaves the poses alone: bits of wired tools that come and go.
+ALARMING_STATUS = int(
+    SystemStatus.HARDWARE_FAILURE | SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE
+)
 
 
-def alarm(status: SystemStatus, session: Session, deadline_s: float) -> DeviceError | None:
-    """The fault or hold that the status means, or None.
+def alarm(bits: int, session: Session, deadline_s: float) -> DeviceError | None:
+    """The fault or hold that the system status means, or None.
 
     When diagnostics are pending the alerts are read, which is also what makes the unit give poses again.
     """
+    status = SystemStatus(bits)
     alerts = read_new_alerts(session, deadline_s) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
     if SystemStatus.HARDWARE_FAILURE in status or alerts & FAILURE_ALERTS:
         return HardwareFailure("the unit reports a hardware fault", last=_names(status, alerts))

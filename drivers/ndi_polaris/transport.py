@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 import select
 import socket
 import termios
+import time
 from typing import Protocol
 
 import serial
@@ -17,6 +20,16 @@ from ronna_hw.wire.polaris import DEFAULT_BAUD
 WRITE_LIMIT_S = 1.0  # a line that takes no bytes for this long is dead
 BREAK_S = 0.5  # as long as other clients of the vendor's units hold it
 READ_BYTES = 65536
+CLOSED = -1  # no file has this number
+
+_ADVICE = {
+    errno.ENOENT: "Check the name of the port; `ronna-procedure doctor` lists the ports of this computer.",
+    errno.EACCES: "Join the group that owns the port (often `dialout`), then log in again.",
+    errno.EAGAIN: "Another program holds the port: end it, then try again.",
+    errno.EBUSY: "Another program holds the port: end it, then try again.",
+    errno.ENOTTY: "This file is no serial port; `ronna-procedure doctor` lists the ports of this computer.",
+    errno.ECONNREFUSED: "Nothing listens at that address: check address and port, and that the unit is on.",
+}
 
 
 class Transport(Protocol):
@@ -57,41 +70,75 @@ def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
     return TcpTransport(endpoint, timeout_s)
 
 
-class SerialTransport:
+class _Descriptor:
+    """Reads and writes of an open file that never block longer than they are told to."""
+
+    def __init__(self, endpoint: Endpoint, descriptor: int) -> None:
+        self._endpoint = endpoint
+        self._descriptor = descriptor
+        self._readable = select.poll()
+        self._readable.register(descriptor, select.POLLIN)  # hang-up and error are reported unasked
+
+    def write(self, data: bytes) -> None:
+        try:
+            sent = os.write(self._descriptor, data)
+        except BlockingIOError:
+            sent = 0
+        except OSError as error:
+            raise self._lost(error) from error
+        if sent < len(data):
+            self._write_slowly(data[sent:])
+
+    def read(self, timeout_s: float) -> bytes:
+        if not self._readable.poll(timeout_s * 1000):
+            return b""
+        try:
+            data = os.read(self._descriptor, READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise self._lost(error) from error
+        if not data:
+            raise LinkLost(f"{self._endpoint} was closed at the other end")
+        return data
+
+    def _write_slowly(self, data: bytes) -> None:
+        """Send what did not fit into the buffers; raises NDI-008 when nobody takes it."""
+        writable = select.poll()
+        writable.register(self._descriptor, select.POLLOUT)
+        until_s = time.monotonic() + WRITE_LIMIT_S
+        while data:
+            left_s = until_s - time.monotonic()
+            if left_s <= 0 or not writable.poll(left_s * 1000):
+                raise LinkLost(f"{self._endpoint} takes no bytes", limit=f"{WRITE_LIMIT_S} s")
+            try:
+                data = data[os.write(self._descriptor, data) :]
+            except BlockingIOError:
+                continue
+            except OSError as error:
+                raise self._lost(error) from error
+
+    def _forget(self) -> None:
+        """After closing, no read or write may reach a file that was given the same number."""
+        self._descriptor = CLOSED
+
+    def _lost(self, error: OSError) -> LinkLost:
+        return LinkLost(f"{self._endpoint} broke: {_reason(error)}")
+
+
+class SerialTransport(_Descriptor):
     """8 data bits, no parity, one stop bit, no handshake; held for us alone."""
 
     def __init__(self, endpoint: Endpoint) -> None:
-        self._endpoint = endpoint
         try:
-            self._port = serial.Serial(
-                endpoint.path, DEFAULT_BAUD, timeout=0, write_timeout=WRITE_LIMIT_S, exclusive=True
-            )
+            self._port = serial.Serial(endpoint.path, DEFAULT_BAUD, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:
-            raise PortUnavailable(f"cannot open {endpoint}: {_reason(error)}") from error
-        self._poll = _readable(self._port.fileno())
+            raise _unavailable(endpoint, error) from error
+        super().__init__(endpoint, self._port.fileno())
 
     @property
     def baud(self) -> int | None:
         return int(self._port.baudrate)
-
-    def write(self, data: bytes) -> None:
-        try:
-            self._port.write(data)
-        except OSError as error:
-            raise LinkLost(f"cannot send on {self._endpoint}: {_reason(error)}") from error
-
-    def read(self, timeout_s: float) -> bytes:
-        if not self._poll.poll(timeout_s * 1000):
-            return b""
-        try:
-            data = os.read(self._port.fileno(), READ_BYTES)
-        except BlockingIOError:
-            return b""
-        except OSError as error:
-            raise LinkLost(f"{self._endpoint} closed: {_reason(error)}") from error
-        if not data:
-            raise LinkLost(f"{self._endpoint} closed")
-        return data
 
     def set_baud(self, baud: int) -> None:
         try:
@@ -102,51 +149,37 @@ class SerialTransport:
     def send_break(self) -> None:
         try:
             # Whatever either side still holds belongs to the time before the break.
-            termios.tcflush(self._port.fileno(), termios.TCIOFLUSH)
+            termios.tcflush(self._descriptor, termios.TCIOFLUSH)
             self._port.send_break(BREAK_S)
         except (OSError, termios.error) as error:
             raise LinkLost(f"cannot send a break on {self._endpoint}: {_reason(error)}") from error
 
     def close(self) -> None:
-        try:
-            self._port.close()
-        except (OSError, termios.error):
+        if self._descriptor == CLOSED:
             return
+        with contextlib.suppress(OSError, termios.error):
+            # A closing port waits for what it could not send; a dead peer takes nothing.
+            termios.tcflush(self._descriptor, termios.TCOFLUSH)
+        with contextlib.suppress(OSError, termios.error):
+            self._port.close()
+        self._forget()
 
 
-class TcpTransport:
+class TcpTransport(_Descriptor):
     """A TCP stream without delay of small packets."""
 
     def __init__(self, endpoint: Endpoint, timeout_s: float) -> None:
-        self._endpoint = endpoint
         try:
             self._socket = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
         except OSError as error:
-            raise PortUnavailable(f"cannot connect to {endpoint}: {_reason(error)}") from error
+            raise _unavailable(endpoint, error) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.settimeout(WRITE_LIMIT_S)
-        self._poll = _readable(self._socket.fileno())
+        self._socket.setblocking(False)
+        super().__init__(endpoint, self._socket.fileno())
 
     @property
     def baud(self) -> int | None:
         return None
-
-    def write(self, data: bytes) -> None:
-        try:
-            self._socket.sendall(data)
-        except OSError as error:
-            raise LinkLost(f"cannot send to {self._endpoint}: {_reason(error)}") from error
-
-    def read(self, timeout_s: float) -> bytes:
-        if not self._poll.poll(timeout_s * 1000):
-            return b""
-        try:
-            data = self._socket.recv(READ_BYTES)
-        except OSError as error:
-            raise LinkLost(f"{self._endpoint} closed: {_reason(error)}") from error
-        if not data:
-            raise LinkLost(f"{self._endpoint} closed the connection")
-        return data
 
     def set_baud(self, baud: int) -> None:
         return
@@ -155,18 +188,29 @@ class TcpTransport:
         return
 
     def close(self) -> None:
-        try:
+        with contextlib.suppress(OSError):
             self._socket.close()
-        except OSError:
-            return
+        self._forget()
 
 
-def _readable(descriptor: int) -> select.poll:
-    poll = select.poll()
-    poll.register(descriptor, select.POLLIN)  # hang-up and error are reported without asking
-    return poll
+def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
+    """The error with the advice that fits its cause."""
+    advice = _ADVICE.get(_number(error) or 0)
+    return PortUnavailable(f"cannot open {endpoint}: {_reason(error)}", action=advice)
+
+
+def _number(error: Exception) -> int | None:
+    """The system's number of an error; pyserial hides that of a port that is none in the cause."""
+    for candidate in (getattr(error, "errno", None), *getattr(error.__context__, "args", ())[:1]):
+        if isinstance(candidate, int) and candidate > 0:
+            return candidate
+    return None
 
 
 def _reason(error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    return os.strerror(number).lower() if isinstance(number, int) else str(error)
+    number = _number(error)
+    if number == errno.EAGAIN:
+        return "held by another program"
+    if number is not None:
+        return os.strerror(number).lower()
+    return str(getattr(error, "strerror", None) or error)

@@ -15,8 +15,6 @@ from ronna_hw.wire.polaris import (
     TX_POSITION_SCALE,
     TX_QUATERNION_SCALE,
     TX_SYSTEM_STATUS_DIGITS,
-    PortStatus,
-    SystemStatus,
 )
 
 _QUATERNION = r"([+-][0-9]{5})"
@@ -50,7 +48,7 @@ def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
         positions, outside = _strays(block, text)
     if not _STATUS.fullmatch(tail):
         raise _malformed("TX ends without a system status", text)
-    return TrackingReply(handles, positions, outside, SystemStatus(int(tail, 16)))
+    return TrackingReply(handles, positions, outside, int(tail, 16))
 
 
 def _handle(record: str, text: str) -> HandleReport:
@@ -68,14 +66,14 @@ def _handle(record: str, text: str) -> HandleReport:
             ),
             (tx / TX_POSITION_SCALE, ty / TX_POSITION_SCALE, tz / TX_POSITION_SCALE),
             fit / TX_ERROR_SCALE,
-            PortStatus(int(match[9], 16)),
+            int(match[9], 16),
             int(match[10], 16),
         )
     if match := _MISSING.fullmatch(content):
         return HandleReport(
             number,
             HandleState.MISSING,
-            port_status=PortStatus(int(match[1], 16)),
+            port_status=int(match[1], 16),
             frame=int(match[2], 16),
         )
     if match := _ABSENT.fullmatch(content):

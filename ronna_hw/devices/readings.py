@@ -37,7 +37,10 @@ class Stamp:
 
     sequence: int
     device_clock: int  # in the device's own unit: tracker frames, IPOC milliseconds, camera ticks
-    theatre_time_s: float
+    theatre_time_s: float  # when it reached us
+    measured_s: float | None = (
+        None  # theatre time of the measurement, where the device's clock is fitted to it
+    )
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ Constants only: no I/O and no decoding. A command is ASCII and ends in CR, eithe
 
 from __future__ import annotations
 
+import struct
 from enum import IntEnum, IntFlag
 from types import MappingProxyType
 from typing import Final
@@ -39,12 +40,28 @@ def _crc16_table() -> tuple[int, ...]:
 CRC16_TABLE: Final = _crc16_table()
 
 
-def crc16(data: bytes, start: int = 0) -> int:
-    """CRC-16 of `data`, continuing from `start`. In binary replies it is stored low byte first."""
-    crc = start
+def _crc16_word_table() -> tuple[int, ...]:
+    """For each 16-bit word, low byte first, the CRC of its two bytes."""
     table = CRC16_TABLE
-    for byte in data:
-        crc = (crc >> 8) ^ table[(crc ^ byte) & 0xFF]
+    return tuple(
+        (crc >> 8) ^ table[crc & 0xFF] for high in range(256) for crc in (low ^ high for low in table)
+    )
+
+
+CRC16_WORD_TABLE: Final = _crc16_word_table()
+
+
+def crc16(data: bytes, start: int = 0) -> int:
+    """CRC-16 of `data`, continuing from `start`. In binary replies it is stored low byte first.
+
+    Two bytes are taken at a time, because every reply of a tracker waits for this.
+    """
+    crc = start
+    table = CRC16_WORD_TABLE
+    for word in struct.unpack_from(f"<{len(data) // 2}H", data):
+        crc = table[crc ^ word]
+    if len(data) % 2:
+        crc = (crc >> 8) ^ CRC16_TABLE[(crc ^ data[-1]) & 0xFF]
     return crc
 
 

@@ -1,0 +1,107 @@
+"""The unit's clock, told by its frame numbers: 60 a second, on a line through the theatre's time.
+
+A reply is late by a delay that is never negative, so the replies with the least delay lie along the lower
+edge of time over frame number. Each second the least late reply is kept; the slope is the median over all
+pairs of these (Theil and Sen), the height the lowest line that no reply lies under. What cannot be told
+apart from it is the delay that every reply has: the unit's own processing and the transfer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from itertools import combinations
+from statistics import median
+
+from ronna_hw.wire.polaris import FRAME_RATE_HZ, TX_FRAME_DIGITS
+
+FRAME_NUMBERS = 16**TX_FRAME_DIGITS  # the number wraps after 2.3 years
+NOMINAL_PERIOD_S = 1.0 / FRAME_RATE_HZ
+WINDOW_FRAMES = 60  # one second: long enough to hold a reply that was hardly delayed
+WINDOWS_KEPT = 60  # a minute; the drift of a quartz is steady for longer
+LEAST_WINDOWS = 10  # before that the jitter of the delay says more about the slope than the drift does
+LARGEST_DRIFT = 1e-3  # a quartz keeps 1e-4; beyond this the nominal rate is the better guess
+JUMP_S = 1.0  # a reply this much too early belongs to a counter that somebody else has set
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """Theatre time of frame n: `origin_s` + n `period_s`. `drift_ppm` > 0: the unit's clock is slow.
+
+    `jitter_s` is the median delay of the windows' least late replies above the line.
+    """
+
+    origin_s: float
+    period_s: float
+    jitter_s: float
+    windows: int
+
+    @property
+    def drift_ppm(self) -> float:
+        return (self.period_s / NOMINAL_PERIOD_S - 1.0) * 1e6
+
+
+class FrameClock:
+    """Frame numbers of one run of tracking: counted on across a wrap, and fitted to the theatre's time."""
+
+    def __init__(self) -> None:
+        self.jumps = 0  # how often the counter was found to be another one
+        self._begin()
+
+    def _begin(self) -> None:
+        self._kept: deque[tuple[int, float]] = deque(maxlen=WINDOWS_KEPT)
+        self._window = 0
+        self._earliest: tuple[int, float] | None = None  # of the present window
+        self._earliest_origin_s = math.inf
+        self._origin_s: float | None = None
+        self._period_s = NOMINAL_PERIOD_S
+
+    def note(self, count: int, arrived_s: float) -> float:
+        """Take a reply for frame `count` into account; theatre time of that frame by the fit."""
+        if self._origin_s is not None and arrived_s < self._time_s(self._origin_s, count) - JUMP_S:
+            self.jumps += 1
+            self._begin()
+        window = count // WINDOW_FRAMES
+        if window != self._window:
+            self._window = window
+            self._end_window()
+        origin_s = arrived_s - count * self._period_s
+        if origin_s < self._earliest_origin_s:
+            self._earliest, self._earliest_origin_s = (count, arrived_s), origin_s
+        if self._origin_s is None or origin_s < self._origin_s:
+            self._origin_s = origin_s
+        return self._time_s(self._origin_s, count)
+
+    @property
+    def fit(self) -> ClockFit | None:
+        """The line as it stands; None before the first reply."""
+        if self._origin_s is None:
+            return None
+        delays = [arrived - self._origin_s - count * self._period_s for count, arrived in self._kept]
+        return ClockFit(self._origin_s, self._period_s, median(delays) if delays else 0.0, len(self._kept))
+
+    def _time_s(self, origin_s: float, count: int) -> float:
+        return origin_s + count * self._period_s
+
+    def _end_window(self) -> None:
+        if self._earliest is None:
+            return
+        self._kept.append(self._earliest)
+        self._earliest, self._earliest_origin_s = None, math.inf
+        if len(self._kept) >= LEAST_WINDOWS:
+            slope_s = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._kept, 2))
+            drift = slope_s / NOMINAL_PERIOD_S - 1.0
+            self._period_s = slope_s if abs(drift) <= LARGEST_DRIFT else NOMINAL_PERIOD_S
+        self._origin_s = min(arrived - count * self._period_s for count, arrived in self._kept)
+
+
+def counted_on(number: int, last: int | None) -> int:
+    """The frame number without its wraps: the count nearest to `last` that ends in `number`.
+
+    A result below `last` is an older frame.
+    """
+    if last is None:
+        return number
+    half = FRAME_NUMBERS // 2
+    return last + (number - last + half) % FRAME_NUMBERS - half

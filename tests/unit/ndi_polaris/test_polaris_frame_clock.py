@@ -1,0 +1,130 @@
+"""The unit's clock, told from frame numbers whose replies are late by a delay that varies."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from drivers.ndi_polaris import PolarisTracker
+from drivers.ndi_polaris.frame_clock import FRAME_NUMBERS, FrameClock, counted_on
+
+LEAST_DELAY_S = 0.004
+TRUE_PERIOD_S = 1 / 60 * (1 + 40e-6)  # a slow quartz
+BEGAN_S = 1234.5
+
+
+def delays(seed: int) -> Iterator[float]:
+    """Mostly a little over the least delay; now and then the computer stalls for tens of milliseconds."""
+    chosen = random.Random(seed)
+    while True:
+        stall_s = chosen.uniform(0.01, 0.3) if chosen.random() < 0.05 else 0.0
+        yield LEAST_DELAY_S + chosen.expovariate(1 / 0.0005) + stall_s
+
+
+def made_s(count: int) -> float:
+    return BEGAN_S + count * TRUE_PERIOD_S
+
+
+def test_the_fit_finds_drift_and_moment_through_jitter_and_stalls() -> None:
+    clock = FrameClock()
+    errors_s = []
+    for count, delay_s in zip(range(60 * 90), delays(1), strict=False):
+        fitted_s = clock.note(count, made_s(count) + delay_s)
+        errors_s.append(fitted_s - made_s(count) - LEAST_DELAY_S)
+    assert max(abs(error_s) for error_s in errors_s[60 * 30 :]) < 0.0005
+    fit = clock.fit
+    assert fit is not None
+    assert fit.drift_ppm == pytest.approx(40, abs=5)
+    assert 0 <= fit.jitter_s < 0.0005
+    assert fit.windows == 60
+
+
+def test_no_reading_is_said_to_be_made_after_it_came() -> None:
+    clock = FrameClock()
+    for count, delay_s in zip(range(60 * 20), delays(2), strict=False):
+        arrived_s = made_s(count) + delay_s
+        assert clock.note(count, arrived_s) <= arrived_s + 1e-9
+
+
+def test_asking_faster_than_the_unit_measures_does_not_move_the_line() -> None:
+    clock = FrameClock()
+    for count in range(120):
+        for again in range(20):
+            fitted_s = clock.note(count, made_s(count) + LEAST_DELAY_S + again * 0.0008)
+    assert fitted_s == pytest.approx(made_s(119) + LEAST_DELAY_S, abs=1e-4)
+
+
+def test_a_counter_that_somebody_sets_anew_begins_a_new_line() -> None:
+    clock = FrameClock()
+    for count in range(600):
+        clock.note(count, made_s(count))
+    jumped = 600 + 100_000
+    assert clock.note(jumped, made_s(600)) == pytest.approx(made_s(600))
+    assert clock.note(jumped + 1, made_s(601) + 0.05) == pytest.approx(made_s(601), abs=1e-4)
+    assert clock.jumps == 1
+
+
+def test_a_rate_that_no_quartz_has_is_not_believed() -> None:
+    clock = FrameClock()
+    for count in range(60 * 30):
+        clock.note(count, count / 50)
+    assert clock.fit is not None
+    assert clock.fit.drift_ppm == 0
+
+
+def test_before_the_first_reply_there_is_no_fit() -> None:
+    assert FrameClock().fit is None
+
+
+@pytest.mark.parametrize(
+    ("number", "last", "count"),
+    [
+        (7, None, 7),
+        (7, 6, 7),
+        (6, 7, 6),
+        (2, FRAME_NUMBERS - 1, FRAME_NUMBERS + 2),
+        (FRAME_NUMBERS - 1, FRAME_NUMBERS + 2, FRAME_NUMBERS - 1),
+        (0, 3 * FRAME_NUMBERS + 5, 3 * FRAME_NUMBERS),
+    ],
+)
+def test_frame_numbers_are_counted_on_across_their_wrap(number: int, last: int | None, count: int) -> None:
+    assert counted_on(number, last) == count
+
+
+def test_readings_carry_the_units_clock_our_clock_and_the_moment_of_measurement(
+    tracker: PolarisTracker, clock: Any
+) -> None:
+    stamps = []
+    for count in range(200):
+        clock.time_s = 50.0 + count / 60 + (0.003 if count % 7 else 0.001)
+        stamps.append(tracker.read_frame().stamp)
+    assert [stamp.device_clock for stamp in stamps] == list(range(200))
+    assert stamps[-1].theatre_time_s == clock.time_s
+    assert stamps[-1].measured_s == pytest.approx(50.0 + 199 / 60 + 0.001, abs=1e-6)
+    assert tracker.clock_fit is not None
+    assert tracker.clock_fit.drift_ppm == 0
+
+
+def test_tracking_goes_on_when_the_frame_number_wraps(tracker: PolarisTracker, unit: Any) -> None:
+    unit.frame = FRAME_NUMBERS - 3  # 2.3 years later
+    usual = unit._do_bx
+
+    def wrapping(argument: str) -> bytes:
+        if unit.frame == FRAME_NUMBERS - 1:
+            unit.frame = -1
+        return bytes(usual(argument))
+
+    unit._do_bx = wrapping
+    numbers = [tracker.read_frame().stamp.device_clock for _ in range(5)]
+    assert numbers == list(range(FRAME_NUMBERS - 2, FRAME_NUMBERS + 3))
+
+
+def test_a_new_run_of_tracking_begins_a_new_fit(tracker: PolarisTracker, clock: Any) -> None:
+    tracker.read_frame()
+    tracker.deactivate()
+    clock.time_s = 100.0
+    tracker.activate()
+    assert tracker.read_frame().stamp.measured_s == 100.0
