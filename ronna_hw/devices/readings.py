@@ -38,9 +38,7 @@ class Stamp:
     sequence: int
     device_clock: int  # in the device's own unit: tracker frames, IPOC milliseconds, camera ticks
     theatre_time_s: float  # when it reached us
-    measured_s: float | None = (
-        None  # theatre time of the measurement, where the device's clock is fitted to it
-    )
+    measured_s: float | None = None  # theatre time when it was made, where the driver can tell
 
 
 @dataclass(frozen=True)
