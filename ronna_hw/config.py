@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from ronna_hw.calibration import StereoHeadCalibration, Strict, ToolTipCalibration, TrackerFrameCalibration
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -42,6 +42,18 @@ class DeviceConfig(Strict):
     endpoint: str | None = None
     endpoints: dict[str, str] = Field(default_factory=dict)
     options: dict[str, Any] = Field(default_factory=dict)
+    _folder: Path | None = PrivateAttr(default=None)
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the theatre file, where relative paths in `options` begin; None without a file."""
+        return self._folder
+
+    def read_from(self, folder: Path) -> Self:
+        """The same device, as a theatre file in that folder says it."""
+        here = self.model_copy()
+        here._folder = folder
+        return here
 
     @model_validator(mode="after")
     def _has_endpoint(self) -> Self:
@@ -98,7 +110,13 @@ def read_theatre_file(path: Path) -> TheatreFile:
         raise BadTheatreFile(f"cannot read {path.name}: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise BadTheatreFile(f"{path.name} is not TOML: {error}") from error
-    return parse_theatre(content, path.name)
+    theatre = parse_theatre(content, path.name)
+    folder = path.resolve().parent
+    places: dict[str, Any] = {"robot": {name: arm.read_from(folder) for name, arm in theatre.robot.items()}}
+    for name in ("tracker", "stereo"):
+        device: DeviceConfig | None = getattr(theatre, name)
+        places[name] = None if device is None else device.read_from(folder)
+    return theatre.model_copy(update=places)
 
 
 def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:

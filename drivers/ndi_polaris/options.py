@@ -16,27 +16,26 @@ from pydantic import Field, ValidationError, model_validator
 from drivers.ndi_polaris.errors import BadOptions
 from drivers.ndi_polaris.geometry import check_distinct
 from drivers.ndi_polaris.rom import ToolDefinition, read_definition
+from drivers.ndi_polaris.shipped import find_definition
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig, describe_mistakes
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S, FRAME_RATE_HZ
 
-SHIPPED_DEFINITIONS = Path(__file__).parent / "definitions"
-
 
 class ToolOption(Strict):
-    """One passive tool to load. `rom` is a path, or the name of a definition that comes with the driver."""
+    """One passive tool to load.
+
+    `rom` is a path, relative to the theatre file that names it, or the name of a definition that comes with
+    the driver.
+    """
 
     name: Annotated[str, Field(min_length=1)]
     rom: Annotated[str, Field(min_length=1)]
     priority: Literal["S", "D"] = "D"  # S for a tool that hardly moves, D for one that does
 
-    def definition(self) -> ToolDefinition:
-        """The definition that `rom` names; raises NDI-011."""
-        path = Path(self.rom)
-        shipped = SHIPPED_DEFINITIONS / self.rom
-        if not path.exists() and path.name == self.rom and shipped.exists():
-            path = shipped
-        return read_definition(path)
+    def definition(self, folder: Path | None = None) -> ToolDefinition:
+        """The definition that `rom` names, relative to `folder`; raises NDI-011."""
+        return read_definition(find_definition(Path(self.rom), folder))
 
 
 class PolarisOptions(Strict):
@@ -64,9 +63,9 @@ class PolarisOptions(Strict):
             raise ValueError(f"time_limits_s names the unknown command {', '.join(unknown)}")
         return self
 
-    def definitions(self) -> dict[str, ToolDefinition]:
-        """The definition of each tool by name; raises NDI-011 and NDI-012."""
-        tools = {tool.name: tool.definition() for tool in self.tools}
+    def definitions(self, folder: Path | None = None) -> dict[str, ToolDefinition]:
+        """The definition of each tool by name, paths relative to `folder`; raises NDI-011 and NDI-012."""
+        tools = {tool.name: tool.definition(folder) for tool in self.tools}
         check_distinct(tools)
         return tools
 

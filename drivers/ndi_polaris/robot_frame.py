@@ -1,14 +1,10 @@
-"""The robot's reference frame M: four spheres on the tool mount, seen by the tracker.
-
-`python -P -m drivers.ndi_polaris.robot_frame` writes the definition that ships with the driver again.
-"""
+"""The robot's reference frame M: four spheres on the tool mount, seen by the tracker."""
 
 from __future__ import annotations
 
 from datetime import date
 
-from drivers.ndi_polaris.options import SHIPPED_DEFINITIONS
-from drivers.ndi_polaris.rom import ToolDefinition, encode_definition, planar_tool
+from drivers.ndi_polaris.rom import ToolDefinition, planar_tool
 
 NAME = "robot_frame"
 PART_NUMBER = "RONNA-M"
@@ -21,13 +17,3 @@ DEFINED_ON = date(2025, 1, 6)
 def robot_frame() -> ToolDefinition:
     """The definition of frame M; markers in mm in the frame itself, all looking along its z axis."""
     return planar_tool(PART_NUMBER, MARKERS_MM, manufacturer=MANUFACTURER, made_on=DEFINED_ON)
-
-
-def main() -> None:
-    """Write `robot_frame.rom` among the definitions that ship with the driver."""
-    SHIPPED_DEFINITIONS.mkdir(exist_ok=True)
-    (SHIPPED_DEFINITIONS / f"{NAME}.rom").write_bytes(encode_definition(robot_frame()))
-
-
-if __name__ == "__main__":
-    main()

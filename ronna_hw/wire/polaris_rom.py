@@ -17,7 +17,8 @@ ROM_MINIMUM_MARKERS: Final = 3
 CHECKSUM_OFFSET: Final = 4  # u16: sum of all bytes from CHECKSUM_FROM to the end, modulo 65536
 CHECKSUM_FROM: Final = 6
 CONSTANT_ONE_OFFSET: Final = 8  # u8, always 1
-SUBTYPE_OFFSET: Final = 12  # u8; real files carry main type - 1
+SUBTYPE_OFFSET: Final = 12  # u8
+SUBTYPE_BELOW_TYPE: Final = 1  # real files carry main type - 1 as the subtype
 MAIN_TYPE_OFFSET: Final = 15  # u8
 REVISION_OFFSET: Final = 16  # u16
 SERIAL_OFFSET: Final = 20  # u32, fields below
@@ -58,8 +59,17 @@ MARKER_PASSIVE_SPHERE: Final = 41  # 0x29
 MARKER_PASSIVE_DISC: Final = 49
 MARKER_RADIX_LENS: Final = 57
 
+# Byte 15, as PHINF tells it.
+MAIN_TYPE_UNKNOWN: Final = 0
 MAIN_TYPE_REFERENCE: Final = 1
 MAIN_TYPE_POINTER: Final = 2
 MAIN_TYPE_BUTTON_BOX: Final = 3
 MAIN_TYPE_USER_DEFINED: Final = 4
+MAIN_TYPE_MICROSCOPE: Final = 5
 MAIN_TYPE_CALIBRATION_BLOCK: Final = 7
+MAIN_TYPE_DOCK: Final = 8
+MAIN_TYPE_ISOLATION_BOX: Final = 9
+MAIN_TYPE_C_ARM: Final = 10
+MAIN_TYPE_CATHETER: Final = 11
+MAIN_TYPE_GPIO: Final = 12
+MAIN_TYPE_SCAN_REFERENCE: Final = 14

@@ -63,3 +63,19 @@ def test_an_unknown_driver_names_those_that_are_installed() -> None:
 
 def test_the_three_drivers_are_installed() -> None:
     assert {"ndi_polaris", "kuka_rsi", "basler_stereo"} <= set(driver_names())
+
+
+def test_relative_paths_of_a_device_begin_at_its_theatre_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    (lab / "theatre.toml").write_text(
+        'schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\nendpoint = "tcp://127.0.0.1:8765"\n'
+    )
+    monkeypatch.chdir(tmp_path)
+    tracker = read_theatre_file(Path("lab/theatre.toml")).tracker
+    assert tracker is not None
+    assert tracker.folder == lab
+    assert tracker.model_copy(update={"endpoint": "tcp://127.0.0.1:1"}).folder == lab
+    assert DeviceConfig(driver="ndi_polaris", endpoint="host:").folder is None

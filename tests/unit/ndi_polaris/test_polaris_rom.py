@@ -6,13 +6,19 @@ import struct
 from datetime import date
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ndi_polaris.errors import BadToolFile, SameGeometry
-from drivers.ndi_polaris.geometry import alike_segments_mm, check_distinct, segment_lengths_mm
-from drivers.ndi_polaris.options import SHIPPED_DEFINITIONS
+from drivers.ndi_polaris.geometry import (
+    alike_segments_mm,
+    check_distinct,
+    find_alike,
+    segment_lengths_mm,
+    shared_segments_mm,
+)
 from drivers.ndi_polaris.robot_frame import robot_frame
 from drivers.ndi_polaris.rom import (
     ToolDefinition,
@@ -21,6 +27,10 @@ from drivers.ndi_polaris.rom import (
     planar_tool,
     read_definition,
 )
+from drivers.ndi_polaris.rom_compare import compare_definitions, largest_segment_difference_mm
+from drivers.ndi_polaris.rom_fields import blank_block
+from drivers.ndi_polaris.shipped import FOLDER, shipped_definitions
+from drivers.ndi_polaris.x_frame import x_frame
 from sim.polaris.definition import parse_definition, write_definition
 from sim.theatre.built_in import robot_frame as robot_frame_of_the_scene
 
@@ -66,9 +76,13 @@ def test_zero_padding_behind_a_definition_is_allowed() -> None:
     assert decode_definition(encode_definition(RIGID_BODY) + bytes(16)).part_number == "8700339"
 
 
-def test_the_shipped_robot_frame_is_what_the_generator_writes() -> None:
-    shipped = (SHIPPED_DEFINITIONS / "robot_frame.rom").read_bytes()
-    assert shipped == encode_definition(robot_frame())
+@pytest.mark.parametrize("name", ["robot_frame.rom", "x_frame.rom"])
+def test_a_shipped_definition_is_what_the_generator_writes(name: str) -> None:
+    assert (FOLDER / name).read_bytes() == encode_definition(shipped_definitions()[name])
+
+
+def test_nothing_else_is_shipped() -> None:
+    assert {path.name for path in FOLDER.iterdir()} == set(shipped_definitions())
 
 
 def test_the_robot_frame_is_the_one_that_hangs_in_the_theatre() -> None:
@@ -77,8 +91,19 @@ def test_the_robot_frame_is_the_one_that_hangs_in_the_theatre() -> None:
     assert robot_frame().part_number == scene.part_number
 
 
-def test_the_robot_frame_is_seen_in_one_pose_only() -> None:
-    assert alike_segments_mm(robot_frame()) == ()
+def test_a_shipped_tool_is_seen_in_one_pose_only_and_shares_no_distance_with_another() -> None:
+    assert find_alike({"M": robot_frame(), "x": x_frame()}) == ()
+
+
+def test_the_x_shaped_frame_is_two_bars_that_cross_and_keeps_8_mm_between_its_distances() -> None:
+    first, second, third, fourth = (np.array(marker) for marker in x_frame().markers_mm)
+    crossing = np.zeros(3)
+    for end, other in ((first, third), (second, fourth)):
+        assert np.dot(end - crossing, other - crossing) < 0  # on either side of the crossing
+        sine = np.linalg.norm(np.cross(end, other)) / np.linalg.norm(end) / np.linalg.norm(other)
+        assert sine < 0.01
+    assert alike_segments_mm(x_frame(), 8.0) == ()
+    assert shared_segments_mm(x_frame(), robot_frame(), 5.0) == ()
 
 
 def test_definitions_written_by_either_side_are_read_alike_by_the_other() -> None:
@@ -142,6 +167,80 @@ def test_any_block_is_read_or_refused(block: bytes) -> None:
     block = b"NDI\0" + (sum(block[6:]) & 0xFFFF).to_bytes(2, "little") + block[6:]
     with contextlib.suppress(BadToolFile):
         assert isinstance(decode_definition(block), ToolDefinition)
+
+
+def foreign(seed: int) -> bytes:
+    """A definition as another maker writes it: every byte that we do not need is noise."""
+    block = bytearray(np.random.default_rng(seed).integers(0, 256, 752, dtype=np.uint8).tobytes())
+    for offset, size in ((0, 4), (24, 1), (28, 1), (32, 1), (36, 4), (40, 12), (72, 48), (312, 48), (613, 4)):
+        block[offset : offset + size] = encode_definition(RIGID_BODY)[offset : offset + size]
+    block[656:668] = struct.pack("<3f", 0.0, 0.0, -1.0)
+    block[580:592] = b"NDI\0\xff rest\0x"
+    block[592:612] = b" padded \0" + bytes(11)
+    block[4:6] = (sum(block[6:]) & 0xFFFF).to_bytes(2, "little")
+    return bytes(block)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bytes_that_nobody_explains_survive_reading_and_writing(seed: int) -> None:
+    block = foreign(seed)
+    assert encode_definition(decode_definition(block)) == block
+
+
+def test_a_change_to_a_foreign_definition_touches_nothing_else() -> None:
+    block = foreign(3)
+    changed_error = dataclasses.replace(decode_definition(block), maximum_error_mm=2.0)
+    written = encode_definition(changed_error)
+    differing = {at for at in range(752) if written[at] != block[at]}
+    assert differing <= {4, 5, *range(36, 40)}
+    assert decode_definition(written).maximum_error_mm == 2.0
+
+
+def test_a_marker_more_or_less_leaves_nothing_of_a_former_one_behind() -> None:
+    three = dataclasses.replace(
+        decode_definition(encode_definition(RIGID_BODY)),
+        markers_mm=RIGID_BODY.markers_mm[:3],
+        normals=RIGID_BODY.normals[:3],
+        faces=(1, 1, 1),
+        minimum_markers=3,
+    )
+    fresh = dataclasses.replace(three, origin=blank_block())
+    assert encode_definition(three) == encode_definition(fresh)
+    assert encode_definition(three)[72 + 36 : 72 + 48] == bytes(12)
+
+
+def test_a_comparison_names_what_differs_and_how_far_a_marker_moved() -> None:
+    moved = dataclasses.replace(
+        RIGID_BODY,
+        part_number="8700340",
+        markers_mm=(*RIGID_BODY.markers_mm[:3], (-44.32, 40.45, 4.0)),
+        made_on=date(2006, 1, 6),
+    )
+    found = {d.field: d for d in compare_definitions(RIGID_BODY, moved)}
+    assert set(found) == {"part_number", "markers_mm[4]", "made_on"}
+    assert found["markers_mm[4]"].distance_mm == pytest.approx(4.0)
+    assert (found["part_number"].first, found["part_number"].second) == ("8700339", "8700340")
+    assert compare_definitions(RIGID_BODY, RIGID_BODY) == ()
+
+
+def test_a_comparison_shows_bytes_that_no_field_explains() -> None:
+    block = bytearray(encode_definition(RIGID_BODY))
+    block[60], block[61], block[654] = 0xAB, 0xCD, 0x01
+    block[4:6] = (sum(block[6:]) & 0xFFFF).to_bytes(2, "little")
+    found = compare_definitions(RIGID_BODY, decode_definition(bytes(block)))
+    assert [(d.field, d.first, d.second) for d in found] == [
+        ("bytes 60 to 61", "00 00", "ab cd"),
+        ("byte 654", "00", "01"),
+    ]
+
+
+def test_the_same_shape_elsewhere_is_known_by_its_distances() -> None:
+    elsewhere = dataclasses.replace(
+        RIGID_BODY, markers_mm=tuple((y + 10.0, -x, z + 5.0) for x, y, z in RIGID_BODY.markers_mm)
+    )
+    assert compare_definitions(RIGID_BODY, elsewhere)
+    assert largest_segment_difference_mm(RIGID_BODY, elsewhere) == pytest.approx(0.0, abs=1e-9)
+    assert largest_segment_difference_mm(RIGID_BODY, robot_frame()) > 5.0
 
 
 @pytest.mark.hazard(17)

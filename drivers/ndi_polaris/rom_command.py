@@ -1,0 +1,240 @@
+"""`ronna-rom`: write, show, compare and check the tool definitions (.rom) of an NDI tracker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
+
+if TYPE_CHECKING:
+    from drivers.ndi_polaris.rom import ToolDefinition
+
+app = typer.Typer(
+    name="ronna-rom",
+    help="Write, show, compare and check tool definitions (.rom) of an NDI tracker.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+RomArgument = Annotated[
+    Path, typer.Argument(metavar="ROM", help="A .rom, or the name of one that comes with the driver.")
+]
+ToleranceOption = Annotated[
+    float | None,
+    typer.Option("--tolerance-mm", min=0.0, help="Distances nearer to each other than this are alike."),
+]
+
+
+@app.command()
+def make(
+    description: Annotated[
+        Path, typer.Argument(metavar="TOML", help="What the tool is: part_number, markers_mm, ...")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the .rom.")],
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> int:
+    """Write a definition from marker coordinates.
+
+    The least that a description says is part_number and markers_mm (a list of [x, y, z]); show --toml
+    prints all of it for an existing definition. Exit codes: 0 written, perhaps with warnings about alike
+    distances; 1 the description is wrong or the file cannot be written.
+    """
+    console.set_up_logging(verbose)
+    from drivers.ndi_polaris.geometry import alike_segments_mm, find_alike
+    from drivers.ndi_polaris.rom import decode_definition, definition_hash, encode_definition
+    from drivers.ndi_polaris.rom_description import read_description
+    from ronna_hw.records import write_whole
+
+    block = encode_definition(read_description(description).definition())
+    tool = decode_definition(block)
+    write_whole(out, block)
+    warnings = [str(pair) for pair in find_alike({tool.part_number: tool})]
+    if tool.unique_geometry and alike_segments_mm(tool):
+        warnings.append("it claims a unique geometry all the same: unique_geometry = false would say so")
+    if as_json:
+        console.print_json(
+            {
+                "file": str(out),
+                "bytes": len(block),
+                "sha256": definition_hash(tool),
+                "warnings": warnings,
+                "tool": _as_data(tool),
+            }
+        )
+    else:
+        console.tell(f"{out}: {tool.part_number}, {len(tool.markers_mm)} markers, {len(block)} bytes")
+    for warning in warnings:
+        console.tell(f"warning: {warning}")
+    return EXIT_DONE
+
+
+@app.command()
+def show(
+    rom: RomArgument,
+    as_toml: Annotated[bool, typer.Option("--toml", help="Print the description that make reads.")] = False,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> int:
+    """Say what a definition holds. Exit codes: 0 shown, 1 no usable definition."""
+    console.set_up_logging(verbose)
+    import sys
+
+    from drivers.ndi_polaris.geometry import segment_lengths_mm
+    from drivers.ndi_polaris.rom import definition_hash
+    from drivers.ndi_polaris.rom_description import describe
+
+    if as_toml and as_json:
+        raise UsageMistake("--toml and --json exclude each other", action="Give one of them.")
+    tool = _read(rom)
+    if as_toml:
+        import tomli_w
+
+        sys.stdout.write(tomli_w.dumps(describe(tool)))
+        return EXIT_DONE
+    segments = segment_lengths_mm(tool.markers_mm)
+    if as_json:
+        lengths = [round(length, 3) for length in segments]
+        console.print_json({**_as_data(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
+        return EXIT_DONE
+    per_marker = ("markers_mm", "normals", "faces")
+    content = {name: value for name, value in describe(tool).items() if name not in per_marker}
+    content["segments_mm"] = ", ".join(f"{length:.2f}" for length in segments)
+    content["sha256"] = definition_hash(tool)
+    console.print_table(rom.name, ("property", "value"), list(content.items()))
+    console.print_table(
+        "Markers",
+        ("marker", "x mm", "y mm", "z mm", "normal", "face"),
+        [
+            (
+                number,
+                *(f"{value:.3f}" for value in marker),
+                " ".join(f"{value:.3f}" for value in normal),
+                face,
+            )
+            for number, (marker, normal, face) in enumerate(
+                zip(tool.markers_mm, tool.normals, tool.faces, strict=True), start=1
+            )
+        ],
+    )
+    return EXIT_DONE
+
+
+@app.command()
+def compare(
+    first: RomArgument,
+    second: RomArgument,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> int:
+    """Say what differs between two definitions.
+
+    Field by field; marker positions by their distance in mm, unexplained bytes in hex.
+    Exit codes: 0 they say the same, 1 they differ or one is no usable definition.
+    """
+    console.set_up_logging(verbose)
+    from dataclasses import asdict
+
+    from drivers.ndi_polaris.rom_compare import compare_definitions, largest_segment_difference_mm
+
+    tools = _read(first), _read(second)
+    differences = compare_definitions(*tools)
+    shape_mm = largest_segment_difference_mm(*tools)
+    if as_json:
+        console.print_json(
+            {
+                "same": not differences,
+                "largest_segment_difference_mm": shape_mm,
+                "differences": [asdict(difference) for difference in differences],
+            }
+        )
+    elif differences:
+        console.print_table(
+            f"{first.name} and {second.name}",
+            ("field", first.name, second.name, "apart mm"),
+            [
+                (d.field, d.first, d.second, "" if d.distance_mm is None else f"{d.distance_mm:.3f}")
+                for d in differences
+            ],
+        )
+    told = "no difference" if not differences else f"{len(differences)} difference(s)"
+    shape = "" if shape_mm is None else f"; distances between markers agree within {shape_mm:.3f} mm"
+    console.tell(told + shape)
+    return EXIT_FAILED if differences else EXIT_DONE
+
+
+@app.command()
+def check(
+    roms: Annotated[list[Path], typer.Argument(metavar="ROM...", help="Definitions that are used together.")],
+    tolerance_mm: ToleranceOption = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> int:
+    """Warn of distances that are not unique.
+
+    Within a tool, or shared between tools that are used together.
+        Exit codes: 0 nothing found, 1 something found or a file is no usable definition.
+    """
+    console.set_up_logging(verbose)
+    from dataclasses import asdict
+    from itertools import combinations
+
+    from drivers.ndi_polaris.geometry import SEGMENT_TOLERANCE_MM, find_alike, shared_triangle
+
+    tolerance = SEGMENT_TOLERANCE_MM if tolerance_mm is None else tolerance_mm
+    tools = {_short_name(path, roms): _read(path) for path in roms}
+    if len(tools) < len(roms):
+        raise UsageMistake("a definition is named twice", action="Name each one once.")
+    alike = find_alike(tools, tolerance)
+    triangles = [
+        (a, b) for (a, first), (b, second) in combinations(tools.items(), 2) if shared_triangle(first, second)
+    ]
+    if as_json:
+        console.print_json(
+            {
+                "tolerance_mm": tolerance,
+                "alike": [asdict(pair) for pair in alike],
+                "not_told_apart": [list(pair) for pair in triangles],
+            }
+        )
+    else:
+        for a, b in triangles:
+            console.tell(f"{a} and {b} share a triangle of markers: the driver refuses to load both")
+        for pair in alike:
+            console.tell(str(pair))
+        if not alike:
+            console.tell(f"{len(tools)} tool(s): every two distances differ by {tolerance:g} mm or more")
+    return EXIT_FAILED if alike or triangles else EXIT_DONE
+
+
+def _read(path: Path) -> ToolDefinition:
+    from drivers.ndi_polaris.rom import read_definition
+    from drivers.ndi_polaris.shipped import find_definition
+
+    return read_definition(find_definition(path))
+
+
+def _short_name(path: Path, others: list[Path]) -> str:
+    """The file's name, or its whole path where another one has the same name."""
+    return path.stem if sum(other.stem == path.stem for other in others) == 1 else str(path)
+
+
+def _as_data(tool: ToolDefinition) -> dict[str, Any]:
+    from drivers.ndi_polaris.rom_description import describe
+
+    return {**describe(tool), "made_on": tool.made_on.isoformat()}
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    console.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,199 @@
+"""Where each property of a tool definition lives in the 752 bytes, and how it is read and written there.
+
+A property is written only where it differs from what the bytes say already. So bytes whose meaning nobody
+has published, and the ways in which a foreign file pads or rounds, survive reading and writing unchanged.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import date, timedelta
+from typing import Any
+
+from drivers.ndi_polaris.errors import BadToolFile
+from ronna_hw.devices.readings import Vector3
+from ronna_hw.wire import polaris_rom as layout
+
+_F3 = struct.Struct("<3f")
+Bits = tuple[int, int]  # lowest bit, number of bits
+
+
+@dataclass(frozen=True)
+class Field:
+    """One property: its name in `ToolDefinition`, its bytes (offset, length), and both directions."""
+
+    name: str
+    spans: tuple[tuple[int, int], ...]
+    read: Callable[[bytes], Any]
+    write: Callable[[bytearray, Any], None]
+
+
+def blank_block() -> bytes:
+    """A definition without content: the bytes that are the same in every real file."""
+    block = bytearray(layout.ROM_BYTES)
+    block[: len(layout.ROM_MAGIC)] = layout.ROM_MAGIC
+    block[layout.CONSTANT_ONE_OFFSET] = 1
+    struct.pack_into("<f", block, layout.CONSTANT_TEN_OFFSET, 10.0)
+    block[layout.LEDS_OFFSET : layout.LEDS_OFFSET + 4] = bytes([layout.LED_NONE] * 4)
+    block[layout.TOOL_IN_PORT_OFFSET] = layout.TOOL_IN_PORT_PRESENT
+    block[layout.CONSTANT_NINE_OFFSET] = 9
+    return bytes(block)
+
+
+def checksum(block: bytes | bytearray) -> int:
+    """Sum of all bytes behind the checksum; zero padding changes nothing."""
+    return sum(block[layout.CHECKSUM_FROM :]) & 0xFFFF
+
+
+def _number(name: str, form: str, offset: int) -> Field:
+    code = struct.Struct(form)
+
+    def write(block: bytearray, value: Any) -> None:
+        try:
+            code.pack_into(block, offset, value)
+        except (struct.error, OverflowError) as error:
+            raise BadToolFile(f"{name} does not fit into a definition", last=str(value)) from error
+
+    return Field(name, ((offset, code.size),), lambda block: code.unpack_from(block, offset)[0], write)
+
+
+def _text(name: str, offset: int, size: int) -> Field:
+    def read(block: bytes) -> str:
+        return block[offset : offset + size].split(b"\0", 1)[0].decode("ascii", "replace").strip()
+
+    def write(block: bytearray, value: str) -> None:
+        try:
+            encoded = value.encode("ascii")
+        except UnicodeEncodeError as error:
+            raise BadToolFile(f"{value!r} is not plain ASCII") from error
+        if len(encoded) > size:
+            raise BadToolFile(f"{value!r} is too long", limit=f"{size} characters")
+        block[offset : offset + size] = encoded.ljust(size, b"\0")
+
+    return Field(name, ((offset, size),), read, write)
+
+
+def _read_vectors(block: bytes, offset: int, count: int) -> tuple[Vector3, ...]:
+    triples = (_F3.unpack_from(block, offset + index * _F3.size) for index in range(count))
+    return tuple((x, y, z) for x, y, z in triples)
+
+
+def _write_vectors(block: bytearray, offset: int, vectors: tuple[Vector3, ...]) -> None:
+    for index, vector in enumerate(vectors):
+        _F3.pack_into(block, offset + index * _F3.size, *vector)
+
+
+def _count(block: bytes | bytearray) -> int:
+    return block[layout.MARKER_COUNT_OFFSET]
+
+
+def _write_markers(block: bytearray, markers_mm: tuple[Vector3, ...]) -> None:
+    count = len(markers_mm)
+    if count != _count(block):  # slots begin or end to be used: nothing of a former marker stays behind
+        block[layout.MARKER_COUNT_OFFSET] = count
+        for offset, size in ((layout.MARKER_POSITIONS_OFFSET, 12), (layout.MARKER_NORMALS_OFFSET, 12)):
+            block[offset : offset + layout.ROM_MARKERS * size] = bytes(layout.ROM_MARKERS * size)
+        for slot in range(layout.ROM_MARKERS):
+            used = slot < count
+            block[layout.FIRING_SEQUENCE_OFFSET + slot] = slot if used else 0
+            block[layout.MARKER_FACES_OFFSET + slot] = 0
+            block[layout.MARKER_GROUPS_OFFSET + slot] = 1 if used else 0
+    _write_vectors(block, layout.MARKER_POSITIONS_OFFSET, markers_mm)
+
+
+def _read_faces(block: bytes) -> tuple[int, ...]:
+    return tuple(block[layout.MARKER_FACES_OFFSET : layout.MARKER_FACES_OFFSET + _count(block)])
+
+
+def _write_faces(block: bytearray, faces: tuple[int, ...]) -> None:
+    block[layout.MARKER_FACES_OFFSET : layout.MARKER_FACES_OFFSET + len(faces)] = bytes(faces)
+
+
+def _read_face_normals(block: bytes) -> tuple[Vector3, ...]:
+    count = min(layout.ROM_FACES, max(_read_faces(block), default=0))
+    return _read_vectors(block, layout.FACE_NORMALS_OFFSET, count)
+
+
+def _read_bits(block: bytes, bits: Bits) -> int:
+    (serial,) = struct.unpack_from("<I", block, layout.SERIAL_OFFSET)
+    return int(serial) >> bits[0] & ((1 << bits[1]) - 1)
+
+
+def _write_bits(block: bytearray, bits: Bits, value: int) -> None:
+    if not 0 <= value < 1 << bits[1]:
+        raise BadToolFile("the serial number of a definition does not fit", last=str(value))
+    (serial,) = struct.unpack_from("<I", block, layout.SERIAL_OFFSET)
+    mask = ((1 << bits[1]) - 1) << bits[0]
+    struct.pack_into("<I", block, layout.SERIAL_OFFSET, serial & ~mask | value << bits[0])
+
+
+def _read_date(block: bytes) -> date:
+    # The day of the year decides; the month field repeats it and is not needed.
+    first = date(layout.SERIAL_FIRST_YEAR + _read_bits(block, layout.SERIAL_YEAR_BITS), 1, 1)
+    return first + timedelta(days=_read_bits(block, layout.SERIAL_DAY_BITS))
+
+
+def _write_date(block: bytearray, made_on: date) -> None:
+    _write_bits(block, layout.SERIAL_DAY_BITS, made_on.timetuple().tm_yday - 1)
+    _write_bits(block, layout.SERIAL_MONTH_BITS, made_on.month - 1)
+    _write_bits(block, layout.SERIAL_YEAR_BITS, made_on.year - layout.SERIAL_FIRST_YEAR)
+
+
+def _write_flag(block: bytearray, unique: bool) -> None:
+    others = block[layout.FLAGS_OFFSET] & ~layout.FLAG_UNIQUE_GEOMETRY
+    block[layout.FLAGS_OFFSET] = others | (layout.FLAG_UNIQUE_GEOMETRY if unique else 0)
+
+
+_SERIAL = ((layout.SERIAL_OFFSET, 4),)
+# Markers first: their number says how many normals and faces there are.
+FIELDS: tuple[Field, ...] = (
+    Field(
+        "markers_mm",
+        ((layout.MARKER_COUNT_OFFSET, 1), (layout.MARKER_POSITIONS_OFFSET, layout.ROM_MARKERS * 12)),
+        lambda block: _read_vectors(block, layout.MARKER_POSITIONS_OFFSET, _count(block)),
+        _write_markers,
+    ),
+    Field(
+        "normals",
+        ((layout.MARKER_NORMALS_OFFSET, layout.ROM_MARKERS * 12),),
+        lambda block: _read_vectors(block, layout.MARKER_NORMALS_OFFSET, _count(block)),
+        lambda block, value: _write_vectors(block, layout.MARKER_NORMALS_OFFSET, value),
+    ),
+    Field("faces", ((layout.MARKER_FACES_OFFSET, layout.ROM_MARKERS),), _read_faces, _write_faces),
+    Field(
+        "face_normals",
+        ((layout.FACE_NORMALS_OFFSET, layout.ROM_FACES * 12),),
+        _read_face_normals,
+        lambda block, value: _write_vectors(block, layout.FACE_NORMALS_OFFSET, value),
+    ),
+    _text("part_number", layout.PART_NUMBER_OFFSET, layout.PART_NUMBER_BYTES),
+    _text("manufacturer", layout.MANUFACTURER_OFFSET, layout.MANUFACTURER_BYTES),
+    _number("main_type", "<B", layout.MAIN_TYPE_OFFSET),
+    _number("subtype", "<B", layout.SUBTYPE_OFFSET),
+    _number("revision", "<H", layout.REVISION_OFFSET),
+    Field(
+        "sequence",
+        _SERIAL,
+        lambda block: _read_bits(block, layout.SERIAL_SEQUENCE_BITS),
+        lambda block, value: _write_bits(block, layout.SERIAL_SEQUENCE_BITS, value),
+    ),
+    Field("made_on", _SERIAL, _read_date, _write_date),
+    _number("maximum_angle_deg", "<B", layout.MAXIMUM_ANGLE_OFFSET),
+    _number("minimum_markers", "<B", layout.MINIMUM_MARKER_COUNT_OFFSET),
+    _number("maximum_error_mm", "<f", layout.MAXIMUM_ERROR_OFFSET),
+    Field(
+        "minimum_spread_mm",
+        ((layout.MINIMUM_SPREAD_OFFSET, 12),),
+        lambda block: _read_vectors(block, layout.MINIMUM_SPREAD_OFFSET, 1)[0],
+        lambda block, value: _F3.pack_into(block, layout.MINIMUM_SPREAD_OFFSET, *value),
+    ),
+    Field(
+        "unique_geometry",
+        ((layout.FLAGS_OFFSET, 1),),
+        lambda block: bool(block[layout.FLAGS_OFFSET] & layout.FLAG_UNIQUE_GEOMETRY),
+        _write_flag,
+    ),
+    _number("marker_type", "<B", layout.MARKER_TYPE_OFFSET),
+)
