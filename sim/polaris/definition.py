@@ -31,6 +31,7 @@ _u16 = struct.Struct("<H")
 _u32 = struct.Struct("<I")
 _f32 = struct.Struct("<f")
 _positions = struct.Struct("<60f")
+_spreads = struct.Struct("<3f")
 
 Vectors = NDArray[np.float64]
 
@@ -59,6 +60,8 @@ class ToolDefinition:
     manufacturer: str
     part_number: str
     marker_type: int
+    faces: tuple[int, ...] = ()  # face of each marker, from 1; empty: all belong to one
+    minimum_spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # along the markers' main axes; 0 is any
 
 
 def checksum(content: bytes) -> int:
@@ -96,6 +99,8 @@ def parse_definition(content: bytes) -> ToolDefinition:
         manufacturer=_text(content, rom.MANUFACTURER_OFFSET, rom.MANUFACTURER_BYTES),
         part_number=_text(content, rom.PART_NUMBER_OFFSET, rom.PART_NUMBER_BYTES),
         marker_type=content[rom.MARKER_TYPE_OFFSET],
+        faces=tuple(content[rom.MARKER_FACES_OFFSET : rom.MARKER_FACES_OFFSET + count]),
+        minimum_spread_mm=_spreads.unpack_from(content, rom.MINIMUM_SPREAD_OFFSET),
     )
 
 
