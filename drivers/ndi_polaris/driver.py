@@ -11,12 +11,13 @@ from drivers.ndi_polaris.discovery import find_unit, initialise
 from drivers.ndi_polaris.errors import (
     HardwareFailure,
     LinkLost,
+    NoReply,
     SensorBumped,
     TemperatureHold,
     UnitRestarted,
     WrongUnit,
 )
-from drivers.ndi_polaris.frame_clock import ClockFit
+from drivers.ndi_polaris.frame_clock import NOMINAL_PERIOD_S, ClockFit
 from drivers.ndi_polaris.geometry import alike_segments_mm
 from drivers.ndi_polaris.identity import check_identity, read_identity
 from drivers.ndi_polaris.options import read_options
@@ -37,7 +38,8 @@ from drivers.ndi_polaris.volume import MeasuringVolume
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard
-from ronna_hw.devices.readings import TrackerFrame
+from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.devices.strays import StrayAverage, average_strays
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.polaris import COMM_DEFAULT_ARGUMENT
@@ -192,6 +194,29 @@ class PolarisTracker:
         if self._guard.state is Lifecycle.HOLD:
             self._guard.enter(Lifecycle.ACTIVE)
         return frame
+
+    def average_strays(self, frames: int = 60, timeout_s: float = 10.0) -> StrayAverage:
+        """Strays of `frames` measurements, each another one, grouped and averaged; in tracker coordinates.
+
+        Raises NDI-007 when the unit makes fewer in time, and what `read_frame` raises.
+        """
+        deadline_s = self._monotonic() + timeout_s
+        measurements: list[TrackerFrame] = []
+        while len(measurements) < frames:
+            left_s = deadline_s - self._monotonic()
+            if left_s <= 0:
+                raise NoReply(
+                    "the unit makes too few measurements",
+                    awaited=f"{frames}",
+                    limit=f"{timeout_s} s",
+                    last=f"{len(measurements)}",
+                )
+            frame = self.read_frame(left_s)
+            if frame.validity is Validity.STALE:
+                self._pause(NOMINAL_PERIOD_S / 2)
+            else:
+                measurements.append(frame)
+        return average_strays(measurements)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED by a new session with the same unit; a bump is cleared on the way.

@@ -10,10 +10,10 @@ import numpy as np
 
 from procedures.engine.errors import GateFailed
 from procedures.engine.step import Outcome, StepContext, StepSpec
-from procedures.registration.strays import group_strays
 from procedures.steps.arm_frames import stereo_tool_in_flange, tool_pose
 from procedures.steps.payloads import points_payload, pose_payload
 from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
 
 FRAMES = 60  # one second of a 60 Hz tracker
@@ -33,12 +33,8 @@ def run(context: StepContext) -> Outcome:
         tracker.deactivate()
     calibration = context.calibrations.tracker_frame
     tracker_from_marker = _average_pose(frames, calibration.tool)
-    groups = group_strays(
-        [
-            np.array([s.position_mm for s in frame.strays if s.validity is Validity.OK]).reshape(-1, 3)
-            for frame in frames
-        ]
-    )
+    strays = average_strays(frames)
+    groups = strays.groups
     spread = max((float(group.spread_mm) for group in groups), default=0.0)
     if spread > SPREAD_LIMIT_MM:
         raise GateFailed(
@@ -56,6 +52,8 @@ def run(context: StepContext) -> Outcome:
             "points_tracker_mm": points_payload(points),
             "spread_mm": [float(group.spread_mm) for group in groups],
             "counts": [int(group.count) for group in groups],
+            "outliers": [int(group.outliers) for group in groups],
+            "rejected_strays": len(strays.rejected),
             "robot_from_tracker": pose_payload(robot_from_tracker),
             "joints_rad": list(joints),
         },
@@ -94,10 +92,14 @@ def _average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
         if reading.validity is Validity.OK
     ]
     if len(poses) < LEAST_FRAMES_WITH_TOOL:
+        outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
         raise GateFailed(
-            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames",
+            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames"
+            + (f", outside the measuring volume in {outside}" if outside else ""),
             limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
-            action="Clear the line of sight between tracker and tool, then repeat the step.",
+            action="Move the tracker so that the tool is inside its volume, then repeat the step."
+            if outside
+            else "Clear the line of sight between tracker and tool, then repeat the step.",
         )
     rotation = Rotation.from_matrix(np.array([pose.rotation_matrix for pose in poses])).mean()
     translation = np.mean([pose.translation_mm for pose in poses], axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, StateError
+from ronna_hw.errors import ConfigurationError, DataError, StateError
 
 
 class WrongState(StateError):
@@ -17,3 +17,24 @@ class UnknownDriver(ConfigurationError):
 
     code = "DEV-002"
     action = "Check the driver name in the theatre file, or install the package that offers it."
+
+
+class UnknownTool(ConfigurationError, LookupError):
+    """A tool is asked for that is not among the tools of the tracker."""
+
+    code = "DEV-003"
+    action = "Use a name of the tracker's tools in the theatre file, or add the tool there."
+
+
+class NoPose(DataError):
+    """A reading is asked for a pose that it does not have, or that is not to be trusted."""
+
+    code = "DEV-004"
+    action = "Look at the validity of the reading before its pose."
+
+
+class BadStrays(DataError):
+    """Strays that are to be grouped are no positions, or the parameters of the grouping are impossible."""
+
+    code = "DEV-005"
+    action = "Give positions of three finite numbers in mm, a positive radius and a share from 0 to 1."

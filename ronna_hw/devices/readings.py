@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.devices.errors import NoPose, UnknownTool
+
 if TYPE_CHECKING:
     from ronna_hw.frames import Frame, Transform
 
@@ -41,6 +43,12 @@ class Stamp:
     measured_s: float | None = None  # theatre time when it was made, where the driver can tell
 
 
+_TO_SEE = {
+    Validity.MISSING: "Clear the line of sight between the tracker and the markers of the tool.",
+    Validity.OUT_OF_VOLUME: "Move the tracker or the tool so that the tool is inside the measuring volume.",
+}
+
+
 @dataclass(frozen=True)
 class ToolReading:
     """Pose of one loaded tool in the tracker frame; `pose_*` are None unless the validity carries one."""
@@ -52,11 +60,17 @@ class ToolReading:
     fit_error_mm: float | None  # rms of the fit to the definition; not an accuracy
 
     def transform(self, target: Frame, source: Frame) -> Transform:
-        """The pose as `target <- source`; raises ValueError when the reading carries none."""
+        """The pose as `target <- source`; raises DEV-004 when the reading has none that may be used.
+
+        Outside the volume the tracker's errors are not known: there the plain numbers serve to aim only.
+        """
         from ronna_hw.frames import Transform
 
-        if self.rotation is None or self.position_mm is None:
-            raise ValueError(f"tool {self.tool} is {self.validity}: it has no pose")
+        if self.rotation is None or self.position_mm is None or self.validity is Validity.OUT_OF_VOLUME:
+            raise NoPose(
+                f"tool {self.tool} is {self.validity.value}: it has no pose",
+                action=_TO_SEE.get(self.validity),
+            )
         return Transform.of(target, source, translation_mm=self.position_mm, quaternion_wxyz=self.rotation)
 
 
@@ -78,11 +92,12 @@ class TrackerFrame:
     strays: tuple[StrayReading, ...]
 
     def tool(self, name: str) -> ToolReading:
-        """The reading of one tool by name; raises KeyError when it is not loaded."""
+        """The reading of one tool by name; raises DEV-003 when the tracker has no such tool."""
         for reading in self.tools:
             if reading.tool == name:
                 return reading
-        raise KeyError(name)
+        known = ", ".join(reading.tool for reading in self.tools)
+        raise UnknownTool(f"the tracker has no tool {name}", awaited=known or "no tool at all", last=name)
 
 
 class OperationMode(StrEnum):
@@ -125,6 +140,10 @@ class LinkStatistics:
     turnaround_p99_us: float
     histogram_edges_us: tuple[float, ...]
     histogram_counts: tuple[int, ...]  # one fewer than the edges
+    foreign_telegrams: int = 0  # from somebody else than the session's controller; never answered
+    jitter_median_us: float = 0.0  # of a telegram from its place in the controller's pace
+    jitter_p99_us: float = 0.0
+    jitter_counts: tuple[int, ...] = ()  # over the same edges
 
 
 @dataclass(frozen=True)

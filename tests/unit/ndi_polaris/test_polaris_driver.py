@@ -14,8 +14,10 @@ from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost, MalformedReply, NoReply
 from drivers.ndi_polaris.rom import encode_definition, planar_tool
 from ronna_hw.devices import Lifecycle, OpticalTracker
-from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.errors import NoPose, UnknownTool, WrongState
 from ronna_hw.devices.readings import Validity
+from ronna_hw.errors import EXIT_USAGE
+from ronna_hw.frames import Frame
 
 Make = Callable[..., PolarisTracker]
 
@@ -210,14 +212,75 @@ def test_a_unit_without_binary_replies_is_read_by_text(make_tracker: Make, unit:
 
 
 @pytest.mark.hazard(14)
+@pytest.mark.parametrize("hidden", [False, True])
+def test_a_tool_outside_the_volume_has_no_pose_to_build_on(
+    tracker: PolarisTracker, unit: Any, hidden: bool
+) -> None:
+    unit.port_status = 0x71
+    if hidden:  # a unit that withholds the pose as well
+        unit.missing.add(1)
+    tool = tracker.read_frame().tool("robot_frame")
+    assert tool.validity is Validity.OUT_OF_VOLUME
+    with pytest.raises(NoPose, match=r"DEV-004.*out_of_volume.*Move the tracker"):
+        tool.transform(Frame.TRACKER, Frame.MARKER)
+
+
+def test_a_tool_that_is_not_loaded_is_named_with_those_that_are(tracker: PolarisTracker) -> None:
+    with pytest.raises(UnknownTool, match=r"DEV-003.*no tool pointer.*robot_frame") as caught:
+        tracker.read_frame().tool("pointer")
+    assert caught.value.exit_code == EXIT_USAGE
+
+
+@pytest.mark.hazard(14)
+def test_strays_are_averaged_over_measurements_and_phantoms_rejected(
+    tracker: PolarisTracker, unit: Any
+) -> None:
+    usual = unit._do_bx
+
+    def measuring(argument: str) -> bytes:
+        number = unit.frame + 1
+        if number % 3 == 2 and not unit.repeated:  # asked faster than it measures
+            unit.frame, unit.repeated = unit.frame - 1, True
+        else:
+            unit.repeated = False
+        wobble = 0.1 if number % 2 else -0.1
+        unit.strays = [(100.0, 0.0, -1500.0 + wobble), (-100.0, 0.0, -1500.0)]
+        if number % 4 == 0:
+            unit.strays.insert(0, (0.0, 300.0, -1500.0))
+        return bytes(usual(argument))
+
+    unit.repeated = False
+    unit._do_bx = measuring
+    average = tracker.average_strays(40)
+    assert average.frames == 40
+    assert [group.count for group in average.groups] == [40, 40]
+    assert average.groups[0].mean_mm == pytest.approx([100, 0, -1500], abs=0.02)
+    assert average.groups[0].spread_mm == pytest.approx(0.1, abs=0.01)
+    assert len(average.rejected) == 1
+    assert tracker.statistics.repeated > 0
+
+
+def test_a_unit_that_repeats_one_measurement_gives_no_average(tracker: PolarisTracker, unit: Any) -> None:
+    usual = unit._do_bx
+
+    def stuck(argument: str) -> bytes:
+        unit.frame = 4
+        return bytes(usual(argument))
+
+    unit._do_bx = stuck
+    with pytest.raises(NoReply, match="too few measurements"):
+        tracker.average_strays(10, timeout_s=0.5)
+
+
+@pytest.mark.hazard(14)
 def test_a_missing_tool_is_a_validity(tracker: PolarisTracker, unit: Any) -> None:
     unit.missing.add(1)
     tool = tracker.read_frame().tool("robot_frame")
     assert tool.validity is Validity.MISSING
     assert tool.position_mm is None
     assert tool.rotation is None
-    with pytest.raises(KeyError):
-        tracker.read_frame().tool("another")
+    with pytest.raises(NoPose, match=r"missing.*line of sight"):
+        tool.transform(Frame.TRACKER, Frame.MARKER)
 
 
 @pytest.mark.parametrize(

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from procedures.registration.errors import BadParameter
-from procedures.registration.points import checked_points
+from ronna_hw.devices.errors import BadStrays
+from ronna_hw.devices.readings import TrackerFrame, Validity, Vector3
 
 Array = NDArray[np.float64]
 
 GROUP_RADIUS_MM = 4.0  # far above the tracker's noise, below the radius of a sphere: two never merge
-LEAST_SHARE = 0.5  # of the frames; a reflection that flickers is seen less often
+LEAST_SHARE = 0.5  # of the frames; a reflection or a phantom that flickers is seen less often
 OUTLIER_SIGMAS = 5.0  # from the median, by the scale of the median absolute deviation
 MAD_TO_SIGMA = 1.4826  # for normal noise
 LEAST_SIGMA_MM = 0.01  # a still reading has a deviation of zero, and must not be its own outlier
@@ -22,7 +23,7 @@ LEAST_SIGMA_MM = 0.01  # a still reading has a deviation of zero, and must not b
 
 @dataclass(frozen=True)
 class StrayGroup:
-    """One sphere over the frames.
+    """One sphere over the frames, in the tracker's coordinates.
 
     `mean_mm` (3,) over the readings without `outliers`, `spread_mm` the rms distance of all readings from
     it, so that a sphere that moved shows, `covariance_mm2` (3, 3) of one reading, `count` readings in all.
@@ -33,6 +34,15 @@ class StrayGroup:
     covariance_mm2: Array
     count: int
     outliers: int
+
+
+@dataclass(frozen=True)
+class StrayAverage:
+    """What the strays of some frames come to: `groups` are spheres, `rejected` was seen too seldom."""
+
+    groups: tuple[StrayGroup, ...]
+    rejected: tuple[StrayGroup, ...]
+    frames: int
 
 
 @dataclass
@@ -49,28 +59,56 @@ class _Growing:
         self.total = self.total + reading
 
 
+def average_strays(frames: Iterable[TrackerFrame], *, least_share: float = LEAST_SHARE) -> StrayAverage:
+    """Average the strays inside the volume over the frames that are measurements of their own.
+
+    Raises DEV-005 for an impossible share.
+    """
+    measurements = [frame for frame in frames if frame.validity is not Validity.STALE]
+    return group_strays(
+        [
+            [stray.position_mm for stray in frame.strays if stray.validity is Validity.OK]
+            for frame in measurements
+        ],
+        least_share=least_share,
+    )
+
+
 def group_strays(
-    frames: Sequence[ArrayLike],
+    frames: Sequence[Sequence[Vector3]],
     *,
     radius_mm: float = GROUP_RADIUS_MM,
     least_share: float = LEAST_SHARE,
-) -> tuple[StrayGroup, ...]:
-    """Group the strays (k, 3) in mm of each frame; spheres seen in too few frames are left out.
+) -> StrayAverage:
+    """Group the positions in mm of each frame's strays.
 
-    Within a frame a group takes one reading, the nearest first. Ordered by first appearance. Raises REG-001
-    for malformed readings, REG-007 for an impossible radius or share.
+    Within a frame a group takes one reading, the nearest first. Groups are in the order of their first
+    appearance; those in fewer than `least_share` of the frames are rejected. Raises DEV-005.
     """
-    if not (0.0 < radius_mm < np.inf and 0.0 <= least_share <= 1.0):
-        raise BadParameter("a radius must be positive, a share between 0 and 1")
+    if not (0.0 < radius_mm < math.inf and 0.0 <= least_share <= 1.0):
+        raise BadStrays("a radius must be positive, a share between 0 and 1")
     groups: list[_Growing] = []
     for frame in frames:
-        readings = checked_points(frame, "stray")
-        free = _assign(groups, readings, radius_mm)
-        for index in free:
+        readings = _checked(frame)
+        for index in _assign(groups, readings, radius_mm):
             groups.append(_Growing())
             groups[-1].add(readings[index])
     least = max(1.0, least_share * len(frames))
-    return tuple(_average(group) for group in groups if len(group.readings) >= least)
+    averages = [_average(group) for group in groups]
+    return StrayAverage(
+        groups=tuple(group for group in averages if group.count >= least),
+        rejected=tuple(group for group in averages if group.count < least),
+        frames=len(frames),
+    )
+
+
+def _checked(frame: Sequence[Vector3]) -> Array:
+    readings = np.asarray(frame, dtype=float)
+    if readings.size == 0:
+        return np.zeros((0, 3))
+    if readings.ndim != 2 or readings.shape[1] != 3 or not np.isfinite(readings).all():
+        raise BadStrays("strays are no finite positions", awaited="(n, 3)", last=str(readings.shape))
+    return readings
 
 
 def _assign(groups: list[_Growing], readings: Array, radius_mm: float) -> list[int]:
