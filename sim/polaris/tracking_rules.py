@@ -6,7 +6,7 @@ out of the volume, drop those beyond the maximum 3D error; after each step enoug
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, radians
 
 import numpy as np
@@ -43,10 +43,22 @@ class Tracked:
     volume_status: PortStatus  # only the two out-of-volume bits
     information: int
     marker_digits: tuple[int, ...]  # one per marker of the definition
+    markers_mm: tuple[tuple[float, float, float] | None, ...] = ()  # likewise, where they were measured
+    markers_inside: tuple[bool, ...] = ()  # likewise, within the volume
 
 
 def track(definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]) -> Tracked:
     """Apply the rules. `seen` are the numbers of the markers in `measured_mm` (n, 3), in the same order."""
+    positions: list[tuple[float, float, float] | None] = [None] * len(definition.markers_mm)
+    within = [False] * len(definition.markers_mm)
+    for number, (x, y, z), is_inside in zip(seen, measured_mm.tolist(), inside, strict=True):
+        positions[number] = (x, y, z)
+        within[number] = is_inside
+    tracked = _judged(definition, seen, measured_mm, inside)
+    return replace(tracked, markers_mm=tuple(positions), markers_inside=tuple(within))
+
+
+def _judged(definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]) -> Tracked:
     digits = [int(MarkerState.MISSING)] * len(definition.markers_mm)
     used = list(range(len(seen)))
     if len(used) < LEAST_TO_FIT:
