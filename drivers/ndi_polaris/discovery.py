@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from drivers.ndi_polaris.codec import encode_command, trailing_text
 from drivers.ndi_polaris.errors import (
+    MalformedReply,
     NotAPolaris,
     NothingAnswers,
     PortUnavailable,
     UnitError,
 )
-from drivers.ndi_polaris.session import RESET_TEXT, Session
+from drivers.ndi_polaris.session import LONGEST_REPLY_BYTES, RESET_TEXT, Session
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.wire.polaris import BITS_PER_BYTE_ON_LINE, COMMAND_TIMEOUT_S, CR, DEFAULT_BAUD
 
@@ -86,20 +89,26 @@ def initialise(session: Session, deadline_s: float) -> None:
 
 
 def _probe(session: Session, deadline_s: float) -> tuple[bool, bytes]:
-    """(a reply with a valid CRC came, all bytes heard)."""
+    """(a reply with a valid CRC came, the last bytes heard); raises NDI-003 when the line does not stop."""
     transport = session.transport
-    session.drain(deadline_s=deadline_s)
+    try:
+        session.drain(deadline_s=min(deadline_s, session.now_s() + PROBE_LIMIT_S))
+    except MalformedReply as error:
+        raise NotAPolaris("something talks unasked and does not stop talking", wire=error.wire) from error
     command = encode_command(PROBE_COMMAND)
-    if transport.baud is None:  # nothing else to try: the unit gets all the time it may take
-        limit_s = COMMAND_TIMEOUT_S[PROBE_COMMAND]
-    else:
-        transfer_s = (len(command) + PROBE_REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / transport.baud
-        limit_s = PROBE_LIMIT_S + transfer_s
+    transfer_s = (len(command) + PROBE_REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
+    rest_s = PROBE_LIMIT_S + transfer_s  # a reply that has begun is whole after this
+    # over TCP there is nothing else to try: the unit gets all the time it may take
+    limit_s = rest_s if transport.baud is not None else COMMAND_TIMEOUT_S[PROBE_COMMAND]
     transport.write(command)
     until_s = min(deadline_s, session.now_s() + limit_s)
     heard = b""
     while (left_s := until_s - session.now_s()) > 0:
-        heard += transport.read(left_s)
+        if not (data := transport.read(left_s)):
+            continue
+        if not heard:
+            until_s = min(until_s, session.now_s() + rest_s)
+        heard = (heard + data)[-LONGEST_REPLY_BYTES:]
         if any(trailing_text(line) for line in heard.split(CR)[:-1]):
             return True, heard
     return False, heard

@@ -31,7 +31,8 @@ from drivers.ndi_polaris.setup import (
     raise_baud,
     set_illuminator_rate,
 )
-from drivers.ndi_polaris.status import clear_bump
+from drivers.ndi_polaris.status import clear_bump, refuse_standing_trouble
+from drivers.ndi_polaris.time_limits import read_time_limits
 from drivers.ndi_polaris.tracking import Tracking, TrackingStatistics, stop_tracking
 from drivers.ndi_polaris.transport import Transport, open_transport
 from drivers.ndi_polaris.volume import MeasuringVolume
@@ -69,7 +70,7 @@ class PolarisTracker:
     ) -> None:
         """Check options and tool definitions; nothing is opened yet.
 
-        Raises NDI-010, NDI-011, NDI-012, and CFG-001 or CFG-002 for the endpoint.
+        Raises NDI-010 to NDI-013, and CFG-001 or CFG-002 for the endpoint.
         """
         self._name = name
         self._clock = clock
@@ -86,6 +87,7 @@ class PolarisTracker:
         self._volume: MeasuringVolume | None = None
         self._tracking: Tracking | None = None
         self._notices: list[str] = []
+        self._bump_was_told = False
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
@@ -157,7 +159,8 @@ class PolarisTracker:
     def configure(self, timeout_s: float = 10.0) -> None:
         """Fastest common rate, volume, illuminators, and all tools loaded and enabled.
 
-        Raises NDI-03x when the unit refuses a tool or an option, and the errors of the link.
+        Raises NDI-03x when the unit refuses a tool or an option, NDI-013 when it holds another tool, the
+        errors of the link, and, with FAULT latched, NDI-020 or NDI-021 for what happened to it before.
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._guarded(self._set_up, self._monotonic() + timeout_s)
@@ -221,7 +224,8 @@ class PolarisTracker:
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED by a new session with the same unit; a bump is cleared on the way.
 
-        Raises NDI-004 when another unit answers; FAULT then stays latched.
+        Raises NDI-004 when another unit answers, NDI-020 while its hardware fault stays, NDI-021 when it was
+        bumped on top of the acknowledged fault. FAULT then stays latched.
         """
         self._guard.require("recover", {Lifecycle.FAULT})
         if not acknowledged_by.strip():
@@ -233,9 +237,14 @@ class PolarisTracker:
         if before is not None and identity.serial != before.serial:
             self._let_go()
             raise WrongUnit("another unit answers than before", awaited=before.serial, last=identity.serial)
-        if isinstance(cause, SensorBumped):
+        if isinstance(cause, SensorBumped) or self._bump_was_told:
             clear_bump(self._link, deadline_s)
-        self._set_up(deadline_s)
+            self._bump_was_told = False
+        try:
+            self._set_up(deadline_s)
+        except SensorBumped:  # new to whoever acknowledged another fault: the next recovery clears it
+            self._bump_was_told = True
+            raise
         self._identity = identity
         self._guard.enter(Lifecycle.CONFIGURED)
 
@@ -290,6 +299,8 @@ class PolarisTracker:
             for a, b in alike_segments_mm(tool)
         ]
         raise_baud(link, self._options.maximum_baud, deadline_s, self._pause)
+        link.adopt_limits({**read_time_limits(link, deadline_s), **self._options.time_limits_s})
+        refuse_standing_trouble(link, deadline_s)
         note = set_illuminator_rate(link, self._options.illuminator_rate_hz, deadline_s)
         if note is not None:
             self._notices.append(note)

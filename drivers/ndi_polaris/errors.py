@@ -5,7 +5,7 @@
     ProtocolError       NDI-005 BadReplyCrc, NDI-006 MalformedReply
     LinkTimeout         NDI-007 NoReply (the unit is late), NDI-008 LinkLost (it is gone)
     ConfigurationError  NDI-010 BadOptions, NDI-012 SameGeometry
-    DataError           NDI-011 BadToolFile
+    DataError           NDI-011 BadToolFile, NDI-013 ForeignTool
     DeviceError         NDI-009 UnitRestarted, NDI-020 HardwareFailure, NDI-021 SensorBumped,
                         NDI-022 TemperatureHold, and NDI-03x: the answers ERRORhh of the unit
 
@@ -112,6 +112,13 @@ class SameGeometry(ConfigurationError):
 
     code = "NDI-012"
     action = "Use tools whose marker distances differ by several millimetres."
+
+
+class ForeignTool(DataError):
+    """A definition is sound, but belongs to another tool than the one that is meant."""
+
+    code = "NDI-013"
+    action = "Use the .rom of this very tool; if it was meant to change, correct sha256 in the theatre file."
 
 
 class HardwareFailure(DeviceError):

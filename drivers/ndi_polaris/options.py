@@ -13,9 +13,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from drivers.ndi_polaris.errors import BadOptions
+from drivers.ndi_polaris.errors import BadOptions, ForeignTool
 from drivers.ndi_polaris.geometry import check_distinct
-from drivers.ndi_polaris.rom import ToolDefinition, read_definition
+from drivers.ndi_polaris.rom import ToolDefinition, definition_hash, read_definition
 from drivers.ndi_polaris.shipped import find_definition
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig, describe_mistakes
@@ -32,10 +32,19 @@ class ToolOption(Strict):
     name: Annotated[str, Field(min_length=1)]
     rom: Annotated[str, Field(min_length=1)]
     priority: Literal["S", "D"] = "D"  # S for a tool that hardly moves, D for one that does
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None  # of the definition that is meant
 
     def definition(self, folder: Path | None = None) -> ToolDefinition:
-        """The definition that `rom` names, relative to `folder`; raises NDI-011."""
-        return read_definition(find_definition(Path(self.rom), folder))
+        """The definition that `rom` names, relative to `folder`; raises NDI-011, or NDI-013 by its hash."""
+        definition = read_definition(find_definition(Path(self.rom), folder))
+        found = definition_hash(definition)
+        if self.sha256 not in (None, found):
+            raise ForeignTool(
+                f"{self.rom} is not the definition that tool {self.name} was set up with",
+                awaited=f"sha256 {self.sha256}",
+                last=found,
+            )
+        return definition
 
 
 class PolarisOptions(Strict):
@@ -64,7 +73,7 @@ class PolarisOptions(Strict):
         return self
 
     def definitions(self, folder: Path | None = None) -> dict[str, ToolDefinition]:
-        """The definition of each tool by name, paths relative to `folder`; raises NDI-011 and NDI-012."""
+        """The definition of each tool by name, paths relative to `folder`; raises NDI-011 to NDI-013."""
         tools = {tool.name: tool.definition(folder) for tool in self.tools}
         check_distinct(tools)
         return tools

@@ -91,6 +91,10 @@ class Session:
         """The clock that time limits are counted on (host, monotonic)."""
         return self._monotonic()
 
+    def adopt_limits(self, limits_s: Mapping[str, float]) -> None:
+        """Wait as long as these say, in seconds by command; other commands keep their limit."""
+        self._limits_s = {**self._limits_s, **limits_s}
+
     def ask(
         self,
         name: str,

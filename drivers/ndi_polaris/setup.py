@@ -23,6 +23,7 @@ from drivers.ndi_polaris.options import ToolOption
 from drivers.ndi_polaris.parameters import read_parameter
 from drivers.ndi_polaris.rom import ToolDefinition, encode_definition
 from drivers.ndi_polaris.session import Session
+from drivers.ndi_polaris.tool_check import check_handle
 from drivers.ndi_polaris.volume import MeasuringVolume, parse_volumes
 from ronna_hw.errors import ProtocolError
 from ronna_hw.wire.polaris import (
@@ -181,7 +182,7 @@ def load_tools(
 
     Without tools the dummy passive tool is loaded, because a unit sees strays only while a passive handle
     is enabled. A reply lost to PHRQ starts the loading over once, since asking twice would leave a handle
-    without owner. Raises NDI-03x of the tool that is refused.
+    without owner. Raises NDI-03x of the tool that is refused, NDI-013 when the unit holds another one.
     """
     wanted = tuple(tools)
     try:
@@ -202,6 +203,8 @@ def _load(
         handle = _request(session, PHRQ_ANY_PASSIVE, deadline_s)
         _write_definition(session, handle, encode_definition(definition), deadline_s)
         _initialise(session, handle, option.name, deadline_s, note)
+        if (difference := check_handle(session, handle, option.name, definition, deadline_s)) is not None:
+            note(difference)
         session.ask("PENA", f"{handle:02X}{option.priority}", deadline_s=deadline_s)
         loaded.append(LoadedTool(handle, option.name, definition))
     if not loaded:

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from drivers.ndi_polaris.errors import HardwareFailure, MalformedReply, SensorBumped, TemperatureHold
+from drivers.ndi_polaris.errors import (
+    HardwareFailure,
+    MalformedReply,
+    SensorBumped,
+    TemperatureHold,
+    UnitError,
+)
 from drivers.ndi_polaris.parameters import read_parameter
 from drivers.ndi_polaris.session import Session
 from ronna_hw.errors import DeviceError
 from ronna_hw.wire.polaris import (
+    PARAMETER_ALERTS,
     PARAMETER_BUMP_CLEAR,
     PARAMETER_BUMPED,
     PARAMETER_NEW_ALERTS,
@@ -65,12 +72,29 @@ def read_new_alerts(session: Session, deadline_s: float | None) -> Alert:
     return Alert(int(value))
 
 
+def refuse_standing_trouble(session: Session, deadline_s: float) -> None:
+    """Raise NDI-020 or NDI-021 for a fault or a bump from before this session, told to nobody yet."""
+    value = _value_or(session, PARAMETER_ALERTS, "0", deadline_s)
+    alerts = Alert(int(value)) if value.isdecimal() else Alert(0)
+    if alerts & FAILURE_ALERTS:
+        raise HardwareFailure("the unit reports a hardware fault", last=_names(SystemStatus(0), alerts))
+    if Alert.BUMP in alerts or _value_or(session, PARAMETER_BUMPED, "0", deadline_s) == "1":
+        raise SensorBumped("the unit was bumped before this session", last=_names(SystemStatus(0), alerts))
+
+
 def clear_bump(session: Session, deadline_s: float) -> None:
     """Acknowledge a bump; raises NDI-021 when the unit still reports one afterwards."""
     session.ask("SET", f"{PARAMETER_BUMP_CLEAR}=1", deadline_s=deadline_s)
     read_new_alerts(session, deadline_s)
     if read_parameter(session, PARAMETER_BUMPED, deadline_s) == "1":
         raise SensorBumped("the unit still reports a bump after it was cleared")
+
+
+def _value_or(session: Session, name: str, missing: str, deadline_s: float) -> str:
+    try:
+        return read_parameter(session, name, deadline_s)
+    except UnitError:  # this unit does not have the parameter
+        return missing
 
 
 def _names(status: SystemStatus, alerts: Alert) -> str:

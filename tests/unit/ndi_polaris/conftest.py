@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from datetime import date
 from typing import Any
 
 import pytest
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost
+from drivers.ndi_polaris.rom import ToolDefinition, planar_tool
 from ronna_hw.config import DeviceConfig
 from ronna_hw.wire.polaris import crc16
 
@@ -36,6 +38,7 @@ NORMAL_PARAMETERS = {
     "Param.Tracking.Selected Volume": "0",
     "Param.Bump Detector.Bumped": "0",
     "Param.Bump Detector.Clear": "0",
+    "Info.Status.Alerts": "0",
     "Info.Status.New Alerts": "0",
 }
 
@@ -335,6 +338,17 @@ def tracker(make_tracker: Callable[..., PolarisTracker]) -> PolarisTracker:
     device.configure()
     device.activate()
     return device
+
+
+@pytest.fixture
+def pointer() -> ToolDefinition:
+    """A tool that is not the robot's frame."""
+    return planar_tool(
+        "POINTER",
+        ((0.0, 0.0, 0.0), (0.0, 110.0, 0.0), (52.0, 140.0, 0.0), (-35.0, 33.0, 0.0)),
+        manufacturer="TEST",
+        made_on=date(2025, 1, 1),
+    )
 
 
 @pytest.fixture

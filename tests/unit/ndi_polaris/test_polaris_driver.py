@@ -117,6 +117,19 @@ def test_no_rate_is_negotiated_where_none_exists(make_tracker: Make, unit: Any) 
     assert not any(line.startswith("COMM") for line in unit.commands)
 
 
+def test_the_unit_tells_how_long_its_commands_may_take(make_tracker: Make, unit: Any) -> None:
+    usual = unit._do_get
+    told = ["BX=1.5", "TX=9", "GET=0", "INIT=900", "PHSR=soon", "NOPE=3", "TSTOP=7"]
+    limits = "\n".join(f"Info.Timeout.{line}" for line in told)
+    unit._do_get = lambda name: limits if name == "Info.Timeout.*" else usual(name)
+    device = make_tracker(time_limits_s={"TSTOP": 3.0})
+    device.connect()
+    device.configure()
+    unit.set_baud(9600)
+    waits = {name: device._link.limit_s(name, 0, 96) for name in ("BX", "TX", "GET", "INIT", "PHSR", "TSTOP")}
+    assert waits == pytest.approx({"BX": 1.6, "TX": 9.1, "GET": 8.1, "INIT": 4.1, "PHSR": 2.1, "TSTOP": 3.1})
+
+
 def test_the_illuminators_are_set_to_60_hz_by_set_or_by_irate(make_tracker: Make, unit: Any) -> None:
     bring_up(make_tracker())
     assert unit.parameters["Param.Tracking.Illuminator Rate"] == "2"

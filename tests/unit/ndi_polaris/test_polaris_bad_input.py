@@ -1,0 +1,335 @@
+"""What an operator may get wrong, or meet: each case has its code, says what happened and what to do."""
+
+from __future__ import annotations
+
+import errno
+import os
+import pty
+import re
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+
+from drivers.ndi_polaris import PolarisTracker, errors
+from drivers.ndi_polaris.robot_frame import robot_frame
+from drivers.ndi_polaris.rom import definition_hash, encode_definition
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.errors import RonnaError
+
+Make = Callable[..., PolarisTracker]
+
+
+@contextmanager
+def told(code: str, message: str, action: str) -> Iterator[None]:
+    """The block raises an error of ours with that code, those words and that advice, on one line."""
+    with pytest.raises(RonnaError) as caught:
+        yield
+    assert caught.value.code == code
+    assert re.search(message, caught.value.what, re.IGNORECASE), caught.value.what
+    assert re.search(action, caught.value.advice, re.IGNORECASE), caught.value.advice
+    assert "\n" not in str(caught.value)
+
+
+def tracker_at(endpoint: str, **options: Any) -> PolarisTracker:
+    options.setdefault("tools", [{"name": "robot_frame", "rom": "robot_frame.rom"}])
+    config = DeviceConfig(driver="ndi_polaris", endpoint=endpoint, options=options)
+    return PolarisTracker("tracker", config, HostClock())
+
+
+# --- the port -------------------------------------------------------------------------------------------
+
+
+def test_a_wrong_port(tmp_path: Path) -> None:
+    with told("NDI-001", "no such file", "name of the port.*doctor"):
+        tracker_at(f"serial://{tmp_path}/ttyUSB7").connect(1.0)
+    with told("NDI-001", "inappropriate ioctl", "no serial port.*doctor"):
+        tracker_at("serial:///dev/null").connect(1.0)
+    with told("NDI-001", "refused", "nothing listens.*address and port"):
+        tracker_at("tcp://127.0.0.1:1").connect(1.0)
+
+
+def test_a_name_that_no_computer_has() -> None:
+    with told("NDI-001", "cannot open tcp://no.such.host.invalid", "address"):
+        tracker_at("tcp://no.such.host.invalid:8765").connect(1.0)
+
+
+def test_no_permission(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:  # the administrator may open everything, so the port is told to
+        raise serial.SerialException(errno.EACCES, "could not open port /dev/ttyUSB0")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with told("NDI-001", "permission denied", "group that owns the port.*log in again"):
+        tracker_at("serial:///dev/ttyUSB0").connect(1.0)
+
+
+@pytest.mark.hazard(34)
+def test_a_port_that_another_program_holds() -> None:
+    unit, terminal = pty.openpty()
+    path = os.ttyname(terminal)
+    with serial.Serial(path, exclusive=True), told("NDI-001", "held by another program", "end it"):
+        tracker_at(f"serial://{path}").connect(1.0)
+    os.close(unit)
+    os.close(terminal)
+
+
+# --- who answers ----------------------------------------------------------------------------------------
+
+
+def test_nothing_answers(make_tracker: Make, unit: Any) -> None:
+    unit.silent, unit.breaks_work = True, False
+    with told("NDI-002", "tried 8 rates and a break", "powered.*this is its port"):
+        make_tracker().connect()
+
+
+def test_another_program_on_the_port(make_tracker: Make, unit: Any) -> None:
+    unit.breaks_work = False
+    unit.deliver = lambda name, reply: [(0.01, b"login: ")]
+    with told("NDI-003", "something answers, but", "another program"):
+        make_tracker().connect()
+
+
+@pytest.mark.parametrize(
+    "talk",
+    [
+        b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n",
+        b"220 mail ready\r\n",
+        b"\xff\xfb\x01\xff\xfb\x03",
+        b"\xc4\xa5" + bytes(400),
+    ],
+    ids=["http", "mail", "telnet", "bytes"],
+)
+def test_another_program_behind_the_address(talk: bytes) -> None:
+    with a_server(partial(answer_everything, talk)) as endpoint, told("NDI-003", "CRC", "another program"):
+        tracker_at(endpoint).connect(20.0)
+
+
+def test_a_program_that_never_stops_talking() -> None:
+    with a_server(talk_for_ever) as endpoint, told("NDI-003", "does not stop talking", "another program"):
+        tracker_at(endpoint).connect(30.0)
+
+
+def test_a_program_that_hangs_up() -> None:
+    with a_server(socket.socket.close) as endpoint, told("NDI-008", "closed|broke", "power and cable"):
+        tracker_at(endpoint).connect(20.0)
+
+
+# --- the mode of the unit -------------------------------------------------------------------------------
+
+
+def test_a_unit_that_an_earlier_program_left_tracking_is_taken_over(make_tracker: Make, unit: Any) -> None:
+    unit.initialised = unit.tracking = True
+    unit.handles[1] = {"occupied", "initialised", "enabled"}
+    device = make_tracker()
+    device.connect()
+    device.configure()
+    device.activate()
+    assert [reading.tool for reading in device.read_frame().tools] == ["robot_frame"]
+
+
+def test_a_unit_in_a_mode_that_cannot_track(make_tracker: Make, unit: Any) -> None:
+    device = make_tracker()
+    device.connect()
+    device.configure()
+    unit.answers_to["TSTART"] = unit.answers_to["TSTOP"] = "ERROR0C"  # diagnostic mode, by another host
+    with told("NDI-032", "TSTART.*mode", "another program"):
+        device.activate()
+    assert device.state is Lifecycle.CONFIGURED
+    unit.answers_to.clear()
+    device.activate()
+    assert device.read_frame().tool("robot_frame").position_mm
+
+
+# --- tool definitions -----------------------------------------------------------------------------------
+
+
+def test_a_corrupt_definition(make_tracker: Make, tmp_path: Path) -> None:
+    block = bytearray(encode_definition(robot_frame()))
+    block[80] ^= 1
+    (tmp_path / "bent.rom").write_bytes(block)
+    with told("NDI-011", "bent.rom has a wrong checksum", "belongs to the tool"):
+        make_tracker(tools=[{"name": "M", "rom": str(tmp_path / "bent.rom")}])
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\3\4" + bytes(748), b"NDI\0" + bytes(100)])
+def test_a_file_that_is_no_definition(make_tracker: Make, tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "other.rom").write_bytes(content)
+    with told("NDI-011", "other.rom (has|is not)", "belongs to the tool"):
+        make_tracker(tools=[{"name": "M", "rom": str(tmp_path / "other.rom")}])
+
+
+@pytest.mark.hazard(17)
+def test_a_sound_definition_of_another_tool(make_tracker: Make, tmp_path: Path, pointer: Any) -> None:
+    (tmp_path / "tool.rom").write_bytes(encode_definition(pointer))
+    meant = {"name": "M", "rom": str(tmp_path / "tool.rom"), "sha256": definition_hash(robot_frame())}
+    with told("NDI-013", "tool.rom is not the definition that tool M was set up with", "this very tool"):
+        make_tracker(tools=[meant])
+    make_tracker(tools=[{**meant, "sha256": definition_hash(pointer)}])
+
+
+def described(part_number: str, serial_number: str) -> str:
+    """The answer to PHINF 0005 of a reference tool."""
+    return f"01000000{'RONNA':12}000{serial_number}31{part_number:20}"
+
+
+@pytest.mark.hazard(17)
+def test_a_unit_that_holds_another_tool_than_was_sent(make_tracker: Make, unit: Any) -> None:
+    unit._do_phinf = lambda argument: described("8700339", "34801403")
+    device = make_tracker()
+    device.connect()
+    with told("NDI-013", "unit holds another tool than robot_frame on handle 01", "this very tool"):
+        device.configure()
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_a_unit_may_tell_the_serial_number_in_either_byte_order(
+    make_tracker: Make, unit: Any, step: int
+) -> None:
+    number = encode_definition(robot_frame())[20:24][::step].hex().upper()
+    unit._do_phinf = lambda argument: described("RONNA-M", number)
+    device = make_tracker()
+    device.connect()
+    device.configure()
+    assert device.notices == ()
+
+
+def test_a_tool_that_is_told_differently_in_part_is_noted(make_tracker: Make, unit: Any) -> None:
+    unit._do_phinf = lambda argument: described("RONNA-M", "00000000")
+    device = make_tracker()
+    device.connect()
+    device.configure()
+    assert any("serial number 00000000" in note for note in device.notices)
+
+
+@pytest.mark.hazard(17)
+def test_two_tools_with_the_same_geometry(make_tracker: Make, tmp_path: Path) -> None:
+    (tmp_path / "twin.rom").write_bytes(encode_definition(robot_frame()))
+    tools = [{"name": "M", "rom": "robot_frame.rom"}, {"name": "twin", "rom": str(tmp_path / "twin.rom")}]
+    with told("NDI-012", "tools M and twin", "distances differ"):
+        make_tracker(tools=tools)
+
+
+# --- in the middle of the work --------------------------------------------------------------------------
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize("sent", [0, 1, 5, 6, 20, 52])
+def test_a_link_that_dies_in_the_middle_of_a_reply(tracker: PolarisTracker, unit: Any, sent: int) -> None:
+    def dying(name: str, reply: bytes) -> list[tuple[float, bytes]]:
+        unit.silent = True
+        return [(0.001, reply[:sent])]
+
+    unit.deliver = dying
+    lost = 0
+    while tracker.state is Lifecycle.ACTIVE:
+        with pytest.raises((errors.MalformedReply, errors.NoReply, errors.LinkLost)):
+            tracker.read_frame()
+        lost += 1
+    assert lost <= 7  # the unit may take four seconds, each reading waits for one
+    assert isinstance(tracker.fault, errors.LinkLost)
+    with told("DEV-001", "not allowed while fault", "after a fault, call recover"):
+        tracker.read_frame()
+    assert tracker.state is Lifecycle.FAULT
+    unit.silent = False
+    unit.deliver = lambda name, reply: [(0.001, reply)]
+    tracker.recover("tester")
+    tracker.activate()
+    assert tracker.read_frame().tool("robot_frame").position_mm
+
+
+@pytest.mark.hazard(4)
+def test_a_unit_that_restarts(tracker: PolarisTracker, unit: Any) -> None:
+    unit.restart()
+    unit._arrivals.append((unit.now_s, b"RESETBE6F\r"))
+    with told("NDI-009", "announced a reset", "recover.*void"):
+        tracker.read_frame()
+    tracker.recover("tester")
+    tracker.activate()
+    assert tracker.read_frame().stamp.device_clock == 0
+
+
+@pytest.mark.hazard(15)
+def test_a_bump_from_before_the_session_is_told_and_cleared_by_who_acknowledges_it(
+    make_tracker: Make, unit: Any
+) -> None:
+    unit.parameters["Param.Bump Detector.Bumped"] = "1"
+    device = make_tracker()
+    device.connect()
+    with told("NDI-021", "bumped before this session", "check the unit and its stand"):
+        device.configure()
+    assert device.state is Lifecycle.FAULT
+    device.recover("tester")
+    assert unit.parameters["Param.Bump Detector.Bumped"] == "0"
+    assert device.state is Lifecycle.CONFIGURED
+
+
+@pytest.mark.hazard(15)
+def test_a_bump_behind_another_fault_is_not_cleared_with_it(tracker: PolarisTracker, unit: Any) -> None:
+    unit.restart()
+    unit.unit_baud = unit.baud
+    with pytest.raises(errors.UnitRestarted):
+        tracker.read_frame()
+    unit.restart()
+    unit.parameters["Param.Bump Detector.Bumped"] = "1"
+    with told("NDI-021", "bumped", "check the unit"):
+        tracker.recover("tester")
+    assert tracker.state is Lifecycle.FAULT
+    assert unit.parameters["Param.Bump Detector.Bumped"] == "1"
+    tracker.recover("tester")
+    assert tracker.state is Lifecycle.CONFIGURED
+
+
+@pytest.mark.hazard(15)
+def test_a_hardware_fault_that_stays_refuses_the_recovery(tracker: PolarisTracker, unit: Any) -> None:
+    unit.system_status = 0x0010
+    with told("NDI-020", "hardware fault", "off and on"):
+        tracker.read_frame()
+    unit.parameters["Info.Status.Alerts"] = str(1 << 4)
+    with told("NDI-020", "hardware fault", "off and on"):
+        tracker.recover("tester")
+    assert tracker.state is Lifecycle.FAULT
+    unit.parameters["Info.Status.Alerts"], unit.system_status = "0", 0
+    tracker.recover("tester")
+    tracker.activate()
+    assert tracker.read_frame().tool("robot_frame").position_mm
+
+
+# --- programs behind an address -------------------------------------------------------------------------
+
+
+@contextmanager
+def a_server(serve: Callable[[socket.socket], None]) -> Iterator[str]:
+    """A program that is no unit, listening on the loopback address."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def run() -> None:
+            connection = server.accept()[0]
+            with connection:
+                serve(connection)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        thread.join(30.0)
+        assert not thread.is_alive()
+
+
+def answer_everything(talk: bytes, connection: socket.socket) -> None:
+    while connection.recv(4096):
+        connection.sendall(talk)
+
+
+def talk_for_ever(connection: socket.socket) -> None:
+    try:
+        while True:
+            connection.sendall(b"tick tock " * 1000)
+    except OSError:
+        return  # the host has had enough
