@@ -1,7 +1,8 @@
-"""The simulated NDI Polaris Spectra: its own process, the unit's bytes, the theatre's scene.
+"""The simulated NDI Polaris Spectra or Vicra: its own process, the unit's bytes, the theatre's scene.
 
-Not simulated: wired and active tools and their commands, diagnostic mode, other faces than the first of a
-tool, the minimum spread of its markers, warnings about tool geometry; spheres hidden behind the head or
-behind each other, phantom markers and reflections; the line settings of a serial host (any rate is
-understood; only a throttled line keeps to its rate), and a break on a pseudo-terminal, which carries none.
+What no public source settles is a named parameter in `parameters.py`.
+
+Not simulated: stray active markers; tools that rotate about a joint; other units than these two. On a
+pseudo-terminal data bits, even parity and handshake of the host are not seen, and a break is a flush of both
+directions.
 """

@@ -16,40 +16,70 @@ HARDWARE = (
     | Alert.MAIN_BOARD_TEMPERATURE
 )
 TEMPERATURE = Alert.TOO_HOT | Alert.TOO_COLD
+_ALL = int(sum(Alert))
 
 
 class Alerts:
-    """Alert bits. Reading the new ones clears them."""
+    """Alert bits from three sources: simulated by the host, lasting, and a bump that stays until cleared.
+
+    Reading the new ones clears them.
+    """
 
     def __init__(self) -> None:
+        self.detects_bumps = True
+        self.system_status = SystemStatus(0)  # what the alerts add to the system status of TX and BX
         self.current = Alert(0)
         self._new = Alert(0)
+        self._simulated = Alert(0)
+        self._lasting = Alert(0)
+        self._raised = Alert(0)
 
-    def set(self, bits: int) -> None:
-        """Make these bits the present alerts; what was not set before is new."""
-        raised = Alert(bits & sum(Alert))
-        self._new |= raised & ~self.current
-        self.current = raised
+    def reset(self) -> None:
+        """Power-up: a bump and simulated alerts are forgotten, what lasts is found again."""
+        self._simulated = self._raised = self._new = self.current = Alert(0)
+        self._update()
+
+    def simulate(self, bits: int) -> None:
+        """The host asks for exactly these alerts (`Param.Simulated Alerts`)."""
+        self._simulated = Alert(bits & _ALL)
+        self._update()
+
+    def impose(self, bits: int) -> None:
+        """What is truly wrong with the unit now."""
+        self._lasting = Alert(bits & _ALL)
+        self._update()
+
+    def raise_alert(self, alert: Alert) -> None:
+        """Something happened that stays until the host clears it: a bump, if the unit looks for them."""
+        if alert is Alert.BUMP and not self.detects_bumps:
+            return
+        self._new |= alert  # a second bump is news too
+        self._raised |= alert
+        self._update()
 
     def clear_bump(self) -> None:
         """The host has looked after the bump."""
-        self.current &= ~Alert.BUMP
+        self._raised &= ~Alert.BUMP
+        self._simulated &= ~Alert.BUMP
         self._new &= ~Alert.BUMP
+        self._update()
 
     def read_new(self) -> int:
         """The alerts that have not been read before."""
         new = int(self._new)
         self._new = Alert(0)
+        self._update()
         return new
 
-    @property
-    def system_status(self) -> SystemStatus:
-        """What the alerts add to the system status of TX and BX."""
+    def _update(self) -> None:
+        current = self._simulated | self._lasting | self._raised
+        self._new |= current & ~self.current
+        self.current = current
         status = SystemStatus(0)
         if self._new:
             status |= SystemStatus.DIAGNOSTICS_PENDING
-        if self.current & HARDWARE:
+        if current & HARDWARE:
             status |= SystemStatus.HARDWARE_FAILURE
-        if self.current & TEMPERATURE:
+        if current & TEMPERATURE:
             status |= SystemStatus.TEMPERATURE
-        return status
+        self.system_status = status

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -10,30 +11,56 @@ import typer
 SERIAL_PTY = "serial-pty"
 
 
+class ProfileName(StrEnum):
+    """The kinds of unit."""
+
+    SPECTRA = "spectra"
+    VICRA = "vicra"
+
+
 def polaris(
     endpoint: Annotated[
         str, typer.Option(help="serial-pty for a pseudo-terminal, or tcp://host:port.")
     ] = SERIAL_PTY,
+    profile: Annotated[ProfileName, typer.Option(help="Kind of unit.")] = ProfileName.SPECTRA,
     scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
     throttle: Annotated[bool, typer.Option(help="Keep a serial line to its baud rate.")] = False,
+    wired: Annotated[
+        list[Path] | None, typer.Option(help="Definition of a wired tool that is plugged in; repeatable.")
+    ] = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="NAME=VALUE of an unconfirmed behaviour; repeatable.")
+    ] = None,
+    list_parameters: Annotated[
+        bool, typer.Option("--list-parameters", help="Tell all that --set can change, and end.")
+    ] = False,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
-    """Simulate an NDI Polaris Spectra, for any client; runs until it is ended."""
-    from sim.polaris.channel import PseudoTerminal
+    """Simulate an NDI Polaris Spectra or Vicra, for any client; runs until it is ended."""
+    from sim.polaris.parameters import UnitParameters, parameter_lines
+    from sim.polaris.profile import PROFILES
+    from sim.polaris.pseudo_terminal import PseudoTerminal
     from sim.polaris.server import EndSignal, Server, listen, network_address
     from sim.polaris.session import Session
     from sim.polaris.unit import Unit
+    from sim.polaris.wired import plugged_in
     from sim.theatre.process import announce, end_with_parent, open_world
 
+    if list_parameters:
+        typer.echo("\n".join(parameter_lines()))
+        return
     address = None if endpoint == SERIAL_PTY else network_address(endpoint)
+    behaviour = UnitParameters.with_settings(setting or [])
+    kind = PROFILES[profile.value]
+    tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     room, control = open_world(world, scene, faults)
-    unit = Unit(room)
+    session = Session(Unit(room, kind, behaviour, tools))
     end = EndSignal()
-    server = Server(Session(unit), end, unit.profile.longest_command)
+    server = Server(session, end)
     end_with_parent(end.give)
     if address is None:
-        line = PseudoTerminal(throttle=throttle)
+        line = PseudoTerminal(session, throttle=throttle)
         announce("polaris", line.endpoint, control)
         server.serve_line(line)
     else:

@@ -21,6 +21,8 @@ LEAST_NORMAL_LENGTH = 0.5  # a unit vector in single precision is far above this
 SUBTYPE_BELOW_TYPE = 1  # real files carry main type - 1 as the subtype
 TOOL_GROUP = 1
 FIRST_FACE = 1
+MOST_GROUPS = 20
+TEST_MARKERS_MM = ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0))
 CONSTANT_TEN = 10.0
 CONSTANT_NINE = 9
 # Serial number of written definitions: sequence 1, day 0, month 0, year 2024. Some clients refuse zero.
@@ -60,8 +62,13 @@ class ToolDefinition:
     manufacturer: str
     part_number: str
     marker_type: int
+    flags: int = 0
     faces: tuple[int, ...] = ()  # face of each marker, from 1; empty: all belong to one
     minimum_spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # along the markers' main axes; 0 is any
+    lit: tuple[bool, bool, bool] = (False, False, False)  # visible LEDs 1 to 3 are there
+    switches: tuple[bool, bool, bool] = (False, False, False)
+    in_port: bool = False  # it has the diode that tells it is plugged in
+    tracking_led: bool = False
 
 
 def checksum(content: bytes) -> int:
@@ -86,6 +93,13 @@ def parse_definition(content: bytes) -> ToolDefinition:
     maximum_error_mm = _f32.unpack_from(content, rom.MAXIMUM_ERROR_OFFSET)[0]
     if not 0.0 < maximum_error_mm < np.inf:
         raise BadDefinition("its maximum 3D error is not a positive length")
+    if max(content[rom.MARKER_FACES_OFFSET : rom.MARKER_FACES_OFFSET + count]) > rom.ROM_FACES:
+        raise BadDefinition("a marker belongs to a face above the eighth", limits=True)
+    if max(content[rom.MARKER_GROUPS_OFFSET : rom.MARKER_GROUPS_OFFSET + count]) > MOST_GROUPS:
+        raise BadDefinition("a marker belongs to a group above the twentieth", limits=True)
+    leds = [index < count for index in content[rom.LEDS_OFFSET : rom.LEDS_OFFSET + 4]]
+    entry = rom.TOOL_IN_PORT_OFFSET
+    entries = [value == rom.TOOL_IN_PORT_PRESENT for value in content[entry : entry + 4]]
     return ToolDefinition(
         main_type=content[rom.MAIN_TYPE_OFFSET],
         subtype=content[rom.SUBTYPE_OFFSET],
@@ -99,8 +113,13 @@ def parse_definition(content: bytes) -> ToolDefinition:
         manufacturer=_text(content, rom.MANUFACTURER_OFFSET, rom.MANUFACTURER_BYTES),
         part_number=_text(content, rom.PART_NUMBER_OFFSET, rom.PART_NUMBER_BYTES),
         marker_type=content[rom.MARKER_TYPE_OFFSET],
+        flags=content[rom.FLAGS_OFFSET],
         faces=tuple(content[rom.MARKER_FACES_OFFSET : rom.MARKER_FACES_OFFSET + count]),
         minimum_spread_mm=_spreads.unpack_from(content, rom.MINIMUM_SPREAD_OFFSET),
+        lit=(leds[1], leds[2], leds[3]),
+        switches=(entries[1], entries[2], entries[3]),
+        in_port=entries[0],
+        tracking_led=leds[0],
     )
 
 
@@ -138,6 +157,12 @@ def write_definition(tool: TrackerTool) -> bytes:
     struct.pack_into("<3f", content, rom.FACE_NORMALS_OFFSET, *(-value + 0.0 for value in tool.normal))
     _u16.pack_into(content, rom.CHECKSUM_OFFSET, checksum(bytes(content)))
     return bytes(content)
+
+
+def wiring_definition() -> bytes:
+    """What TTCFG gives a wired tool without memory: a definition for testing its wiring only."""
+    tool = TrackerTool(name="test", part_number="TEST", markers_mm=TEST_MARKERS_MM)
+    return write_definition(tool)
 
 
 def _serial() -> int:

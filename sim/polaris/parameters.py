@@ -1,171 +1,197 @@
-"""User parameters: names, values, and who may change them (GET, SET, GETINFO)."""
+"""What public sources leave open about the unit, each as one named parameter with its meaning.
+
+The values are best estimates. A driver must live with every alternative; `ronna-sim polaris --set NAME=VALUE`
+chooses one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from ronna_hw.wire import polaris as wire
-from sim.polaris.alerts import Alerts
-from sim.polaris.profile import Profile
-from sim.polaris.refusal import ErrorCode, Refusal
+from sim.polaris.errors import BadUnitParameter
+from sim.polaris.refusal import ErrorCode
 
-LONGEST_TEXT = 255
-DEVICE_PREFIX = "PS-0."  # names may carry the device they belong to
-WILDCARD = "*"
-TYPE_INTEGER, TYPE_TEXT = "1", "2"  # field `type` of GETINFO; the codes are not public
-ATTRIBUTE_READ, ATTRIBUTE_WRITE = "1", "3"
+ON_WORDS, OFF_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter. With `limits` it is a whole number, otherwise text."""
+@dataclass(frozen=True, kw_only=True)
+class UnitParameters:
+    """How this unit behaves where public sources are silent or disagree."""
 
-    name: str
-    default: str
-    description: str = ""
-    writable: bool = False
-    while_tracking: bool = False
-    limits: tuple[int, int] | None = None
-
-
-class Parameters:
-    """All parameters of a unit, in the order in which a wildcard lists them."""
-
-    def __init__(self, profile: Profile, alerts: Alerts, mode_name: Callable[[], str]) -> None:
-        self._parameters = {parameter.name: parameter for parameter in _parameters(profile)}
-        self._values = {name: parameter.default for name, parameter in self._parameters.items()}
-        self._alerts = alerts
-        self._live: dict[str, Callable[[], str]] = {
-            "Info.Status.System Mode": mode_name,
-            wire.PARAMETER_ALERTS: lambda: str(int(alerts.current)),
-            wire.PARAMETER_NEW_ALERTS: lambda: str(alerts.read_new()),
-            "Info.Status.Bump Detected": self._bumped,
-            wire.PARAMETER_BUMPED: self._bumped,
-        }
-
-    def value(self, name: str) -> str:
-        """The value of one parameter; raises Refusal for an unknown name."""
-        known = self._known(name)
-        live = self._live.get(known.name)
-        return live() if live else self._values[known.name]
-
-    def number(self, name: str) -> int:
-        """The value of one whole-number parameter."""
-        return int(self.value(name))
-
-    def list(self, pattern: str) -> tuple[Parameter, ...]:
-        """The parameters that a name, or the beginning of names and `*`, asks for."""
-        if not pattern.endswith(WILDCARD):
-            return (self._known(pattern),)
-        beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
-        found = tuple(p for name, p in self._parameters.items() if name.startswith(beginning))
-        if not found:
-            raise Refusal(ErrorCode.NO_SUCH_PARAMETER)
-        return found
-
-    def information(self, parameter: Parameter) -> str:
-        """One line of GETINFO: seven fields."""
-        low, high = parameter.limits or ("", "")
-        kind = TYPE_INTEGER if parameter.limits else TYPE_TEXT
-        attribute = ATTRIBUTE_WRITE if parameter.writable else ATTRIBUTE_READ
-        value = f"{parameter.name}={self.value(parameter.name)}"
-        return ";".join((value, kind, attribute, str(low), str(high), "", parameter.description))
-
-    def set(self, name: str, value: str, *, tracking: bool) -> None:
-        """Change a parameter; raises Refusal when it does not exist, is read-only, or the value is wrong."""
-        parameter = self._known(name)
-        if not parameter.writable:
-            raise Refusal(ErrorCode.READ_ONLY)
-        if tracking and not parameter.while_tracking:
-            raise Refusal(ErrorCode.WRONG_MODE)
-        if parameter.limits is not None:
-            value = str(_number_within(value, parameter.limits))
-        elif len(value) > LONGEST_TEXT:
-            raise Refusal(ErrorCode.WRONG_SIZE)
-        self._values[parameter.name] = value
-        if parameter.name == "Param.Simulated Alerts":
-            self._alerts.set(int(value))
-        elif parameter.name == wire.PARAMETER_BUMP_CLEAR and value == "1":
-            self._alerts.clear_bump()
-            self._values[parameter.name] = "0"
-
-    def _known(self, name: str) -> Parameter:
-        parameter = self._parameters.get(name.removeprefix(DEVICE_PREFIX))
-        if parameter is None:
-            raise Refusal(ErrorCode.NO_SUCH_PARAMETER)
-        return parameter
-
-    def _bumped(self) -> str:
-        return "1" if self._alerts.current & wire.Alert.BUMP else "0"
-
-
-def _number_within(value: str, limits: tuple[int, int]) -> int:
-    if not (value.isascii() and value.removeprefix("-").isdigit()):
-        raise Refusal(ErrorCode.WRONG_VALUE_TYPE)
-    low, high = limits
-    if len(value) > len(str(high)) + 1 or not low <= int(value) <= high:
-        raise Refusal(ErrorCode.VALUE_OUT_OF_RANGE)
-    return int(value)
-
-
-def _parameters(profile: Profile) -> tuple[Parameter, ...]:
-    major, minor, build = profile.firmware.split(".")
-    volumes = ",".join(volume.name for volume in profile.volumes)
-    all_alerts = int(sum(wire.Alert))
-    features = (
-        Parameter(wire.PARAMETER_MODEL, profile.model, "Hardware model"),
-        Parameter(wire.PARAMETER_SERIAL, profile.serial_number, "Hardware serial number"),
-        Parameter("Features.Hardware.OEM Number", "", "OEM number"),
-        Parameter(wire.PARAMETER_FIRMWARE, profile.firmware, "Firmware version"),
-        Parameter("Features.Firmware.Major Version", major),
-        Parameter("Features.Firmware.Minor Version", minor),
-        Parameter("Features.Firmware.Build Number", build),
-        Parameter("Features.Firmware.Combined Firmware Revision", profile.combined_revision),
-        Parameter("Features.Firmware.Package Number", profile.package),
-        Parameter("Features.Tools.Enabled Tools", str(profile.enabled_tools), "Tools enabled at once"),
-        Parameter("Features.Tools.Active Ports", "0"),
-        Parameter("Features.Tools.Passive Ports", str(profile.passive_ports)),
-        Parameter("Features.Tools.Wireless Ports", "1"),
+    # line
+    enforces_line: Annotated[
+        bool, "A serial host whose rate or odd parity differs from the unit's is not understood."
+    ] = True
+    wrong_line: Annotated[Literal["silence", "garbage"], "What a host with wrong line settings hears."] = (
+        "silence"
     )
-    settings = (
-        Parameter("Param.Tracking.Available Volumes", volumes),
-        Parameter(wire.PARAMETER_SELECTED_VOLUME, "0", "From 0", True, limits=(0, len(profile.volumes) - 1)),
-        Parameter("Param.Tracking.Sensitivity", "4", "", True, limits=(1, 7)),
-        Parameter(
-            wire.PARAMETER_ILLUMINATOR_RATE,
-            str(profile.illuminator_rate),
-            "0 20 Hz, 1 30 Hz, 2 60 Hz",
-            True,
-            limits=(0, max(wire.ILLUMINATOR_RATES_HZ)),
-        ),
-        Parameter("Param.Default Wavelength.Return Warning", "1", "", True, limits=(0, 1)),
-        Parameter("Param.Bump Detector.Bump Detection", "1", "", True, limits=(0, 1)),
-        Parameter(wire.PARAMETER_BUMP_CLEAR, "0", "Write 1 to clear", True, True, limits=(0, 1)),
-        Parameter(wire.PARAMETER_BUMPED, "0"),
-        Parameter("Param.System Beeper", "1", "", True, limits=(0, 1)),
-        Parameter("Param.Watch Dog Timer", "0", "Seconds, 0 off", True, limits=(0, 0)),
-        Parameter("Param.Simulated Alerts", "0", "Raises alerts", True, True, limits=(0, all_alerts)),
-        Parameter("Param.Host Connection", "0"),
-        *(Parameter(f"Param.User.String{index}", "", "Free text", True, True) for index in range(5)),
+    line_after_close: Annotated[
+        Literal["default", "kept"], "Line settings once the last host closed a pseudo-terminal."
+    ] = "default"
+    power_up_reset: Annotated[bool, "RESET is said on a serial line at power-up, whoever listens."] = True
+    break_from_flush: Annotated[
+        bool, "A pseudo-terminal carries no break: flushing both directions stands for one."
+    ] = True
+    break_deaf_s: Annotated[float, "Time after an open in which such a flush is not taken for a break."] = (
+        0.05
     )
-    status = (
-        Parameter("Info.Status.System Mode", ""),
-        Parameter(wire.PARAMETER_ALERTS, "0", "Present alerts"),
-        Parameter(wire.PARAMETER_NEW_ALERTS, "0", "Cleared by reading"),
-        Parameter("Info.Status.Alerts Overflow", "0"),
-        Parameter("Info.Status.Bump Detected", "0"),
-        Parameter("Info.Status.New Log Entry", "0"),
-        *(
-            Parameter(f"{wire.PARAMETER_TIMEOUT_PREFIX}{name}", f"{seconds:g}", "Seconds")
-            for name, seconds in wire.COMMAND_TIMEOUT_S.items()
-        ),
+    reset_s: Annotated[
+        float, "Time from a break, a power-up in mid-run or a watch dog to RESET; seconds on a real unit."
+    ] = 0.1
+    malformed_line_settings: Annotated[ErrorCode, "COMM with a code that no unit has: 23 or 07."] = (
+        ErrorCode.OUT_OF_RANGE
     )
-    others = (
-        Parameter("Config.Password", "", "", True),
-        Parameter("Config.Combined Firmware Revision", profile.combined_revision),
-        Parameter("Config.Ext Device Syncing", "0"),
-        Parameter("Device.Type.0", "PS"),
-        Parameter("Device.Instance.0", "0"),
+    accepts_lower_case: Annotated[bool, "Command names in lower case are understood."] = False
+    strips_eighth_bit: Annotated[bool, "On a line of 7 data bits a BX reply loses the eighth."] = True
+
+    # state machine
+    answers_before_init: Annotated[
+        bool, "VER, COMM, GET and the like are answered before INIT, not refused with 10."
+    ] = True
+    identity_while_tracking: Annotated[
+        bool, "VER and COMM are answered while tracking, not refused with 0C."
+    ] = True
+    settings_in_diagnostic: Annotated[
+        bool, "SET, SAVE, SFLIST and the like are allowed in diagnostic mode."
+    ] = True
+    handles_in_diagnostic: Annotated[bool, "PHSR, PINIT and the like are allowed in diagnostic mode."] = False
+    init_forgets_handles: Annotated[bool, "INIT frees all port handles."] = True
+    starts_without_tools: Annotated[bool, "TSTART without an enabled tool is OKAY, not refused with 12."] = (
+        True
     )
-    return (*features, *settings, *status, *others)
+    hardware_fault_at_init: Annotated[
+        Literal["WARNING01", "ERROR15", "ERROR1A", "OKAY"], "Answer of INIT with a hardware alert."
+    ] = "WARNING01"
+    starts_with_hardware_fault: Annotated[
+        bool, "TSTART with a hardware alert is OKAY, not refused with 12."
+    ] = False
+    watch_dog: Annotated[
+        Literal["stop", "reset"], "What the watch dog does: stops tracking, or resets the unit."
+    ] = "stop"
+    beep_s: Annotated[float, "Length of a beep; BEEP answers 0 as long as the last one lasts."] = 0.0
+    absent_command: Annotated[ErrorCode, "GETIO, SETIO, GX and others without a public format: 33 or 01."] = (
+        ErrorCode.NOT_AVAILABLE
+    )
+    unknown_feature_list: Annotated[ErrorCode, "SFLIST of an unknown list: 23 or 25."] = (
+        ErrorCode.OUT_OF_RANGE
+    )
+
+    # tools
+    bad_definition: Annotated[
+        ErrorCode, "PINIT of a definition with a wrong checksum or content: 13, newer firmware 40."
+    ] = ErrorCode.BAD_DEFINITION
+    definition_beyond_limits: Annotated[
+        ErrorCode, "PINIT of too many or too few markers, faces or groups: 13, newer firmware 41."
+    ] = ErrorCode.BAD_DEFINITION
+    warns_with_code: Annotated[bool, "WARNING carries two digits; older firmware says WARNING alone."] = True
+    segment_tolerance_mm: Annotated[
+        float, "Segments of one tool closer than this break unique geometry; NDI's steps are 5 mm."
+    ] = 3.0
+    conflict: Annotated[
+        Literal["segment", "triangle"],
+        "What two tools must share to conflict: one segment, or three of a triangle.",
+    ] = "triangle"
+    conflict_tolerance_mm: Annotated[float, "Segments of two tools closer than this count as shared."] = 2.0
+    judges_only_flagged: Annotated[
+        bool, "Only definitions with the unique-geometry flag are judged by these rules."
+    ] = False
+    supported_wavelengths: Annotated[
+        str, "Wavelength codes of markers that the volumes support; others make TSTART answer 22."
+    ] = "01"
+    memory_of_passive: Annotated[
+        Literal["32", "1E/1F"], "PPRD and PPWR of a handle without memory: 32, or 1E and 1F."
+    ] = "32"
+    accessories_of_passive: Annotated[
+        bool, "PHINF 0008 tells the tool-in-port entry of a passive definition."
+    ] = False
+    replaces_definition_by_test: Annotated[
+        bool, "TTCFG replaces the memory of a wired tool, not refused with 32."
+    ] = False
+    port_change_until: Annotated[
+        Literal["search", "reply"], "System status 0040/0080 stand until PHSR, or for one reply."
+    ] = "search"
+
+    # TX and BX
+    poses_partially_out: Annotated[
+        bool, "A pose is told when too few, but some, markers are inside the volume."
+    ] = True
+    lists_disabled_handles: Annotated[
+        bool, "Initialised but not enabled handles stand in the reply as DISABLED."
+    ] = False
+    status_of_unseen_handles: Annotated[
+        bool, "TX tells status and frame of DISABLED and UNOCCUPIED handles too."
+    ] = False
+    first_stray_is_high_bit: Annotated[
+        bool, "TX: the out-of-volume digits are one number, stray 0 its highest bit."
+    ] = True
+    first_marker_is_first_digit: Annotated[bool, "TX option 0002 begins with marker 0."] = True
+    first_marker_is_first_nibble: Annotated[bool, "BX option 0002 begins with marker 0."] = False
+    text_tool_markers: Annotated[bool, "TX knows option 0008 (markers of tools), not refused with 23."] = (
+        False
+    )
+    text_active_stray: Annotated[
+        Literal["status", "words"], "TX option 0004: two digits of status before a position, or words."
+    ] = "status"
+    binary_active_stray_always: Annotated[
+        bool, "BX option 0004 sends 12 bytes of position whatever the status."
+    ] = True
+
+    # identity and the rest
+    freeze_tag_with_minor: Annotated[
+        bool, "The freeze tag ends in 007.000; without the minor some clients use TX."
+    ] = True
+    saved_illuminator_rate: Annotated[
+        int, "Illuminator rate at power-up, as saved: 0 is 20 Hz, 1 30 Hz, 2 60 Hz."
+    ] = 0
+    user_memory_bytes: Annotated[int, "Size of the user area of a wired tool's memory."] = 1024
+    line_separation_mm: Annotated[float, "Line separation that 3D tells for every marker."] = 0.05
+
+    @classmethod
+    def with_settings(cls, settings: list[str]) -> UnitParameters:
+        """Parameters with some of them set by `name=value`; raises PSU-001 naming what is wrong."""
+        kinds = _kinds()
+        values: dict[str, Any] = {}
+        for setting in settings:
+            name, equals, text = setting.partition("=")
+            if name not in kinds:
+                raise BadUnitParameter(f"there is no parameter {name!r}", awaited=", ".join(kinds))
+            if not equals:
+                raise BadUnitParameter(f"{name} is given no value", awaited=f"{name}=VALUE")
+            values[name] = _value(name, kinds[name][0], text)
+        return replace(cls(), **values)
+
+
+def parameter_lines() -> list[str]:
+    """One line for each parameter: name, best estimate, meaning, and the values of an enumeration."""
+    lines = []
+    kinds = _kinds()
+    for entry in fields(UnitParameters):
+        kind, meaning = kinds[entry.name]
+        default = f"{int(entry.default):02X}" if isinstance(entry.default, IntEnum) else entry.default
+        choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
+        lines.append(f"{entry.name}={default}  {meaning}{choices}")
+    return lines
+
+
+def _kinds() -> dict[str, tuple[Any, str]]:
+    """Type and meaning of each parameter."""
+    hints = get_type_hints(UnitParameters, include_extras=True)
+    return {entry.name: get_args(hints[entry.name]) for entry in fields(UnitParameters)}
+
+
+def _value(name: str, kind: Any, text: str) -> Any:
+    if get_origin(kind) is Literal:
+        if text in get_args(kind):
+            return text
+        raise BadUnitParameter(f"{name} is {text!r}", awaited=", ".join(get_args(kind)))
+    if kind is bool:
+        if text.lower() in ON_WORDS + OFF_WORDS:
+            return text.lower() in ON_WORDS
+        raise BadUnitParameter(f"{name} is {text!r}", awaited="true or false")
+    try:
+        return ErrorCode(int(text, 16)) if kind is ErrorCode else kind(text)
+    except ValueError as error:
+        awaited = "an error code of two hexadecimal digits" if kind is ErrorCode else "a number"
+        raise BadUnitParameter(f"{name} is {text!r}", awaited=awaited) from error

@@ -1,16 +1,16 @@
-"""What kind of unit this is: identity, limits, and how it behaves where units or papers differ."""
+"""What kind of unit this is: identity, ports, volumes and limits. Serial numbers are made up."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
-from sim.polaris.refusal import ErrorCode
-from sim.polaris.volume import EXTENDED_PYRAMID, PYRAMID, Volume
+from sim.polaris.volume import EXTENDED_PYRAMID, PYRAMID, VICRA_VOLUME, Volume
 
 
 @dataclass(frozen=True)
 class Profile:
-    """One kind of unit. Fields after `unconfirmed` are behaviours that no public source settles."""
+    """One kind of unit."""
 
     model: str
     serial_number: str
@@ -23,17 +23,12 @@ class Profile:
     volumes: tuple[Volume, ...]
     handles: int
     enabled_tools: int
+    wired_ports: int  # of the tool interface that can be connected; 0 for none
     passive_ports: int
+    wireless_ports: int
     baud_codes: str
-    illuminator_rate: int  # as the last user saved it: index into ILLUMINATOR_RATES_HZ
+    illuminator_rates: tuple[int, ...]  # codes of IRATE
     longest_command: int
-    # unconfirmed:
-    bad_definition: ErrorCode = ErrorCode.BAD_DEFINITION
-    accepts_lower_case: bool = False
-    poses_partially_out: bool = True  # report a pose when too few, but some, markers are inside
-    first_stray_is_high_bit: bool = True  # TX: the digits are one number, stray 0 its highest bit
-    first_marker_is_first_digit: bool = True  # TX, option 0002
-    first_marker_is_first_nibble: bool = False  # BX, option 0002
 
 
 SPECTRA = Profile(
@@ -48,8 +43,30 @@ SPECTRA = Profile(
     volumes=(PYRAMID, EXTENDED_PYRAMID),
     handles=24,
     enabled_tools=15,
+    wired_ports=3,
     passive_ports=9,
+    wireless_ports=1,
     baud_codes="01234567A",
-    illuminator_rate=2,
+    illuminator_rates=(0, 1, 2),
     longest_command=1024,
 )
+VICRA = Profile(
+    model="Polaris Vicra",
+    serial_number="P6-00042",
+    firmware="007.000.011",
+    combined_revision="014",
+    package="014.002",
+    api_revision="G.001.005",
+    characterization_date="06/05/24",
+    freeze_date="01/04/10",
+    volumes=(VICRA_VOLUME,),
+    handles=24,
+    enabled_tools=15,
+    wired_ports=0,
+    passive_ports=6,
+    wireless_ports=1,
+    baud_codes="01234567A",
+    illuminator_rates=(0,),
+    longest_command=1024,
+)
+PROFILES: MappingProxyType[str, Profile] = MappingProxyType({"spectra": SPECTRA, "vicra": VICRA})

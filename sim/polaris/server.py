@@ -9,8 +9,9 @@ import time
 
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from sim.errors import EndpointTaken
-from sim.polaris.channel import Channel, Connection, PseudoTerminal
+from sim.polaris.channel import Channel, Connection, Ready
 from sim.polaris.framing import LineBuffer
+from sim.polaris.pseudo_terminal import PseudoTerminal
 from sim.polaris.session import Session
 
 WAITING_HOSTS = 4  # further hosts wait until the one before them hangs up
@@ -35,10 +36,9 @@ class EndSignal:
 class Server:
     """Carries the bytes between hosts and a session."""
 
-    def __init__(self, session: Session, end: EndSignal, longest_command: int) -> None:
+    def __init__(self, session: Session, end: EndSignal) -> None:
         self._session = session
         self._end = end
-        self._longest_command = longest_command
 
     def serve_line(self, line: PseudoTerminal) -> None:
         """Serve a serial line."""
@@ -47,7 +47,7 @@ class Server:
     def serve_network(self, listener: socket.socket) -> None:
         """Serve connections, one after another; the unit's state outlives them."""
         waiting = self._poll(listener.fileno())
-        while self._wait(waiting):
+        while self._wait(waiting) is not None:
             connection = Connection(listener.accept()[0])
             try:
                 self._converse(connection)
@@ -55,27 +55,35 @@ class Server:
                 connection.close()
 
     def _converse(self, channel: Channel) -> None:
-        lines = LineBuffer(self._longest_command)
-        waiting = self._poll(channel.fileno())
         session = self._session
-        while self._wait(waiting):
-            received = channel.receive()
-            if not received:
+        lines = LineBuffer(session.unit.profile.longest_command)
+        waiting = self._poll(*channel.files())
+        while (ready := self._wait(waiting)) is not None:
+            if unasked := session.unasked():
+                channel.send(unasked, session.reply_line)
+            received = channel.receive(ready) if ready else b""
+            if received is None:
                 return
+            if not received:
+                continue
             for line in lines.feed(received, time.monotonic()):
+                channel.let_arrive(len(line) + 1, session.line)
                 answer = session.answer(line)
-                channel.send(answer, len(line) + 1, session.reply_baud)
+                if answer:
+                    channel.send(answer, session.reply_line)
 
-    def _poll(self, file: int) -> select.poll:
+    def _poll(self, *files: int) -> select.poll:
         poll = select.poll()
-        poll.register(file, select.POLLIN)
-        poll.register(self._end.fileno(), select.POLLIN)
+        for file in (*files, self._end.fileno()):
+            poll.register(file, select.POLLIN)
         return poll
 
-    def _wait(self, poll: select.poll) -> bool:
-        """Wait for a host; False when told to end."""
-        poll.poll()
-        return not self._end.given
+    def _wait(self, poll: select.poll) -> Ready | None:
+        """Wait for a host, or until the unit has something to say; None when told to end."""
+        due_s = self._session.due_s()
+        wait_ms = None if due_s is None else max(0.0, due_s - time.monotonic()) * 1000.0
+        ready = poll.poll(wait_ms)
+        return None if self._end.given else ready
 
 
 def network_address(text: str) -> Endpoint:

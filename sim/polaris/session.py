@@ -6,57 +6,122 @@ own checks of its arguments and of the handle. A command that fails a check has 
 
 from __future__ import annotations
 
-from ronna_hw.wire.polaris import REPLY_ERROR
+import time
+
+from ronna_hw.wire.polaris import REPLY_ERROR, REPLY_RESET
 from sim.polaris.framing import ascii_reply, parse_request
-from sim.polaris.handlers.table import COMMANDS
+from sim.polaris.handlers.table import COMMANDS, modes_of_commands
+from sim.polaris.line_settings import LineSettings
+from sim.polaris.mode import Mode
 from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Mode, Unit
+from sim.polaris.unit import Unit
+
+NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class Session:
     """The conversation of a unit with its hosts. It outlives each of them, as the unit does."""
 
     def __init__(self, unit: Unit) -> None:
-        self._unit = unit
+        self.unit = unit
+        self.reply_line = unit.line  # of the last answer: COMM is answered with the old settings
+        self._modes = modes_of_commands(unit.behaviour)
         self._replies: dict[bytes, bytes] = {}  # to requests for the frame `_replies_frame`
         self._replies_frame = -1
-        self.reply_baud = unit.baud  # of the last answer: COMM is answered at the old rate
+        self._watch_dog_ns = 0
+        self._heard_ns = 0
+        self._starts_s: float | None = None  # host time at which a unit that starts again says RESET
 
     def answer(self, line: bytes) -> bytes:
         """The bytes that the unit sends back for one command line (without its CR)."""
+        if self._watch_dog_ns:
+            self._watch()
         kept = self._replies.get(line)
-        if kept is not None and self._unit.frames.number() == self._replies_frame:
+        if kept is not None and self.unit.frames.number() == self._replies_frame:
             return kept
-        self.reply_baud = self._unit.baud
+        if self._starts_s is not None:
+            return b""  # a unit that starts hears nothing
+        self.reply_line = self.unit.line
         try:
             answer = self._carry_out(line)
         except Refusal as refusal:
             return ascii_reply(f"{REPLY_ERROR}{refusal.code:02X}")
         return ascii_reply(answer) if isinstance(answer, str) else answer
 
+    @property
+    def line(self) -> LineSettings:
+        """The settings with which the unit listens now."""
+        return self.unit.line
+
+    def restart(self, after_s: float | None = None) -> None:
+        """A break, or the power came back: settings as saved; RESET is said a while later."""
+        self.unit.reset()
+        self._forget()
+        self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
+
+    def host_left(self) -> None:
+        """The last host closed the line."""
+        if self.unit.behaviour.line_after_close == "default":
+            self.unit.restore_line()
+
+    def due_s(self) -> float | None:
+        """Host time at which the unit will speak unasked; None while it has nothing to say."""
+        return self._starts_s
+
+    def unasked(self) -> bytes:
+        """What the unit says of itself now: RESET, once it has started again."""
+        if self._starts_s is None or time.monotonic() < self._starts_s:
+            return b""
+        self._starts_s = None
+        self.reply_line = self.unit.line
+        return ascii_reply(REPLY_RESET)
+
     def _carry_out(self, line: bytes) -> str | bytes:
-        unit = self._unit
+        unit = self.unit
         request = parse_request(line)
-        name = request.name.upper() if unit.profile.accepts_lower_case else request.name
+        name = request.name.upper() if unit.behaviour.accepts_lower_case else request.name
         command = COMMANDS.get(name)
         if command is None:
             raise Refusal(ErrorCode.UNKNOWN_COMMAND)
-        if unit.mode not in command.modes:
+        if unit.mode not in self._modes[name]:
             early = unit.mode is Mode.NOT_INITIALISED
             raise Refusal(ErrorCode.NOT_INITIALISED if early else ErrorCode.WRONG_MODE)
         if not command.tells_frame:
-            self._replies.clear()
+            self._forget()
         answer = command.carry_out(unit, request.argument)
         if command.restarts_line:
-            self.reply_baud = unit.baud
-        if command.tells_frame and unit.frames.repeats and isinstance(answer, bytes):
+            self.reply_line = unit.line
+        if not command.tells_frame:
+            self._set_watch_dog()
+        elif unit.frames.repeats and isinstance(answer, bytes):
             self._keep(line, answer)
         return answer
 
     def _keep(self, line: bytes, reply: bytes) -> None:
         """The same request for the same frame gets the same answer: no need to measure or encode again."""
-        number = self._unit.frames.last
+        number = self.unit.frames.last
         if number != self._replies_frame:
             self._replies.clear()
             self._replies_frame = number
         self._replies[line] = reply
+
+    def _forget(self) -> None:
+        self._replies.clear()
+
+    def _set_watch_dog(self) -> None:
+        self._watch_dog_ns = self.unit.watch_dog_s * NANOSECONDS_PER_SECOND
+        self._heard_ns = self.unit.clock.now_ns()
+
+    def _watch(self) -> None:
+        """The watch dog bites when the host has been silent for too long: seen at its next command."""
+        now_ns = self.unit.clock.now_ns()
+        silent_ns = now_ns - self._heard_ns
+        self._heard_ns = now_ns
+        if silent_ns <= self._watch_dog_ns:
+            return
+        self._forget()
+        if self.unit.behaviour.watch_dog == "reset":
+            self._watch_dog_ns = 0
+            self.restart()
+        elif self.unit.mode is Mode.TRACKING:
+            self.unit.stop_tracking()

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Callable, Iterator
 
@@ -23,10 +24,11 @@ ANSWER_LIMIT_S = 5.0
 ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
 # A host that opens the unit, begins to track, says so, and then only asks.
 CARELESS_HOST = """
-import os, socket, sys
+import os, socket, sys, termios
 kind, address = sys.argv[1:]
 if kind == "serial":
     file = os.open(address, os.O_RDWR | os.O_NOCTTY)
+    termios.tcflush(file, termios.TCIFLUSH)
 else:
     peer = socket.create_connection(("127.0.0.1", int(address)))
     file = peer.fileno()
@@ -44,6 +46,7 @@ class Host:
         self._socket: socket.socket | None = None
         if endpoint.startswith("serial://"):
             self._file = os.open(endpoint.removeprefix("serial://"), os.O_RDWR | os.O_NOCTTY)
+            termios.tcflush(self._file, termios.TCIFLUSH)
         else:
             port = int(endpoint.rsplit(":", 1)[1])
             self._socket = socket.create_connection(("127.0.0.1", port))
@@ -72,6 +75,12 @@ class Host:
         while select.select([self._file], [], [], 0.2)[0]:
             if not os.read(self._file, 65536):
                 return
+
+    def set_baud(self, baud: int) -> None:
+        """Give the line another rate."""
+        settings = termios.tcgetattr(self._file)
+        settings[4] = settings[5] = getattr(termios, f"B{baud}")
+        termios.tcsetattr(self._file, termios.TCSANOW, settings)
 
     def close(self) -> None:
         if self._socket is not None:
@@ -214,6 +223,7 @@ def test_a_throttled_line_takes_the_time_of_its_baud_rate(start: Callable[..., C
     began = time.monotonic()
     host.ask("COMM 50000")
     assert time.monotonic() - began >= 20 * 10 / 9600  # OKAY still goes out at the old rate
+    host.set_baud(115200)
     quicker_s = min(seconds_for("ECHO " + "x" * 100)[0] for _ in range(5))
     assert bits / 115200 <= quicker_s < slow_s
     host.close()

@@ -41,3 +41,29 @@ def digit_within(argument: str, low: int, high: int, refusal: ErrorCode = ErrorC
 def port_of(unit: Unit, argument: str) -> Port:
     """The port whose handle the argument begins with."""
     return unit.ports.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))
+
+
+def occupied_port_of(unit: Unit, argument: str) -> Port:
+    """The same, with a tool behind it; raises Refusal when that was unplugged or never there."""
+    port = port_of(unit, argument)
+    if port.unoccupied:
+        raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
+    if not port.occupied:
+        raise Refusal(ErrorCode.NO_TOOL)
+    return port
+
+
+def initialised_port_of(unit: Unit, argument: str) -> Port:
+    """The same, after PINIT."""
+    port = occupied_port_of(unit, argument)
+    if not port.initialised:
+        raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
+    return port
+
+
+def wired_port_of(unit: Unit, argument: str) -> Port:
+    """The port of a wired tool; raises Refusal for every other."""
+    port = occupied_port_of(unit, argument)
+    if not port.wired_port:
+        raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
+    return port

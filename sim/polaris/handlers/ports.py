@@ -1,101 +1,57 @@
-"""Commands about port handles: PHSR, PHRQ, PHF, PVWR, PINIT, PENA, PDIS, PHINF."""
+"""Commands that make the tool of a handle ready: PINIT, PENA, PDIS, PHINF, PFSEL."""
 
 from __future__ import annotations
 
-import re
-
 from ronna_hw.wire import polaris as wire
-from ronna_hw.wire.polaris import HANDLE_DIGITS, HandleQuery, TrackingPriority
+from ronna_hw.wire.polaris import HANDLE_DIGITS, TrackingPriority
 from sim.polaris.definition import BadDefinition, parse_definition
-from sim.polaris.handlers.arguments import hexadecimal, need_length, port_of
+from sim.polaris.geometry_rules import warning_of
+from sim.polaris.handlers.arguments import (
+    hexadecimal,
+    initialised_port_of,
+    need_length,
+    occupied_port_of,
+    port_of,
+)
 from sim.polaris.handlers.port_information import PORT_INFORMATION
-from sim.polaris.refusal import ErrorCode, Refusal
+from sim.polaris.ports import ALL_FACES, Port
+from sim.polaris.refusal import ErrorCode, Refusal, WarningCode
 from sim.polaris.unit import Unit
+from sim.polaris.user_parameter_table import RETURN_WARNING
 
-ADDRESS_DIGITS = 4
-BLOCK_DIGITS = 2 * wire.PVWR_BLOCK_BYTES
 OPTION_DIGITS = 4
 DEFAULT_INFORMATION = "0001"
 PRIORITIES = (TrackingPriority.STATIC, TrackingPriority.DYNAMIC, TrackingPriority.BUTTON_BOX)
-
-# device, system type (Polaris), tool type (wireless), port, what to load: nothing or the passive dummy
-_passive_port = re.compile(r"[!-~]{8}[*0][*1](\*\*|00)(\*\*|00|01)")
-DUMMY = "01"
-
-
-def search(unit: Unit, argument: str) -> str:
-    """PHSR oo"""
-    need_length(argument, 0, 2)
-    option = hexadecimal(argument) if argument else HandleQuery.ALL
-    if option not in list(HandleQuery):
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
-    ports = unit.ports.matching(HandleQuery(option))
-    return f"{len(ports):02X}" + "".join(f"{port.handle:02X}{int(port.status):03X}" for port in ports)
-
-
-def request(unit: Unit, argument: str) -> str:
-    """PHRQ, for passive tools"""
-    need_length(argument, wire.PHRQ_ARGUMENT_CHARACTERS)
-    asked = _passive_port.fullmatch(argument)
-    if asked is None:
-        raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
-    return f"{unit.ports.request(dummy=asked[2] == DUMMY).handle:02X}"
-
-
-def free(unit: Unit, argument: str) -> str:
-    """PHF hh"""
-    need_length(argument, HANDLE_DIGITS)
-    unit.ports.free(port_of(unit, argument).handle)
-    return wire.REPLY_OKAY
-
-
-def write_memory(unit: Unit, argument: str) -> str:
-    """PVWR hh aaaa and 64 bytes: what they say is judged by PINIT."""
-    need_length(argument, HANDLE_DIGITS + ADDRESS_DIGITS + BLOCK_DIGITS)
-    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
-    address = hexadecimal(argument[HANDLE_DIGITS : HANDLE_DIGITS + ADDRESS_DIGITS])
-    content = argument[HANDLE_DIGITS + ADDRESS_DIGITS :]
-    hexadecimal(content)
-    if address % wire.PVWR_BLOCK_BYTES or address + wire.PVWR_BLOCK_BYTES > wire.PVWR_SPACE_BYTES:
-        raise Refusal(ErrorCode.OUT_OF_RANGE)
-    port = port_of(unit, argument)
-    if port.dummy:
-        raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
-    port.memory[address : address + wire.PVWR_BLOCK_BYTES] = bytes.fromhex(content)
-    port.written = True
-    return wire.REPLY_OKAY
 
 
 def initialise(unit: Unit, argument: str) -> str:
     """PINIT hh"""
     need_length(argument, HANDLE_DIGITS)
-    port = port_of(unit, argument)
-    if port.initialised:
+    port = occupied_port_of(unit, argument)
+    if port.dummy:
+        port.initialised = True
         return wire.REPLY_OKAY
-    if not port.dummy:
-        if not port.written:
-            raise Refusal(ErrorCode.NO_TOOL)
-        try:
-            port.definition = parse_definition(bytes(port.memory))
-        except BadDefinition:
-            raise Refusal(unit.profile.bad_definition) from None
-        if not unit.measurer.hangs_on_mount(port):
-            port.place = unit.ports.free_place()
+    if not port.written:
+        raise Refusal(ErrorCode.NO_TOOL)
+    _read_definition(unit, port)
+    warning = _warning(unit, port)
     port.initialised = True
-    return wire.REPLY_OKAY
+    if warning is None:
+        return wire.REPLY_OKAY
+    return f"{wire.REPLY_WARNING}{warning:02X}" if unit.behaviour.warns_with_code else wire.REPLY_WARNING
 
 
 def enable(unit: Unit, argument: str) -> str:
     """PENA hh and priority"""
     need_length(argument, HANDLE_DIGITS + 1)
     hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
-    if argument[HANDLE_DIGITS] not in PRIORITIES:
+    priority = argument[HANDLE_DIGITS]
+    if priority not in PRIORITIES:
         raise Refusal(ErrorCode.BAD_PRIORITY)
-    port = port_of(unit, argument)
-    if not port.initialised:
-        raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
+    port = initialised_port_of(unit, argument)
     if not port.enabled and len(unit.ports.enabled()) >= unit.profile.enabled_tools:
         raise Refusal(ErrorCode.TOO_MANY_ENABLED)
+    port.priority = priority
     port.enabled = True
     return wire.REPLY_OKAY
 
@@ -103,9 +59,7 @@ def enable(unit: Unit, argument: str) -> str:
 def disable(unit: Unit, argument: str) -> str:
     """PDIS hh"""
     need_length(argument, HANDLE_DIGITS)
-    port = port_of(unit, argument)
-    if not port.initialised:
-        raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
+    port = initialised_port_of(unit, argument)
     if not port.enabled:
         raise Refusal(ErrorCode.HANDLE_NOT_ENABLED)
     port.enabled = False
@@ -120,4 +74,40 @@ def information(unit: Unit, argument: str) -> str:
     if not asked or asked & ~sum(PORT_INFORMATION):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     port = port_of(unit, argument)
+    if not port.occupied:
+        return wire.REPLY_UNOCCUPIED
     return "".join(part(unit, port) for bit, part in PORT_INFORMATION.items() if asked & bit)
+
+
+def select_faces(unit: Unit, argument: str) -> str:
+    """PFSEL hhmm: only these faces are tracked."""
+    need_length(argument, 2 * HANDLE_DIGITS)
+    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
+    faces = hexadecimal(argument[HANDLE_DIGITS:])
+    if not 0 < faces <= ALL_FACES:
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    initialised_port_of(unit, argument).faces = faces
+    return wire.REPLY_OKAY
+
+
+def _read_definition(unit: Unit, port: Port) -> None:
+    behaviour = unit.behaviour
+    try:
+        port.definition = parse_definition(bytes(port.memory))
+    except BadDefinition as bad:
+        limits = bad.limits
+        raise Refusal(behaviour.definition_beyond_limits if limits else behaviour.bad_definition) from None
+    port.place = None
+    if not unit.measurer.hangs_on_mount(port):
+        port.place = unit.ports.free_place()
+
+
+def _warning(unit: Unit, port: Port) -> WarningCode | None:
+    tool = port.definition
+    if tool is None or port.wired_port:  # active markers fire in turn and are not told apart by geometry
+        return None
+    others = [other.definition for other in unit.ports if other is not port and not other.wired_port]
+    warning = warning_of(tool, [other for other in others if other is not None], unit.behaviour)
+    if warning is WarningCode.DEFAULT_WAVELENGTH and not unit.parameters.number(RETURN_WARNING):
+        return None
+    return warning

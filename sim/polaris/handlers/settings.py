@@ -1,12 +1,16 @@
-"""Commands about settings: GET, GETINFO, SET, VSEL, IRATE."""
+"""Commands about settings: GET, GETINFO, SET, DFLT, SAVE, VSEL, IRATE, HCWDOG."""
 
 from __future__ import annotations
 
+import string
+
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import LF
-from sim.polaris.handlers.arguments import digit_within
+from sim.polaris.handlers.arguments import digit_within, no_argument
+from sim.polaris.mode import Mode
 from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Mode, Unit
+from sim.polaris.unit import Unit
+from sim.polaris.user_parameter_table import LONGEST_WATCH_DOG_S, WATCH_DOG
 
 
 def get(unit: Unit, argument: str) -> str:
@@ -30,6 +34,20 @@ def set_parameter(unit: Unit, argument: str) -> str:
     return wire.REPLY_OKAY
 
 
+def set_default(unit: Unit, argument: str) -> str:
+    """DFLT name, or the beginning of names and *"""
+    _need_text(argument)
+    unit.parameters.set_default(argument, tracking=unit.mode is Mode.TRACKING)
+    return wire.REPLY_OKAY
+
+
+def save(unit: Unit, argument: str) -> str:
+    """SAVE: the settings outlive a reset."""
+    no_argument(argument)
+    unit.parameters.save()
+    return wire.REPLY_OKAY
+
+
 def select_volume(unit: Unit, argument: str) -> str:
     """VSEL n, from 1; the parameter counts from 0."""
     number = digit_within(argument, 1, len(unit.profile.volumes), ErrorCode.NO_SUCH_VOLUME)
@@ -39,8 +57,17 @@ def select_volume(unit: Unit, argument: str) -> str:
 
 def illuminator_rate(unit: Unit, argument: str) -> str:
     """IRATE n"""
-    number = digit_within(argument, 0, max(wire.ILLUMINATOR_RATES_HZ))
+    number = digit_within(argument, 0, max(unit.profile.illuminator_rates))
     unit.parameters.set(wire.PARAMETER_ILLUMINATOR_RATE, str(number), tracking=False)
+    return wire.REPLY_OKAY
+
+
+def watch_dog(unit: Unit, argument: str) -> str:
+    """HCWDOG n, seconds in decimal digits, 0 off"""
+    _need_text(argument)
+    if not set(argument) <= set(string.digits) or int(argument[:9]) > LONGEST_WATCH_DOG_S:
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    unit.parameters.set(WATCH_DOG, argument, tracking=False)
     return wire.REPLY_OKAY
 
 

@@ -4,33 +4,37 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import ReplyOption
+from sim.polaris.alerts import HARDWARE
+from sim.polaris.binary_reply import binary_body
 from sim.polaris.framing import ascii_reply, binary_reply
+from sim.polaris.geometry_rules import wavelength_of
 from sim.polaris.handlers.arguments import hexadecimal, need_length, no_argument
+from sim.polaris.ports import Port
 from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.replies import binary_body, text_reply
+from sim.polaris.text_reply import text_reply
 from sim.polaris.unit import Unit
 
 OPTION_DIGITS = 4
-START_OPTIONS = int(wire.TSTART_RESET_FRAME_COUNTER, 16) | int(wire.TSTART_FASTER, 16)
-# Active strays and tool markers belong to wired tools and to other units.
-OPTIONS = (
-    ReplyOption.TRANSFORMS
-    | ReplyOption.TOOL_INFORMATION
-    | ReplyOption.OUT_OF_VOLUME
-    | ReplyOption.STRAY_PASSIVE
-)
+RESTART_COUNTER = int(wire.TSTART_RESET_FRAME_COUNTER, 16)
+START_OPTIONS = RESTART_COUNTER | int(wire.TSTART_FASTER, 16)
+OPTIONS = int(sum(ReplyOption))
 
 
 def start(unit: Unit, argument: str) -> str:
-    """TSTART [80]"""
+    """TSTART [nn]"""
     need_length(argument, 0, 2)
     options = hexadecimal(argument) if argument else 0
     if options & ~START_OPTIONS:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     enabled = unit.ports.enabled()
-    if len({port.dummy for port in enabled}) > 1:  # a dummy beside real tools of its type
+    faulty = unit.alerts.current & HARDWARE and not unit.behaviour.starts_with_hardware_fault
+    idle = not enabled and not unit.behaviour.starts_without_tools
+    if faulty or idle or _dummy_beside_tool(enabled):
         raise Refusal(ErrorCode.CANNOT_START_TRACKING)
-    unit.start_tracking(restart=bool(options & int(wire.TSTART_RESET_FRAME_COUNTER, 16)))
+    supported = unit.behaviour.supported_wavelengths
+    if any(port.definition and str(wavelength_of(port.definition)) not in supported for port in enabled):
+        raise Refusal(ErrorCode.WAVELENGTH)
+    unit.start_tracking(restart=bool(options & RESTART_COUNTER))
     return wire.REPLY_OKAY
 
 
@@ -44,18 +48,26 @@ def stop(unit: Unit, argument: str) -> str:
 def text_frame(unit: Unit, argument: str) -> bytes:
     """TX [oooo]"""
     options = _options(argument)
-    return ascii_reply(text_reply(unit.frame(), options, unit.profile))
+    if options & ReplyOption.TOOL_MARKERS and not unit.behaviour.text_tool_markers:
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    return ascii_reply(text_reply(unit.frame(), options, unit.behaviour))
 
 
 def binary_frame(unit: Unit, argument: str) -> bytes:
     """BX [oooo]"""
     options = _options(argument)
-    return binary_reply(binary_body(unit.frame(), options, unit.profile))
+    return binary_reply(binary_body(unit.frame(), options, unit.behaviour))
 
 
 def _options(argument: str) -> ReplyOption:
     need_length(argument, 0, OPTION_DIGITS)
     asked = hexadecimal(argument) if argument else int(ReplyOption.TRANSFORMS)
-    if not asked or asked & ~int(OPTIONS):
+    if not asked or asked & ~OPTIONS:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     return ReplyOption(asked)
+
+
+def _dummy_beside_tool(ports: tuple[Port, ...]) -> bool:
+    """True when a dummy and a real tool of the same type are enabled."""
+    dummies = {(bool(port.wired_port), port.active_wireless) for port in ports if port.dummy}
+    return any((bool(port.wired_port), port.active_wireless) in dummies for port in ports if not port.dummy)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
 from sim.polaris.definition import write_definition
+from sim.polaris.parameters import UnitParameters
 from sim.polaris.profile import SPECTRA, Profile
 from sim.polaris.session import Session
 from sim.polaris.unit import Unit
+from sim.polaris.wired import WiredPorts
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.scene import Scene, TrackerTool
 from sim.theatre.world import World
@@ -22,6 +25,7 @@ POINTER = TrackerTool(
     markers_mm=((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (25.0, 100.0, 0.0), (-25.0, 135.0, 0.0)),
 )
 ROM_BYTES_SENT = 768  # clients pad to whole blocks
+EVERY_FRAME = 2  # illuminator rate of 60 Hz: each count is a new measurement
 
 
 @dataclass
@@ -54,9 +58,9 @@ class Bench:
         return handle
 
     def enable(self, tool: TrackerTool) -> int:
-        """Load, initialise and enable a tool."""
+        """Load, initialise and enable a tool; one that is loaded twice brings a warning."""
         handle = self.load(write_definition(tool))
-        assert self.send(f"PINIT {handle:02X}") == "OKAY"
+        assert not self.send(f"PINIT {handle:02X}").startswith("ERROR")
         assert self.send(f"PENA {handle:02X}D") == "OKAY"
         return handle
 
@@ -73,9 +77,17 @@ def text_of(reply: bytes) -> str:
 def make_bench() -> Callable[..., Bench]:
     """Make a bench from a scene; its clock is advanced by requests, so every frame is a new one."""
 
-    def make(scene: Scene | None = None, *, paced: bool = False, profile: Profile = SPECTRA) -> Bench:
+    def make(
+        scene: Scene | None = None,
+        *,
+        paced: bool = False,
+        profile: Profile = SPECTRA,
+        wired: WiredPorts | None = None,
+        **behaviour: Any,
+    ) -> Bench:
         world = World.create(scene or built_in_scene("bench"), paced=paced)
-        unit = Unit(world, profile)
+        behaviour.setdefault("saved_illuminator_rate", EVERY_FRAME)
+        unit = Unit(world, profile, UnitParameters(**behaviour), wired)
         return Bench(world, unit, Session(unit))
 
     return make

@@ -46,7 +46,9 @@ def test_handles_run_out(bench: Bench) -> None:
     assert answers[23:] == ["18", "ERROR2D"]
 
 
-@pytest.mark.parametrize("argument", ["*********0****", "*********1**02", "*********1GG**", "********11****"])
+@pytest.mark.parametrize(
+    "argument", ["*********004**", "*********0**02", "*********1GG**", "*********101**", "********11****"]
+)
 def test_ports_that_the_unit_does_not_have_are_refused(bench: Bench, argument: str) -> None:
     assert bench.send(f"PHRQ {argument}") == "ERROR2F"
 
@@ -113,7 +115,7 @@ def test_port_information_copies_the_definition(bench: Bench, pointer: TrackerTo
 
 
 @pytest.mark.parametrize(
-    ("argument", "answer"), [("0100", "ERROR07"), ("010040", "ERROR23"), ("02", "ERROR2B"), ("zz", "ERROR08")]
+    ("argument", "answer"), [("0100", "ERROR07"), ("010080", "ERROR23"), ("02", "ERROR2B"), ("zz", "ERROR08")]
 )
 def test_questions_about_a_port_are_checked(bench: Bench, argument: str, answer: str) -> None:
     bench.send(ANY_PASSIVE)

@@ -7,11 +7,12 @@ import struct
 import pytest
 
 from ronna_hw.wire.polaris import PortStatus, ReplyOption, SystemStatus
+from sim.polaris.binary_reply import binary_body
 from sim.polaris.framing import ascii_reply, binary_reply
 from sim.polaris.measurement import Frame, Stray
+from sim.polaris.parameters import UnitParameters
 from sim.polaris.ports import Port
-from sim.polaris.profile import SPECTRA
-from sim.polaris.replies import binary_body, text_reply
+from sim.polaris.text_reply import text_reply
 from sim.polaris.tracking_rules import ToolPose, Tracked
 
 T = ReplyOption.TRANSFORMS
@@ -19,6 +20,7 @@ PORT = Port(0x01, initialised=True, enabled=True)
 POSE = ToolPose((1.0, 0.0, 0.0, 0.0), (10.5, -20.25, -1500.0), 0.125)
 INSIDE = PortStatus(0)
 NO_FAULT = SystemStatus(0)
+USUAL = UnitParameters()
 
 
 def frame_with(number: int, tracked: Tracked | None, *strays: Stray) -> Frame:
@@ -36,43 +38,43 @@ def missing() -> Tracked:
 def test_a_visible_tool_reads_as_in_the_published_example() -> None:
     frame = frame_with(300, valid())
     text = b"0101+10000+00000+00000+00000+001050-002025-150000+01250000000310000012C\n0000361F\r"
-    assert ascii_reply(text_reply(frame, T, SPECTRA)) == text
+    assert ascii_reply(text_reply(frame, T, USUAL)) == text
     body = (
         "01 0101 0000803F 00000000 00000000 00000000 00002841 0000A2C1 0080BBC4 0000003E"
         "31000000 2C010000 0000"
     )
-    assert binary_reply(binary_body(frame, T, SPECTRA)) == bytes.fromhex("C4A5 2D00 3043" + body + "1D2D")
+    assert binary_reply(binary_body(frame, T, USUAL)) == bytes.fromhex("C4A5 2D00 3043" + body + "1D2D")
 
 
 def test_a_missing_tool_keeps_its_status_and_frame() -> None:
     frame = frame_with(301, missing())
-    assert ascii_reply(text_reply(frame, T, SPECTRA)) == b"0101MISSING000000310000012D\n0000C380\r"
+    assert ascii_reply(text_reply(frame, T, USUAL)) == b"0101MISSING000000310000012D\n0000C380\r"
     reply = bytes.fromhex("C4A5 0D00 2983 01 0102 31000000 2D010000 0000 9E7D")
-    assert binary_reply(binary_body(frame, T, SPECTRA)) == reply
+    assert binary_reply(binary_body(frame, T, USUAL)) == reply
 
 
 @pytest.mark.parametrize("tracked", [valid(), missing()])
 def test_tool_information_adds_22_characters_or_11_bytes(tracked: Tracked) -> None:
     frame = frame_with(1, tracked)
     more = T | ReplyOption.TOOL_INFORMATION
-    assert len(text_reply(frame, more, SPECTRA)) == len(text_reply(frame, T, SPECTRA)) + 22
-    assert len(binary_body(frame, more, SPECTRA)) == len(binary_body(frame, T, SPECTRA)) + 11
+    assert len(text_reply(frame, more, USUAL)) == len(text_reply(frame, T, USUAL)) + 22
+    assert len(binary_body(frame, more, USUAL)) == len(binary_body(frame, T, USUAL)) + 11
 
 
 def test_marker_digits_stand_in_the_order_of_the_profile() -> None:
     frame = frame_with(1, valid())
-    text = text_reply(frame, ReplyOption.TOOL_INFORMATION, SPECTRA)
+    text = text_reply(frame, ReplyOption.TOOL_INFORMATION, USUAL)
     assert text == "0101" + "10" + "3303" + "0" * 16 + "\n0000"
-    body = binary_body(frame, ReplyOption.TOOL_INFORMATION, SPECTRA)
+    body = binary_body(frame, ReplyOption.TOOL_INFORMATION, USUAL)
     assert body[3:14] == bytes([0x10, *[0] * 8, 0x30, 0x33])
 
 
 def test_a_tool_out_of_the_volume_is_told_only_on_request() -> None:
     frame = frame_with(1, valid(PortStatus.OUT_OF_VOLUME))
-    assert "MISSING00000071" in text_reply(frame, T, SPECTRA)
-    assert "+10000" in text_reply(frame, T | ReplyOption.OUT_OF_VOLUME, SPECTRA)
-    assert binary_body(frame, T, SPECTRA)[2] == 0x02
-    assert binary_body(frame, T | ReplyOption.OUT_OF_VOLUME, SPECTRA)[2] == 0x01
+    assert "MISSING00000071" in text_reply(frame, T, USUAL)
+    assert "+10000" in text_reply(frame, T | ReplyOption.OUT_OF_VOLUME, USUAL)
+    assert binary_body(frame, T, USUAL)[2] == 0x02
+    assert binary_body(frame, T | ReplyOption.OUT_OF_VOLUME, USUAL)[2] == 0x01
 
 
 def test_strays_are_counted_all_and_told_only_inside_unless_asked() -> None:
@@ -80,11 +82,11 @@ def test_strays_are_counted_all_and_told_only_inside_unless_asked() -> None:
     frame = Frame(1, (), strays, NO_FAULT)
     alone = ReplyOption.STRAY_PASSIVE
     every = alone | ReplyOption.OUT_OF_VOLUME
-    assert text_reply(frame, alone, SPECTRA) == "00" + "021" + "+000100+000200-100000" + "0000"
+    assert text_reply(frame, alone, USUAL) == "00" + "021" + "+000100+000200-100000" + "0000"
     told = "+000100+000200-100000+090000+000000-100000"
-    assert text_reply(frame, every, SPECTRA) == "00" + "021" + told + "0000"
-    assert binary_body(frame, alone, SPECTRA) == b"\0\2\2" + struct.pack("<3f", 1, 2, -1000) + b"\0\0"
-    assert len(binary_body(frame, every, SPECTRA)) == 3 + 24 + 2
+    assert text_reply(frame, every, USUAL) == "00" + "021" + told + "0000"
+    assert binary_body(frame, alone, USUAL) == b"\0\2\2" + struct.pack("<3f", 1, 2, -1000) + b"\0\0"
+    assert len(binary_body(frame, every, USUAL)) == 3 + 24 + 2
 
 
 @pytest.mark.parametrize(("count", "digits", "flag_bytes"), [(0, 0, 0), (1, 1, 1), (4, 1, 1), (9, 3, 2)])
@@ -93,5 +95,5 @@ def test_out_of_volume_bits_take_as_many_digits_as_strays_need(
 ) -> None:
     frame = Frame(1, (), (Stray((0.0, 0.0, -1500.0), True),) * count, NO_FAULT)
     option = ReplyOption.STRAY_PASSIVE
-    assert len(text_reply(frame, option, SPECTRA)) == 2 + 2 + digits + 21 * count + 4
-    assert len(binary_body(frame, option, SPECTRA)) == 1 + 1 + flag_bytes + 12 * count + 2
+    assert len(text_reply(frame, option, USUAL)) == 2 + 2 + digits + 21 * count + 4
+    assert len(binary_body(frame, option, USUAL)) == 1 + 1 + flag_bytes + 12 * count + 2

@@ -90,7 +90,7 @@ def test_an_alert_withholds_transforms_until_it_is_read(bench: Bench, pointer: T
 def test_a_hardware_fault_or_a_cold_unit_shows_in_the_system_status(
     bench: Bench, bit: int, status: str
 ) -> None:
+    bench.send("TSTART 80")
     bench.send(f"SET Param.Simulated Alerts={1 << bit}")
     bench.send("GET Info.Status.New Alerts")
-    bench.send("TSTART 80")
     assert bench.send("TX 0001") == f"00{status}"

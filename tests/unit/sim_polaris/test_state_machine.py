@@ -61,11 +61,11 @@ def test_init_returns_to_setup_from_tracking_and_forgets_handles(bench: Bench, p
 
 def test_reset_asks_for_init_and_goes_back_to_the_default_rate(bench: Bench) -> None:
     assert bench.send("COMM 50000") == "OKAY"
-    assert bench.session.reply_baud == 9600
+    assert bench.session.reply_line.baud == 9600
     assert bench.send("ECHO x") == "x"
-    assert bench.session.reply_baud == 115200
+    assert bench.session.reply_line.baud == 115200
     assert bench.send("RESET 0") == "RESET"
-    assert bench.session.reply_baud == 9600
+    assert bench.session.reply_line.baud == 9600
     assert bench.send("PHSR 00") == "ERROR10"
 
 
@@ -112,7 +112,7 @@ def test_a_line_longer_than_any_command_is_refused(bench: Bench) -> None:
         ("VER ", "ERROR07"),
         ("INIT 1", "ERROR07"),
         ("APIREV ", "G.001.005"),
-        ("SFLIST 00", "00000006"),
+        ("SFLIST 00", "00000016"),
         ("SFLIST 99", "ERROR23"),
         ("SFLIST", "ERROR07"),
         ("SSTAT 0007", "000000"),

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sim.polaris.definition import write_definition
-from sim.polaris.profile import SPECTRA
 from sim.theatre.built_in import built_in_scene, robot_frame
 from sim.theatre.rigid import (
     apply,
@@ -335,15 +333,3 @@ def test_a_tool_that_turns_its_markers_away_is_missing(
     answer = bench.send("TX 0803")
     assert ("MISSING" not in answer) is seen
     assert answer.split("\n")[0][-20:-16] == ("3333" if seen else "1111")
-
-
-def test_what_no_paper_settles_is_a_parameter(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
-    from dataclasses import replace
-
-    from sim.polaris.refusal import ErrorCode
-
-    other = replace(SPECTRA, accepts_lower_case=True, bad_definition=ErrorCode.OUT_OF_RANGE)
-    bench = make_bench(profile=other)
-    assert bench.send("init ") == "OKAY"
-    bench.load(write_definition(pointer)[:-1] + b"\7")
-    assert bench.send("PINIT 01") == "ERROR23"

@@ -1,0 +1,78 @@
+"""The body of BX: one frame as bytes, little endian.
+
+Options are those of `ronna_hw.wire.polaris.ReplyOption`; it tells what TX tells of the same frame.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+from ronna_hw.wire.polaris import HandleStatus, ReplyOption
+from sim.polaris.measurement import Frame, Stray
+from sim.polaris.parameters import UnitParameters
+from sim.polaris.ports import Port
+from sim.polaris.told import (
+    information,
+    marker_digits,
+    port_status,
+    reported_pose,
+    seen_markers,
+    told_strays,
+)
+from sim.polaris.tracking_rules import Tracked
+
+FRAME_NUMBER_MASK = 0xFFFFFFFF
+NO_POSITION = bytes(12)
+
+_handle = struct.Struct("<BB")
+_pose = struct.Struct("<8f")
+_status = struct.Struct("<II")  # port status, frame number
+_point = struct.Struct("<3f")
+_u16 = struct.Struct("<H")
+
+
+def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitParameters) -> bytes:
+    """The body of the answer to BX."""
+    parts = [bytes([len(frame.tools)])]
+    for port, tracked in frame.tools:
+        if port.enabled and port.occupied:
+            parts.extend(_tool(frame, port, tracked, options, behaviour))
+        else:  # nothing more, for any option
+            parts.append(_handle.pack(port.handle, HandleStatus.DISABLED))
+    if options & ReplyOption.STRAY_PASSIVE:
+        parts.append(_strays(frame.strays, options))
+    parts.append(_u16.pack(frame.system_status))
+    return b"".join(parts)
+
+
+def _tool(
+    frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitParameters
+) -> list[bytes]:
+    pose = reported_pose(tracked, options, behaviour)
+    parts = [_handle.pack(port.handle, HandleStatus.MISSING if pose is None else HandleStatus.VALID)]
+    if options & ReplyOption.TRANSFORMS:
+        if pose is not None:
+            parts.append(_pose.pack(*pose.quaternion, *pose.position_mm, pose.error_mm))
+        parts.append(_status.pack(port_status(port, tracked), frame.number & FRAME_NUMBER_MASK))
+    if options & ReplyOption.TOOL_INFORMATION:
+        digits = marker_digits(tracked, first_first=behaviour.first_marker_is_first_nibble)
+        parts.append(bytes([information(tracked)]) + bytes.fromhex(digits))
+    if options & ReplyOption.STRAY_ACTIVE:  # no tool of this unit has a stray active marker
+        always = behaviour.binary_active_stray_always
+        parts.append(bytes([HandleStatus.MISSING]) + NO_POSITION if always else b"\0")
+    if options & ReplyOption.TOOL_MARKERS:
+        markers = seen_markers(tracked)
+        points = b"".join(_point.pack(*position) for position, _ in markers)
+        parts.append(bytes([len(markers)]) + _bits([not inside for _, inside in markers]) + points)
+    return parts
+
+
+def _strays(strays: tuple[Stray, ...], options: ReplyOption) -> bytes:
+    points = b"".join(_point.pack(*stray.position_mm) for stray in told_strays(strays, options))
+    return bytes([len(strays)]) + _bits([not stray.inside for stray in strays]) + points
+
+
+def _bits(flags: Sequence[bool]) -> bytes:
+    """Eight flags to each byte, the first in the lowest bit."""
+    return sum(1 << k for k, flag in enumerate(flags) if flag).to_bytes(-(-len(flags) // 8), "little")

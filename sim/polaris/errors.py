@@ -1,0 +1,19 @@
+"""Errors of the simulated tracker when it is set up. What goes wrong later is a code on its line."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import ConfigurationError
+
+
+class BadUnitParameter(ConfigurationError):
+    """A parameter of the unit does not exist or cannot have that value."""
+
+    code = "PSU-001"
+    action = "Give --set NAME=VALUE; ronna-sim polaris --list-parameters tells all names."
+
+
+class BadWiredTool(ConfigurationError):
+    """A wired tool cannot be plugged into the unit."""
+
+    code = "PSU-002"
+    action = "Give --wired a tool definition of 752 bytes, and no more tools than the unit has ports."

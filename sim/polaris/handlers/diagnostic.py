@@ -1,0 +1,97 @@
+"""Commands of diagnostic mode: DSTART, DSTOP, IRED, 3D, IRINIT, IRCHK."""
+
+from __future__ import annotations
+
+from ronna_hw.wire import polaris as wire
+from ronna_hw.wire.polaris import HANDLE_DIGITS, LF, MAXIMUM_STRAYS
+from sim.polaris.alerts import HARDWARE
+from sim.polaris.handlers.arguments import (
+    hexadecimal,
+    initialised_port_of,
+    need_length,
+    no_argument,
+    wired_port_of,
+)
+from sim.polaris.refusal import ErrorCode, Refusal
+from sim.polaris.unit import Unit
+
+FIRING_DIGITS = 8
+OPTION_DIGITS = 4
+EVERYTHING_SEEN = "5"  # the only form of 3D whose answer is known
+POSITION_SCALE = 10_000  # 3D: four implied decimals
+SEPARATION_SCALE = 100  # two implied decimals
+LARGEST_SEPARATION = 9999
+DETECTED, SOURCES = 0x0001, 0x0002  # options of IRCHK
+NO_SOURCES = "000"  # of one sensor, in three digits
+
+
+def start(unit: Unit, argument: str) -> str:
+    """DSTART"""
+    no_argument(argument)
+    if unit.alerts.current & HARDWARE and not unit.behaviour.starts_with_hardware_fault:
+        raise Refusal(ErrorCode.CANNOT_START_DIAGNOSTIC)
+    unit.start_diagnostic()
+    return wire.REPLY_OKAY
+
+
+def stop(unit: Unit, argument: str) -> str:
+    """DSTOP"""
+    no_argument(argument)
+    unit.stop_diagnostic()
+    return wire.REPLY_OKAY
+
+
+def fire(unit: Unit, argument: str) -> str:
+    """IRED hh and eight digits: one bit for each marker that is to fire"""
+    need_length(argument, HANDLE_DIGITS + FIRING_DIGITS)
+    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
+    bits = hexadecimal(argument[HANDLE_DIGITS:])
+    port = wired_port_of(unit, argument)
+    initialised_port_of(unit, argument)
+    port.firing = bits
+    return wire.REPLY_OKAY
+
+
+def markers(unit: Unit, argument: str) -> str:
+    """3D hh n: every marker that the sensors see, of tools or not"""
+    need_length(argument, HANDLE_DIGITS + 1)
+    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
+    if argument[HANDLE_DIGITS] != EVERYTHING_SEEN:
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    port = initialised_port_of(unit, argument)
+    frame = unit.diagnostic_frame(port)
+    seen = [(stray.position_mm, stray.inside) for stray in frame.strays]
+    for own, tracked in frame.tools:
+        if tracked is not None:
+            own_markers = zip(tracked.markers_mm, tracked.markers_inside, strict=True)
+            for index, (position, inside) in enumerate(own_markers):
+                if position is not None and (not own.wired_port or own.firing >> index & 1):
+                    seen.append((position, inside))
+    separation = min(round(unit.behaviour.line_separation_mm * SEPARATION_SCALE), LARGEST_SEPARATION)
+    records = [
+        "".join(f"{round(value * POSITION_SCALE):+09d}" for value in position)
+        + f"{separation:04d}{int(not inside)}"
+        for position, inside in seen[:MAXIMUM_STRAYS]
+    ]
+    return LF.join([f"{len(records):03d}", *records])
+
+
+def prepare_infrared_check(unit: Unit, argument: str) -> str:
+    """IRINIT"""
+    no_argument(argument)
+    unit.infrared_checked = True
+    return wire.REPLY_OKAY
+
+
+def check_infrared(unit: Unit, argument: str) -> str:
+    """IRCHK [oooo]: whether there is light from outside, and where"""
+    need_length(argument, 0, OPTION_DIGITS)
+    asked = hexadecimal(argument) if argument else DETECTED
+    if not asked or asked & ~(DETECTED | SOURCES):
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    if not unit.infrared_checked:
+        raise Refusal(ErrorCode.INFRARED_CHECK_NOT_READY)
+    if unit.infrared_light:
+        raise Refusal(ErrorCode.TOO_MUCH_INFRARED)
+    detected = "0" if asked & DETECTED else ""
+    return detected + (2 * NO_SOURCES if asked & SOURCES else "")

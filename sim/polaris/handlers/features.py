@@ -1,0 +1,68 @@
+"""Commands that tell what the unit has and whether it is well: SFLIST, SSTAT."""
+
+from __future__ import annotations
+
+from ronna_hw.wire import polaris as wire
+from ronna_hw.wire.polaris import Alert
+from sim.polaris.handlers.arguments import hexadecimal, need_length
+from sim.polaris.refusal import ErrorCode, Refusal
+from sim.polaris.unit import Unit
+
+FEATURE_ACTIVE_PORTS = 0x0001
+FEATURE_PASSIVE_PORTS = 0x0002
+FEATURE_SEVERAL_VOLUMES = 0x0004
+FEATURE_TOOL_IN_PORT = 0x0008
+FEATURE_ACTIVE_WIRELESS = 0x0010
+AURORA_LISTS = (0x10, 0x12)
+
+CONTROL, SENSORS, TOOL_INTERFACE = 0x0001, 0x0002, 0x0004  # options of SSTAT, in the order of their answers
+CONTROL_SYSTEM_CHECKSUM = 0x02
+LEFT_ROM, RIGHT_ROM = 0x01, 0x10
+INTERFACE_VOLTAGES = 0x02
+
+
+def feature_list(unit: Unit, argument: str) -> str:
+    """SFLIST nn"""
+    need_length(argument, 2)
+    profile = unit.profile
+    volumes = "".join(volume.feature_line() for volume in profile.volumes)
+    lists = {
+        0x00: f"{_features(unit):08X}",
+        0x01: f"{unit.wired.count:X}",
+        0x02: f"{profile.passive_ports:X}",
+        int(wire.SFLIST_VOLUMES, 16): f"{len(profile.volumes)}{volumes}",
+        0x04: f"{unit.wired.count:X}",  # ports that sense a tool by its current
+        0x05: f"{profile.wireless_ports:X}",
+    }
+    number = hexadecimal(argument)
+    if number in AURORA_LISTS:
+        raise Refusal(ErrorCode.NO_FEATURE_LIST)
+    if number not in lists:
+        raise Refusal(unit.behaviour.unknown_feature_list)
+    return lists[number]
+
+
+def system_checks(unit: Unit, argument: str) -> str:
+    """SSTAT oooo: two digits for each option, 00 when all is well."""
+    need_length(argument, 4)
+    asked = hexadecimal(argument)
+    if not asked or asked & ~(CONTROL | SENSORS | TOOL_INTERFACE):
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    alerts = unit.alerts.current
+    sensors_wrong = alerts & (Alert.SENSOR_PARAMETER | Alert.SENSOR_VOLTAGE)
+    found = {
+        CONTROL: CONTROL_SYSTEM_CHECKSUM if alerts & Alert.FATAL_PARAMETER else 0,
+        SENSORS: LEFT_ROM | RIGHT_ROM if sensors_wrong else 0,
+        TOOL_INTERFACE: INTERFACE_VOLTAGES if alerts & Alert.MAIN_VOLTAGE else 0,
+    }
+    return "".join(f"{value:02X}" for option, value in found.items() if asked & option)
+
+
+def _features(unit: Unit) -> int:
+    profile = unit.profile
+    return (
+        FEATURE_PASSIVE_PORTS
+        | (FEATURE_ACTIVE_PORTS | FEATURE_TOOL_IN_PORT if unit.wired.count else 0)
+        | (FEATURE_SEVERAL_VOLUMES if len(profile.volumes) > 1 else 0)
+        | (FEATURE_ACTIVE_WIRELESS if profile.wireless_ports else 0)
+    )

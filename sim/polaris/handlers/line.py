@@ -1,0 +1,27 @@
+"""Commands about the line: COMM, ECHO."""
+
+from __future__ import annotations
+
+from ronna_hw.wire import polaris as wire
+from sim.polaris.handlers.arguments import need_length
+from sim.polaris.line_settings import LineSettings
+from sim.polaris.refusal import ErrorCode, Refusal
+from sim.polaris.unit import Unit
+
+
+def communication(unit: Unit, argument: str) -> str:
+    """COMM: the answer goes out at the old settings."""
+    need_length(argument, wire.COMM_ARGUMENT_DIGITS)
+    try:
+        settings = LineSettings.from_argument(argument)
+    except KeyError:
+        raise Refusal(unit.behaviour.malformed_line_settings) from None
+    if argument[0] not in unit.profile.baud_codes:
+        raise Refusal(ErrorCode.COMMUNICATION_PARAMETERS)
+    unit.line = settings
+    return wire.REPLY_OKAY
+
+
+def echo(_unit: Unit, argument: str) -> str:
+    """ECHO text"""
+    return argument

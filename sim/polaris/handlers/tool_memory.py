@@ -1,0 +1,139 @@
+"""Commands about the memory of a tool: PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST."""
+
+from __future__ import annotations
+
+from ronna_hw.wire import polaris as wire
+from ronna_hw.wire.polaris import HANDLE_DIGITS
+from sim.polaris.definition import wiring_definition
+from sim.polaris.handlers.arguments import (
+    hexadecimal,
+    initialised_port_of,
+    need_length,
+    port_of,
+    wired_port_of,
+)
+from sim.polaris.ports import Port
+from sim.polaris.refusal import ErrorCode, Refusal
+from sim.polaris.unit import Unit
+from sim.polaris.wired import WiredTool
+
+ADDRESS_DIGITS = 4
+BLOCK_DIGITS = 2 * wire.PVWR_BLOCK_BYTES
+ADDRESSED = HANDLE_DIGITS + ADDRESS_DIGITS
+
+
+def write_virtual(unit: Unit, argument: str) -> str:
+    """PVWR hh aaaa and 64 bytes: what they say is judged by PINIT."""
+    address, content = _block(argument, wire.PVWR_SPACE_BYTES)
+    port = port_of(unit, argument)
+    if port.unoccupied:
+        raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
+    if port.dummy:
+        raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
+    port.memory[address : address + len(content)] = content
+    port.written = True
+    return wire.REPLY_OKAY
+
+
+def read(unit: Unit, argument: str) -> str:
+    """PPRD hh aaaa: 64 bytes of a wired tool's memory."""
+    address = _address(argument, wire.PVWR_SPACE_BYTES)
+    tool = _tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
+    if tool.memory is None:
+        raise Refusal(ErrorCode.CANNOT_READ_MEMORY)
+    return tool.memory[address : address + wire.PVWR_BLOCK_BYTES].hex().upper()
+
+
+def write(unit: Unit, argument: str) -> str:
+    """PPWR hh aaaa and 64 bytes: they stay in the tool."""
+    address, content = _block(argument, wire.PVWR_SPACE_BYTES)
+    tool = _tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
+    if tool.memory is None:
+        raise Refusal(ErrorCode.CANNOT_WRITE_MEMORY)
+    tool.memory[address : address + len(content)] = content
+    port_of(unit, argument).memory[:] = tool.memory
+    return wire.REPLY_OKAY
+
+
+def read_user_area(unit: Unit, argument: str) -> str:
+    """PURD hh aaaa"""
+    address = _address(argument, unit.behaviour.user_memory_bytes)
+    tool = _tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
+    return tool.user_memory[address : address + wire.PVWR_BLOCK_BYTES].hex().upper()
+
+
+def write_user_area(unit: Unit, argument: str) -> str:
+    """PUWR hh aaaa and 64 bytes"""
+    address, content = _block(argument, unit.behaviour.user_memory_bytes)
+    tool = _tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
+    tool.user_memory[address : address + len(content)] = content
+    return wire.REPLY_OKAY
+
+
+def search(unit: Unit, argument: str) -> str:
+    """PSRCH hh: how many memory devices the tool has, and their identifiers."""
+    need_length(argument, HANDLE_DIGITS)
+    tool = wired_port_of(unit, argument).tool
+    return "0" if tool is None or tool.memory is None else f"1{tool.identifier}"
+
+
+def select(unit: Unit, argument: str) -> str:
+    """PSEL hh and the identifier of a memory device"""
+    if len(argument) <= HANDLE_DIGITS:
+        raise Refusal(ErrorCode.PARAMETER_COUNT)
+    tool = wired_port_of(unit, argument).tool
+    if tool is None or tool.memory is None or argument[HANDLE_DIGITS:].upper() != tool.identifier:
+        raise Refusal(ErrorCode.CANNOT_SELECT_MEMORY)
+    return wire.REPLY_OKAY
+
+
+def use_test_definition(unit: Unit, argument: str) -> str:
+    """TTCFG hh: a definition for testing the wiring of a tool without memory"""
+    need_length(argument, HANDLE_DIGITS)
+    port = wired_port_of(unit, argument)
+    if port.written and not unit.behaviour.replaces_definition_by_test:
+        raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
+    content = wiring_definition()
+    port.memory[: len(content)] = content
+    port.written = True
+    return wire.REPLY_OKAY
+
+
+def test_current(unit: Unit, argument: str) -> str:
+    """TCTST hh: the result is told by PHINF 0002"""
+    need_length(argument, HANDLE_DIGITS)
+    port = wired_port_of(unit, argument)
+    if initialised_port_of(unit, argument).definition is None:  # a dummy carries no current
+        raise Refusal(ErrorCode.CURRENT_TEST_FAILED)
+    port.current_test = _all_markers(port)
+    return wire.REPLY_OKAY
+
+
+def _all_markers(port: Port) -> int:
+    return 0 if port.definition is None else (1 << len(port.definition.markers_mm)) - 1
+
+
+def _address(argument: str, space_bytes: int, *more: int) -> int:
+    need_length(argument, ADDRESSED, *more)
+    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
+    address = hexadecimal(argument[HANDLE_DIGITS:ADDRESSED])
+    if address % wire.PVWR_BLOCK_BYTES or address + wire.PVWR_BLOCK_BYTES > space_bytes:
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    return address
+
+
+def _block(argument: str, space_bytes: int) -> tuple[int, bytes]:
+    need_length(argument, ADDRESSED + BLOCK_DIGITS)
+    address = _address(argument, space_bytes, len(argument))
+    hexadecimal(argument[ADDRESSED:])
+    return address, bytes.fromhex(argument[ADDRESSED:])
+
+
+def _tool(unit: Unit, argument: str, without_memory: ErrorCode) -> WiredTool:
+    port = port_of(unit, argument)
+    if not port.wired_port and unit.behaviour.memory_of_passive == "1E/1F":
+        raise Refusal(without_memory)
+    tool = wired_port_of(unit, argument).tool
+    if tool is None:
+        raise Refusal(without_memory)
+    return tool

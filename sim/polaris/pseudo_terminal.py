@@ -1,0 +1,137 @@
+"""A serial line as a pseudo-terminal.
+
+The unit keeps the far end open, so that hosts may come, go, and be killed. What a real line would show
+comes from three sources: the far end's settings can be read here (rate, stop bits, odd parity; data bits and
+even parity are not kept by the kernel); packet mode tells what a host flushes, and flushing both directions
+stands for a break, which no pseudo-terminal carries; and the kernel notes who opens and closes the far end.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+import time
+import tty
+
+from ronna_hw.wire.polaris import REPLY_RESET
+from sim.polaris.channel import RECEIVE_BYTES, Ready
+from sim.polaris.far_end import FarEndWatch, HostLine, packet_mode
+from sim.polaris.framing import ascii_reply
+from sim.polaris.line_settings import LineSettings
+from sim.polaris.session import Session
+
+FULL_PATIENCE_S = 0.5  # a serial line waits for nobody: what the host does not take in this time is lost
+THROTTLE_STEP_S = 0.01  # a throttled reply trickles in steps as long as this
+FLUSH_GAP_S = 0.005  # a flush of both directions may be told in two pieces
+SEVEN_BITS = bytes(byte & 0x7F for byte in range(256))
+UNREADABLE = bytes((byte * 0x9D + 0x37) & 0xFF | 0x80 for byte in range(256))  # what another rate makes of it
+_TERMIOS_INPUT_SPEED, _TERMIOS_OUTPUT_SPEED = 4, 5
+
+
+class PseudoTerminal:
+    """The unit's end of a serial line."""
+
+    def __init__(self, session: Session, *, throttle: bool) -> None:
+        self._session = session
+        self._behaviour = session.unit.behaviour
+        self._throttle = throttle
+        self._master, self._far_end = os.openpty()
+        tty.setraw(self._far_end)
+        settings = termios.tcgetattr(self._far_end)
+        settings[_TERMIOS_INPUT_SPEED] = settings[_TERMIOS_OUTPUT_SPEED] = termios.B9600
+        termios.tcsetattr(self._far_end, termios.TCSANOW, settings)
+        self._path = os.ttyname(self._far_end)
+        self._watch = FarEndWatch(self._path)
+        self._host = HostLine(self._master)
+        packet_mode(self._master)
+        os.set_blocking(self._master, False)
+        self._spoken_to = False  # since the line was opened
+        self._opened_s = 0.0
+        self._flushed_input_s = 0.0
+        if self._behaviour.power_up_reset:
+            self._write(ascii_reply(REPLY_RESET))  # whoever opens the line and does not flush it reads this
+
+    @property
+    def endpoint(self) -> str:
+        """Where hosts open the line."""
+        return f"serial://{self._path}"
+
+    def files(self) -> tuple[int, ...]:
+        return (self._master, self._watch.file)
+
+    def receive(self, ready: Ready) -> bytes | None:
+        if any(file == self._watch.file for file, _ in ready):
+            self._look_who_is_there()
+        while True:
+            try:
+                packet = os.read(self._master, RECEIVE_BYTES)
+            except BlockingIOError:
+                return b""
+            if packet[:1] == b"\0":
+                break
+            self._controlled(packet[0])
+        self._spoken_to = True
+        if self._understands(self._session.line):
+            return packet[1:]
+        if self._behaviour.wrong_line == "garbage" and b"\r" in packet:
+            self._write(b"ERROR046802\r".translate(UNREADABLE))
+        return b""
+
+    def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
+        if self._throttle:
+            time.sleep(received_bytes * line.seconds_per_byte)
+
+    def send(self, data: bytes, line: LineSettings) -> None:
+        if line.data_bits == 7 and self._behaviour.strips_eighth_bit:
+            data = data.translate(SEVEN_BITS)
+        if not self._throttle:
+            self._write(data)
+            return
+        moment_s = time.monotonic()
+        step = max(1, int(THROTTLE_STEP_S / line.seconds_per_byte))
+        for start in range(0, len(data), step):
+            piece = data[start : start + step]
+            moment_s += len(piece) * line.seconds_per_byte
+            time.sleep(max(0.0, moment_s - time.monotonic()))
+            self._write(piece)
+
+    def close(self) -> None:
+        """Give the line up."""
+        self._watch.close()
+        os.close(self._master)
+        os.close(self._far_end)
+
+    def _look_who_is_there(self) -> None:
+        opened, left = self._watch.events()
+        if left:
+            self._session.host_left()
+        if opened:
+            self._opened_s = time.monotonic()
+            self._spoken_to = False
+
+    def _understands(self, line: LineSettings) -> bool:
+        return not self._behaviour.enforces_line or self._host.agrees(line)
+
+    def _controlled(self, control: int) -> None:
+        """A host flushed something. Ordinary commands flush its input only; both directions mean a break."""
+        now_s = time.monotonic()
+        input_too = control & termios.TIOCPKT_FLUSHREAD or now_s - self._flushed_input_s < FLUSH_GAP_S
+        if control & termios.TIOCPKT_FLUSHREAD:
+            self._flushed_input_s = now_s
+        if not (control & termios.TIOCPKT_FLUSHWRITE and input_too and self._behaviour.break_from_flush):
+            return
+        if self._spoken_to and now_s - self._opened_s >= self._behaviour.break_deaf_s:
+            self._session.restart()
+
+    def _write(self, data: bytes) -> None:
+        deadline_s = 0.0
+        while data:
+            try:
+                data = data[os.write(self._master, data) :]
+            except BlockingIOError:
+                now_s = time.monotonic()
+                deadline_s = deadline_s or now_s + FULL_PATIENCE_S
+                if now_s >= deadline_s:
+                    return
+                select.select([], [self._master], [], deadline_s - now_s)

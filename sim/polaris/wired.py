@@ -1,0 +1,65 @@
+"""Wired tools: what hangs on the cable, and which port it is plugged into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ronna_hw.wire.polaris import PVWR_SPACE_BYTES
+from ronna_hw.wire.polaris_rom import ROM_BYTES
+from sim.polaris.errors import BadWiredTool
+
+DEVICE_IDENTIFIER_BYTES = 8
+
+
+@dataclass
+class WiredTool:
+    """A tool with a memory of its own; without `memory` it has none and needs TTCFG or PVWR."""
+
+    memory: bytearray | None
+    user_memory: bytearray
+    identifier: str = "0" * 2 * DEVICE_IDENTIFIER_BYTES  # of its memory device
+
+    @classmethod
+    def from_definition(cls, content: bytes, number: int, user_memory_bytes: int) -> WiredTool:
+        """A tool whose memory holds `content`; raises PSU-002 when that is no definition."""
+        if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
+            raise BadWiredTool(
+                f"the definition of wired tool {number} has {len(content)} bytes",
+                awaited=f"{ROM_BYTES} to {PVWR_SPACE_BYTES} bytes",
+            )
+        memory = bytearray(content.ljust(PVWR_SPACE_BYTES, b"\0"))
+        return cls(memory, bytearray(user_memory_bytes), f"{number:0{2 * DEVICE_IDENTIFIER_BYTES}X}")
+
+
+@dataclass
+class WiredPorts:
+    """The sockets of the tool interface, numbered from 1; 0 when none is connected."""
+
+    count: int
+    tools: dict[int, WiredTool] = field(default_factory=dict)  # all that lie ready, plugged in or not
+    plugged: set[int] = field(default_factory=set)
+
+    def add(self, tool: WiredTool) -> None:
+        """Plug a tool into the next free socket; raises PSU-002 when there is none."""
+        number = len(self.tools) + 1
+        if number > self.count:
+            raise BadWiredTool(f"there is no port for wired tool {number}", limit=f"{self.count} ports")
+        self.tools[number] = tool
+        self.plugged.add(number)
+
+    def tool(self, number: int) -> WiredTool | None:
+        """What is plugged into a socket."""
+        return self.tools.get(number) if number in self.plugged else None
+
+
+def plugged_in(definitions: list[Path], ports: int, user_memory_bytes: int) -> WiredPorts:
+    """The sockets of a unit with a wired tool for each definition file; none without any. Raises PSU-002."""
+    sockets = WiredPorts(ports if definitions else 0)
+    for number, path in enumerate(definitions, start=1):
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise BadWiredTool(f"cannot read {path.name}: {error.strerror}") from error
+        sockets.add(WiredTool.from_definition(content, number, user_memory_bytes))
+    return sockets
