@@ -6,6 +6,7 @@ ARM-003 OutOfJointRange    a solution or a path leaves the range of a joint
 ARM-004 BranchUnavailable  the asked branch has no solution, or the branch would change on the way
 ARM-005 TooFast            a joint would exceed its working speed or acceleration
 ARM-006 MotionInvalid      the motion generator refused its input
+ARM-007 NotClear           on the path a body of arm or tool would come too near to another one
 """
 
 from __future__ import annotations
@@ -53,3 +54,13 @@ class MotionInvalid(DataError):
 
     code = "ARM-006"
     action = "Check the numbers of the motion: finite, limits positive, six joints."
+
+
+class NotClear(LimitError):
+    """On the path a body of the arm or of its tool would come too near to another one."""
+
+    code = "ARM-007"
+    action = (
+        "Choose another angle about the tool axis or go by way of another pose; if the body does not stand "
+        "there, correct it in the cell of the theatre file."
+    )

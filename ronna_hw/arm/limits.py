@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ronna_hw.arm.errors import MotionInvalid
 from ronna_hw.arm.model import ArmModel
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.wire.kuka_eki import OperationMode
 
 WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed one lost packet stays a small step for the controller
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations
@@ -17,6 +18,8 @@ WORKING_LINE_SPEED_MM_S = 100.0  # below half of what a controller allows beside
 WORKING_LINE_ACCELERATION_MM_S2 = 400.0
 WORKING_ROTATION_RAD_S = math.radians(30.0)
 WORKING_ROTATION_RAD_S2 = math.radians(120.0)
+T1_SPEED_MM_S = 250.0  # of anything that moves, with a person beside the arm (ISO 10218-1)
+T1_SPEED_FRACTION = 0.10  # of the full axis speed
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class MotionLimits:
     rotation_rad_s: float = WORKING_ROTATION_RAD_S
     rotation_rad_s2: float = WORKING_ROTATION_RAD_S2
     ramp_s: float = ACCELERATION_RAMP_S
+    body_speed_mm_s: float = math.inf  # of any body that moves
 
     def slowed(self, fraction: float) -> MotionLimits:
         """The same with all speeds times `fraction` (0 < fraction <= 1); raises ARM-006 outside that."""
@@ -45,6 +49,22 @@ class MotionLimits:
             self.rotation_rad_s * fraction,
             self.rotation_rad_s2,
             self.ramp_s,
+            self.body_speed_mm_s * fraction,
+        )
+
+    def in_mode(self, model: ArmModel, mode: OperationMode) -> MotionLimits:
+        """The same in an operating mode: T1 allows 250 mm/s and a tenth of the full axis speed."""
+        if mode is not OperationMode.T1:
+            return self
+        A1, A2, A3, A4, A5, A6 = (
+            min(speed, T1_SPEED_FRACTION * full)
+            for speed, full in zip(self.speed_rad_s, model.full_speed_rad_s, strict=True)
+        )
+        return replace(
+            self,
+            speed_rad_s=(A1, A2, A3, A4, A5, A6),
+            line_speed_mm_s=min(self.line_speed_mm_s, T1_SPEED_MM_S),
+            body_speed_mm_s=min(self.body_speed_mm_s, T1_SPEED_MM_S),
         )
 
 

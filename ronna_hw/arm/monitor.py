@@ -11,6 +11,7 @@ from math import degrees
 from typing import NamedTuple
 
 from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.live_watch import LiveWatch
 from ronna_hw.arm.model import AXES, ArmModel
 from ronna_hw.devices.readings import JointVector
 
@@ -22,8 +23,14 @@ FOLLOWING_LEAST_RAD = 0.02  # the allowed lag of a slow axis
 RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 
 
+CLEARANCE, ZONE_SPEED = "clearance", "speed near the head"  # kinds that concern bodies, not axes
+
+
 class Violation(NamedTuple):
-    """What was exceeded, on which axis (1..6), by which value over which limit."""
+    """What was exceeded, on which axis (1..6), by which value over which limit; angles in rad.
+
+    For the kinds `CLEARANCE` (mm) and `ZONE_SPEED` (mm/s), `axis` is the index in `Surroundings.pairs`.
+    """
 
     kind: str
     axis: int
@@ -31,6 +38,10 @@ class Violation(NamedTuple):
     limit: float
 
     def __str__(self) -> str:
+        if self.kind == CLEARANCE:
+            return f"{self.kind} of pair {self.axis}: {self.value:.2f} under {self.limit:.2f} mm"
+        if self.kind == ZONE_SPEED:
+            return f"{self.kind} of pair {self.axis}: {self.value:.1f} over {self.limit:.1f} mm/s"
         return f"{self.kind} of A{self.axis}: {degrees(self.value):.4f} over {degrees(self.limit):.4f} deg"
 
 
@@ -88,6 +99,11 @@ class Monitor:
         self._start = start_rad
         self._last = (start_rad, start_rad, start_rad)  # newest first: the arm starts at rest
         self._held = start_rad
+        self._watch: LiveWatch | None = None
+
+    def watch(self, watch: LiveWatch | None) -> None:
+        """From now on judge also where set-points bring the bodies; while the arm is at rest only."""
+        self._watch = watch
 
     @property
     def last_rad(self) -> JointVector:
@@ -130,13 +146,20 @@ class Monitor:
             twist = bend - before + two[i] - three[i]
             if abs(twist) > limits.third_difference_rad[i]:
                 return Violation("jerk", i + 1, twist, limits.third_difference_rad[i])
-        return None
+        if self._watch is None:
+            return None
+        met = self._watch.check(joints_rad)
+        if met is None:
+            return None
+        return Violation(ZONE_SPEED if met.is_speed else CLEARANCE, met.pair, met.value, met.limit)
 
     def sent(self, joints_rad: JointVector) -> None:
         """This set-point was sent."""
         one, two, _ = self._last
         self._last = (joints_rad, one, two)
         self._held = joints_rad
+        if self._watch is not None:
+            self._watch.sent(joints_rad)
 
     def not_taken(self) -> Violation | None:
         """The last set-point was not taken: the one before is held. Judges the step from it once more."""
@@ -154,6 +177,8 @@ class Monitor:
     def stands(self) -> None:
         """The arm has come to rest at the held set-point, and that was sent."""
         self._last = (self._held, self._held, self._held)
+        if self._watch is not None:
+            self._watch.sent(self._held)
 
     def check_measured(self, measured_rad: JointVector) -> Violation | None:
         """Whether the measured axes left their ranges or fell too far behind the last set-point."""

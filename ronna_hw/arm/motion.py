@@ -14,8 +14,8 @@ from ronna_hw.arm.inverse import RANGE_SLACK_RAD
 from ronna_hw.arm.limits import MotionLimits
 from ronna_hw.arm.model import AXES, ArmModel
 from ronna_hw.arm.path import Path
-from ronna_hw.arm.planning import PathLimits
 from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
+from ronna_hw.arm.progress import PathLimits, PathProgress, SpeedStep
 from ronna_hw.devices.readings import JointVector
 
 
@@ -66,76 +66,61 @@ class Rest:
 class PathMotion:
     """Follows a path from rest to rest; a stop and a change of speed stay on the path."""
 
-    def __init__(self, path: Path, start_rad: JointVector, limits: PathLimits, cycle_s: float) -> None:
+    def __init__(
+        self,
+        path: Path,
+        start_rad: JointVector,
+        limits: PathLimits,
+        cycle_s: float,
+        steps: tuple[SpeedStep, ...] = (),
+    ) -> None:
+        """`steps` say where the path must be gone slower. Raises ARM-006 when no profile exists."""
         self._path = path
-        self._limits = limits
-        self._cycle_s = cycle_s
-        self._profiler = Profiler(1)
-        self._bounds = _path_bounds(limits, 1.0)
-        self._state = State.resting([0.0])
-        self._profile = self._profiler.move(self._state, [1.0], self._bounds)
-        self._before = self._state  # of the point before the last one taken
-        self._time_s = 0.0
+        self._along = PathProgress(limits, steps, cycle_s)
         self._joints = start_rad
-        self._stopping = False
-        self._next: tuple[State, Profile, State] | None = None
-        self._prepared = Prepared(start_rad, start_rad)
+        self._next: Prepared | None = None
 
     @property
     def finished(self) -> bool:
-        return self._time_s >= self._profile.duration_s
+        return self._along.finished
 
     @property
     def stopped_early(self) -> bool:
         """Whether it was stopped before its end."""
-        return self._stopping
+        return self._along.stopping
 
     @property
     def progress(self) -> float:
         """Path parameter of the last point taken, 0..1."""
-        return self._state.position[0]
+        return self._along.state.position[0]
 
     def prepare(self) -> Prepared:
-        ahead_s = self._time_s + self._cycle_s
-        go = self._profile.at(ahead_s)
-        if not self._stopping and ahead_s >= self._profile.duration_s:
-            go = State.resting([1.0])  # the end itself, without the rounding of the profile
+        go, stop = self._along.prepare()
         go_rad = self._at(go)
-        if self._stopping:
-            self._next = (go, self._profile, go)
-            self._prepared = Prepared(go_rad, go_rad)
-        else:
-            stop_profile = self._profiler.stop(self._state, self._bounds)
-            stop = stop_profile.at(self._cycle_s)
-            self._next = (go, stop_profile, stop)
-            self._prepared = Prepared(go_rad, self._at(stop))
-        return self._prepared
+        self._next = Prepared(go_rad, go_rad if stop is go else self._at(stop))
+        return self._next
 
     def take_go(self) -> None:
         if self._next is not None:
-            self._before, self._state = self._state, self._next[0]
-            self._time_s += self._cycle_s
-            self._joints = self._prepared.go_rad
+            self._along.take_go()
+            self._joints = self._next.go_rad
             self._next = None
 
     def take_stop(self) -> None:
-        if self._stopping:
-            self.take_go()
-        elif self._next is not None:
-            self._before = self._state
-            _, self._profile, self._state = self._next
-            self._time_s = self._cycle_s
-            self._joints = self._prepared.stop_rad
-            self._stopping = True
+        if self._next is not None:
+            self._along.take_stop()
+            self._joints = self._next.stop_rad
             self._next = None
+
+    def predicted_stop(self) -> tuple[float, JointVector]:
+        """Duration in s and resting joints of a stop that would begin with the next point."""
+        duration_s, parameter = self._along.predicted_stop()
+        return duration_s, self._path.joints(min(max(parameter, 0.0), 1.0), self._joints)
 
     def limit_speed(self, fraction: float) -> None:
         """Go on at `fraction` of the planned speed, braking to it smoothly; a stop is left alone."""
-        if self._stopping or self.finished:
-            return
-        self._bounds = _path_bounds(self._limits, fraction)
-        self._profile = self._profiler.move(self._state, [1.0], self._bounds)
-        self._time_s = 0.0
+        self._next = None
+        self._along.limit_speed(fraction)
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
         """The arm was brought to rest at the last point by somebody else: go on from there at speed zero.
@@ -143,13 +128,7 @@ class PathMotion:
         With `one_back` it rests at the point before the last one.
         """
         self._next = None
-        at = self._before if one_back else self._state
-        self._state = self._before = State.resting([min(max(at.position[0], 0.0), 1.0)])
-        self._time_s = 0.0
-        if self._stopping:
-            self._profile = self._profiler.stop(self._state, self._bounds)
-        else:
-            self._profile = self._profiler.move(self._state, [1.0], self._bounds)
+        self._along.restart_from_rest(one_back=one_back)
 
     def _at(self, state: State) -> JointVector:
         return self._path.joints(min(max(state.position[0], 0.0), 1.0), self._joints)
@@ -225,6 +204,11 @@ class StopMotion:
     def finished(self) -> bool:
         return self._time_s >= self._profile.duration_s
 
+    def predicted_stop(self) -> tuple[float, JointVector]:
+        """Duration in s that is left, and the joints it will rest at."""
+        duration_s = self._profile.duration_s
+        return max(duration_s - self._time_s, 0.0), _vector(self._profile.at(duration_s))
+
     def prepare(self) -> Prepared:
         joints = _vector(self._profile.at(self._time_s + self._cycle_s))
         return Prepared(joints, joints)
@@ -248,10 +232,6 @@ def state_from_history(history_rad: tuple[JointVector, JointVector, JointVector]
 def joint_bounds(limits: MotionLimits) -> Bounds:
     """Limits of the joints as bounds of a six-axis profile."""
     return Bounds(list(limits.speed_rad_s), list(limits.acceleration_rad_s2), list(limits.jerk_rad_s3))
-
-
-def _path_bounds(limits: PathLimits, fraction: float) -> Bounds:
-    return Bounds([limits.velocity * fraction], [limits.acceleration], [limits.jerk])
 
 
 def _vector(state: State) -> JointVector:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, degrees, pi, radians, sqrt
-from typing import NamedTuple
 
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
 from ronna_hw.arm.inverse import RANGE_SLACK_RAD
@@ -13,6 +12,8 @@ from ronna_hw.arm.limits import MotionLimits
 from ronna_hw.arm.model import AXES, ArmModel
 from ronna_hw.arm.path import JointPath, LinePath
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.progress import PathLimits as PathLimits
+from ronna_hw.arm.progress import SpeedStep
 from ronna_hw.devices.readings import JointVector, Vector3
 
 SAMPLE_MM = 0.5  # spacing of the checks along a line
@@ -25,23 +26,19 @@ CURVATURE_SHARE = 0.5  # of the joint acceleration left to the bending of the jo
 STANDSTILL_RAD = 1e-9  # a thousandth of what the wire can say; also taken as mm
 
 
-class PathLimits(NamedTuple):
-    """Largest first, second and third derivative of the path parameter, per s, s², s³."""
-
-    velocity: float
-    acceleration: float
-    jerk: float
-
-
 @dataclass(frozen=True)
 class MotionPlan:
-    """A checked motion in plain numbers: what travels to the real-time loop. `target` None: a joint move."""
+    """A checked motion in plain numbers: what travels to the real-time loop. `target` None: a joint move.
+
+    `speed_steps`, when there are any, say where along the path it must be slower than `limits`.
+    """
 
     start_rad: JointVector
     target_rad: JointVector
     limits: PathLimits
     target: Pose | None = None
     tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0)
+    speed_steps: tuple[SpeedStep, ...] = ()
 
     def path(self, model: ArmModel) -> JointPath | LinePath:
         """The path of this plan."""

@@ -71,6 +71,10 @@ class Profiler:
         self._stop.synchronization = Synchronization.No
         self._stop.target_velocity = [0.0] * axes
         self._stop.target_acceleration = [0.0] * axes
+        self._slower = InputParameter(axes)
+        self._slower.control_interface = ControlInterface.Velocity
+        self._slower.synchronization = Synchronization.No
+        self._slower.target_acceleration = [0.0] * axes
 
     def move(self, start: State, target: Values, bounds: Bounds) -> Profile:
         """All axes to rest at `target` at the same time, from any state. Raises ARM-006.
@@ -84,6 +88,12 @@ class Profiler:
     def stop(self, start: State, bounds: Bounds) -> Profile:
         """Each axis to rest as fast as its bounds allow, from any state. Raises ARM-006."""
         return self._calculate(self._stop, start, bounds)
+
+    def brake(self, start: State, velocity: Values, bounds: Bounds) -> Profile:
+        """Each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
+        self._check(velocity)
+        self._slower.target_velocity = list(velocity)
+        return self._calculate(self._slower, start, bounds)
 
     def _calculate(self, request: InputParameter, start: State, bounds: Bounds) -> Profile:
         for values in (*start, *bounds):

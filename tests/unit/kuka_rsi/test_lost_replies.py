@@ -203,7 +203,7 @@ def test_more_than_three_lost_replies_in_a_second_halve_the_speed_until_four_sec
         assert controller.session.state(real_time=False, locked=False).late == lost
         controller.lose([""] * 3)
     assert controller.session.state(real_time=False, locked=False).degraded
-    controller.lose([""] * 40)
+    controller.lose([""] * 60)  # jerk-limited braking to half the speed
     slowed = len(controller.taken)
     controller.finish()
     del controller.taken[:slowed]

@@ -1,0 +1,165 @@
+"""Is a planned path clear of everything, and how fast may it be gone? Checked over its whole length.
+
+The path is sampled, and between two samples no body can come nearer than half of what both distances leave
+after the motion between them. Where that is not enough the interval is halved, down to `FINEST_MM` of motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.path import JointPath, LinePath
+from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.arm.swept import Swept, sweep
+from ronna_hw.devices.readings import JointVector
+
+Array = NDArray[np.float64]
+
+FIRST_SAMPLES = 9
+STEP_MM = 12.0  # of motion between two samples at first
+STEP_RAD = 0.1  # of any joint: over it the way between two samples is a straight line to 0.05 %
+FINEST_MM = 0.5
+ARC_FACTOR = 1.01  # a body moves on an arc between two samples, not on the chord
+LEAVING_MM = 0.05  # a body that stands too near may stay or leave; this much is no approach
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The smallest distance on a path: which two bodies, how far apart, where on the path (0..1)."""
+
+    first: str
+    second: str
+    distance_mm: float
+    parameter: float
+
+
+@dataclass(frozen=True)
+class SweptPath:
+    """Samples of a path with everything that was found there; parameters (n) from 0 to 1, joints (n, 6)."""
+
+    surroundings: Surroundings
+    parameters: Array
+    joints_rad: Array
+    swept: Swept
+
+    @property
+    def closest(self) -> Closest | None:
+        """The smallest distance of any pair; None when there is nothing to come near to."""
+        gaps = self.swept.gaps_mm
+        if not gaps.size or not np.isfinite(gaps).any():
+            return None
+        return self._at(*np.unravel_index(int(np.argmin(gaps)), gaps.shape))
+
+    @property
+    def refused(self) -> Closest | None:
+        """The pair that comes too near, where it is worst; None when the path is clear.
+
+        A pair that is too near at the start already must not come nearer than it stands there.
+        """
+        lacking = self.swept.gaps_mm - floors_mm(self.surroundings, self.swept.gaps_mm[0])
+        if not lacking.size or lacking.min() >= 0.0:
+            return None
+        return self._at(*np.unravel_index(int(np.argmin(lacking)), lacking.shape))
+
+    def require(self, what: str = "the path") -> None:
+        """Raises ARM-007 with the pair, the distance and the place when the path is not clear."""
+        bad = self.refused
+        if bad is None:
+            return
+        raise NotClear(
+            f"on {what} the {bad.first} would come too near to the {bad.second}, "
+            f"{bad.parameter:.0%} of the way",
+            limit=f"{self.surroundings.margin_mm:g} mm",
+            last=f"{bad.distance_mm:.1f} mm",
+        )
+
+    def _at(self, row: np.intp, column: np.intp) -> Closest:
+        first, second = self.surroundings.names(self.surroundings.pairs[column])
+        gap = float(self.swept.gaps_mm[row, column])
+        return Closest(first, second, gap, float(self.parameters[row]))
+
+
+def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
+    """The least distance of each pair (pairs,) on a path that starts with these distances."""
+    return np.asarray(np.minimum(surroundings.margin_mm, at_start_mm - LEAVING_MM))
+
+
+def sweep_path(model: ArmModel, plan: MotionPlan, surroundings: Surroundings) -> SweptPath:
+    """Follow a planned path with all bodies. Raises ARM-001 to ARM-004 where the path has no solution."""
+    path = plan.path(model)
+    parameters = np.linspace(0.0, 1.0, FIRST_SAMPLES)
+    joints = _joints(path, plan.start_rad, parameters)
+    found = sweep(model, surroundings, joints)
+    count = max(
+        FIRST_SAMPLES,
+        ceil(float(_moved(found).max(axis=1).sum()) / STEP_MM) + 1,
+        ceil(float(np.abs(np.diff(joints, axis=0)).max(axis=1).sum()) / STEP_RAD) + 1,
+    )
+    if count > FIRST_SAMPLES:
+        parameters = np.linspace(0.0, 1.0, count)
+        joints = _joints(path, plan.start_rad, parameters)
+        found = sweep(model, surroundings, joints)
+    floors = floors_mm(surroundings, found.gaps_mm[0])
+    while (found.gaps_mm >= floors).all():
+        open_rows = np.flatnonzero(_unsettled(surroundings, found, floors))
+        if not len(open_rows):
+            break
+        middles = (parameters[open_rows] + parameters[open_rows + 1]) / 2.0
+        between = np.array(
+            [path.joints(float(s), _vector(joints[row])) for s, row in zip(middles, open_rows, strict=True)]
+        )
+        more = sweep(model, surroundings, between)
+        parameters = np.insert(parameters, open_rows + 1, middles)
+        joints = np.insert(joints, open_rows + 1, between, axis=0)
+        found = Swept(
+            np.insert(found.ends_mm, open_rows + 1, more.ends_mm, axis=0),
+            np.insert(found.gaps_mm, open_rows + 1, more.gaps_mm, axis=0),
+            np.insert(found.to_head_mm, open_rows + 1, more.to_head_mm),
+        )
+    return SweptPath(surroundings, parameters, joints, found)
+
+
+def motion_mm(swept: Swept) -> Array:
+    """How far each body moves at most between neighbouring samples, (n - 1, bodies)."""
+    return _moved(swept) * ARC_FACTOR
+
+
+def _unsettled(surroundings: Surroundings, found: Swept, floors: Array) -> NDArray[np.bool_]:
+    """Which intervals (n - 1) may hide a distance below its floor."""
+    moved = motion_mm(found)
+    pairs = surroundings.pairs
+    own = np.array([pair.other < 0 for pair in pairs])
+    relative = moved[:, [pair.moving for pair in pairs]]
+    relative[:, own] += moved[:, [-1 - pair.other for pair in pairs if pair.other < 0]]
+    before, after = found.gaps_mm[:-1], found.gaps_mm[1:]
+    with np.errstate(invalid="ignore"):
+        bound = (before + after - relative) / 2.0
+    # On one side of the interval only, a corridor allows the contact: the other side alone is known.
+    half = np.isinf(before) ^ np.isinf(after)
+    bound = np.where(half, np.minimum(before, after) - relative, bound)
+    bound = np.where(np.isinf(before) & np.isinf(after), np.inf, bound)
+    return np.asarray(((bound < floors) & (relative > FINEST_MM)).any(axis=1))
+
+
+def _moved(swept: Swept) -> Array:
+    steps = np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3)
+    return np.asarray(steps.max(axis=2))
+
+
+def _joints(path: JointPath | LinePath, start_rad: JointVector, parameters: Array) -> Array:
+    found = [start_rad]
+    for s in parameters[1:].tolist():
+        found.append(path.joints(s, found[-1]))
+    return np.array(found)
+
+
+def _vector(row: Array) -> JointVector:
+    A1, A2, A3, A4, A5, A6 = row.tolist()
+    return (A1, A2, A3, A4, A5, A6)

@@ -1,0 +1,179 @@
+"""Judges set-points by where they bring the bodies: distances to everything, and speed near the head.
+
+Part of the monitor, so it shares no formula with planning: the chain is written out, distances are the scalar
+ones. A pair is measured again only when the arm may have moved enough since to bring it to its limit.
+"""
+
+from __future__ import annotations
+
+from heapq import heapify, heappop, heappush
+from math import cos, dist, inf, sin
+from typing import NamedTuple
+
+from ronna_hw.arm.capsule import segment_distance_mm
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.surroundings import FOREARM_SHARE, Surroundings
+from ronna_hw.devices.readings import JointVector, Vector3
+
+SPEED_MARGIN = 1.05  # over the cap: planning keeps below it, rounding is no violation
+LEAVING_MM = 0.05  # a body that stands too near may stay or leave; this much is no approach
+
+Segment = tuple[Vector3, Vector3]
+
+
+class Encounter(NamedTuple):
+    """What is wrong with a set-point: a pair too close (mm), or a speed over its cap (mm/s)."""
+
+    is_speed: bool
+    pair: int  # index in `Surroundings.pairs`
+    value: float
+    limit: float
+
+
+def body_segments(model: ArmModel, surroundings: Surroundings, joints_rad: JointVector) -> list[Segment]:
+    """Axes of all moving bodies in $ROBROOT, in the order of `Surroundings.moving_names`."""
+    A1, A2, A3, _, _, _ = joints_rad
+    c1, s1, s2 = cos(A1), sin(A1), sin(A2)
+    c23, s23 = cos(A2 + A3), sin(A2 + A3)
+    height, near, across = model.base_height_mm, model.shoulder_offset_mm, model.elbow_offset_mm
+    out = near + model.upper_arm_mm * cos(A2)
+    up = height - model.upper_arm_mm * s2
+    shoulder = (c1 * near, -s1 * near, height)
+    elbow = (c1 * out, -s1 * out, up)
+    beside_out, beside_up = out + across * s23, up + across * c23
+    beside = (c1 * beside_out, -s1 * beside_out, beside_up)
+    reach = FOREARM_SHARE * model.forearm_mm
+    slim_out, slim_up = beside_out + reach * c23, beside_up - reach * s23
+    slim = (c1 * slim_out, -s1 * slim_out, slim_up)
+    flange = forward(model, joints_rad)
+    wrist = flange.apply((0.0, 0.0, -model.flange_mm))
+    found: list[Segment] = [(shoulder, elbow), (beside, slim), (slim, wrist), (wrist, flange.position_mm)]
+    for part in surroundings.tool:
+        start, end, _ = part.capsule
+        found.append((flange.apply(start), flange.apply(end)))
+    return found
+
+
+class LiveWatch:
+    """One per session and surroundings. `check` judges without remembering; `sent` remembers."""
+
+    def __init__(
+        self,
+        model: ArmModel,
+        surroundings: Surroundings,
+        cycle_s: float,
+        joints_rad: JointVector,
+        most_mm_s: float = inf,
+    ) -> None:
+        """`joints_rad` is where the arm rests; what stands too near there may only leave."""
+        self._model = model
+        self._surroundings = surroundings
+        self._cycle_s = cycle_s
+        self._most_mm_s = most_mm_s
+        self._pairs = surroundings.pairs
+        self._fixed = tuple((one.start_mm, one.end_mm) for one in surroundings.fixed_capsules(model))
+        fixed_radii = tuple(one.radius_mm for one in surroundings.fixed_capsules(model))
+        radii = surroundings.moving_radii_mm
+        self._thick = tuple(
+            radii[pair.moving] + (radii[-1 - pair.other] if pair.other < 0 else fixed_radii[pair.other])
+            for pair in self._pairs
+        )
+        self._segments = body_segments(model, surroundings, joints_rad)
+        self._joints = joints_rad
+        self._tried: tuple[JointVector, list[Segment], float] | None = None
+        self._odometer_mm = 0.0  # sum of the largest motion of any body, over all set-points sent
+        gaps = [self._gap(number, self._segments) for number in range(len(self._pairs))]
+        self._floors = [min(surroundings.live_margin_mm, gap - LEAVING_MM) for gap in gaps]
+        # Odometer reading up to which a pair cannot have come to its floor.
+        self._due = [
+            ((gap - floor) * self._share(number) if gap < inf else 0.0, number)
+            for number, (gap, floor) in enumerate(zip(gaps, self._floors, strict=True))
+        ]
+        heapify(self._due)
+        self._head = [number for number, pair in enumerate(self._pairs) if pair.is_head]
+        # Distance to the head plus odometer at which it was measured: less the odometer, it is a lower bound.
+        self._bounds = [self._distance(number, self._segments) for number in self._head]
+
+    def check(self, joints_rad: JointVector) -> Encounter | None:
+        """The first thing that would be wrong if this set-point were sent next, or None."""
+        segments = body_segments(self._model, self._surroundings, joints_rad)
+        moved = self._moved(segments)
+        self._tried = (joints_rad, segments, moved)
+        return self._too_near(segments, moved) or self._too_fast(segments, moved)
+
+    def sent(self, joints_rad: JointVector) -> None:
+        """This set-point was sent, or is where the arm stands."""
+        if joints_rad is self._joints:
+            return
+        if self._tried is not None and self._tried[0] is joints_rad:
+            _, segments, moved = self._tried
+        else:
+            segments = body_segments(self._model, self._surroundings, joints_rad)
+            moved = self._moved(segments)
+        self._odometer_mm += moved
+        self._joints, self._segments = joints_rad, segments
+
+    def _too_near(self, segments: list[Segment], moved: float) -> Encounter | None:
+        travel = self._odometer_mm + moved
+        again: list[tuple[float, int]] = []
+        found: Encounter | None = None
+        while self._due and self._due[0][0] < travel:
+            _, number = heappop(self._due)
+            gap, floor = self._gap(number, segments), self._floors[number]
+            if gap < floor and found is None:
+                found = Encounter(False, number, gap, floor)
+            # A body in its corridor is looked at in every cycle: it may leave it sideways.
+            room = (gap - floor) * self._share(number) if gap < inf else 0.0
+            again.append((self._odometer_mm - moved + room, number))
+        for one in again:
+            heappush(self._due, one)
+        return found
+
+    def _too_fast(self, segments: list[Segment], moved: float) -> Encounter | None:
+        speed = moved / self._cycle_s
+        if speed > self._most_mm_s * SPEED_MARGIN:
+            return Encounter(True, 0, speed, self._most_mm_s)
+        cap = self._surroundings.cap_mm_s
+        bounds, travel = self._bounds, self._odometer_mm + moved
+        if not bounds or speed <= cap(min(bounds) - travel):
+            return None
+        nearest, which = inf, 0
+        for place in sorted(range(len(bounds)), key=bounds.__getitem__):
+            if bounds[place] - travel >= nearest:
+                break
+            distance = self._distance(self._head[place], segments)
+            bounds[place] = distance - moved + self._odometer_mm
+            if distance < nearest:
+                nearest, which = distance, self._head[place]
+        limit = cap(nearest)
+        return Encounter(True, which, speed, limit) if speed > limit * SPEED_MARGIN else None
+
+    def _moved(self, segments: list[Segment]) -> float:
+        """The largest motion of an end of any body since the last set-point."""
+        return max(
+            max(dist(now[0], before[0]), dist(now[1], before[1]))
+            for now, before in zip(segments, self._segments, strict=True)
+        )
+
+    def _gap(self, number: int, segments: list[Segment]) -> float:
+        """Distance of the surfaces of a pair; infinite where a corridor allows the contact."""
+        pair = self._pairs[number]
+        corridor = self._surroundings.corridor
+        if (
+            corridor is not None
+            and pair.enters_head
+            and pair.is_head
+            and corridor.holds(*segments[pair.moving])
+        ):
+            return inf
+        return self._distance(number, segments)
+
+    def _distance(self, number: int, segments: list[Segment]) -> float:
+        pair = self._pairs[number]
+        other = segments[-1 - pair.other] if pair.other < 0 else self._fixed[pair.other]
+        return segment_distance_mm(*segments[pair.moving], *other) - self._thick[number]
+
+    def _share(self, number: int) -> float:
+        """Of the room between a pair, what one body may use up: both may move towards each other."""
+        return 0.5 if self._pairs[number].other < 0 else 1.0

@@ -1,0 +1,242 @@
+"""The path parameter over time: from 0 to 1, jerk-limited, never faster than the path allows where it is.
+
+A path may be slower in places (`SpeedStep`): near the head, or where joints turn fast. A lower speed is
+reached before its place begins; a higher one is taken up when its place has begun.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
+
+ROUNDING = 1e-9  # relative; a speed that was braked to is met to the last digits only
+
+
+class PathLimits(NamedTuple):
+    """Largest first, second and third derivative of the path parameter, per s, s², s³."""
+
+    velocity: float
+    acceleration: float
+    jerk: float
+
+
+class SpeedStep(NamedTuple):
+    """From `start` (0..1) on, until the next step, the path parameter goes at most at `velocity` per s."""
+
+    start: float
+    velocity: float
+
+
+class StopPrediction(NamedTuple):
+    """Where a stop that begins now would end: after how long, and at which path parameter."""
+
+    duration_s: float
+    parameter: float
+
+
+class _Course(NamedTuple):
+    """A profile under way: the speed it keeps to, and whether it leads to the end or to a lower speed."""
+
+    profile: Profile
+    velocity: float
+    to_end: bool
+
+    def at(self, time_s: float) -> State:
+        """The state at a time; after a braking it goes on at the lower speed."""
+        if self.to_end:
+            return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.at(time_s)
+        return State(*self.profile.raw.at_time(time_s))
+
+
+class PathProgress:
+    """The parameter's set-points, one per cycle, each with the first one of a stop beside it."""
+
+    def __init__(self, limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> None:
+        """Raises ARM-006 when the limits admit no profile."""
+        self._limits = limits
+        self._steps = steps or (SpeedStep(0.0, limits.velocity),)
+        self._cycle_s = cycle_s
+        self._fraction = 1.0
+        self._profiler = Profiler(1)
+        self.state = self._before = State.resting([0.0])
+        self._ceiling: SpeedStep | None = None  # the slower step ahead that is being braked for
+        self._course = self._planned(self._speed_at(0.0))
+        self._time_s = 0.0
+        self._halt: Profile | None = None  # the stop under way
+        self._next: tuple[State, _Course, float] | None = None  # go, its course, and the time on it
+        self._next_halt: tuple[State, Profile] | None = None
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a stop is under way, or was."""
+        return self._halt is not None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last point taken is the end, or the end of a stop."""
+        if self._halt is not None:
+            return self._time_s >= self._halt.duration_s
+        return self._course.to_end and self._time_s >= self._course.profile.duration_s
+
+    def prepare(self) -> tuple[State, State]:
+        """The next states to go on and to stop. The same object twice while stopping."""
+        if self._halt is not None:
+            go = self._halt.at(self._time_s + self._cycle_s)
+            self._next = (go, self._course, self._time_s + self._cycle_s)
+            return go, go
+        go = self._choose()
+        profile = self._stop_from(self.state)
+        stop = profile.at(self._cycle_s)
+        self._next_halt = (stop, profile)
+        return go, stop
+
+    def take_go(self) -> None:
+        """The go state was used."""
+        if self._next is None:
+            return
+        self._before = self.state
+        self.state, self._course, self._time_s = self._next
+        self._next = self._next_halt = None
+        if self._ceiling is not None and self.state.position[0] >= self._ceiling.start:
+            self._ceiling = None
+
+    def take_stop(self) -> None:
+        """The stop state was used; from now on there is nothing but the stop."""
+        if self._halt is not None:
+            self.take_go()
+        elif self._next_halt is not None:
+            self._before = self.state
+            self.state, self._halt = self._next_halt
+            self._time_s = self._cycle_s
+            self._next = self._next_halt = None
+
+    def predicted_stop(self) -> StopPrediction:
+        """What the stop would be that begins with the next point, or the rest of the one under way."""
+        profile, gone_s = self._halt, self._time_s
+        if profile is None:
+            profile, gone_s = self._stop_from(self.state), 0.0
+        duration_s = profile.duration_s
+        return StopPrediction(max(duration_s - gone_s, 0.0), profile.at(duration_s).position[0])
+
+    def limit_speed(self, fraction: float) -> None:
+        """Go on at `fraction` of the planned speed, braking to it smoothly; a stop is left alone."""
+        if not self.stopping and not self.finished:
+            self._fraction = fraction
+            self._next = self._next_halt = None
+
+    def restart_from_rest(self, *, one_back: bool = False) -> None:
+        """The arm was brought to rest at the last state by somebody else, or at the one before it."""
+        at = self._before if one_back else self.state
+        self.state = self._before = State.resting([min(max(at.position[0], 0.0), 1.0)])
+        self._next = self._next_halt = self._ceiling = None
+        self._time_s = 0.0
+        if self._halt is not None:
+            self._halt = self._stop_from(self.state)
+        else:
+            self._course = self._planned(self._speed_at(self.state.position[0]))
+
+    def _choose(self) -> State:
+        """The fastest next state from which every slower step ahead, and the end, can still be met."""
+        velocity = self._speed_at(self.state.position[0])
+        if self._ceiling is not None:
+            velocity = min(velocity, self._ceiling.velocity * self._fraction)
+        while True:
+            course, time_s = self._course, self._time_s + self._cycle_s
+            braked = not course.to_end and self._time_s >= course.profile.duration_s
+            if velocity != course.velocity or braked:
+                course, time_s = self._towards(velocity)
+            go = course.at(time_s)
+            missed = self._missed_ahead(go, velocity)
+            if missed is None:
+                self._next = (go, course, time_s)
+                return go
+            self._ceiling, velocity = missed, missed.velocity * self._fraction
+
+    def _towards(self, velocity: float) -> tuple[_Course, float]:
+        """To the end at a speed, or first down to it: the course, and the time of the next point on it.
+
+        Where the end is too near to slow down first, the present course stays.
+        """
+        if _peak(self.state, self._limits.jerk) <= velocity * (1.0 + ROUNDING):
+            return self._planned(velocity), self._cycle_s
+        braking = _Course(
+            self._profiler.brake(self.state, [velocity], self._bounds(velocity)), velocity, False
+        )
+        slow = braking.at(braking.profile.duration_s)
+        if self._course.to_end and self._rest_after(slow) + slow.velocity[0] * self._cycle_s > 1.0:
+            return self._course._replace(velocity=velocity), self._time_s + self._cycle_s
+        return braking, self._cycle_s
+
+    def _missed_ahead(self, go: State, velocity: float) -> SpeedStep | None:
+        """The slowest step ahead that could not be met any more if `go` were used, or None."""
+        found: SpeedStep | None = None
+        here = self.state.position[0]
+        for step in self._steps:
+            slow = step.velocity * self._fraction
+            if (
+                step.start <= here
+                or slow >= velocity
+                or (found is not None and step.velocity >= found.velocity)
+            ):
+                continue
+            if not self._met(go, slow, step.start):
+                found = step
+        return found
+
+    def _met(self, go: State, slow: float, start: float) -> bool:
+        peak = _peak(go, self._limits.jerk)
+        if peak <= slow:
+            return True
+        (s,), (v,), (a,) = go
+        ahead = 2.0 * v * self._cycle_s  # the decision is made once per cycle
+        if s + ahead >= start:
+            return False
+        # A cheap bound first: the whole fall to rest at the present peak.
+        acceleration, jerk = self._limits.acceleration, self._limits.jerk
+        fall_s = max(peak / acceleration + acceleration / jerk, 2.0 * sqrt(peak / jerk)) + max(a, 0.0) / jerk
+        if s + peak * fall_s + ahead < start:
+            return True
+        profile = self._profiler.brake(go, [slow], self._bounds(slow))
+        slowed = State(*profile.raw.at_time(profile.duration_s))
+        return slowed.position[0] + ahead < start and self._rest_after(slowed) + ahead < 1.0
+
+    def _rest_after(self, state: State) -> float:
+        profile = self._stop_from(state)
+        return profile.at(profile.duration_s).position[0]
+
+    def _stop_from(self, state: State) -> Profile:
+        return self._profiler.stop(state, self._bounds(self._limits.velocity))
+
+    def _speed_at(self, s: float) -> float:
+        velocity = self._steps[0].velocity
+        for step in self._steps:
+            if step.start > s:
+                break
+            velocity = step.velocity
+        return velocity * self._fraction
+
+    def _planned(self, velocity: float) -> _Course:
+        bounds = self._bounds(velocity * (1.0 + ROUNDING))
+        return _Course(self._profiler.move(self.state, [1.0], bounds), velocity, True)
+
+    def _bounds(self, velocity: float) -> Bounds:
+        return Bounds([velocity], [self._limits.acceleration], [self._limits.jerk])
+
+
+def _peak(state: State, jerk: float) -> float:
+    """The speed that is reached at least before an acceleration is taken back."""
+    (v,), (a,) = state.velocity, state.acceleration
+    return v + a * a / (2.0 * jerk) if a > 0.0 else v
+
+
+def duration_s(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> float:
+    """How long a path takes from rest to rest, by going through it."""
+    progress = PathProgress(limits, steps, cycle_s)
+    cycles = 0
+    while not progress.finished:
+        progress.prepare()
+        progress.take_go()
+        cycles += 1
+    return cycles * cycle_s

@@ -1,0 +1,183 @@
+"""The working cell in the theatre file: bodies on the arm, around the patient and in the room.
+
+Every body is a capsule: two ends and a radius. Tools are described in the tool frame (origin in the tool
+centre point, z along the tool), the patient's surroundings in the head frame (origin in the middle of the
+head as the CT shows it, axes of the CT: x left, y posterior, z superior), the room in the robot's.
+
+The defaults fit a patient in a three-pin clamp, lying straight on a table, and the tools of the simulated
+theatre. They are estimates: before the arm moves near anything real, measure and write your own.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from ronna_hw.arm.capsule import Capsule, covering_ellipsoid
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.surroundings import ArmRadii, Corridor, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.calibration import Numbers3, Strict
+
+Millimetres = Annotated[float, Field(gt=0, le=5000)]
+NotNegative = Annotated[float, Field(ge=0, le=5000)]
+Speed = Annotated[float, Field(gt=0, le=2000)]
+
+SPHERE_POST_RADIUS_MM = 7.0  # a marker of 11.5 mm on its post, with what the coarse localization leaves open
+POST_MM = 14.0  # from the sphere's centre towards the head
+HEAD, FIDUCIAL = "head", "fiducial"
+
+
+class BodyFrame(StrEnum):
+    """The frame in which a body of the surroundings is described."""
+
+    HEAD = "head"
+    ROBOT = "robot"
+
+
+class BodyConfig(Strict):
+    """A capsule: its axis from one point to another, and its radius."""
+
+    name: Annotated[str, Field(min_length=1)]
+    start_mm: Numbers3
+    end_mm: Numbers3
+    radius_mm: Millimetres
+
+    @property
+    def capsule(self) -> Capsule:
+        """As plain numbers."""
+        return Capsule(self.start_mm, self.end_mm, self.radius_mm)
+
+
+class ToolBody(BodyConfig):
+    """A body of a tool, in the tool frame. Only what is meant to go into the head may say `enters_head`."""
+
+    enters_head: bool = False
+
+
+class RoomBody(BodyConfig):
+    """A body around the arm, in the head frame or in the robot's."""
+
+    frame: Annotated[BodyFrame, Field(strict=False)] = BodyFrame.HEAD
+
+
+class ArmThickness(Strict):
+    """Radii of the arm's bodies about their axes: estimates on the safe side."""
+
+    column_mm: Millimetres = 150.0
+    upper_arm_mm: Millimetres = 85.0
+    forearm_mm: Millimetres = 70.0
+    wrist_mm: Millimetres = 45.0
+    hand_mm: Millimetres = 45.0
+
+
+class HeadZone(Strict):
+    """The largest speed of anything that moves, by its distance to the head: linear between two points."""
+
+    near_mm: NotNegative = 20.0
+    near_speed_mm_s: Speed = 60.0
+    far_mm: Millimetres = 400.0
+    far_speed_mm_s: Speed = 1000.0
+
+    @model_validator(mode="after")
+    def _rises(self) -> Self:
+        if self.far_mm <= self.near_mm or self.far_speed_mm_s < self.near_speed_mm_s:
+            raise ValueError("far must be farther than near, and not slower")
+        return self
+
+
+def _tool(name: str, start: Numbers3, end: Numbers3, radius: float, enters: bool = False) -> ToolBody:
+    return ToolBody(name=name, start_mm=start, end_mm=end, radius_mm=radius, enters_head=enters)
+
+
+def _room(name: str, start: Numbers3, end: Numbers3, radius: float) -> RoomBody:
+    return RoomBody(name=name, start_mm=start, end_mm=end, radius_mm=radius)
+
+
+_RISER = _tool("mount", (-130.0, 0.0, -85.0), (-130.0, 0.0, -170.0), 13.0)
+STEREO_HEAD = (
+    _RISER,
+    _tool("bridge of the stereo head", (-130.0, 0.0, -170.0), (0.0, 0.0, -240.0), 15.0),
+    _tool("beam of the stereo head", (0.0, -130.0, -240.0), (0.0, 130.0, -240.0), 20.0),
+    _tool("left camera", (0.0, -101.6, -195.1), (0.0, -143.1, -275.0), 30.0),
+    _tool("right camera", (0.0, 101.6, -195.1), (0.0, 143.1, -275.0), 30.0),
+)
+GUIDE = (
+    _RISER,
+    _tool("bridge of the guide", (-130.0, 0.0, -170.0), (0.0, 0.0, -170.0), 15.0),
+    _tool("tube of the guide", (0.0, 0.0, -170.0), (0.0, 0.0, -120.0), 10.0),
+    _tool("needle", (0.0, 0.0, -110.0), (0.0, 0.0, -3.0), 3.0, enters=True),
+)
+AROUND_THE_PATIENT = (
+    _room("left pin of the clamp", (95.0, 15.0, 10.0), (125.0, 30.0, 5.0), 8.0),
+    _room("right pin of the clamp", (-95.0, 15.0, 10.0), (-125.0, 30.0, 5.0), 8.0),
+    _room("left arm of the clamp", (125.0, 30.0, 5.0), (125.0, 130.0, -20.0), 14.0),
+    _room("right arm of the clamp", (-125.0, 30.0, 5.0), (-125.0, 130.0, -20.0), 14.0),
+    _room("cross bar of the clamp", (125.0, 130.0, -20.0), (-125.0, 130.0, -20.0), 16.0),
+    _room("adaptor of the clamp", (0.0, 135.0, -20.0), (0.0, 200.0, -160.0), 25.0),
+    _room("neck", (0.0, 20.0, -100.0), (0.0, 30.0, -200.0), 60.0),
+    _room("shoulders", (-150.0, 40.0, -280.0), (150.0, 40.0, -280.0), 80.0),
+    _room("torso", (0.0, 40.0, -330.0), (0.0, 40.0, -800.0), 150.0),
+    _room("left side of the table", (170.0, 240.0, -220.0), (170.0, 240.0, -1500.0), 50.0),
+    _room("middle of the table", (0.0, 240.0, -220.0), (0.0, 240.0, -1500.0), 50.0),
+    _room("right side of the table", (-170.0, 240.0, -220.0), (-170.0, 240.0, -1500.0), 50.0),
+)
+
+
+class CellConfig(Strict):
+    """Bodies and distances by which every path is checked before the arm moves."""
+
+    margin_mm: Millimetres = 10.0  # least distance along a planned path
+    live_margin_mm: NotNegative = 5.0  # least distance of a set-point; nearer, the arm stops
+    corridor_mm: Millimetres = 2.5  # radius of the way of the needle about a trajectory
+    arm: ArmThickness = ArmThickness()
+    zone: HeadZone = HeadZone()
+    stereo_head: tuple[ToolBody, ...] = STEREO_HEAD
+    guide: tuple[ToolBody, ...] = GUIDE
+    bodies: tuple[RoomBody, ...] = AROUND_THE_PATIENT
+
+    @model_validator(mode="after")
+    def _live_is_less(self) -> Self:
+        if self.live_margin_mm >= self.margin_mm:
+            raise ValueError(
+                "live_margin_mm must be less than margin_mm: it tolerates what planning leaves open"
+            )
+        return self
+
+    def surroundings(
+        self,
+        tool: tuple[ToolBody, ...],
+        flange_from_tool: Pose,
+        robot_from_head: Pose,
+        head_semi_axes_mm: Numbers3,
+        fiducials_mm: tuple[Numbers3, ...] = (),
+        corridor: Corridor | None = None,
+    ) -> Surroundings:
+        """Everything in the frames that the arm needs; fiducials in $ROBROOT, as localized so far."""
+        head = covering_ellipsoid(head_semi_axes_mm, robot_from_head)
+        obstacles = [Obstacle(HEAD, capsule, True) for capsule in head]
+        for body in self.bodies:
+            capsule = body.capsule
+            in_robot = capsule if body.frame is BodyFrame.ROBOT else capsule.moved(robot_from_head)
+            obstacles.append(Obstacle(body.name, in_robot))
+        for number, centre in enumerate(fiducials_mm, start=1):
+            obstacles.append(Obstacle(f"{FIDUCIAL} {number}", _post(centre, robot_from_head.position_mm)))
+        zone, arm = self.zone, self.arm
+        return Surroundings(
+            tool=tuple(Part(one.name, one.capsule.moved(flange_from_tool), one.enters_head) for one in tool),
+            obstacles=tuple(obstacles),
+            radii=ArmRadii(arm.column_mm, arm.upper_arm_mm, arm.forearm_mm, arm.wrist_mm, arm.hand_mm),
+            margin_mm=self.margin_mm,
+            live_margin_mm=self.live_margin_mm,
+            zone=SpeedZone(zone.near_mm, zone.near_speed_mm_s, zone.far_mm, zone.far_speed_mm_s),
+            corridor=corridor,
+        )
+
+
+def _post(centre: Numbers3, middle: Numbers3) -> Capsule:
+    """A sphere and its post, which leads towards the middle of the head."""
+    away = [m - c for m, c in zip(middle, centre, strict=True)]
+    length = sum(value * value for value in away) ** 0.5
+    foot = [c + POST_MM * value / length for c, value in zip(centre, away, strict=True)]
+    return Capsule(centre, (foot[0], foot[1], foot[2]), SPHERE_POST_RADIUS_MM)
