@@ -40,9 +40,8 @@ def encode_command(name: str, argument: str = "") -> bytes:
 
 def open_ascii(line: bytes) -> str:
     """The text of one ASCII reply, given without its CR; raises NDI-005."""
-    text, digits = line[:-ASCII_CRC_DIGITS], line[-ASCII_CRC_DIGITS:]
-    # an empty text is legal (an empty parameter list has the CRC 0000)
-    if len(line) < ASCII_CRC_DIGITS or digits != b"%04X" % crc16(text):
+    text = line[:-ASCII_CRC_DIGITS]
+    if not _crc_is_right(line):
         raise BadReplyCrc("an ASCII reply has a wrong CRC", awaited=f"{crc16(text):04X}", wire=line)
     try:
         return text.decode("ascii")
@@ -53,12 +52,18 @@ def open_ascii(line: bytes) -> str:
 def trailing_text(heard: bytes) -> str | None:
     """The text of the last reply, without its CR, in bytes that may begin with the remains of others."""
     line = heard.rsplit(CR, 1)[-1][-TRAILING_TEXT_BYTES:]
-    for start in range(len(line)):  # remains of a binary reply stand before it without a CR
-        try:
-            return open_ascii(line[start:])
-        except (BadReplyCrc, MalformedReply):
-            continue
+    # Remains of a binary reply stand before it without a CR; over a whole one the CRC comes out as 0, so that
+    # the text would be right together with it.
+    for start in range(len(line)):
+        if line[start:].isascii() and _crc_is_right(line[start:]):
+            return line[start:-ASCII_CRC_DIGITS].decode("ascii")
     return None
+
+
+def _crc_is_right(line: bytes) -> bool:
+    # an empty text is legal (an empty parameter list has the CRC 0000)
+    text, digits = line[:-ASCII_CRC_DIGITS], line[-ASCII_CRC_DIGITS:]
+    return len(digits) == ASCII_CRC_DIGITS and digits == b"%04X" % crc16(text)
 
 
 def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
@@ -477,3 +478,22 @@ def test_closing_after_the_port_vanished_is_quiet(tracker: PolarisTracker, unit:
         tracker.read_frame()
     tracker.close()
     assert tracker.state is Lifecycle.CLOSED
+
+
+def test_frames_leave_no_memory_behind(tracker: PolarisTracker, unit: Any, clock: Any) -> None:
+    """The million frames are read by `make soak`."""
+
+    def read(frames: int) -> None:
+        for _ in range(frames):
+            clock.time_s += 1 / 60
+            tracker.read_frame()
+            unit.commands.clear()
+
+    read(60 * 70)  # more than the minute that the fit of the clock keeps
+    tracemalloc.start()
+    read(100)
+    before, _ = tracemalloc.get_traced_memory()
+    read(2000)
+    after, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert after - before < 20_000  # ten bytes per frame would be found

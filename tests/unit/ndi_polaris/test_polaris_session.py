@@ -215,7 +215,7 @@ def mutate(kind: str, at: int, reply: bytes) -> list[tuple[float, bytes]]:
     return [(0.001, reply)]
 
 
-@settings(max_examples=1500, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mutations)
 @pytest.mark.hazard(16)
 def test_no_disturbance_of_the_line_gives_a_wrong_reading_or_outlasts_two_commands(
