@@ -19,6 +19,9 @@ from ronna_hw.arm.model import ArmModel
 from ronna_hw.arm.pose import Pose
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.kuka_driver_cases import KUKA_DRIVER
+from ronna_hw.conformance.kuka_eki_cases import KUKA_EKI
+from ronna_hw.conformance.kuka_stream_cases import KUKA_STREAM
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
 from ronna_hw.devices.robot import RobotArm, StopKind
@@ -321,3 +324,6 @@ def _stopped_on_the_way(
     finally:
         mover.join()
     return ends
+
+
+SUITE.cases.extend((*KUKA_STREAM.cases, *KUKA_EKI.cases, *KUKA_DRIVER.cases))

@@ -16,7 +16,11 @@ SUITE = "ronna_hw.conformance.cli"
 
 def _run(*arguments: str) -> tuple[int, dict[str, object]]:
     done = subprocess.run(
-        command(SUITE, "robot", "--json", *arguments), capture_output=True, text=True, timeout=55, check=False
+        command(SUITE, "robot", "--json", *arguments),
+        capture_output=True,
+        text=True,
+        timeout=170,
+        check=False,
     )
     return done.returncode, json.loads(done.stdout)
 
@@ -28,6 +32,7 @@ def _outcomes(report: dict[str, object]) -> dict[str, str]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(180)
 def test_the_arm_passes_the_whole_suite_on_its_stand_in(tmp_path: Path) -> None:
     code, report = _run("--sim", "--report", str(tmp_path / "report.json"))
     assert set(_outcomes(report).values()) == {"PASS"}
@@ -36,6 +41,7 @@ def test_the_arm_passes_the_whole_suite_on_its_stand_in(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(180)
 def test_at_an_endpoint_nothing_is_moved_unless_asked() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -46,6 +52,10 @@ def test_at_an_endpoint_nothing_is_moved_unless_asked() -> None:
         eki = child.ready["endpoints"]["eki_project"]
         code, report = _run("--endpoint", f"rsi={rsi}", "--endpoint", f"eki_project={eki}")
     outcomes = _outcomes(report)
-    assert [n for n, o in outcomes.items() if o == "SKIP"] == ["R11", "R12", "R13", "R14", "R15"]
+    moving = {"R11", "R12", "R13", "R14", "R15", "K16", "K20", "L29b"}
+    destructive, simulated = {"K17", "L30"}, {"K24"}
+    no_sdk_channel = {"K36", "K37", "K39"}
+    left_out = {number for number, outcome in outcomes.items() if outcome == "SKIP"}
+    assert left_out == moving | destructive | simulated | no_sdk_channel
     assert "FAIL" not in outcomes.values()
     assert code == 0

@@ -1,0 +1,227 @@
+"""What the driver of a KUKA controller must do on the wire, seen from between the two.
+
+The number of a case is L and a line of the protocol's checklist. The stream is tapped, and telegrams may be
+held back, as a stalled computer would; nothing is changed or invented.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance.case import NotShown, Suite, check
+from ronna_hw.conformance.kuka_rsi_line import AXES, KUKA
+from ronna_hw.conformance.kuka_tap import Heard, PiecewiseLine, RsiTap, wait_for
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.registry import load_driver, make_device
+from ronna_hw.wire.kuka_context import load_context
+
+CYCLES = 100
+HELD = 5  # telegrams that arrive at once after a stall
+LIMIT_S = 10.0
+SILENCE_LIMIT_S = 0.25  # of the driver in host time, unless the theatre file says otherwise
+SILENCE_SLACK_S = 2.0  # for a busy computer
+GATHERED_S = 0.05
+TURN_RAD = 0.0175  # one degree of the last axis
+LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed: beyond, a controller may take it for a fault
+
+_IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
+_TYPE = re.compile(rb'<Sen Type="([^"]*)">')
+
+KUKA_DRIVER = Suite("kuka driver", driver="kuka_rsi", simulator=())
+case = KUKA_DRIVER.case
+
+
+@contextmanager
+def tapped(bench: Bench, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
+    """A driver whose RSI passes through a tap, and perhaps its other endpoints through other lines."""
+    config = bench.config
+    if getattr(load_driver(config.driver), "wire_protocol", None) != KUKA:
+        raise NotShown("the driver does not say that it speaks RSI and EKI of KUKA")
+    bench.release()
+    port = _free_port()
+    changed = {**config.endpoints, **endpoints, "rsi": f"udp://127.0.0.1:{port}"}
+    with RsiTap(parse_endpoint(config.endpoints["rsi"]), ("127.0.0.1", port)) as tap:
+        arm: Any = make_device(bench.name, config.model_copy(update={"endpoints": changed}), bench.clock)
+        try:
+            yield arm, tap
+        finally:
+            arm.close()
+
+
+def streaming(bench: Bench, arm: Any) -> None:
+    """Bring the arm to where it streams."""
+    bench.brought_to(Lifecycle.ACTIVE, arm)
+
+
+def corrections(reply: bytes) -> list[float]:
+    """The six axis corrections of a reply, in deg."""
+    context = load_context()
+    tags = [str(context.wired_tag("AXISCORR", axis)) for axis in AXES]
+    found = []
+    for tag in tags:
+        name, _, attribute = tag.partition(".")
+        match = re.search(rf'<{name} [^>]*\b{attribute}="([^"]+)"'.encode(), reply)
+        check(match is not None, f"{tag} in the reply", reply[:80])
+        assert match is not None
+        found.append(float(match[1]))
+    return found
+
+
+@case("L11", "every reply carries the IPOC of its telegram, as it came")
+def echoes_the_time_stamp(bench: Bench) -> None:
+    with tapped(bench) as (arm, tap):
+        streaming(bench, arm)
+        heard = _exchanges(tap)
+    check(set(_stamps(heard.replies)) <= set(_stamps(heard.telegrams)), "stamps that were sent")
+
+
+@case("L12", "one reply to a telegram; after a stall only the newest is answered")
+def one_reply_each(bench: Bench) -> None:
+    with tapped(bench) as (arm, tap):
+        streaming(bench, arm)
+        heard = _exchanges(tap)
+        stamps = _stamps(heard.replies)
+        check(len(set(stamps)) == len(stamps), "no telegram answered twice")
+        missing = len(set(_stamps(heard.telegrams))) - len(stamps)
+        check(missing <= HELD, "every telegram answered", f"{missing} unanswered")
+        _stall(tap)
+        late = tap.heard()
+        answered = [stamp for stamp in _stamps(late.telegrams[:HELD]) if stamp in _stamps(late.replies)]
+        newest = _stamps(late.telegrams[:HELD])[-1]
+        check(newest in answered, "an answer to the newest telegram")
+        check(len(answered) <= HELD - 2, "no answers to those before it", f"{len(answered)} of {HELD}")
+
+
+@case("L13", "every reply has the Type of the configuration")
+def replies_have_the_type(bench: Bench) -> None:
+    with tapped(bench) as (arm, tap):
+        streaming(bench, arm)
+        types = {match[1] for reply in _exchanges(tap).replies if (match := _TYPE.match(reply)) is not None}
+    check(types == {load_context().ethernet.sentype.encode()}, load_context().ethernet.sentype, types)
+
+
+@case("L29", "the first correction of every run is zero")
+def first_correction_is_zero(bench: Bench) -> None:
+    with tapped(bench) as (arm, tap):
+        for _ in range(2):
+            tap.heard()
+            streaming(bench, arm)
+            first = _exchanges(tap).replies[0]
+            check(not any(corrections(first)), "zero", corrections(first))
+            arm.deactivate()
+
+
+@case("L29b", "no correction steps further than a controller takes", needs=("motion",))
+def steps_are_small(bench: Bench) -> None:
+    with tapped(bench) as (arm, tap):
+        streaming(bench, arm)
+        start: JointVector = arm.read_state().commanded_rad
+        tap.heard()
+        mover = threading.Thread(target=_there_and_back, args=(arm, start))
+        mover.start()
+        mover.join()
+        replies = [corrections(reply) for reply in tap.heard().replies]
+        cycle_s = load_context().program.cycle_ms / 1000.0
+        limits = [
+            speed * math.degrees(1.0) * cycle_s * LARGEST_STEP_SHARE for speed in arm.model.full_speed_rad_s
+        ]
+    check(len(replies) > CYCLES, "a motion over many cycles", len(replies))
+    for before, after in itertools.pairwise(replies):
+        for axis, limit, a, b in zip(AXES, limits, before, after, strict=True):
+            check(abs(b - a) <= limit, f"{axis} to step at most {limit:.4f} deg", f"{abs(b - a):.4f}")
+
+
+@case("L30", "silence of the controller is noticed in time, and latched", needs=("destructive", "host time"))
+def silence_is_noticed(bench: Bench) -> None:
+    with tapped(bench) as (arm, tap):
+        streaming(bench, arm)
+        tap.hold()
+        limit_s = SILENCE_LIMIT_S + SILENCE_SLACK_S
+        noticed = wait_for(lambda: arm.state is Lifecycle.FAULT, limit_s)
+        check(noticed, f"state fault within {limit_s:g} s", arm.state)
+        tap.discard()
+
+
+@case("L31", "the growth of D and our own turnaround are told")
+def losses_are_told(bench: Bench) -> None:
+    with tapped(bench) as (arm, tap):
+        streaming(bench, arm)
+        before = arm.link_statistics()
+        tap.hold()
+        bench.clock.sleep(2 * HELD * load_context().program.cycle_ms / 1000.0)
+        tap.release()
+        told = wait_for(lambda: arm.link_statistics().late_cycles > before.late_cycles, LIMIT_S)
+        check(told, "late cycles in the statistics", arm.link_statistics().late_cycles)
+        check(arm.link_statistics().turnaround_median_us > 0, "a turnaround")
+
+
+@case("L38", "elements are told apart by their ends, however the bytes arrive")
+def elements_in_pieces(bench: Bench) -> None:
+    for gather_s in (0.0, GATHERED_S):
+        bench.release()
+        with PiecewiseLine(parse_endpoint(bench.config.endpoints["eki_project"])) as line:
+            line.gather_s = gather_s
+            with tapped(bench, eki_project=line.endpoint) as (arm, _):
+                arm.connect(LIMIT_S)
+                reading = arm.read_state()
+                check(len(reading.joints_rad) == len(AXES), "six axes", reading)
+
+
+@case("L40", "a lost conversation is taken up again or latched, and the state is read anew")
+def conversation_is_lost(bench: Bench) -> None:
+    bench.release()
+    with PiecewiseLine(parse_endpoint(bench.config.endpoints["eki_project"])) as line:
+        line.gather_s = 0.001
+        with tapped(bench, eki_project=line.endpoint) as (arm, _):
+            arm.connect(LIMIT_S)
+            before = arm.read_state().joints_rad
+            line.cut()
+
+            def again() -> bool:
+                try:
+                    return bool(arm.read_state().joints_rad == before)
+                except Exception:
+                    return arm.state is Lifecycle.FAULT
+
+            check(wait_for(again, LIMIT_S), "the same axes again, or a latched fault", arm.state)
+
+
+def _stall(tap: RsiTap) -> None:
+    """Hold telegrams back until there are some, pass them on at once, and wait for what is answered."""
+    tap.hold()
+    check(wait_for(lambda: tap.holds >= HELD, LIMIT_S), f"{HELD} telegrams during a stall")
+    tap.release()
+    check(wait_for(lambda: tap.replies >= 1, LIMIT_S), "an answer after a stall")
+
+
+def _exchanges(tap: RsiTap) -> Heard:
+    """What passes while at least `CYCLES` replies come."""
+    check(wait_for(lambda: tap.replies >= CYCLES, LIMIT_S), f"{CYCLES} replies")
+    return tap.heard()
+
+
+def _there_and_back(arm: Any, start: JointVector) -> None:
+    A1, A2, A3, A4, A5, A6 = start
+    arm.move_joints((A1, A2, A3, A4, A5, A6 - TURN_RAD if A6 > 0 else A6 + TURN_RAD))
+    arm.move_joints(start)
+
+
+def _stamps(datagrams: list[bytes]) -> list[int]:
+    return [int(match[1]) for data in datagrams if (match := _IPOC.search(data)) is not None]
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,123 @@
+"""Plain EKI to a KUKA controller, past every driver: elements as text, one command and its answers.
+
+What an element should look like is written here from the protocol's reference a second time, so that a
+driver's misreading cannot hide in it.
+"""
+
+from __future__ import annotations
+
+import re
+import socket
+import time
+from xml.etree import ElementTree
+
+from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.endpoints import Endpoint
+
+ANSWER_LIMIT_S = 4.0  # what the maker's own client waits
+MOST_BYTES = 65536
+_ELEMENT = re.compile(rb"<([A-Za-z]\w*)\b[^>]*>.*?</\1>", re.DOTALL)
+
+
+class EkiLine:
+    """One client of one channel. `between` keeps the bytes that belonged to no element."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._socket = self._connected()
+        self._heard = b""
+        self._number = 0
+        self.between = b""
+
+    def __enter__(self) -> EkiLine:
+        return self
+
+    def __exit__(self, *_reason: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+    def begin_anew(self) -> None:
+        """Hang up and connect again."""
+        self._socket.close()
+        self._heard = b""
+        self._socket = self._connected()
+
+    def send(self, data: bytes) -> None:
+        """Bytes as they are."""
+        self._socket.sendall(data)
+
+    def command(self, name: str, **attributes: object) -> str:
+        """Write a project command; the identifier by which its answers are known."""
+        self._number += 1
+        identifier = str(self._number)
+        self.send(command(identifier, name, **attributes))
+        return identifier
+
+    def element(self, *tags: str, limit_s: float = ANSWER_LIMIT_S) -> tuple[bytes, ElementTree.Element]:
+        """The next element with one of these tags, as text and parsed; others are passed over."""
+        until_s = time.monotonic() + limit_s
+        while True:
+            match = _ELEMENT.search(self._heard)
+            if match is None:
+                left_s = until_s - time.monotonic()
+                check(left_s > 0, f"{' or '.join(tags)} within {limit_s:g} s", self._heard[-80:] or "nothing")
+                self._socket.settimeout(left_s)
+                try:
+                    data = self._socket.recv(MOST_BYTES)
+                except TimeoutError:
+                    continue
+                check(bool(data), f"{' or '.join(tags)}", "that the controller hung up")
+                self._heard += data
+                continue
+            self.between += self._heard[: match.start()]
+            self._heard = self._heard[match.end() :]
+            root = ElementTree.fromstring(match[0])
+            if root.tag in tags:
+                return match[0], root
+
+    def ask(self, name: str, **attributes: object) -> int:
+        """Write a project command and return the code of its acknowledgement."""
+        identifier = self.command(name, **attributes)
+        while True:
+            root = self.element("Ack")[1]
+            if root.get("Id") == identifier:
+                return int(root.get("Code", "-1"))
+
+    def state(self) -> ElementTree.Element:
+        """The answer to STATUS."""
+        identifier = self.command("STATUS")
+        while True:
+            root = self.element("State")[1]
+            if root.get("Id") == identifier:
+                return root
+
+    def hung_up_on(self, limit_s: float = ANSWER_LIMIT_S) -> bool:
+        """True when the controller ends the connection in time."""
+        until_s = time.monotonic() + limit_s
+        while (left_s := until_s - time.monotonic()) > 0:
+            self._socket.settimeout(left_s)
+            try:
+                if not self._socket.recv(MOST_BYTES):
+                    return True
+            except TimeoutError:
+                break
+            except OSError:
+                return True
+        return False
+
+    def _connected(self) -> socket.socket:
+        try:
+            opened = socket.create_connection((self._endpoint.host, self._endpoint.port), ANSWER_LIMIT_S)
+        except OSError as error:
+            raise NotShown(f"nobody answers at {self._endpoint}: {error.strerror or error}") from error
+        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return opened
+
+
+def command(identifier: str, name: str, **attributes: object) -> bytes:
+    """A project command with a separate end tag."""
+    told = "".join(f' {key}="{value}"' for key, value in attributes.items())
+    return f'<Cmd Id="{identifier}" Name="{name}"{told}></Cmd>'.encode()
