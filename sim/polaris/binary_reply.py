@@ -13,10 +13,10 @@ from sim.polaris.measurement import Frame, Stray
 from sim.polaris.parameters import UnitParameters
 from sim.polaris.ports import Port
 from sim.polaris.told import (
+    as_told,
     information,
     marker_digits,
     port_status,
-    reported_pose,
     seen_markers,
     told_strays,
 )
@@ -49,7 +49,8 @@ def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitParameters) -
 def _tool(
     frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitParameters
 ) -> list[bytes]:
-    pose = reported_pose(tracked, options, behaviour)
+    tracked = as_told(tracked, options, behaviour)
+    pose = None if tracked is None else tracked.pose
     parts = [_handle.pack(port.handle, HandleStatus.MISSING if pose is None else HandleStatus.VALID)]
     if options & ReplyOption.TRANSFORMS:
         if pose is not None:

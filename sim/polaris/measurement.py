@@ -6,16 +6,19 @@ asking again for the same frame, or not asking for others, changes nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.wire.polaris import MAXIMUM_STRAYS, SystemStatus
-from sim.polaris.optics import Optics, Sight
+from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus, SystemStatus
+from sim.polaris.arrangement import Arrangement, Arranger, Group
+from sim.polaris.disturbance import Disturbance, Disturbances
+from sim.polaris.extra_strays import reflecting_places, reflections
+from sim.polaris.optics import Optics
 from sim.polaris.ports import Port
 from sim.polaris.stage import Stage
-from sim.polaris.tracking_rules import Tracked, track
+from sim.polaris.tracking_rules import INFRARED_COPY, Tracked, track
 from sim.polaris.volume import Volume
 from sim.theatre.faults import FaultBoard
 from sim.theatre.noise import noise
@@ -24,9 +27,10 @@ from sim.theatre.world import World
 Vectors = NDArray[np.float64]
 
 DEVICE = "tracker"
-TOOL_LANE, STRAY_LANE, FRAME_LANE, ORDER_LANE = range(4)  # independent noise within one frame
+# Independent noise within one frame.
+TOOL_LANE, STRAY_LANE, FRAME_LANE, ORDER_LANE, PHANTOM_LANE, REFLECTION_LANE = range(6)
+SUNLIGHT_REFLECTIONS = 6  # glints that the sun adds; no source, an estimate
 WITHHELD = SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE | SystemStatus.HARDWARE_FAILURE
-_NOTHING = np.empty((0, 3))
 
 
 @dataclass(frozen=True)
@@ -48,16 +52,18 @@ class Frame:
 
 
 class Measurer:
-    """Measures the scene of a world. Keeps what stands still from frame to frame."""
+    """Measures the scene of a world, with the eyes of a unit that has these volumes."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, volumes: tuple[Volume, ...]) -> None:
+        truth = world.scene.tracker
         self._seed = world.scene.seed
         self._stage = Stage(world)
-        self._optics = Optics(world.scene.tracker, self._seed)
-        self._faults = FaultBoard(world, DEVICE)
-        self._fixed = np.vstack([self._stage.fiducials_mm, self._stage.strays_mm])
-        self._fixed_sight = self._optics.sight(self._fixed)
-        self._sights: dict[int, tuple[bytes, Sight]] = {}
+        optics = Optics(truth, self._seed, volumes)
+        self._arranger = Arranger(self._stage, optics, self._seed, volumes[0], truth.line_separation_mm)
+        self._disturbances = Disturbances(FaultBoard(world, DEVICE))
+        self._usual_reflections = truth.reflections
+        self._first_volume = volumes[0]
+        self._faces: dict[int, int] = {}  # by handle: the face that was tracked in the frame before
 
     def hangs_on_mount(self, port: Port) -> bool:
         """True when the tool of this port is the reference frame M on the mount."""
@@ -65,7 +71,14 @@ class Measurer:
 
     def forget_tools(self) -> None:
         """Tools were loaded, freed or enabled: nothing kept about them holds."""
-        self._sights.clear()
+        self._arranger.forget()
+        self._faces.clear()
+
+    @property
+    def light(self) -> SystemStatus:
+        """What the light in the room adds to the system status."""
+        too_much = self._disturbances.now().sunlight
+        return SystemStatus.TOO_MUCH_INFRARED if too_much else SystemStatus(0)
 
     def frame(
         self, number: int, since_start: int, ports: tuple[Port, ...], volume: Volume, status: SystemStatus
@@ -73,74 +86,74 @@ class Measurer:
         """Measure frame `number`, the `since_start`-th since tracking began."""
         if status & WITHHELD:
             return Frame(number, tuple((port, None) for port in ports), (), status)
-        hidden = tuple(fault.argument for fault in self._faults.active("occlude_tool"))
+        disturbance = self._disturbances.now()
+        arranged = self._arranger.now(ports, disturbance)
         generator = noise(self._seed, DEVICE, since_start, TOOL_LANE)
         tools: list[tuple[Port, Tracked | None]] = []
-        frame_found = False
+        unclaimed: list[tuple[float, float, float]] = []  # markers of tools that were not found
         for port in ports:
-            tracked = self._tool(port, generator, hidden, volume)
+            tracked = self._tool(port, arranged.tools[port.handle], generator, volume)
             tools.append((port, tracked))
-            if tracked is not None and tracked.pose is not None and self._is_frame(port):
-                frame_found = True
+            if tracked is not None and tracked.pose is None:
+                unclaimed += tracked.measured_mm
         # Only enabled passive handles make the illuminators fire.
-        strays = self._strays(since_start, frame_found, hidden, volume) if ports else ()
+        strays = self._strays(since_start, arranged, disturbance, unclaimed, volume) if ports else ()
         return Frame(number, tuple(tools), strays, status)
 
-    def _is_frame(self, port: Port) -> bool:
-        return (
-            port.definition is not None
-            and port.definition.part_number == self._stage.frame_on_mount.part_number
-        )
-
     def _tool(
-        self, port: Port, generator: np.random.Generator, hidden: tuple[str, ...], volume: Volume
+        self, port: Port, group: Group | None, generator: np.random.Generator, volume: Volume
     ) -> Tracked | None:
         definition = port.definition
         if definition is None:
             return None
-        pose = self._stage.pose(definition, port.place)
-        if pose is None:
-            return track(definition, [], _NOTHING, [])
-        sight = self._tool_sight(port.handle, pose, self._stage.markers_mm(definition))
-        measured = sight.measured(generator.standard_normal(sight.mean_mm.shape))
-        if self._stage.name(definition) in hidden or definition.part_number in hidden:
-            return track(definition, [], _NOTHING, [])
-        count = min(len(measured), len(definition.markers_mm))
-        measured = measured[:count]
+        if group is None:
+            return track(definition, [], np.empty((0, 3)), [])
+        measured = group.sight.measured(generator.standard_normal(group.sight.mean_mm.shape))
+        seen = [row for row in group.seen if row < len(definition.markers_mm)]
+        if len(seen) < len(measured):
+            measured = measured[seen]
         inside = [volume.holds(x, y, z) for x, y, z in measured.tolist()]
-        return track(definition, list(range(count)), measured, inside)
-
-    def _tool_sight(self, handle: int, pose: Vectors, markers_mm: Vectors) -> Sight:
-        key = pose.tobytes()
-        kept = self._sights.get(handle)
-        if kept is not None and kept[0] == key:
-            return kept[1]
-        sight = self._optics.sight(markers_mm @ pose[:3, :3].T + pose[:3, 3])
-        self._sights[handle] = (key, sight)
-        return sight
+        tracked = track(definition, seen, measured, inside, self._faces.get(port.handle, 0))
+        self._faces[port.handle] = tracked.face
+        if not group.disturbed:
+            return tracked
+        return replace(
+            tracked,
+            volume_status=tracked.volume_status | PortStatus.IR_INTERFERENCE,
+            information=tracked.information | INFRARED_COPY,
+        )
 
     def _strays(
-        self, since_start: int, frame_found: bool, hidden: tuple[str, ...], volume: Volume
+        self,
+        since_start: int,
+        arranged: Arrangement,
+        disturbance: Disturbance,
+        unclaimed: list[tuple[float, float, float]],
+        volume: Volume,
     ) -> tuple[Stray, ...]:
-        generator = noise(self._seed, DEVICE, since_start, STRAY_LANE)
-        measured = self._fixed_sight.measured(generator.standard_normal(self._fixed.shape))
-        covered = [fault.argument for fault in self._faults.active("occlude_marker")]
-        if covered:
-            numbers = self._stage.fiducial_numbers
-            seen = [k for k in range(len(measured)) if k >= len(numbers) or str(numbers[k]) not in covered]
-            measured = measured[seen]
-        if not frame_found:
-            measured = np.vstack([measured, self._frame_as_strays(since_start, hidden)])
-        points = measured[:MAXIMUM_STRAYS].tolist()
+        points = self._points(arranged.fixed, since_start, STRAY_LANE) + unclaimed
+        if arranged.frame is not None:  # its spheres are there whether or not anybody tracks it
+            points += self._points(arranged.frame, since_start, FRAME_LANE)
+        points += self._points(arranged.phantoms, since_start, PHANTOM_LANE)
+        glints = self._usual_reflections + disturbance.reflections
+        glints += SUNLIGHT_REFLECTIONS if disturbance.sunlight else 0
+        if glints:
+            places = reflecting_places(self._seed, glints, self._first_volume)
+            points += _triples(reflections(places, noise(self._seed, DEVICE, since_start, REFLECTION_LANE)))
+        points = points[:MAXIMUM_STRAYS]
         # The order carries no identity: it changes with every frame.
-        order = noise(self._seed, DEVICE, since_start, ORDER_LANE).permutation(len(points))
-        return tuple(Stray((x, y, z), volume.holds(x, y, z)) for x, y, z in (points[k] for k in order))
+        order = noise(self._seed, DEVICE, since_start, ORDER_LANE).permutation(len(points)).tolist()
+        return tuple(Stray(points[k], volume.holds(*points[k])) for k in order)
 
-    def _frame_as_strays(self, since_start: int, hidden: tuple[str, ...]) -> Vectors:
-        """The spheres of the frame on the mount are there whether or not anybody tracks it."""
-        pose = self._stage.mount_pose()
-        if pose is None or self._stage.frame_on_mount.name in hidden:
-            return _NOTHING
-        sight = self._optics.sight(self._stage.frame_markers_mm @ pose[:3, :3].T + pose[:3, 3])
-        generator = noise(self._seed, DEVICE, since_start, FRAME_LANE)
-        return sight.measured(generator.standard_normal(sight.mean_mm.shape))
+    def _points(self, group: Group, since_start: int, lane: int) -> list[tuple[float, float, float]]:
+        """One measurement of those markers of a group that are seen."""
+        if not group.seen:
+            return []
+        generator = noise(self._seed, DEVICE, since_start, lane)
+        return _triples(
+            group.sight.measured(generator.standard_normal(group.sight.mean_mm.shape))[group.seen]
+        )
+
+
+def _triples(points_mm: Vectors) -> list[tuple[float, float, float]]:
+    return [(x, y, z) for x, y, z in points_mm.tolist()]

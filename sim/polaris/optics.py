@@ -7,21 +7,21 @@ two axes, and both worsen with the square of the distance.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import radians, tan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.polaris.volume import PYRAMID
-from sim.theatre.noise import noise
+from sim.polaris.bias_field import BiasField
+from sim.polaris.volume import Volume
 from sim.theatre.scene import TrackerTruth
 
 Vectors = NDArray[np.float64]
 
-MID_VOLUME_MM = 1675.0  # middle of the pyramid's depth, 950 to 2400 mm: where a scene states its noise
-BIAS_WAVES = 6
-BIAS_WAVELENGTH_MM = (1200.0, 2500.0)  # longer than any tool: neighbouring markers share their bias
-BIAS_DEPTH_RATIO = 2.0  # of the z component to the others
-CALIBRATION_GRID = 9  # points per axis over which the field is scaled to its stated size
+HALF_BASE_MM = 250.0  # the two sensors sit on y, left and right of the origin
+# What both sensors can image at all; no paper tells, it only must hold every volume.
+FIELD_DEPTHS_MM = (300.0, 4000.0)
+FIELD_SLOPES = (tan(radians(27.0)), tan(radians(32.0)))  # of |x| and |y|
 
 
 @dataclass(frozen=True)
@@ -38,41 +38,31 @@ class Sight:
 
 
 class Optics:
-    """The unit's eyes. The bias field is a sum of plane waves drawn from the seed.
+    """The unit's eyes. The noise of the scene is that of the middle of the unit's first volume."""
 
-    `bias_mm` of the scene is the root mean square of its length over the pyramid; it grows with depth.
-    """
-
-    def __init__(self, truth: TrackerTruth, seed: int) -> None:
+    def __init__(self, truth: TrackerTruth, seed: int, volumes: tuple[Volume, ...]) -> None:
         self._sigma_mm = np.array([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm])
-        generator = noise(seed, "tracker bias", 0)
-        directions = generator.standard_normal((BIAS_WAVES, 3))
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        lengths_mm = generator.uniform(*BIAS_WAVELENGTH_MM, (BIAS_WAVES, 1))
-        self._waves = 2.0 * np.pi * directions / lengths_mm
-        self._phases = generator.uniform(0.0, 2.0 * np.pi, BIAS_WAVES)
-        amplitudes = generator.standard_normal((BIAS_WAVES, 3))
-        amplitudes[:, 2] *= BIAS_DEPTH_RATIO
-        self._amplitudes_mm = amplitudes
-        lengths = np.linalg.norm(self.bias(_points_in_pyramid()), axis=1)
-        self._amplitudes_mm = amplitudes * truth.bias_mm / np.sqrt(np.mean(lengths**2))
-
-    def bias(self, points_mm: Vectors) -> Vectors:
-        """The systematic error (n, 3) of the unit at these points."""
-        waves = np.sin(points_mm @ self._waves.T + self._phases) @ self._amplitudes_mm
-        field: Vectors = waves * (-points_mm[:, 2:] / MID_VOLUME_MM)
-        return field
+        self._middle_mm = volumes[0].middle_depth_mm
+        stated = (truth.bias_mm, truth.bias_extended_mm)
+        self.bias_field = BiasField(seed, tuple(zip(volumes[: len(stated)], stated, strict=False)))
 
     def sight(self, points_mm: Vectors) -> Sight:
         """What the unit sees of markers at `points_mm` (n, 3)."""
-        growth = (points_mm[:, 2:] / MID_VOLUME_MM) ** 2
-        return Sight(points_mm + self.bias(points_mm), growth * self._sigma_mm)
+        growth = (points_mm[:, 2:] / self._middle_mm) ** 2
+        return Sight(points_mm + self.bias_field.at(points_mm), growth * self._sigma_mm)
 
 
-def _points_in_pyramid() -> Vectors:
-    far, _, near, *_ = PYRAMID.dimensions
-    z = np.linspace(far / 100.0, near / 100.0, CALIBRATION_GRID)
-    y = np.linspace(-800.0, 800.0, CALIBRATION_GRID)
-    x = np.linspace(-700.0, 700.0, CALIBRATION_GRID)
-    grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
-    return np.array([point for point in grid if PYRAMID.holds(*point)])
+def eyes_mm() -> Vectors:
+    """Where the left and the right sensor are (2, 3)."""
+    return np.array([[0.0, -HALF_BASE_MM, 0.0], [0.0, HALF_BASE_MM, 0.0]])
+
+
+def in_field(points_mm: Vectors) -> NDArray[np.bool_]:
+    """Which of the points (n, 3) both sensors could image."""
+    x, y, z = points_mm.T
+    nearest, farthest = FIELD_DEPTHS_MM
+    slope_x, slope_y = FIELD_SLOPES
+    field: NDArray[np.bool_] = (
+        (-z >= nearest) & (-z <= farthest) & (np.abs(x) <= -z * slope_x) & (np.abs(y) <= -z * slope_y)
+    )
+    return field

@@ -1,16 +1,31 @@
-"""Where the markers truly are, in the tracker frame: the scene seen from the unit."""
+"""Where the markers truly are, in the tracker frame, and what faults do to them."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.polaris.arm_body import arm_body
 from sim.polaris.definition import ToolDefinition
-from sim.theatre.rigid import apply, inverse, matrix_of
+from sim.polaris.disturbance import Disturbance
+from sim.polaris.line_of_sight import Body, head_ellipsoid
+from sim.theatre.rigid import apply, inverse, matrix_of, rotation_from_vector
 from sim.theatre.scene import TrackerTool
-from sim.theatre.world import World
+from sim.theatre.world import ArmState, World
 
 Vectors = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrueTool:
+    """A tool in the room: what it is called, where its markers (n, 3) are, and which of them are covered."""
+
+    names: frozenset[str]
+    markers_mm: Vectors
+    covered: tuple[int, ...]  # rows
 
 
 class Stage:
@@ -26,7 +41,6 @@ class Stage:
         self._places = tuple(matrix_of(place) for place in scene.tracker.places)
         self._tools = {tool.part_number: tool for tool in scene.tracker.tools}
         self.frame_on_mount: TrackerTool = scene.tracker.tools[0]
-        self.frame_markers_mm: Vectors = np.array(self.frame_on_mount.markers_mm)
         self.strays_mm: Vectors = np.array(scene.tracker.strays_mm, dtype=float).reshape(-1, 3)
         fiducials = scene.head.fiducials if scene.tracker.fiducials_visible else ()
         self.fiducial_numbers = tuple(fiducial.number for fiducial in fiducials)
@@ -34,35 +48,66 @@ class Stage:
         self.fiducials_mm: Vectors = apply(
             self._tracker_from_robot @ matrix_of(scene.head.robot_from_ct), centres
         )
+        self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
+
+    def arm(self) -> ArmState | None:
+        """Where the arm is; None without an arm."""
+        arm = self._world.arm()
+        return arm if arm.robot_from_flange[:3].any() else None
+
+    def mounted_tool(self) -> int:
+        """Number of what hangs on the mount."""
+        return self._world.mounted_tool()
+
+    def bodies(self, arm: ArmState | None, mounted_tool: int) -> tuple[Body, ...]:
+        """What may stand in the way of light: the head, where there is one, and the arm."""
+        head = self._head if self.fiducial_numbers else ()
+        if arm is None:
+            return head
+        return (*head, *arm_body(self._world.scene, arm, mounted_tool, self._tracker_from_robot))
 
     def hangs_on_mount(self, definition: ToolDefinition) -> bool:
         """True for the reference frame M, as long as there is an arm that carries it."""
-        return definition.part_number == self.frame_on_mount.part_number and self.mount_pose() is not None
+        return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
 
-    def pose(self, definition: ToolDefinition, place: int | None) -> Vectors | None:
-        """True pose (4, 4) tracker <- tool of a loaded tool; None when it is not in the room."""
-        if definition.part_number == self.frame_on_mount.part_number:
-            on_mount = self.mount_pose()
-            if on_mount is not None:
-                return on_mount
+    def tool(
+        self, definition: ToolDefinition, place: int | None, arm: ArmState | None, disturbance: Disturbance
+    ) -> TrueTool | None:
+        """A loaded tool, whatever definition was loaded for it; None when it is not in the room."""
+        if arm is not None and definition.part_number == self.frame_on_mount.part_number:
+            return self.frame(arm, disturbance)
         if place is None or place >= len(self._places):
             return None
-        return self._places[place]
-
-    def mount_pose(self) -> Vectors | None:
-        """True pose (4, 4) tracker <- M on the mount; None without an arm."""
-        robot_from_flange = self._world.arm().robot_from_flange
-        if not robot_from_flange[:3].any():
-            return None
-        pose: Vectors = self._tracker_from_robot @ robot_from_flange @ self._tool_from_marker
-        return pose
-
-    def markers_mm(self, definition: ToolDefinition) -> Vectors:
-        """Where the markers (n, 3) really sit on the tool, whatever definition was loaded for it."""
         tool = self._tools.get(definition.part_number)
-        return definition.markers_mm if tool is None else np.array(tool.markers_mm)
+        markers = definition.markers_mm if tool is None else np.array(tool.markers_mm)
+        names = frozenset({definition.part_number} if tool is None else {tool.name, tool.part_number})
+        return _disturbed(names, self._places[place], markers, disturbance)
 
-    def name(self, definition: ToolDefinition) -> str:
-        """Name of the tool in the scene, or its part number."""
-        tool = self._tools.get(definition.part_number)
-        return definition.part_number if tool is None else tool.name
+    def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
+        """The reference frame M on the mount, loaded or not."""
+        tool = self.frame_on_mount
+        pose = self._tracker_from_robot @ arm.robot_from_flange @ self._tool_from_marker
+        names = frozenset({tool.name, tool.part_number})
+        return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)
+
+
+def _disturbed(
+    names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance
+) -> TrueTool:
+    """The tool as the faults that name it leave it."""
+    for name, push_mm in disturbance.bent:
+        if name in names:
+            markers_mm = np.vstack([markers_mm[:-1], markers_mm[-1] + (0.0, 0.0, push_mm)])
+    for name, angle_deg in disturbance.turned:
+        if name in names:
+            pose = pose.copy()
+            pose[:3, :3] = pose[:3, :3] @ rotation_from_vector((radians(angle_deg), 0.0, 0.0))
+    places = markers_mm @ pose[:3, :3].T + pose[:3, 3]
+    for name, way_mm in disturbance.moved:
+        if name in names:
+            places = places + way_mm
+    if names & disturbance.hidden_tools:
+        covered = tuple(range(len(places)))
+    else:
+        covered = tuple(number - 1 for name, number in disturbance.hidden_tool_markers if name in names)
+    return TrueTool(names, places, covered)

@@ -11,10 +11,10 @@ from sim.polaris.parameters import UnitParameters
 from sim.polaris.ports import Port
 from sim.polaris.told import (
     Point,
+    as_told,
     information,
     marker_digits,
     port_status,
-    reported_pose,
     seen_markers,
     told_strays,
 )
@@ -48,8 +48,9 @@ def _tool(
     frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitParameters
 ) -> list[str]:
     parts = []
+    tracked = as_told(tracked, options, behaviour)
     if options & ReplyOption.TRANSFORMS:
-        pose = reported_pose(tracked, options, behaviour)
+        pose = None if tracked is None else tracked.pose
         parts.append(wire.REPLY_MISSING if pose is None else _pose(pose))
         parts.append(_status(frame, port, tracked))
     if options & ReplyOption.TOOL_INFORMATION:

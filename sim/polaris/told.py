@@ -6,23 +6,18 @@ from ronna_hw.wire.polaris import PortStatus, ReplyOption, ToolInformation
 from sim.polaris.measurement import Stray
 from sim.polaris.parameters import UnitParameters
 from sim.polaris.ports import Port
-from sim.polaris.tracking_rules import ToolPose, Tracked
+from sim.polaris.tracking_rules import Tracked, as_asked
 
 MARKER_DIGITS = 20  # option 0002 always tells as many
 Point = tuple[float, float, float]
 
 
-def reported_pose(
-    tracked: Tracked | None, options: ReplyOption, behaviour: UnitParameters
-) -> ToolPose | None:
-    """The pose that a reply tells of a tool; None when it is MISSING."""
-    if tracked is None or tracked.pose is None or options & ReplyOption.OUT_OF_VOLUME:
-        return None if tracked is None else tracked.pose
-    if tracked.volume_status & PortStatus.OUT_OF_VOLUME:
-        return None
-    if tracked.volume_status & PortStatus.PARTIALLY_OUT_OF_VOLUME and not behaviour.poses_partially_out:
-        return None
-    return tracked.pose
+def as_told(tracked: Tracked | None, options: ReplyOption, behaviour: UnitParameters) -> Tracked | None:
+    """A tool without what the request and the unit leave out outside the volume."""
+    if tracked is None or not tracked.volume_status:
+        return tracked
+    outside = bool(options & ReplyOption.OUT_OF_VOLUME)
+    return as_asked(tracked, outside=outside, partially_outside=behaviour.poses_partially_out)
 
 
 def port_status(port: Port, tracked: Tracked | None) -> int:

@@ -1,7 +1,9 @@
 """From the measured markers of one tool to its pose, or to the reason why there is none.
 
 The order is the unit's: fit with at least three markers, drop markers beyond the maximum angle, drop those
-out of the volume, drop those beyond the maximum 3D error; after each step enough of them must be left.
+out of the volume, drop those beyond the maximum 3D error, judge the spread of the rest; after each step
+enough of them must be left. What a reply may tell of a tool outside the volume depends on the request, so
+that rule alone is applied later, by `as_asked`.
 """
 
 from __future__ import annotations
@@ -14,16 +16,17 @@ from numpy.typing import NDArray
 
 from ronna_hw.wire.polaris import MarkerState, PortStatus, ToolInformation
 from sim.polaris.definition import ToolDefinition
-from sim.polaris.fit import fit_body
+from sim.polaris.faces import ONLY_FACE, FaceFit, best_face
+from sim.polaris.fit import BodyFit, fit_body
 from sim.theatre.rigid import quaternion_from_rotation
 
 Vectors = NDArray[np.float64]
 
-LEAST_TO_FIT = 3
 DROPPED_OUT_OF_VOLUME = 4  # marker digits of newer firmware; older papers do not tell
 USED_OUT_OF_VOLUME = 5
 FACE_BITS = 4  # position of the face number in the tool information
-ONLY_FACE = 1
+INFRARED_COPY = 0x04  # of the interference bit, in the tool information; its position is not public
+OUTSIDE = PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME
 
 
 @dataclass(frozen=True)
@@ -37,69 +40,112 @@ class ToolPose:
 
 @dataclass(frozen=True)
 class Tracked:
-    """What the unit found out about one tool in one frame."""
+    """What the unit found out about one tool in one frame, wherever it is."""
 
     pose: ToolPose | None
-    volume_status: PortStatus  # only the two out-of-volume bits
+    volume_status: PortStatus  # what the frame adds to the status of its handle
     information: int
     marker_digits: tuple[int, ...]  # one per marker of the definition
-    markers_mm: tuple[tuple[float, float, float] | None, ...] = ()  # likewise, where they were measured
-    markers_inside: tuple[bool, ...] = ()  # likewise, within the volume
+    face: int = ONLY_FACE
+    seen: tuple[int, ...] = ()  # numbers of the markers that were measured
+    measured_mm: tuple[tuple[float, float, float], ...] = ()  # where, in the same order
+    inside: tuple[bool, ...] = ()  # likewise, within the volume
+
+    @property
+    def markers_mm(self) -> tuple[tuple[float, float, float] | None, ...]:
+        """For each marker of the definition where it was measured."""
+        places = dict(zip(self.seen, self.measured_mm, strict=True))
+        return tuple(places.get(number) for number in range(len(self.marker_digits)))
+
+    @property
+    def markers_inside(self) -> tuple[bool, ...]:
+        """For each marker of the definition whether it was measured within the volume."""
+        within = dict(zip(self.seen, self.inside, strict=True))
+        return tuple(within.get(number, False) for number in range(len(self.marker_digits)))
 
 
-def track(definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]) -> Tracked:
+def track(
+    definition: ToolDefinition,
+    seen: list[int],
+    measured_mm: Vectors,
+    inside: list[bool],
+    previous_face: int = 0,
+) -> Tracked:
     """Apply the rules. `seen` are the numbers of the markers in `measured_mm` (n, 3), in the same order."""
-    positions: list[tuple[float, float, float] | None] = [None] * len(definition.markers_mm)
-    within = [False] * len(definition.markers_mm)
-    for number, (x, y, z), is_inside in zip(seen, measured_mm.tolist(), inside, strict=True):
-        positions[number] = (x, y, z)
-        within[number] = is_inside
-    tracked = _judged(definition, seen, measured_mm, inside)
-    return replace(tracked, markers_mm=tuple(positions), markers_inside=tuple(within))
+    judge = _Judge(definition, seen, measured_mm, inside)
+    return judge.tracked(best_face(definition, seen, measured_mm, previous_face), previous_face)
 
 
-def _judged(definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]) -> Tracked:
-    digits = [int(MarkerState.MISSING)] * len(definition.markers_mm)
-    used = list(range(len(seen)))
-    if len(used) < LEAST_TO_FIT:
-        return _lost(definition, digits, ToolInformation.TOO_FEW_MARKERS, _status(inside, definition))
-    body = definition.markers_mm[seen]
-    fit = fit_body(body, measured_mm)
+def as_asked(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:
+    """What a reply tells. `outside`: it asks for tools out of the volume; `partially_outside`: the unit
+    reports a tool without being asked when some markers, but fewer than the minimum, are inside.
+    """
+    hidden = PortStatus.OUT_OF_VOLUME if partially_outside else OUTSIDE
+    if outside or not tracked.volume_status & hidden:
+        return tracked
+    digits = tuple(
+        DROPPED_OUT_OF_VOLUME if digit == USED_OUT_OF_VOLUME else digit for digit in tracked.marker_digits
+    )
+    information = tracked.information | ToolInformation.TOO_FEW_MARKERS
+    return replace(tracked, pose=None, information=int(information), marker_digits=digits)
 
-    facing = _facing(definition.normals[seen] @ fit[0].T, measured_mm, definition.maximum_angle_deg)
-    for k in used:
-        if not facing[k]:
-            digits[seen[k]] = int(MarkerState.BEYOND_ANGLE)
-    used = [k for k in used if facing[k]]
-    status = _status([inside[k] for k in used], definition)
-    within = [k for k in used if inside[k]]
-    if len(within) >= definition.minimum_markers:
-        for k in used:
-            if not inside[k]:
-                digits[seen[k]] = DROPPED_OUT_OF_VOLUME
-        used = within
-    if len(used) < definition.minimum_markers:
-        return _lost(definition, digits, ToolInformation.TOO_FEW_MARKERS, status)
 
-    if len(used) < len(seen):
-        fit = fit_body(body[used], measured_mm[used])
-    limit_mm = definition.maximum_error_mm
-    good = [k for k, distance in zip(used, fit[2].tolist(), strict=True) if distance <= limit_mm]
-    if len(good) < len(used):
-        for k in used:
-            if k not in good:
-                digits[seen[k]] = int(MarkerState.BEYOND_ERROR)
-        if len(good) < definition.minimum_markers:
-            return _lost(definition, digits, ToolInformation.BAD_FIT, status)
-        fit = fit_body(body[good], measured_mm[good])
-    for k in good:
-        digits[seen[k]] = int(MarkerState.USED) if inside[k] else USED_OUT_OF_VOLUME
-    rotation, translation, distances = fit
-    w, qx, qy, qz = quaternion_from_rotation(rotation).tolist()
-    x, y, z = translation.tolist()
-    error_mm = float(np.sqrt(np.mean(distances**2)))
-    pose = ToolPose((w, qx, qy, qz), (x, y, z), error_mm)
-    return Tracked(pose, status, ONLY_FACE << FACE_BITS, tuple(digits))
+class _Judge:
+    """Applies the rules to one tool in one frame, and notes the digit of each marker."""
+
+    def __init__(
+        self, definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]
+    ) -> None:
+        self._definition = definition
+        self._seen = seen
+        self._measured_mm = measured_mm
+        self._inside = inside
+        self._digits = [int(MarkerState.MISSING)] * len(definition.markers_mm)
+
+    def tracked(self, chosen: FaceFit | None, previous_face: int) -> Tracked:
+        definition = self._definition
+        if chosen is None:
+            status = _status(self._inside, definition)
+            return self._told(None, status, ToolInformation.TOO_FEW_MARKERS, previous_face)
+        fit, markers, rows = chosen.fit, chosen.markers, chosen.rows
+        measured = self._measured_mm if len(rows) == len(self._seen) else self._measured_mm[rows]
+        within = [self._inside[row] for row in rows]
+
+        normals = definition.normals[markers] @ fit.rotation.T
+        facing = _facing(normals, measured, definition.maximum_angle_deg)
+        used = self._kept(list(range(len(markers))), facing, markers, MarkerState.BEYOND_ANGLE)
+        status = _status([within[k] for k in used], definition)
+        if sum(within[k] for k in used) >= definition.minimum_markers:
+            used = self._kept(used, within, markers, DROPPED_OUT_OF_VOLUME)
+        if len(used) < definition.minimum_markers:
+            return self._told(None, status, ToolInformation.TOO_FEW_MARKERS, chosen.face)
+
+        body = definition.markers_mm[markers]
+        if len(used) < len(markers):
+            fit = fit_body(body[used], measured[used])
+        near = [False] * len(markers)
+        for k, distance in zip(used, fit.distances_mm.tolist(), strict=True):
+            near[k] = distance <= definition.maximum_error_mm
+        good = self._kept(used, near, markers, MarkerState.BEYOND_ERROR)
+        if len(good) < definition.minimum_markers or not _spread_enough(body[good], definition):
+            return self._told(None, status, ToolInformation.BAD_FIT, chosen.face)
+        if len(good) < len(used):
+            fit = fit_body(body[good], measured[good])
+        for k in good:
+            self._digits[markers[k]] = int(MarkerState.USED) if within[k] else USED_OUT_OF_VOLUME
+        return self._told(_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
+
+    def _kept(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
+        """The numbers that pass a rule; the markers of the others get the digit of that rule."""
+        for k in numbers:
+            if not keep[k]:
+                self._digits[markers[k]] = int(digit)
+        return [k for k in numbers if keep[k]]
+
+    def _told(self, pose: ToolPose | None, status: PortStatus, information: int, face: int) -> Tracked:
+        points = tuple((x, y, z) for x, y, z in self._measured_mm.tolist())
+        seen, inside = tuple(self._seen), tuple(self._inside)
+        return Tracked(pose, status, int(information), tuple(self._digits), face, seen, points, inside)
 
 
 def _facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> list[bool]:
@@ -118,5 +164,18 @@ def _status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
     return PortStatus.PARTIALLY_OUT_OF_VOLUME if count else PortStatus.OUT_OF_VOLUME
 
 
-def _lost(definition: ToolDefinition, digits: list[int], why: int, status: PortStatus) -> Tracked:
-    return Tracked(None, status, why, tuple(digits))
+def _spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
+    """Whether the used markers reach far enough along each of their main axes. No paper tells the measure;
+    here it is the distance between the outermost ones.
+    """
+    if not any(definition.minimum_spread_mm):
+        return True
+    centred = body_mm - body_mm.mean(axis=0)
+    extents = np.sort(np.ptp(centred @ np.linalg.svd(centred)[2].T, axis=0))[::-1]
+    return bool((extents >= np.array(definition.minimum_spread_mm)).all())
+
+
+def _pose(fit: BodyFit) -> ToolPose:
+    w, qx, qy, qz = quaternion_from_rotation(fit.rotation).tolist()
+    x, y, z = fit.translation_mm.tolist()
+    return ToolPose((w, qx, qy, qz), (x, y, z), float(np.sqrt(np.mean(fit.distances_mm**2))))

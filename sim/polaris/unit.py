@@ -39,7 +39,7 @@ class Unit:
         self.line = DEFAULT_LINE
         self.ports = PortTable(profile.handles)
         self.wired = wired or WiredPorts(0)
-        self.measurer = Measurer(world)
+        self.measurer = Measurer(world, profile.volumes)
         self.frames = FrameCounter(world.clock)
         self.alerts = Alerts()
         self.port_changes = SystemStatus(0)  # wired tools that came or went
@@ -126,7 +126,7 @@ class Unit:
     def frame(self) -> Frame:
         """The frame that a request gets now: measured once, however often it is asked for."""
         number = self.frames.number()
-        status = self.alerts.system_status | self.port_changes
+        status = self.alerts.system_status | self.port_changes | self.measurer.light
         kept = self._frame
         if kept is None or kept.number != number or kept.system_status != status:
             kept = self._frame = self._measured(number, status, self.ports.enabled())

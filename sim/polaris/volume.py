@@ -8,6 +8,7 @@ in 1/100 mm, slopes in 1/100 000.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ronna_hw.wire.polaris import LF, SFLIST_DIMENSION_SCALE
 
@@ -26,16 +27,31 @@ class Volume:
 
     def holds(self, x_mm: float, y_mm: float, z_mm: float) -> bool:
         """True for a marker inside."""
-        far, knee, near, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.dimensions
-        if not far <= z_mm * SFLIST_DIMENSION_SCALE <= near:
+        near_mm, far_mm = self.depths_mm
+        if not near_mm <= -z_mm <= far_mm:
             return False
-        before_knee_mm = z_mm - knee / SFLIST_DIMENSION_SCALE
+        x_half_mm, y_half_mm = self.half_widths_mm(-z_mm)
+        return abs(y_mm) <= y_half_mm and abs(x_mm) <= x_half_mm
+
+    @cached_property
+    def depths_mm(self) -> tuple[float, float]:
+        """Nearest and farthest distance from the sensor, along its axis."""
+        far, _, near, *_ = self.dimensions
+        return -near / SFLIST_DIMENSION_SCALE, -far / SFLIST_DIMENSION_SCALE
+
+    @property
+    def middle_depth_mm(self) -> float:
+        """Middle between the nearest and the farthest distance."""
+        return sum(self.depths_mm) / 2.0
+
+    def half_widths_mm(self, depth_mm: float) -> tuple[float, float]:
+        """Half extents in x and y at a distance from the sensor."""
+        _, knee, _, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.dimensions
+        before_knee_mm = -depth_mm - knee / SFLIST_DIMENSION_SCALE
         y_slope = y_front if before_knee_mm >= 0.0 else y_behind
         y_half_mm = y_knee / SFLIST_DIMENSION_SCALE - before_knee_mm * y_slope / SLOPE_SCALE
         x_half_mm = x_knee / SFLIST_DIMENSION_SCALE - before_knee_mm * x_slope / SLOPE_SCALE
-        return abs(y_mm) <= min(y_half_mm, y_cap / SFLIST_DIMENSION_SCALE) and abs(x_mm) <= min(
-            x_half_mm, x_cap / SFLIST_DIMENSION_SCALE
-        )
+        return min(x_half_mm, x_cap / SFLIST_DIMENSION_SCALE), min(y_half_mm, y_cap / SFLIST_DIMENSION_SCALE)
 
     def feature_line(self) -> str:
         """The 74 characters of this volume in the feature list, and the line feed."""

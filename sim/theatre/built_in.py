@@ -92,5 +92,6 @@ def _bench_tracker() -> TrackerTruth:
         tools=(robot_frame(),),
         places=places,
         strays_mm=strays,
+        line_separation_mm=0.0,
         fiducials_visible=False,
     )

@@ -142,7 +142,11 @@ class TrackerTool(Strict):
 
 
 class TrackerTruth(Strict):
-    """The tracker: where it stands and how noisy a single marker is at mid volume."""
+    """The tracker: where it stands, how well it sees a single marker, and what it takes for one.
+
+    Noise is one standard deviation at mid volume. A bias is the rms length of the fixed, smooth field over a
+    volume: what makers state as its accuracy.
+    """
 
     robot_from_tracker: PoseRecord
     tools: Annotated[
@@ -152,8 +156,11 @@ class TrackerTruth(Strict):
     fiducials_visible: bool = True  # false on the bench, where there is no head
     noise_xy_mm: NotNegative = 0.04
     noise_z_mm: NotNegative = 0.14
-    bias_mm: NotNegative = 0.10  # amplitude of the smooth bias field
+    bias_mm: NotNegative = 0.25  # over the pyramid, or the only volume of the unit
+    bias_extended_mm: NotNegative = 0.30  # over the extended pyramid
     strays_mm: tuple[Numbers3, ...] = ()  # further stray markers, fixed in the tracker frame
+    line_separation_mm: NotNegative = 0.5  # rays that pass this near are one marker: phantoms; 0 makes none
+    reflections: Annotated[int, Field(ge=0)] = 0  # glints that come and go
 
 
 class CalibrationError(Strict):

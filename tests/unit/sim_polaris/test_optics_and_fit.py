@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from sim.polaris.fit import fit_body
-from sim.polaris.optics import MID_VOLUME_MM, Optics
 from sim.polaris.volume import EXTENDED_PYRAMID, PYRAMID, Volume
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.noise import noise
 from sim.theatre.rigid import rotation_from_vector
 
 
@@ -60,28 +57,3 @@ def test_a_planar_body_is_fitted_without_a_flip() -> None:
     rotation, _, distances = fit_body(body, body + np.random.default_rng(3).normal(0.0, 0.1, (4, 3)))
     assert np.linalg.norm(rotation - np.eye(3)) < 0.02
     assert distances.max() < 0.5
-
-
-def test_depth_is_measured_worse_and_everything_worsens_with_the_square_of_depth() -> None:
-    truth = built_in_scene("bench").tracker
-    optics = Optics(truth, seed=5)
-    points = np.array([[0.0, 0.0, -MID_VOLUME_MM], [0.0, 0.0, -2.0 * MID_VOLUME_MM]])
-    sight = optics.sight(points)
-    draws = np.array([sight.measured(noise(5, "test", k).standard_normal((2, 3))) for k in range(4000)])
-    spread = draws.std(axis=0)
-    assert spread[0] == pytest.approx([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm], rel=0.05)
-    assert spread[1] == pytest.approx(4.0 * spread[0], rel=0.06)
-
-
-def test_the_bias_is_smooth_fixed_and_of_the_stated_size() -> None:
-    truth = built_in_scene("bench").tracker
-    field = Optics(truth, seed=5)
-    generator = np.random.default_rng(2)
-    box = generator.uniform((-650.0, -780.0, -2400.0), (650.0, 780.0, -950.0), (20_000, 3))
-    inside = np.array([point for point in box if PYRAMID.holds(*point)])
-    bias = field.bias(inside)
-    assert np.sqrt((bias**2).sum(axis=1).mean()) == pytest.approx(truth.bias_mm, rel=0.15)
-    beside = field.bias(inside + np.array([10.0, 0.0, 0.0]))
-    assert np.linalg.norm(beside - bias, axis=1).max() < 0.1 * truth.bias_mm
-    assert np.array_equal(Optics(truth, seed=5).bias(inside), bias)
-    assert not np.allclose(Optics(truth, seed=6).bias(inside), bias)

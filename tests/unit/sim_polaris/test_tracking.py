@@ -9,22 +9,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from sim.kuka.chain import Chain
+from sim.kuka.description import description
 from sim.theatre.built_in import built_in_scene, robot_frame
 from sim.theatre.rigid import (
     apply,
     inverse,
-    matrix_from,
     matrix_of,
     quaternion_from_rotation,
-    rotation_from_vector,
 )
 from sim.theatre.scene import Scene, TrackerTool
 from sim.theatre.world import ArmState
 
 if TYPE_CHECKING:
     from conftest import Bench
-
-MARKER_IN_TRACKER = matrix_from((50.0, -80.0, -1600.0), rotation_from_vector((0.2, -0.3, 0.5)))
 
 
 def frame_number(answer: str) -> int:
@@ -46,12 +44,15 @@ def strays(answer: str) -> np.ndarray:
     return np.array([float(text[k : k + 7]) / 100.0 for k in range(0, len(text), 7)]).reshape(count, 3)
 
 
-def put_arm(bench: Bench) -> None:
-    """Let an arm carry the reference frame to where the tracker sees it well."""
-    mount = bench.world.scene.mount
+def put_arm(bench: Bench) -> np.ndarray:
+    """Let an arm at home carry the reference frame M; returns its true pose tracker <- M."""
+    scene = bench.world.scene
+    joints = tuple(np.radians(scene.arm.home_deg).tolist())
+    flange = Chain(description(scene.arm.variant)).flange(joints)
+    bench.world.publish_arm(ArmState(joints, flange, 0, True))
+    mount = scene.mount
     flange_from_marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
-    pose = matrix_of(bench.world.scene.tracker.robot_from_tracker) @ MARKER_IN_TRACKER
-    bench.world.publish_arm(ArmState((0.0,) * 6, pose @ inverse(flange_from_marker), 0, True))
+    return inverse(matrix_of(scene.tracker.robot_from_tracker)) @ flange @ flange_from_marker
 
 
 def at_depth(depth_mm: float) -> Scene:
@@ -212,14 +213,14 @@ def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerToo
 def test_the_reference_frame_hangs_on_the_arm(make_bench: Callable[..., Bench]) -> None:
     scene = built_in_scene("default")
     bench = make_bench(scene)
-    put_arm(bench)
+    truth = put_arm(bench)
     bench.send("INIT ")
     bench.enable(robot_frame())
     bench.send("TSTART 80")
     answer = bench.send("TX 0001")
-    assert position(answer) == pytest.approx(MARKER_IN_TRACKER[:3, 3], abs=1.0)
+    assert position(answer) == pytest.approx(truth[:3, 3], abs=1.5)
     quaternion = [float(answer[k : k + 6]) / 1e4 for k in range(4, 28, 6)]
-    assert quaternion == pytest.approx(quaternion_from_rotation(MARKER_IN_TRACKER[:3, :3]), abs=0.01)
+    assert quaternion == pytest.approx(quaternion_from_rotation(truth[:3, :3]), abs=0.01)
 
 
 def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> None:

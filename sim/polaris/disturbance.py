@@ -1,0 +1,71 @@
+"""What the faults that act now do to the markers and to the light in the room."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sim.theatre.faults import Fault, FaultBoard
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """All at once, so that it can be compared with that of the frame before. Tools by name or part number."""
+
+    hidden_fiducials: frozenset[int] = frozenset()
+    hidden_tools: frozenset[str] = frozenset()
+    hidden_tool_markers: frozenset[tuple[str, int]] = frozenset()  # marker counted from 1
+    bent: tuple[tuple[str, float], ...] = ()  # how far the last marker is pushed aside, mm
+    turned: tuple[tuple[str, float], ...] = ()  # about the x axis of the tool, degrees
+    moved: tuple[tuple[str, Vector], ...] = ()  # in the tracker frame, mm
+    interfered: frozenset[str] = frozenset()
+    strays: int = 0
+    reflections: int = 0
+    line_separation_mm: float = 0.0
+    sunlight: bool = False
+
+
+NONE = Disturbance()
+
+
+class Disturbances:
+    """Asks the tracker's fault board, and gathers its answers."""
+
+    def __init__(self, board: FaultBoard) -> None:
+        self._board = board
+
+    def now(self) -> Disturbance:
+        """What acts at this moment; `NONE` at the price of one question while there is no fault at all."""
+        board = self._board
+        if board.empty:
+            return NONE
+        found = Disturbance(
+            hidden_fiducials=frozenset(int(fault.argument) for fault in board.active("occlude_marker")),
+            hidden_tools=_names(board.active("occlude_tool")),
+            hidden_tool_markers=frozenset(
+                (fault.arguments[0], int(fault.arguments[1])) for fault in board.active("occlude_tool_marker")
+            ),
+            bent=tuple(
+                (fault.arguments[0], float(fault.arguments[1])) for fault in board.active("bend_tool")
+            ),
+            turned=tuple(
+                (fault.arguments[0], float(fault.arguments[1])) for fault in board.active("turn_tool")
+            ),
+            moved=tuple((fault.arguments[0], _vector(fault)) for fault in board.active("move_tool")),
+            interfered=_names(board.active("interference")),
+            strays=sum(int(fault.argument) for fault in board.active("strays")),
+            reflections=sum(int(fault.argument) for fault in board.active("reflections")),
+            line_separation_mm=max((float(f.argument) for f in board.active("phantoms")), default=0.0),
+            sunlight=bool(board.active("sunlight")),
+        )
+        return NONE if found == NONE else found
+
+
+def _names(faults: tuple[Fault, ...]) -> frozenset[str]:
+    return frozenset(fault.argument for fault in faults)
+
+
+def _vector(fault: Fault) -> Vector:
+    x, y, z = (float(value) for value in fault.arguments[1:])
+    return x, y, z

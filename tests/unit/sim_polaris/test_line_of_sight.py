@@ -1,0 +1,108 @@
+"""What stands in the way: the head, the arm, and what hangs on it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim.kuka.chain import Chain
+from sim.kuka.description import description
+from sim.polaris.disturbance import NONE
+from sim.polaris.line_of_sight import Capsule, Ellipsoid, visible
+from sim.polaris.optics import eyes_mm
+from sim.polaris.stage import Stage
+from sim.theatre.built_in import SceneName, built_in_scene
+from sim.theatre.rigid import matrix_of
+from sim.theatre.world import ArmState, World
+
+EYE = np.zeros((1, 3))
+
+
+def stage_at_home(name: SceneName, seed: int) -> tuple[Stage, World]:
+    scene = built_in_scene(name, seed=seed)
+    world = World.create(scene, paced=False)
+    joints = tuple(np.radians(scene.arm.home_deg).tolist())
+    flange = Chain(description(scene.arm.variant)).flange(joints)
+    world.publish_arm(ArmState(joints, flange, 0, True))
+    return Stage(world), world
+
+
+def ball(centre: tuple[float, float, float], radius_mm: float) -> Ellipsoid:
+    unit = np.diag([1.0 / radius_mm] * 3 + [1.0])
+    unit[:3, 3] = -np.array(centre) / radius_mm
+    return Ellipsoid(unit)
+
+
+@pytest.mark.parametrize(
+    ("point", "seen"),
+    [
+        ((0.0, 0.0, -1500.0), False),  # behind it
+        ((0.0, 0.0, -800.0), True),  # before it
+        ((300.0, 0.0, -1500.0), True),  # beside it
+        ((130.0, 0.0, -1500.0), False),  # the line of sight cuts it
+        ((0.0, 0.0, -1000.0), True),  # mounted in it
+    ],
+)
+def test_a_ball_hides_what_is_behind_it(point: tuple[float, float, float], seen: bool) -> None:
+    assert visible(EYE, np.array([point]), (ball((0.0, 0.0, -1000.0), 100.0),)).item() is seen
+
+
+@pytest.mark.parametrize(
+    ("point", "seen"),
+    [
+        ((0.0, 0.0, -1500.0), False),
+        ((0.0, 0.0, -900.0), True),
+        ((600.0, 0.0, -1500.0), False),  # the limb reaches from side to side
+        ((0.0, 100.0, -1500.0), True),
+    ],
+)
+def test_a_limb_hides_what_is_behind_it(point: tuple[float, float, float], seen: bool) -> None:
+    limb = Capsule(np.array([-500.0, 0.0, -1000.0]), np.array([500.0, 0.0, -1000.0]), 50.0)
+    assert visible(EYE, np.array([point]), (limb,)).item() is seen
+
+
+def test_the_nearest_distance_of_two_segments_agrees_with_trying_all_places() -> None:
+    generator = np.random.default_rng(3)
+    shares = np.linspace(0.0, 1.0, 200)[:, None]
+    for _ in range(50):
+        start, end, eye, point = generator.normal(0.0, 100.0, (4, 3))
+        limb_places, ray_places = start + shares * (end - start), eye + shares * (point - eye)
+        least_mm = np.linalg.norm(limb_places[:, None] - ray_places, axis=-1).min()
+        for radius_mm, hidden in ((least_mm + 3.0, True), (least_mm - 3.0, False)):
+            mounted = np.linalg.norm(limb_places - point, axis=1).min() < radius_mm
+            if not mounted:
+                assert Capsule(start, end, radius_mm).hides(eye, point[None]).item() is hidden
+
+
+@pytest.mark.parametrize("name", ["default", "mini"])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_tracker_sees_head_and_frame_past_the_arm_at_home(name: SceneName, seed: int) -> None:
+    stage, world = stage_at_home(name, seed)
+    arm = stage.arm()
+    assert arm is not None
+    markers = stage.frame(arm, NONE).markers_mm
+    points = np.vstack([stage.fiducials_mm, markers])
+    for tool in (0, world.scene.mount.tool_number_stereo, world.scene.mount.tool_number_guide):
+        assert visible(eyes_mm(), points, stage.bodies(arm, tool)).all()
+
+
+def test_a_sphere_behind_the_head_is_not_seen() -> None:
+    stage, world = stage_at_home("default", 0)
+    head = world.scene.head
+    centre = matrix_of(head.robot_from_ct) @ [*head.centre_ct_mm, 1.0]
+    in_tracker = np.linalg.inv(matrix_of(world.scene.tracker.robot_from_tracker)) @ centre
+    far_side = in_tracker[:3] * (1.0 + 120.0 / np.linalg.norm(in_tracker[:3]))
+    assert not visible(eyes_mm(), far_side[None], stage.bodies(None, 0)).any()
+
+
+def test_an_arm_that_reaches_over_the_head_hides_spheres() -> None:
+    stage, world = stage_at_home("default", 0)
+    arm = stage.arm()
+    assert arm is not None
+    tracker = matrix_of(world.scene.tracker.robot_from_tracker)
+    towards = tracker[:3, 3] / np.linalg.norm(tracker[:3, 3])
+    flange = arm.robot_from_flange.copy()
+    middle = (tracker @ [*stage.fiducials_mm.mean(axis=0), 1.0])[:3]
+    flange[:3, 3] = middle + 200.0 * towards
+    bodies = stage.bodies(ArmState(arm.joints_rad, flange, 1, True), 1)
+    assert not visible(eyes_mm(), stage.fiducials_mm, bodies).all()
