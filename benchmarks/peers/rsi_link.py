@@ -8,7 +8,7 @@ import socket
 import sys
 
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.mailbox import CommandKind, Phase, Result
+from drivers.kuka_rsi.link_state import CommandKind, Phase, Result
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.stream import link_settings
 from ronna_hw.arm.limits import working_limits

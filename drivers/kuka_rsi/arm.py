@@ -20,7 +20,15 @@ from drivers.kuka_rsi.errors import (
 )
 from drivers.kuka_rsi.faults import axes_text, error_of_fault, error_of_refusal
 from drivers.kuka_rsi.link_client import Condition, LinkClient
-from drivers.kuka_rsi.mailbox import NO_STATE, CommandKind, Fault, LinkState, Phase, Result, StopOrder
+from drivers.kuka_rsi.link_state import (
+    NO_STATE,
+    CommandKind,
+    Fault,
+    LinkState,
+    Phase,
+    Result,
+    StopOrder,
+)
 from drivers.kuka_rsi.options import read_options
 from drivers.kuka_rsi.turnaround import link_statistics
 from ronna_hw.arm.limits import MotionLimits, working_limits
@@ -51,6 +59,8 @@ _STOP_ORDERS = {
 
 class KukaRsiArm:
     """Endpoints `rsi` (udp://, where this computer listens) and `eki_project` (tcp://, the controller)."""
+
+    wire_protocol = "kuka-rsi-eki"  # which byte-level conformance cases apply
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Opens nothing. Raises CFG-001, CFG-002 or RSI-013 when the configuration is wrong."""
@@ -202,7 +212,7 @@ class KukaRsiArm:
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
         if self._link is None:
             return link_statistics(NO_STATE, ())
-        return link_statistics(self._link.state, self._link.histogram())
+        return link_statistics(self._link.state, self._link.histogram(), self._link.jitter_histogram())
 
     @property
     def degraded(self) -> bool:

@@ -17,7 +17,7 @@ from drivers.kuka_rsi.errors import (
     ProtectiveStop,
     RecordedCycle,
 )
-from drivers.kuka_rsi.mailbox import Fault, LinkState, Result
+from drivers.kuka_rsi.link_state import Fault, LinkState, Result
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.errors import RonnaError
 

@@ -12,15 +12,15 @@ import time
 from collections.abc import Callable
 
 from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied, RecordedCycle
-from drivers.kuka_rsi.mailbox import (
+from drivers.kuka_rsi.link_state import (
     CHOICES,
     Command,
     CommandKind,
     LinkState,
-    Mailbox,
     Phase,
     StopOrder,
 )
+from drivers.kuka_rsi.mailbox import Mailbox
 from drivers.kuka_rsi.settings import LinkSettings
 from ronna_hw.arm.planning import MotionPlan
 
@@ -123,6 +123,10 @@ class LinkClient:
     def histogram(self) -> tuple[int, ...]:
         """Turnaround counts since the session began; edges are in `drivers.kuka_rsi.turnaround`."""
         return self._mailbox.histogram()
+
+    def jitter_histogram(self) -> tuple[int, ...]:
+        """The same of jitter."""
+        return self._mailbox.jitter_histogram()
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """The last cycles, oldest first; they stand still while a fault is latched."""

@@ -13,11 +13,13 @@ import threading
 from types import FrameType
 
 from drivers.kuka_rsi.link_loop import LinkLoop, bind
-from drivers.kuka_rsi.mailbox import NO_STATE, Mailbox, Phase
+from drivers.kuka_rsi.link_state import NO_STATE, Phase
+from drivers.kuka_rsi.mailbox import Mailbox
 from drivers.kuka_rsi.real_time import (
     PARENT_DEATH_SIGNAL,
     lock_memory,
     run_first,
+    sleep_exactly,
     stop_collecting,
     tell_parent_death,
 )
@@ -43,6 +45,7 @@ def main() -> int:
     locked = lock_memory()
     loop = LinkLoop(settings, link, mailbox, real_time=run_first(settings.real_time_priority), locked=locked)
     _watch_parent(loop, settings.parent_pid)
+    sleep_exactly()
     stop_collecting()
     loop.run()
     link.close()

@@ -23,6 +23,7 @@ class Losses:
         self._last_delay = 0
         self._stretch = 0
         self._clean = 0
+        self.told = -1  # the controller's own count in the last telegram, -1 when it sends none
         self.lost = 0
         self.late = 0
         self.degraded = False
@@ -32,7 +33,7 @@ class Losses:
     def count(self, ipoc: int, delay: int) -> int | None:
         """Cycles missing before this telegram; -1 for a repeated one, None when another run began."""
         if self._last_ipoc is None:
-            self._last_ipoc, self._last_delay = ipoc, max(delay, 0)
+            self._last_ipoc, self._last_delay, self.told = ipoc, max(delay, 0), delay
             return 0
         step = ipoc - self._last_ipoc
         if step < -IPOC_WRAP // 2:
@@ -46,7 +47,7 @@ class Losses:
         late = 0
         if delay >= 0:
             late = max(delay - self._last_delay, 0)
-            self._last_delay = delay
+            self._last_delay = self.told = delay
         self.lost += missing
         self.late += late
         self.untaken = late > missing

@@ -11,12 +11,24 @@ import mmap
 import os
 import struct
 import zlib
-from enum import IntEnum
-from typing import NamedTuple
+from socket import inet_aton, inet_ntoa
 
-from ronna_hw.arm.planning import MotionPlan, PathLimits
+from drivers.kuka_rsi.link_state import (
+    NO_STATE,
+    VIOLATIONS,
+    Command,
+    CommandKind,
+    Fault,
+    LinkState,
+    Orders,
+    Phase,
+    Record,
+    Result,
+    StopOrder,
+)
+from ronna_hw.arm.planning import MotionPlan
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.arm.progress import PathLimits
 
 MAGIC = b"RONNARSI"
 SIZE = 65536
@@ -32,167 +44,16 @@ _WORD = struct.Struct("<Q")
 COMMAND_BLOCK_AT = 256
 _COMMAND = struct.Struct("<QQBB6d6d3d3d9d3d")
 STATE_BLOCK_AT = 1024
-_STATE = struct.Struct("<QQq 8B QQ QQQQ 6d6d6d BB2d i")
-HISTOGRAM_AT = 2048
+_STATE = struct.Struct("<QQq 8B QQ QQQQQ4s 6d6d6d BB2d i")
 HISTOGRAM_BINS = 64
+HISTOGRAM_AT = 2048  # of turnarounds
+JITTER_AT = HISTOGRAM_AT + 8 * HISTOGRAM_BINS
+NOBODY = "0.0.0.0"  # no host
 RECORDER_AT = 4096
 RECORDER_CYCLES = 256
 _RECORD = struct.Struct("<QQqd6d6dB7x")
 
 _CHECKSUM = struct.Struct("<I")
-
-
-class CommandKind(IntEnum):
-    """What the command block holds."""
-
-    MOVE = 1
-    OPEN = 2  # answer the next telegrams; the first correction is zero
-    END = 3  # at rest, send Stop until the telegrams cease
-    CLOSE = 4  # answer no more; clears a fault
-
-
-class StopOrder(IntEnum):
-    """Kinds of stop, as in `ronna_hw.devices.StopKind`."""
-
-    HOLD = 1
-    PROTECTIVE = 2
-    LINK = 3
-    DRIVES_OFF = 4
-
-
-class Phase(IntEnum):
-    """Where the real-time process stands."""
-
-    STARTING = 0
-    IDLE = 1  # no session: telegrams are not answered
-    ARMED = 2  # a session is open, the first telegram has not come
-    RUNNING = 3
-    FAULT = 4  # latched: stopping or at rest, telegrams are answered with the last point
-    ENDING = 5  # Stop is being sent
-    SILENT = 6  # replies have ceased on request
-    FAILED = 7  # could not start; `errno` says why
-
-
-class Fault(IntEnum):
-    """Why FAULT is latched."""
-
-    NONE = 0
-    MONITOR = 1
-    SILENCE = 2
-    HEARTBEAT = 3
-    PROTECTIVE = 4
-    LINK_STOP = 5
-    DRIVES_OFF = 6
-    PATH = 7
-    RESTARTED = 8
-    BASE = 9  # the first telegram's axes are outside the joint ranges
-
-
-class Result(IntEnum):
-    """What became of the last motion."""
-
-    NONE = 0
-    RUNNING = 1
-    DONE = 2  # the path ended and the arm settled
-    STOPPED = 3  # stopped on the way, and settled
-    REFUSED_BUSY = 4
-    REFUSED_START = 5  # planned from somewhere else
-    REFUSED_PHASE = 6
-    REFUSED_NUMBERS = 7
-    REFUSED_STOP = 8  # a stop was ordered after the motion was planned
-
-
-VIOLATIONS = ("", "range", "total correction", "step", "acceleration", "jerk", "following error")
-CHOICES = ("go", "stop", "repeat", "hold")
-
-
-class Orders(NamedTuple):
-    """The three words the real-time process looks at in every cycle."""
-
-    heartbeat: int
-    stop_word: int
-    command_number: int
-
-
-class Command(NamedTuple):
-    """One command; `plan` only for MOVE."""
-
-    number: int
-    kind: CommandKind
-    plan: MotionPlan | None = None
-    stop_number: int = 0  # the last stop known when it was written: a later stop overtakes the motion
-
-
-class LinkState(NamedTuple):
-    """What the real-time process says of itself, once per cycle. Angles in rad."""
-
-    cycles: int
-    IPOC: int
-    received_ns: int
-    phase: Phase
-    fault: Fault
-    result: Result
-    degraded: bool
-    moving: bool
-    settled: bool
-    real_time: bool
-    locked: bool
-    command_number: int
-    stop_number: int  # the last stop order seen
-    late: int  # the controller's count
-    lost: int  # telegrams that never came, by the gap in IPOC
-    rejected: int
-    dropped: int  # older ones that were queued behind a stall
-    measured_rad: JointVector
-    commanded_rad: JointVector
-    base_rad: JointVector
-    violation_kind: str
-    violation_axis: int
-    violation_value: float
-    violation_limit: float
-    errno: int
-
-
-_ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-NO_STATE = LinkState(
-    cycles=0,
-    IPOC=0,
-    received_ns=0,
-    phase=Phase.STARTING,
-    fault=Fault.NONE,
-    result=Result.NONE,
-    degraded=False,
-    moving=False,
-    settled=False,
-    real_time=False,
-    locked=False,
-    command_number=0,
-    stop_number=0,
-    late=0,
-    lost=0,
-    rejected=0,
-    dropped=0,
-    measured_rad=_ZEROS,
-    commanded_rad=_ZEROS,
-    base_rad=_ZEROS,
-    violation_kind="",
-    violation_axis=0,
-    violation_value=0.0,
-    violation_limit=0.0,
-    errno=0,
-)
-
-
-class Record(NamedTuple):
-    """One cycle in the recorder."""
-
-    cycle: int
-    IPOC: int
-    received_ns: int
-    turnaround_us: float
-    measured_rad: JointVector
-    sent_rad: JointVector
-    choice: int
 
 
 class MailboxTorn(RuntimeError):
@@ -204,7 +65,10 @@ class Mailbox:
 
     def __init__(self, fd: int) -> None:
         self._memory = mmap.mmap(fd, SIZE)
-        self._histogram = memoryview(self._memory)[HISTOGRAM_AT : HISTOGRAM_AT + 8 * HISTOGRAM_BINS].cast("Q")
+        whole = memoryview(self._memory)
+        self._histogram = whole[HISTOGRAM_AT:JITTER_AT].cast("Q")
+        self._jitter = whole[JITTER_AT : JITTER_AT + 8 * HISTOGRAM_BINS].cast("Q")
+        whole.release()
 
     @staticmethod
     def initialise(fd: int) -> None:
@@ -223,6 +87,7 @@ class Mailbox:
     def close(self) -> None:
         """Let go of the memory."""
         self._histogram.release()
+        self._jitter.release()
         self._memory.close()
 
     # The driver's side writes ...
@@ -257,6 +122,11 @@ class Mailbox:
 
     def orders(self) -> Orders:
         return Orders(*_ORDERS.unpack_from(self._memory, HEARTBEAT_AT))
+
+    def stop_word(self) -> int:
+        """The one order that changes the very next reply."""
+        word: int = _WORD.unpack_from(self._memory, STOP_AT)[0]
+        return word
 
     def read_command(self) -> Command | None:
         """The command block, or None while it is being written."""
@@ -293,6 +163,8 @@ class Mailbox:
             state.lost,
             state.rejected,
             state.dropped,
+            state.foreign,
+            inet_aton(state.foreign_host or NOBODY),
             *state.measured_rad,
             *state.commanded_rad,
             *state.base_rad,
@@ -307,9 +179,12 @@ class Mailbox:
     def count_turnaround(self, bin_number: int) -> None:
         self._histogram[bin_number] += 1
 
-    def clear_histogram(self) -> None:
+    def count_jitter(self, bin_number: int) -> None:
+        self._jitter[bin_number] += 1
+
+    def clear_histograms(self) -> None:
         for k in range(HISTOGRAM_BINS):
-            self._histogram[k] = 0
+            self._histogram[k] = self._jitter[k] = 0
 
     def record(self, record: Record) -> None:
         slot = RECORDER_AT + (record.cycle % RECORDER_CYCLES) * _RECORD.size
@@ -347,18 +222,23 @@ class Mailbox:
             v[14],
             v[15],
             v[16],
-            v[17:23],
-            v[23:29],
-            v[29:35],
-            VIOLATIONS[v[35]],
-            v[36],
-            v[37],
+            v[17],
+            inet_ntoa(v[18]) if any(v[18]) else "",
+            v[19:25],
+            v[25:31],
+            v[31:37],
+            VIOLATIONS[v[37]],
             v[38],
             v[39],
+            v[40],
+            v[41],
         )
 
     def histogram(self) -> tuple[int, ...]:
         return tuple(self._histogram)
+
+    def jitter_histogram(self) -> tuple[int, ...]:
+        return tuple(self._jitter)
 
     def records(self) -> tuple[Record, ...]:
         """The recorded cycles, oldest first. Whole only while the recorder stands still."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from ipaddress import IPv4Address
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.kuka_rsi.errors import BadOptions
 from ronna_hw.arm.limits import WORKING_SPEED_FRACTION
@@ -17,12 +18,20 @@ FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel'
 LARGEST_SPEED_FRACTION = 0.125  # above it two prepared steps at once are more than a controller takes
 
 
+def _ip_address(text: str) -> str:
+    return str(IPv4Address(text)) if text else ""
+
+
+ControllerHost = Annotated[str, AfterValidator(_ip_address)]
+
+
 class KukaOptions(BaseModel):
     """`[robot.<name>.options]`. Times are the host's; a fraction is of the full axis speed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     variant: ArmVariant = ArmVariant.SIXX
+    controller_host: ControllerHost = ""  # who may open a session by RSI; "" for whoever sends
     silence_limit_s: Annotated[float, Field(gt=0.02, le=60.0)] = SILENCE_LIMIT_S
     heartbeat_limit_s: Annotated[float, Field(ge=0.1, le=60.0)] = HEARTBEAT_LIMIT_S
     settle_tolerance_deg: Annotated[float, Field(ge=0.0001, le=1.0)] = SETTLE_TOLERANCE_DEG

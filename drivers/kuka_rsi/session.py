@@ -14,8 +14,7 @@ from __future__ import annotations
 
 from math import degrees, radians
 
-from drivers.kuka_rsi.losses import Losses
-from drivers.kuka_rsi.mailbox import (
+from drivers.kuka_rsi.link_state import (
     NO_STATE,
     Command,
     CommandKind,
@@ -26,9 +25,11 @@ from drivers.kuka_rsi.mailbox import (
     Result,
     StopOrder,
 )
+from drivers.kuka_rsi.losses import Losses
+from drivers.kuka_rsi.replies import Ready, Replies
 from drivers.kuka_rsi.set_points import Choice, SetPoints
 from drivers.kuka_rsi.settings import LinkSettings
-from drivers.kuka_rsi.telegram import ReplyWriter, Telegram
+from drivers.kuka_rsi.telegram import Telegram
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model
 from ronna_hw.arm.monitor import Violation
@@ -47,7 +48,7 @@ _STOP_FAULTS = {
     StopOrder.LINK: Fault.LINK_STOP,
     StopOrder.DRIVES_OFF: Fault.DRIVES_OFF,
 }
-_SESSION_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
+SESSION_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
 
 
 class Session:
@@ -61,32 +62,34 @@ class Session:
         self._tolerance = radians(settings.settle_tolerance_deg)
         self._silence_ns = round(settings.silence_limit_s * 1e9)
         self._heartbeat_ns = round(settings.heartbeat_limit_s * 1e9)
-        self._writer = ReplyWriter(
-            settings.sentype, settings.receive_tags, settings.axis_tags, settings.stop_tag
-        )
+        self._replies = Replies(settings)
         self.phase = Phase.IDLE
         self.fault = Fault.NONE
         self.result = Result.NONE
         self.violation: Violation | None = None
         self.rejected = 0
         self.dropped = 0
+        self.foreign = 0
+        self.foreign_host = ""
         self.cycles = 0
+        self.jitter_us = 0.0  # how far the last telegram was from its place in the pace
         self.parent_gone = False
         self.choice = Choice.GO
+        self.ready: Ready | None = None
         self._heartbeat = (0, 0)  # value, and when it was first seen
-        self._stop_number = 0
+        self._stop_word = 0  # the last order seen
         self._command_number = 0
         self._ipoc = 0
-        self._received_ns = 0
+        self._received_ns = self._before_ns = 0
+        self._missing = 0  # telegrams that never came before the last one
+        self._another_sends = False  # somebody has sent telegrams since the controller's last one
         self._axes_deg: JointVector = NO_STATE.measured_rad
         self._measured: JointVector = NO_STATE.measured_rad
         self._losses = Losses(settings.cycle_ms)
         self._stopping = False
         self._settled_cycles = 0
         self._speed = 1.0
-        self._base_deg: JointVector = NO_STATE.base_rad
         self._points: SetPoints | None = None
-        self._heads = (b"", b"")  # of the replies to go on and to stop
 
     @property
     def moving(self) -> bool:
@@ -103,27 +106,27 @@ class Session:
         """Axes of the last telegram."""
         return self._measured
 
-    def answer(self, telegram: Telegram, orders: Orders, now_ns: int, new_peer: bool = False) -> bytes | None:
-        """The reply up to its IPOC, or None when this telegram is not to be answered.
-
-        `new_peer`: it came from another address than the one before.
-        """
+    def answer(self, telegram: Telegram, orders: Orders, now_ns: int) -> bytes | None:
+        """The reply up to its IPOC, or None when this telegram is not to be answered."""
+        self.ready = None
         self._axes_deg = telegram.axes_deg
-        self._received_ns = now_ns
+        self._before_ns, self._received_ns = self._received_ns, now_ns
+        self._another_sends = False
         self._watch_heartbeat(orders.heartbeat, now_ns)
         ipoc = int(telegram.ipoc)
         if self.phase is Phase.ARMED:
             self._losses.count(ipoc, telegram.delay)
             self._ipoc = ipoc
             return self._begin(telegram.axes_deg)
-        if self.phase not in _SESSION_PHASES or self._points is None:
+        if self.phase not in SESSION_PHASES or self._points is None:
             self._ipoc = ipoc
             return None
         missing = self._losses.count(ipoc, telegram.delay)
         if missing == -1:
             return None
         self._ipoc = ipoc
-        if missing is None or new_peer:
+        self._missing = missing or 0
+        if missing is None:
             # Corrections of ours mean nothing to a run that we did not start: it gets no reply at all.
             self._latch(Fault.RESTARTED)
             self._cease(self._points)
@@ -139,7 +142,18 @@ class Session:
         if points.moving and (self._losses.untaken or missing > HELD_AFTER_CYCLES):
             return self._answer_loss(points)
         self.choice = Choice.STOP if self._stopping else Choice.GO
-        return self._heads[self.choice]
+        return self._replies.heads[self.choice]
+
+    def answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
+        """The telegram was as `ready` expected, and its reply is out: what `answer` would have noted."""
+        self._axes_deg = telegram.axes_deg
+        self._before_ns, self._received_ns = self._received_ns, now_ns
+        self._another_sends = False
+        self._ipoc = int(telegram.ipoc)
+        self._missing = self._losses.count(self._ipoc, telegram.delay) or 0
+        if self.ready is not None:
+            self.choice = self.ready.choice
+        self._watch_heartbeat(orders.heartbeat, now_ns)
 
     def after_reply(self, command: Command | None) -> None:
         """The reply was sent: judge the measured axes, take a new command, prepare the next reply."""
@@ -147,6 +161,10 @@ class Session:
         if points is None:
             return
         self.cycles += 1
+        due_ns = (self._missing + 1) * self._cycle_s * 1e9
+        self.jitter_us = (
+            abs(self._received_ns - self._before_ns - due_ns) / 1000.0 if self.cycles > 1 else 0.0
+        )
         self._measure()
         following = points.monitor.check_measured(self._measured)
         if following is not None:
@@ -159,10 +177,18 @@ class Session:
             self._speed = DEGRADED_SPEED if self._losses.degraded else 1.0
             points.limit_speed(self._speed)
         points.prepare()
-        self._write_heads(points)
+        self._prepare_heads(points)
+        self._make_ready(points)
+
+    def met_foreign(self, host: str) -> None:
+        """A telegram came from somebody who is not this session's controller; it gets no reply."""
+        self.foreign += 1
+        self.foreign_host = host
+        self._another_sends = True
 
     def take(self, command: Command) -> None:
         """Act on a command that has not been seen before."""
+        self.ready = None
         if command.number == self._command_number:
             return
         self._command_number = command.number
@@ -171,7 +197,7 @@ class Session:
         elif command.kind is CommandKind.OPEN and self.phase is Phase.IDLE:
             self.phase, self.fault, self.result = Phase.ARMED, Fault.NONE, Result.NONE
             self.violation = None
-            self.cycles = self.rejected = self.dropped = 0
+            self.cycles = self.rejected = self.dropped = self.foreign = 0
             self._losses = Losses(self._settings.cycle_ms)
             self._stopping, self._speed, self._points = False, 1.0, None
         elif command.kind is CommandKind.END and not self.moving:
@@ -182,9 +208,10 @@ class Session:
 
     def idle(self, orders: Orders, now_ns: int) -> None:
         """Nothing has come for a while: watch silence and heartbeat, and take stops."""
+        self.ready = None
         self._watch_heartbeat(orders.heartbeat, now_ns)
-        if self.phase not in _SESSION_PHASES or self._points is None:
-            self._stop_number = orders.stop_word >> 3
+        if self.phase not in SESSION_PHASES or self._points is None:
+            self._stop_word = orders.stop_word
             return
         self._look_at_stop(orders.stop_word)
         if now_ns - self._received_ns > self._silence_ns:
@@ -192,9 +219,11 @@ class Session:
             self._points.abandon()
             self._follow_motion(self._points)
             self._points.prepare()
-            self._write_heads(self._points)
+            self._prepare_heads(self._points)
             if self.phase is Phase.RUNNING:
-                self._latch(Fault.SILENCE)
+                # A controller that starts its program again sends from another port.
+                self._latch(Fault.RESTARTED if self._another_sends else Fault.SILENCE)
+        self._make_ready(self._points)
 
     def silent_for_ns(self, now_ns: int) -> int:
         """Host time since the last telegram."""
@@ -216,11 +245,13 @@ class Session:
             real_time,
             locked,
             self._command_number,
-            self._stop_number,
+            self._stop_word >> 3,
             self._losses.late,
             self._losses.lost,
             self.rejected,
             self.dropped,
+            self.foreign,
+            self.foreign_host,
             self._measured,
             self.sent_rad,
             NO_STATE.base_rad if self._points is None else self._base_rad,
@@ -238,9 +269,9 @@ class Session:
             self._trip(violation)
         if violation is not None or self._losses.standing > HELD_AFTER_CYCLES:
             self.choice = Choice.HOLD
-            return self._head(points.held_rad, False)
+            return self._replies.head(points.held_rad, False)
         self.choice = Choice.REPEAT
-        return self._head(points.last_rad, False)
+        return self._replies.head(points.last_rad, False)
 
     def _measure(self) -> None:
         a, b, c, d, e, f = self._axes_deg
@@ -253,21 +284,21 @@ class Session:
             if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
                 self._latch(Fault.BASE)
         self._measure()
-        self._base_deg = axes_deg
+        self._replies.begin(axes_deg)
         self._base_rad = self._measured
         self._points = SetPoints(self._model, self._limits, self._cycle_s, self._measured)
         self._settled_cycles = 0
         self.choice = Choice.GO
         if self.phase is Phase.ARMED:
             self.phase = Phase.RUNNING if self.fault is Fault.NONE else Phase.FAULT
-        self._write_heads(self._points)
-        return self._heads[Choice.GO]
+        self._prepare_heads(self._points)
+        return self._replies.heads[Choice.GO]
 
     def _start(self, plan: MotionPlan, stop_number: int) -> Result:
         points = self._points
         if self.phase is not Phase.RUNNING or points is None:
             return Result.REFUSED_PHASE
-        if stop_number != self._stop_number:
+        if stop_number != self._stop_word >> 3:
             return Result.REFUSED_STOP
         if points.moving or self._stopping:
             return Result.REFUSED_BUSY
@@ -299,10 +330,9 @@ class Session:
             self.phase = Phase.ENDING
 
     def _look_at_stop(self, stop_word: int) -> None:
-        number = stop_word >> 3
-        if number == self._stop_number:
+        if stop_word == self._stop_word:
             return
-        self._stop_number = number
+        self._stop_word = stop_word
         kind = StopOrder(stop_word & 7)
         if kind is not StopOrder.HOLD:
             self._latch(_STOP_FAULTS[kind])
@@ -337,25 +367,18 @@ class Session:
             self.phase = Phase.FAULT
         self._stopping = self.moving
 
-    def _write_heads(self, points: SetPoints) -> None:
-        if points.moving:
-            self._heads = (self._head(points.go_rad, False), self._head(points.stop_rad, False))
-        else:
-            hold = self._head(points.last_rad, self.phase is Phase.ENDING)
-            self._heads = (hold, hold)
+    def _prepare_heads(self, points: SetPoints) -> None:
+        self._replies.prepare(points, ending=self.phase is Phase.ENDING)
 
-    def _head(self, joints_rad: JointVector, stop: bool) -> bytes:
-        base = self._base_deg
-        a, b, c, d, e, f = joints_rad
-        # The sum with zero turns a negative zero into a plain one.
-        return self._writer.head(
-            (
-                round(degrees(a) - base[0], 6) + 0.0,
-                round(degrees(b) - base[1], 6) + 0.0,
-                round(degrees(c) - base[2], 6) + 0.0,
-                round(degrees(d) - base[3], 6) + 0.0,
-                round(degrees(e) - base[4], 6) + 0.0,
-                round(degrees(f) - base[5], 6) + 0.0,
-            ),
-            stop,
+    def _make_ready(self, points: SetPoints) -> None:
+        """Make the whole next reply, when only something new could change it."""
+        self.ready = None
+        unsettled = points.violation is not None or points.path_failed or self.parent_gone
+        if unsettled or self.phase not in SESSION_PHASES:
+            return
+        self.ready = self._replies.whole(
+            Choice.STOP if self._stopping else Choice.GO,
+            last_ipoc=self._ipoc,
+            told_delay=self._losses.told,
+            stop_word=self._stop_word,
         )

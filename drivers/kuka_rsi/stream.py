@@ -12,7 +12,7 @@ from drivers.kuka_rsi.eki_state import require_ours, require_ready
 from drivers.kuka_rsi.errors import ControllerNotFound, NoTelegram, PoseDisagrees
 from drivers.kuka_rsi.faults import error_of_fault
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.mailbox import CommandKind, Fault, Phase
+from drivers.kuka_rsi.link_state import CommandKind, Fault, Phase
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.model import ArmVariant
@@ -83,6 +83,7 @@ def link_settings(
             settle_tolerance_deg=options.settle_tolerance_deg,
             speed_fraction=options.speed_fraction,
             real_time_priority=options.real_time_priority,
+            controller_host=options.controller_host,
         )
 
     return settings

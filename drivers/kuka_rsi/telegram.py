@@ -34,8 +34,11 @@ GENERATOR_PARAMETERS = 10  # C1 of a Tech element is C11 .. C110
 REPLY_TAIL = b"</IPOC></Sen>"
 LONGEST_TELEGRAM = 8192  # one datagram; the common ones are below 1000 bytes
 
-_NUMBER = rb'"[^"<]{1,32}"'
-_CAPTURED_NUMBER = rb'"([-+0-9.eE]{1,32})"'
+_ANYTHING = rb'[^"<]{1,32}'
+_DECIMAL = rb"[-+]?\d{1,15}(?:\.\d{0,15})?"  # what float() reads for certain
+_INTEGER = rb"\d{1,15}"
+
+Found = re.Match[bytes]
 
 
 class Telegram(NamedTuple):
@@ -79,39 +82,42 @@ class TelegramReader:
 
     def __init__(self, send_tags: tuple[str, ...]) -> None:
         pattern = [rb'<Rob Type="KUKA">']
-        self._has_delay = False
         for name, attributes in elements_of(send_tags):
             pattern.append(b"<" + re.escape(name.encode()))
             if not attributes:
                 pattern.append(rb">[^<]{0,80}</" + re.escape(name.encode()) + b">")
                 continue
-            captured = name in ("AIPos", "Delay")
-            self._has_delay |= name == "Delay"
+            captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
             for attribute in attributes:
-                pattern.append(b" " + re.escape(attribute.encode()) + b"=")
-                pattern.append(_CAPTURED_NUMBER if captured else _NUMBER)
+                tag = attribute.encode()
+                value = b"(?P<%b>%b)" % (tag, captured) if captured else _ANYTHING
+                pattern.append(b' %b="%b"' % (re.escape(tag), value))
             pattern.append(b"/>")
-        pattern.append(rb"<IPOC>(\d{1,20})</IPOC></Rob>")
-        self._match = re.compile(b"".join(pattern)).match
-        self._delay_first = self._has_delay and (
-            send_tags.index("DEF_Delay") < send_tags.index("DEF_AIPos") if "DEF_AIPos" in send_tags else False
-        )
+        # A context without Delay has an empty group in its place.
+        pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
+        pattern.append(rb"<IPOC>(?P<IPOC>\d{1,20})</IPOC></Rob>")
+        tells_axes = "DEF_AIPos" in send_tags
+        self._match = re.compile(b"".join(pattern)).match if tells_axes else _never
+
+    def match(self, data: bytes) -> Found | None:
+        """A telegram of the usual form, for `telegram_of`; None for one to be read strictly."""
+        return self._match(data)
 
     def read(self, data: bytes) -> Telegram:
         """One telegram; raises RSI-014 when neither the expression nor the strict parser accepts it."""
         found = self._match(data)
-        if found is None or self._delay_first:
-            return read_strictly(data)
-        try:
-            if self._has_delay:
-                a, b, c, d, e, f, delay, ipoc = found.groups()
-                late = int(delay)
-            else:
-                a, b, c, d, e, f, ipoc = found.groups()
-                late = -1
-            return Telegram((float(a), float(b), float(c), float(d), float(e), float(f)), late, ipoc)
-        except ValueError:
-            return read_strictly(data)
+        return read_strictly(data) if found is None else telegram_of(found)
+
+
+def telegram_of(found: Found) -> Telegram:
+    """The numbers of a telegram of the usual form."""
+    a, b, c, d, e, f, delay, ipoc = found.group(*AXIS_NAMES, "D", "IPOC")
+    axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
+    return Telegram(axes_deg, int(delay) if delay else -1, ipoc)
+
+
+def _never(_data: bytes) -> None:
+    return None
 
 
 def read_strictly(data: bytes) -> Telegram:

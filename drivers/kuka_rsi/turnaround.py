@@ -1,11 +1,15 @@
-"""Bins of the turnaround histogram: telegram received to reply sent, in microseconds of host time."""
+"""Bins of the link's histograms, in microseconds of host time: turnaround and jitter.
+
+Turnaround is telegram received to reply sent; jitter is how far a telegram came from its place in the pace.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import log
 
-from drivers.kuka_rsi.mailbox import HISTOGRAM_BINS, LinkState
+from drivers.kuka_rsi.link_state import LinkState
+from drivers.kuka_rsi.mailbox import HISTOGRAM_BINS
 from ronna_hw.devices.readings import LinkStatistics
 
 FIRST_EDGE_US = 2.0
@@ -35,7 +39,7 @@ def percentile_us(counts: Sequence[int], share: float) -> float:
     return EDGES_US[-1]
 
 
-def link_statistics(state: LinkState, counts: Sequence[int]) -> LinkStatistics:
+def link_statistics(state: LinkState, counts: Sequence[int], jitter: Sequence[int] = ()) -> LinkStatistics:
     """The health of the link in the form of the device interface; no counts before a link was opened."""
     return LinkStatistics(
         cycles=state.cycles,
@@ -46,4 +50,8 @@ def link_statistics(state: LinkState, counts: Sequence[int]) -> LinkStatistics:
         turnaround_p99_us=percentile_us(counts, 0.99),
         histogram_edges_us=EDGES_US,
         histogram_counts=tuple(counts) or (0,) * HISTOGRAM_BINS,
+        foreign_telegrams=state.foreign,
+        jitter_median_us=percentile_us(jitter, 0.5),
+        jitter_p99_us=percentile_us(jitter, 0.99),
+        jitter_counts=tuple(jitter) or (0,) * HISTOGRAM_BINS,
     )

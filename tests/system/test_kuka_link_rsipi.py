@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import pytest
 
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.mailbox import CommandKind, LinkState, Phase, Result
+from drivers.kuka_rsi.link_state import CommandKind, LinkState, Phase, Result
 from drivers.kuka_rsi.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model, radians6

@@ -62,6 +62,7 @@ class FakeController:
         self.ipoc = 4_208_163_634
         self.streaming = threading.Event()
         self.silent = threading.Event()  # set: telegrams are withheld
+        self.junk: list[bytes] = []  # sent before the next telegrams, one by one
         self.skip_cycles = 0  # telegrams to lose, one by one
         self.frozen = False  # axes no longer follow
         self.new_port = False
@@ -155,7 +156,7 @@ class FakeController:
         elif name == "ACK_ERRORS":
             self.facts["Err"] = "0"
 
-    def _telegram(self) -> bytes:
+    def telegram(self) -> bytes:
         axis = " ".join(f'A{k + 1}="{v:.4f}"' for k, v in enumerate(self.axes_deg))
         zeros = " ".join(f'E{k}="0.0000"' for k in range(1, 7))
         return (
@@ -187,7 +188,10 @@ class FakeController:
                 self.late += 1
                 pending.append(pending[-1])
             else:
-                link.sendto(self._telegram(), self.rsi_address)
+                if self.junk:
+                    link.sendto(self.junk.pop(0), self.rsi_address)
+                    time.sleep(0.01)  # a newer telegram in the queue would take its place unread
+                link.sendto(self.telegram(), self.rsi_address)
                 reply = self._await_reply(link)
                 if reply is None:
                     self.late += 1

@@ -13,8 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.kuka_rsi.link_state import (
+    Command,
+    CommandKind,
+    Fault,
+    Orders,
+    Result,
+    StopOrder,
+)
 from drivers.kuka_rsi.losses import Losses
-from drivers.kuka_rsi.mailbox import Command, CommandKind, Fault, Orders, Result, StopOrder
 from drivers.kuka_rsi.session import Session
 from drivers.kuka_rsi.set_points import Choice
 from drivers.kuka_rsi.settings import LinkSettings

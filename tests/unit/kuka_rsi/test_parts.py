@@ -26,24 +26,24 @@ from drivers.kuka_rsi.errors import (
     ProtectiveStop,
 )
 from drivers.kuka_rsi.faults import error_of_fault, error_of_refusal
-from drivers.kuka_rsi.mailbox import (
+from drivers.kuka_rsi.link_state import (
     NO_STATE,
     Command,
     CommandKind,
     Fault,
-    Mailbox,
-    MailboxTorn,
     Orders,
     Phase,
     Record,
     Result,
     StopOrder,
 )
+from drivers.kuka_rsi.mailbox import Mailbox, MailboxTorn
 from drivers.kuka_rsi.options import KukaOptions, read_options
 from drivers.kuka_rsi.settings import LinkSettings
 from drivers.kuka_rsi.turnaround import EDGES_US, bin_of, percentile_us
-from ronna_hw.arm.planning import MotionPlan, PathLimits
+from ronna_hw.arm.planning import MotionPlan
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.progress import PathLimits
 
 SIX = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 
@@ -87,6 +87,8 @@ def test_a_state_arrives_as_it_was_given(mailbox: Mailbox) -> None:
         degraded=True,
         settled=True,
         stop_number=4,
+        foreign=3,
+        foreign_host="192.168.10.30",
         measured_rad=SIX,
         violation_kind="jerk",
         violation_axis=6,

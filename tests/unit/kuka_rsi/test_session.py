@@ -12,16 +12,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.kuka_rsi.link_state import (
+    Command,
+    CommandKind,
+    Fault,
+    Orders,
+    Phase,
+    Result,
+    StopOrder,
+)
 from drivers.kuka_rsi.losses import Losses
-from drivers.kuka_rsi.mailbox import Command, CommandKind, Fault, Orders, Phase, Result, StopOrder
 from drivers.kuka_rsi.session import Session
 from drivers.kuka_rsi.settings import LinkSettings
 from drivers.kuka_rsi.telegram import Telegram
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model, radians6
-from ronna_hw.arm.planning import MotionPlan, PathLimits, plan_joint_move, plan_line
+from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.progress import PathLimits
 from ronna_hw.devices.readings import JointVector
 
 MODEL = arm_model("kr6_r900_sixx")
@@ -81,15 +90,13 @@ class Cell:
     def stop(self, kind: StopOrder) -> None:
         self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind
 
-    def cycle(self, lost: int = 0, new_peer: bool = False) -> bool:
+    def cycle(self, lost: int = 0) -> bool:
         """One telegram; True when it was answered."""
         self.now_ns += 4_000_000 * (1 + lost)
         self.beat += self.beats
         self.ipoc += 4 * (1 + lost)
         telegram = Telegram(self.axes, self.delay, str(self.ipoc).encode())
-        head = self.session.answer(
-            telegram, Orders(self.beat, self.stop_word, self.commands), self.now_ns, new_peer
-        )
+        head = self.session.answer(telegram, Orders(self.beat, self.stop_word, self.commands), self.now_ns)
         if head is None:
             return False
         A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
@@ -432,13 +439,31 @@ def test_after_a_long_gap_the_held_point_is_sent_and_the_motion_begins_from_rest
 
 @pytest.mark.hazard(34)
 def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
-    for change in ("peer", "ipoc"):
-        cell = _moving()
-        if change == "ipoc":
-            cell.ipoc = 12
-        assert not cell.cycle(new_peer=change == "peer")
-        assert cell.session.fault is Fault.RESTARTED
-        assert not cell.cycle()
+    cell = _moving()
+    cell.ipoc = 12
+    assert not cell.cycle()
+    assert cell.session.fault is Fault.RESTARTED
+    assert not cell.cycle()
+
+
+@pytest.mark.hazard(34)
+def test_when_only_another_sender_is_left_the_controller_was_started_again() -> None:
+    cell = _moving()
+    orders = Orders(cell.beat, 0, cell.commands)
+    cell.session.met_foreign("10.0.0.3")
+    cell.session.idle(orders, cell.now_ns + 240_000_000)
+    assert _fault(cell) is Fault.NONE
+    cell.session.idle(orders, cell.now_ns + 260_000_000)
+    assert _fault(cell) is Fault.RESTARTED
+
+
+def test_a_stranger_among_the_telegrams_changes_nothing() -> None:
+    cell = _moving()
+    cell.session.met_foreign("10.0.0.3")
+    cell.run()
+    assert cell.session.result is Result.DONE
+    state = cell.session.state(real_time=False, locked=False)
+    assert (state.foreign, state.foreign_host) == (1, "10.0.0.3")
 
 
 # Silence and the parent

@@ -1,0 +1,166 @@
+"""The vocabulary between the driver and its real-time process: orders, commands, states, faults, results."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.devices.readings import JointVector
+
+
+class CommandKind(IntEnum):
+    """What the command block holds."""
+
+    MOVE = 1
+    OPEN = 2  # answer the next telegrams; the first correction is zero
+    END = 3  # at rest, send Stop until the telegrams cease
+    CLOSE = 4  # answer no more; clears a fault
+
+
+class StopOrder(IntEnum):
+    """Kinds of stop, as in `ronna_hw.devices.StopKind`."""
+
+    HOLD = 1
+    PROTECTIVE = 2
+    LINK = 3
+    DRIVES_OFF = 4
+
+
+class Phase(IntEnum):
+    """Where the real-time process stands."""
+
+    STARTING = 0
+    IDLE = 1  # no session: telegrams are not answered
+    ARMED = 2  # a session is open, the first telegram has not come
+    RUNNING = 3
+    FAULT = 4  # latched: stopping or at rest, telegrams are answered with the last point
+    ENDING = 5  # Stop is being sent
+    SILENT = 6  # replies have ceased on request
+    FAILED = 7  # could not start; `errno` says why
+
+
+class Fault(IntEnum):
+    """Why FAULT is latched."""
+
+    NONE = 0
+    MONITOR = 1
+    SILENCE = 2
+    HEARTBEAT = 3
+    PROTECTIVE = 4
+    LINK_STOP = 5
+    DRIVES_OFF = 6
+    PATH = 7
+    RESTARTED = 8
+    BASE = 9  # the first telegram's axes are outside the joint ranges
+
+
+class Result(IntEnum):
+    """What became of the last motion."""
+
+    NONE = 0
+    RUNNING = 1
+    DONE = 2  # the path ended and the arm settled
+    STOPPED = 3  # stopped on the way, and settled
+    REFUSED_BUSY = 4
+    REFUSED_START = 5  # planned from somewhere else
+    REFUSED_PHASE = 6
+    REFUSED_NUMBERS = 7
+    REFUSED_STOP = 8  # a stop was ordered after the motion was planned
+
+
+VIOLATIONS = ("", "range", "total correction", "step", "acceleration", "jerk", "following error")
+CHOICES = ("go", "stop", "repeat", "hold")
+
+
+class Orders(NamedTuple):
+    """The three words the real-time process looks at in every cycle."""
+
+    heartbeat: int
+    stop_word: int
+    command_number: int
+
+
+class Command(NamedTuple):
+    """One command; `plan` only for MOVE."""
+
+    number: int
+    kind: CommandKind
+    plan: MotionPlan | None = None
+    stop_number: int = 0  # the last stop known when it was written: a later stop overtakes the motion
+
+
+class LinkState(NamedTuple):
+    """What the real-time process says of itself, once per cycle. Angles in rad."""
+
+    cycles: int
+    IPOC: int
+    received_ns: int
+    phase: Phase
+    fault: Fault
+    result: Result
+    degraded: bool
+    moving: bool
+    settled: bool
+    real_time: bool
+    locked: bool
+    command_number: int
+    stop_number: int  # the last stop order seen
+    late: int  # the controller's count
+    lost: int  # telegrams that never came, by the gap in IPOC
+    rejected: int
+    dropped: int  # older ones that were queued behind a stall
+    foreign: int  # from somebody else than the controller
+    foreign_host: str  # the last of those, "" for none
+    measured_rad: JointVector
+    commanded_rad: JointVector
+    base_rad: JointVector
+    violation_kind: str
+    violation_axis: int
+    violation_value: float
+    violation_limit: float
+    errno: int
+
+
+_ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_STATE = LinkState(
+    cycles=0,
+    IPOC=0,
+    received_ns=0,
+    phase=Phase.STARTING,
+    fault=Fault.NONE,
+    result=Result.NONE,
+    degraded=False,
+    moving=False,
+    settled=False,
+    real_time=False,
+    locked=False,
+    command_number=0,
+    stop_number=0,
+    late=0,
+    lost=0,
+    rejected=0,
+    dropped=0,
+    foreign=0,
+    foreign_host="",
+    measured_rad=_ZEROS,
+    commanded_rad=_ZEROS,
+    base_rad=_ZEROS,
+    violation_kind="",
+    violation_axis=0,
+    violation_value=0.0,
+    violation_limit=0.0,
+    errno=0,
+)
+
+
+class Record(NamedTuple):
+    """One cycle in the recorder."""
+
+    cycle: int
+    IPOC: int
+    received_ns: int
+    turnaround_us: float
+    measured_rad: JointVector
+    sent_rad: JointVector
+    choice: int
