@@ -81,6 +81,14 @@ class Wire(_Table):
     input: Literal["A1", "A2", "A3", "A4", "A5", "A6", "X", "Y", "Z", "A", "B", "C", "In1"]
 
 
+class Feedback(_Table):
+    """Output `Stat` of `object` feeds input `indx` of the ETHERNET object, which the controller sends."""
+
+    indx: Channel
+    object: Literal["AXISCORR", "POSCORR"]
+    output: Literal["Stat"] = "Stat"
+
+
 class Program(_Table):
     """What the KRL program asks of RSI_ON, and the arm it is written for."""
 
@@ -148,6 +156,7 @@ class RsiContext(_Table):
     send: tuple[SendElement, ...]
     receive: tuple[ReceiveElement, ...]
     wiring: tuple[Wire, ...]
+    feedback: tuple[Feedback, ...] = ()
     axis_correction: AxisCorrection | None = None
     axis_monitor: AxisMonitor | None = None
     position_correction: PositionCorrection | None = None
@@ -165,6 +174,10 @@ class RsiContext(_Table):
         inputs = [(w.object, w.input) for w in self.wiring]
         if len(set(inputs)) != len(inputs):
             raise ValueError("wiring: each object input may be fed once")
+        sent = [e.indx for e in self.send if e.indx != INTERNAL]
+        unsent = sorted({f.indx for f in self.feedback} - set(sent))
+        if unsent:
+            raise ValueError(f"feedback: indx {unsent} is not sent")
         for element in self.send:
             if (element.indx == INTERNAL) != element.tag.startswith("DEF_"):
                 raise ValueError(f"send: {element.tag} is INTERNAL exactly when it begins with DEF_")
@@ -208,10 +221,12 @@ def _from_toml(text: str) -> RsiContext:
 def context_hash(context: RsiContext) -> str:
     """First digits of the sha256 over the canonical description, without the PC's address.
 
-    Canonical is JSON with sorted keys and no blanks, defaults written out: two files that mean the same
-    have the same hash.
+    Canonical is JSON with sorted keys and no blanks, defaults written out, but for a feedback that is not
+    wired: two files that mean the same have the same hash.
     """
     meaning = context.model_dump(mode="json", by_alias=True)
     del meaning["ethernet"]["pc_ip"], meaning["ethernet"]["pc_port"]
+    if not context.feedback:
+        del meaning["feedback"]
     canonical = json.dumps(meaning, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return hashlib.sha256(canonical.encode("ascii")).hexdigest()[:HASH_DIGITS]

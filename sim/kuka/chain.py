@@ -64,7 +64,7 @@ class Chain:
             here = self.flange(angles)
             error = np.empty(6)
             error[:3] = flange[:3, 3] - here[:3, 3]
-            error[3:] = ROTATION_WEIGHT_MM * _rotation_vector(flange[:3, :3] @ here[:3, :3].T)
+            error[3:] = ROTATION_WEIGHT_MM * rotation_vector(flange[:3, :3] @ here[:3, :3].T)
             if float(np.abs(error).max()) < POSITION_TOLERANCE_MM:
                 return [float(angle) for angle in angles]
             jacobian = pin.computeFrameJacobian(
@@ -81,6 +81,7 @@ def _error(link: LinkError) -> pin.SE3:
     return pin.SE3(rotation_from_vector(link.rotation_rad), np.array(link.translation_mm))
 
 
-def _rotation_vector(rotation: Matrix) -> Matrix:
+def rotation_vector(rotation: Matrix) -> Matrix:
+    """Axis times angle (rad) of a rotation (3, 3)."""
     vector: Matrix = pin.log3(rotation)
     return vector

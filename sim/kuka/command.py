@@ -55,6 +55,10 @@ def kuka(
     autostart: Annotated[
         bool, typer.Option("--autostart", help="Stream and accept corrections without EKI.")
     ] = False,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter of the controller; repeatable."),
+    ] = None,
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True)] = None,
@@ -67,22 +71,23 @@ def kuka(
     from sim.kuka.controller import Controller
     from sim.kuka.eki_server import EkiServer
     from sim.kuka.manipulator import Manipulator
-    from sim.kuka.parameters import SUBMIT_CYCLE_S, ControllerParameters
+    from sim.kuka.parameters import SUBMIT_CYCLE_S, changed_parameters
     from sim.kuka.rsi_socket import resolve
     from sim.kuka.station import Station
     from sim.kuka.telegram import TelegramWriter
     from sim.theatre.process import announce, end_with_parent, open_world
 
+    parameters = changed_parameters(parameter or ())
     context = _context(rsi_config, rsi_context, corrections, cycle_ms)
     TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # refuses at the start
     where = rsi or (_file_address(context) if rsi_config is not None else RSI_DEFAULT)
     client = parse_endpoint(where).require("udp")
     address = resolve(client)
     room, control = open_world(world, scene, faults)
-    parameters = ControllerParameters()
     arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters)
     controller = Controller(context, arm, room.mounted_tool, parameters)
-    project_server = EkiServer(_listening(eki_project))
+    # In lock-step the theatre's time stands while the submit interpreter loops: there it answers at once.
+    project_server = EkiServer(_listening(eki_project), SUBMIT_CYCLE_S if room.clock.paced else 0.0)
     sdk_server = EkiServer(_listening(eki), SUBMIT_CYCLE_S)
     station = Station(
         controller, room, address, project_server, sdk_server, Autostart(controller, wanted=autostart)

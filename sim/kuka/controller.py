@@ -1,32 +1,34 @@
 """The controller: drives, operating mode, messages, and the one program it runs.
 
-It owns no socket and no clock. `RsiRun` is the program while it streams; `Manipulator` is the arm.
+It owns no socket and no clock. `RsiRun` is the program while it streams, `EkiMotion` one motion that the EKI
+program was asked for; `Manipulator` is the arm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from math import dist
 
 from ronna_hw.wire.kuka_context import RsiContext, context_hash
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
-from sim.kuka.angles import pose_of_frame
+from sim.kuka.answer import DONE, Answer
+from sim.kuka.cell import Cell
+from sim.kuka.eki_motion import EkiMotion
+from sim.kuka.frames import FrameTable
 from sim.kuka.manipulator import Manipulator
-from sim.kuka.messages import Message
+from sim.kuka.messages import (
+    Message,
+    collision,
+    emergency_stop,
+    enabling_switch_released,
+    guard_opened,
+    too_fast_for_T1,
+)
 from sim.kuka.parameters import ControllerParameters
 from sim.kuka.reply import Reply
 from sim.kuka.rsi_run import RsiRun, RunSettings, StartPose
 from sim.kuka.signal_flow import inputs_of
 
-
-class Answer(NamedTuple):
-    """What a request is answered with."""
-
-    code: AckCode = AckCode.OK
-    text: str = ""
-
-
-DONE = Answer()
 IDLE_PROGRAM_STATES = (ProState.FREE, ProState.RESET, ProState.END)
 FULL_OVERRIDE = 100
 
@@ -45,19 +47,20 @@ class Controller:
         self.context_hash = context_hash(context)
         self.arm = arm
         self.mounted_tool = mounted_tool
-        self.mode = OperationMode.EXT
+        self.cell = Cell()
+        self.frames = FrameTable(arm)
         self.drives_on = False
-        self.emergency_stop = False
-        self.guard_open = False
         self.override_percent = FULL_OVERRIDE
-        self.base_number = 0
         self.program_state = ProState.FREE
         self.cycle_ms: int = context.program.cycle_ms
         self.relative = context.program.corrections == "relative"
         self.message: Message | None = None
         self.run: RsiRun | None = None
+        self.motion: EkiMotion | None = None
         self.runs = 0
-        self._parameters = parameters or ControllerParameters()
+        self.parameters = parameters or ControllerParameters()
+        self._overloaded = False
+        self._fast_cycles = 0
         inputs = inputs_of(context)
         self._wired = {"AXIS": inputs.axes is not None, "POS": inputs.frame is not None}
         feeds = {wire.indx for wire in context.wiring if wire.object in ("AXISCORR", "POSCORR")}
@@ -68,19 +71,38 @@ class Controller:
     @property
     def rsi_state(self) -> RsiState:
         """State of the RSI program."""
-        if self.message is not None:
-            return RsiState.FAULT
-        return self.run.state if self.run is not None else RsiState.IDLE
+        if self.run is not None:
+            return self.run.state
+        return RsiState.FAULT if self.message is not None else RsiState.IDLE
 
     @property
     def moving(self) -> bool:
         """True until the arm rests."""
-        return not self.arm.drives.at_rest
+        return self.motion is not None or not self.arm.drives.at_rest
 
     @property
     def may_move(self) -> bool:
         """True when a program could move the arm now."""
-        return self.drives_on and not self.emergency_stop and not self.guard_open and self.message is None
+        return self.drives_on and not self.cell.forbids_drives and self.message is None
+
+    def ready(self) -> Answer:
+        """Whether a program may begin to move the arm now, and if not why."""
+        if self.run is not None:
+            return Answer(AckCode.BUSY, "RSI is running")
+        forbidden = self.cell.forbids_program
+        if forbidden:
+            return Answer(AckCode.REFUSED, forbidden)
+        if self.cell.forbids_drives:
+            return Answer(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
+        if self.message is not None:
+            return Answer(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
+        if not self.drives_on:
+            return Answer(AckCode.NOT_READY, "drives off")
+        if self.program_state not in IDLE_PROGRAM_STATES:
+            return Answer(AckCode.REFUSED, f"program is {self.program_state}")
+        if self.moving:
+            return Answer(AckCode.BUSY, "arm is moving")
+        return DONE
 
     # -- the program
 
@@ -93,88 +115,129 @@ class Controller:
         counts_from_first_reply: bool = False,
     ) -> Answer:
         """RSI_ON with the context's settings, or with others."""
-        if self.run is not None:
-            return Answer(AckCode.BUSY, "RSI is running")
-        if self.mode is not OperationMode.EXT:
-            return Answer(AckCode.REFUSED, f"mode {self.mode}")
-        if self.message is not None:
-            return Answer(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
-        if not self.may_move:
-            return Answer(AckCode.NOT_READY, "drives off, emergency stop or guard")
-        if self.program_state not in IDLE_PROGRAM_STATES:
-            return Answer(AckCode.REFUSED, f"program is {self.program_state}")
+        answer = self.ready()
+        if answer is not DONE:
+            return answer
         if correction is not None and not self._wired.get(correction, False):
             return Answer(AckCode.BAD_VALUE, f"the context corrects no {correction}")
-        if self.moving:
-            return Answer(AckCode.BUSY, "arm is moving")
         self.cycle_ms = cycle_ms or self.cycle_ms
         self.relative = self.relative if relative is None else relative
         self.runs += 1
         self.arm.drives.start_cycles(self.cycle_ms / 1000.0)
-        settings = RunSettings(self.context, self.cycle_ms, self.relative, self.runs, counts_from_first_reply)
+        settings = RunSettings(
+            self.context,
+            self.cycle_ms,
+            self.relative,
+            self.runs,
+            counts_from_first_reply,
+            needs_confirmation=self.cell.manual,
+        )
         pose = StartPose(self.arm.axes_deg, self.arm.frame, self.arm.tool_point(), self.arm.base)
-        self.run = RsiRun(settings, self.arm.description, pose, self.arm.joints_for, self._parameters)
+        self.run = RsiRun(settings, self.arm.description, pose, self.arm.joints_for, self.parameters)
         self.program_state = ProState.ACTIVE
         return DONE
 
     def cancel(self) -> Answer:
-        """End RSI and deselect the program; the arm comes to rest on its own."""
-        if self.message is not None:
+        """End RSI or a motion and deselect the program; the arm comes to rest on its own."""
+        if self.message is not None and self.run is None:
             return Answer(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
+        if self.motion is not None:
+            self.arm.drives.brake()
+        self._abort_motion("cancelled")
         self._end_run(ProState.FREE)
         return DONE
 
     def select(self) -> Answer:
         """Select the program without starting it."""
-        if self.run is not None or self.message is not None:
+        if self.run is not None or self.motion is not None or self.message is not None:
             return Answer(AckCode.REFUSED, f"program is {self.program_state}")
         self.program_state = ProState.RESET
         return DONE
 
-    def stop(self) -> Answer:
+    def stop(self, *, fast: bool = False) -> Answer:
         """Stop the program without cancelling it: the arm brakes, RSI may go on streaming."""
-        self._interrupt()
+        self._interrupt("stopped", fast=fast)
         return DONE
 
     def acknowledge(self) -> Answer:
-        """Acknowledge the message and reset the program."""
-        if self.emergency_stop or self.guard_open:
+        """Acknowledge the message and reset the program; a question of a running program is confirmed."""
+        if self.cell.emergency_stop or self.cell.guard_matters:
             return Answer(AckCode.NOT_READY, "emergency stop or guard")
+        if self.message is None and self.run is not None and self.run.awaits_confirmation:
+            self.run.confirm()
+            return DONE
         self.message = None
+        if self.motion is not None:
+            self.arm.drives.brake()
+        self._abort_motion("program reset")
         self._end_run(ProState.FREE)
         return DONE
+
+    def move(self, motion: EkiMotion) -> None:
+        """Begin a motion of the EKI program; `ready` has been asked before."""
+        self.arm.drives.start_cycles(self.cycle_ms / 1000.0)
+        self.motion = motion
+        self.program_state = ProState.ACTIVE
 
     # -- drives and safety
 
     def switch_drives(self, on: bool) -> Answer:
         """Drives on or off; off stops the arm."""
-        if on and (self.emergency_stop or self.guard_open):
-            return Answer(AckCode.NOT_READY, "emergency stop or guard")
+        if on and self.cell.forbids_drives:
+            return Answer(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
         if not on:
-            self._interrupt()
+            self._interrupt("drives off")
         self.drives_on = on
         return DONE
 
     def press_emergency_stop(self, pressed: bool) -> None:
-        """The button on the pendant."""
-        self.emergency_stop = pressed
+        """The button on the pendant. After its release the message is acknowledged."""
+        self.cell.emergency_stop = pressed
         if pressed:
-            self._interrupt()
-            self.drives_on = False
+            self._stop_with(emergency_stop(self.parameters.emergency_stop_message))
 
     def open_guard(self, is_open: bool) -> None:
         """The safety gate; in the automatic modes it stops the arm."""
-        self.guard_open = is_open
-        if is_open:
-            self._interrupt()
+        self.cell.guard_open = is_open
+        if self.cell.guard_matters:
+            self._stop_with(guard_opened(self.parameters.guard_message))
 
     def turn_key(self, mode: OperationMode) -> None:
-        """The key switch; a change stops a running program."""
-        if mode is not self.mode:
-            self._interrupt()
-        self.mode = mode
+        """The key switch; a change stops a running program and switches the drives off."""
+        if mode is not self.cell.mode:
+            self._interrupt(f"mode {mode}")
+            self.drives_on = False
+        self.cell.mode = mode
 
-    # -- tool, base, override
+    def hold_enabling_switch(self, held: bool) -> None:
+        """The switch behind the pendant; letting it go in a test mode stops what runs."""
+        self.cell.enabling_switch = held
+        if self.cell.manual and not held:
+            if self.run is not None or self.motion is not None:
+                self._stop_with(enabling_switch_released(self.parameters.enabling_switch_message))
+            self.drives_on = False
+
+    def hold_start_key(self, held: bool) -> None:
+        """The start key; letting it go in a test mode stops the program."""
+        self.cell.start_key = held
+        if self.cell.manual and not held and (self.run is not None or self.motion is not None):
+            self._interrupt("start key released")
+
+    def collide(self) -> None:
+        """The torque monitor trips: the arm brakes and holds, and says so."""
+        self._stop_with(collision(self.parameters.collision_message))
+
+    def overload(self) -> None:
+        """The brakes close and nobody is told: the program runs on, the axes stop following."""
+        self._overloaded = True
+        self.arm.drives.brake()
+
+    def restart(self) -> None:
+        """The program ends without a word; whoever did that starts it again when the arm rests."""
+        self.arm.drives.brake()
+        self._end_run(ProState.FREE)
+
+    # -- override
 
     def set_override(self, percent: int) -> Answer:
         """Program override. Sensor corrections are not scaled by it."""
@@ -183,19 +246,18 @@ class Controller:
         self.override_percent = percent
         return DONE
 
-    def set_tool(self, frame: Sequence[float]) -> Answer:
-        """Use another $TOOL: X Y Z (mm) A B C (deg) in the flange frame."""
-        if self.run is not None:
-            return Answer(AckCode.REFUSED, "RSI is running")
-        self.arm.set_tool(pose_of_frame(frame))
+    def set_tool(self, number: int, frame: Sequence[float]) -> Answer:
+        """Define a $TOOL, X Y Z (mm) A B C (deg) in the flange frame, and use it."""
+        if self.run is not None or self.motion is not None:
+            return Answer(AckCode.REFUSED, "a program is running")
+        self.frames.set_tool(number, frame)
         return DONE
 
     def set_base(self, number: int, frame: Sequence[float]) -> Answer:
-        """Use another $BASE: X Y Z (mm) A B C (deg) in $ROBROOT."""
-        if self.run is not None:
-            return Answer(AckCode.REFUSED, "RSI is running")
-        self.arm.set_base(pose_of_frame(frame))
-        self.base_number = number
+        """Define a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT, and use it."""
+        if self.run is not None or self.motion is not None:
+            return Answer(AckCode.REFUSED, "a program is running")
+        self.frames.set_base(number, frame)
         return DONE
 
     # -- the cycle
@@ -214,32 +276,85 @@ class Controller:
             self.arm.settle()
         elif run.held:
             if self.program_state is ProState.ACTIVE:
-                self._interrupt()
+                self._interrupt("STOP object")
             self.arm.settle()
+        elif self._overloaded:
+            self.arm.settle()
+        elif self.cell.manual:
+            before = self.arm.frame
+            self.arm.follow(run.command_deg, heard=reply is not None)
+            self._watch_T1(before)
         else:
             self.arm.follow(run.command_deg, heard=reply is not None)
 
     def settle(self) -> None:
-        """One cycle without a program."""
+        """One cycle without RSI: the next point of a motion, or coming to rest."""
+        motion = self.motion
+        if motion is None:
+            self.arm.settle()
+            return
+        command_deg = motion.next_point()
+        if command_deg is not None:
+            before = self.arm.frame
+            self.arm.follow(command_deg, heard=True)
+            self._watch_T1(before)
+            return
+        if motion.message is not None:
+            self._fail(motion.message)
+            return
         self.arm.settle()
+        if self.arm.drives.at_rest:
+            self.motion = None
+            self.program_state = ProState.END
+            motion.tell(DONE)
+
+    def _watch_T1(self, before: Sequence[float]) -> None:
+        """In T1 the speed of the tool is watched: too fast is a stop, not a slower motion."""
+        if self.cell.mode is not OperationMode.T1:
+            return
+        speed_mm_s = dist(before[:3], self.arm.frame[:3]) / (self.cycle_ms / 1000.0)
+        limit_mm_s = self.parameters.T1_tool_speed_mm_s
+        self._fast_cycles = self._fast_cycles + 1 if speed_mm_s > limit_mm_s else 0
+        if self._fast_cycles >= self.parameters.overspeed_cycles:
+            self._fail(too_fast_for_T1(self.parameters.T1_speed_message, speed_mm_s, limit_mm_s))
 
     def _fail(self, message: Message) -> None:
-        self.message = message
+        """The program cannot go on: it ends with a message."""
+        self._show(message)
         self.arm.drives.brake()
-        if message.drives_off:
-            self.drives_on = False
+        self._abort_motion(message.text)
         self._end_run(ProState.STOP)
 
-    def _interrupt(self) -> None:
-        self.arm.drives.brake()
+    def _stop_with(self, message: Message) -> None:
+        """Somebody stops the arm from outside: the program stands, and may go on streaming."""
+        self._show(message)
+        self._interrupt(message.text)
+
+    def _show(self, message: Message) -> None:
+        self.message = self.message or message  # the first one is what has to be understood
+        if message.drives_off:
+            self.drives_on = False
+
+    def _interrupt(self, reason: str, *, fast: bool = False) -> None:
+        self.arm.drives.brake(fast=fast)
+        if self.motion is not None:
+            self._abort_motion(reason)
+            self.program_state = ProState.STOP if self.message is not None else ProState.END
         if self.run is None:
             return
-        if self._parameters.streams_after_stop:
+        if self.parameters.streams_after_stop:
             self.run.hold()
             self.program_state = ProState.STOP
         else:
             self._end_run(ProState.STOP)
 
+    def _abort_motion(self, reason: str) -> None:
+        motion, self.motion = self.motion, None
+        if motion is not None:
+            motion.tell(Answer(AckCode.ABORTED, reason))
+
     def _end_run(self, state: ProState) -> None:
         self.run = None
+        self._overloaded = False
+        self._fast_cycles = 0
         self.program_state = state

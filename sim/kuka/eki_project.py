@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from math import inf, isfinite
+from math import inf
 from xml.etree import ElementTree
-from xml.sax.saxutils import escape
 
 from ronna_hw.wire.kuka_eki import (
     ACK,
@@ -17,7 +16,6 @@ from ronna_hw.wire.kuka_eki import (
     POS_ATTRIBUTES,
     STATE,
     STATE_PERIOD_MS,
-    STRING_LIMIT,
     AckCode,
     CommandName,
     Correction,
@@ -26,15 +24,17 @@ from ronna_hw.wire.kuka_eki import (
     StopRequest,
 )
 from sim.kuka.angles import status_and_turn
+from sim.kuka.answer import Answer
 from sim.kuka.autostart import Autostart
-from sim.kuka.controller import Answer, Controller
+from sim.kuka.controller import Controller
+from sim.kuka.eki_attributes import flag, frame, text, whole
+from sim.kuka.eki_moves import EkiMoves
 from sim.kuka.eki_server import EkiServer
 
+MOTIONS = (CommandName.PTP_AXIS, CommandName.PTP_POS, CommandName.LIN)
 UNASKED = "0"  # Id of a State that nobody asked for
-FRAME = ("X", "Y", "Z", "A", "B", "C")
 CYCLES_MS = (4, 12)
 LAST_TOOL, LAST_BASE = 16, 32
-_QUOTES = {'"': "&quot;", "\n": " ", "\r": " "}
 
 
 class ProjectChannel:
@@ -46,6 +46,8 @@ class ProjectChannel:
         self._autostart = autostart
         self._next_state_s = 0.0
         self._told: tuple[str, ...] = ()
+        self._motion_name = self._motion_id = ""
+        moves = EkiMoves(controller, self._motion_ended)
         self._handlers: dict[str, Callable[[Mapping[str, str]], Answer]] = {
             CommandName.RSI_START: self._rsi_start,
             CommandName.RSI_STOP: self._rsi_stop,
@@ -57,9 +59,9 @@ class ProjectChannel:
             CommandName.ACK_ERRORS: lambda _: controller.acknowledge(),
             CommandName.SELECT: lambda _: controller.select(),
             CommandName.CANCEL: self._rsi_stop,
-            CommandName.PTP_AXIS: _not_served,
-            CommandName.PTP_POS: _not_served,
-            CommandName.LIN: _not_served,
+            CommandName.PTP_AXIS: moves.ptp_axis,
+            CommandName.PTP_POS: moves.ptp_pos,
+            CommandName.LIN: moves.lin,
         }
         server.attach(self)
 
@@ -89,11 +91,20 @@ class ProjectChannel:
             )
         except ValueError as mistake:
             answer = Answer(AckCode.BAD_VALUE, str(mistake))
-        self._server.send(
-            f'<{ACK} Id="{_text(identifier)}" Cmd="{_text(name)}" Code="{answer.code.value}"'
-            f' Text="{_text(answer.text)}"></{ACK}>'
-        )
+        if name in MOTIONS and answer.code is AckCode.OK:
+            self._motion_name, self._motion_id = name, identifier
+        self._acknowledge(identifier, name, answer)
         self.tick(time.monotonic())
+
+    def _motion_ended(self, answer: Answer) -> None:
+        """A motion is answered twice: when it was accepted, and when it is done or aborted."""
+        self._acknowledge(self._motion_id, self._motion_name, answer)
+
+    def _acknowledge(self, identifier: str, name: str, answer: Answer) -> None:
+        self._server.send(
+            f'<{ACK} Id="{text(identifier)}" Cmd="{text(name)}" Code="{answer.code.value}"'
+            f' Text="{text(answer.text)}"></{ACK}>'
+        )
 
     def tick(self, now_s: float) -> float:
         """Tell the state when it has changed or its period is over; returns when to be called again."""
@@ -111,17 +122,17 @@ class ProjectChannel:
     def _facts(self) -> tuple[str, ...]:
         controller = self._controller
         return (
-            controller.mode.value,
+            controller.cell.mode.value,
             str(int(controller.drives_on)),
-            str(int(controller.emergency_stop)),
-            str(int(controller.guard_open)),
+            str(int(controller.cell.emergency_stop)),
+            str(int(controller.cell.guard_open)),
             controller.program_state.value,
             str(int(controller.moving)),
             str(controller.override_percent),
             str(controller.message.number if controller.message else 0),
             str(controller.rsi_state.value),
             str(controller.mounted_tool()),
-            str(controller.base_number),
+            str(controller.frames.base_number),
             str(int(controller.message is not None)),
             (Reference.RELATIVE if controller.relative else Reference.ABSOLUTE).value,
             str(int(controller.holds_corrections)),
@@ -131,7 +142,7 @@ class ProjectChannel:
         )
 
     def _state(self, identifier: str) -> str:
-        values = (_text(identifier), *self._facts())
+        values = (text(identifier), *self._facts())
         head = " ".join(f'{name}="{value}"' for name, value in zip(StateAttribute, values, strict=True))
         arm = self._controller.arm
         axes = " ".join(
@@ -145,7 +156,7 @@ class ProjectChannel:
     # -- commands
 
     def _rsi_start(self, given: Mapping[str, str]) -> Answer:
-        cycle_ms = _whole(given, "Cycle") if "Cycle" in given else None
+        cycle_ms = whole(given, "Cycle") if "Cycle" in given else None
         if cycle_ms is not None and cycle_ms not in CYCLES_MS:
             raise ValueError("Cycle is 4 or 12")
         relative = Reference(given["Ref"]) is Reference.RELATIVE if "Ref" in given else None
@@ -158,54 +169,24 @@ class ProjectChannel:
         return self._controller.cancel()
 
     def _drives(self, given: Mapping[str, str]) -> Answer:
-        return self._controller.switch_drives(_flag(given, "On"))
+        return self._controller.switch_drives(flag(given, "On"))
 
     def _stop(self, given: Mapping[str, str]) -> Answer:
-        StopRequest(given.get("Kind", StopRequest.PATH))
+        kind = StopRequest(given.get("Kind", StopRequest.PATH))
         self._autostart.disarm()
-        return self._controller.stop()
+        return self._controller.stop(fast=kind is StopRequest.FAST)
 
     def _set_override(self, given: Mapping[str, str]) -> Answer:
-        return self._controller.set_override(_whole(given, "Val"))
+        return self._controller.set_override(whole(given, "Val"))
 
     def _set_tool(self, given: Mapping[str, str]) -> Answer:
-        if not 1 <= _whole(given, "No") <= LAST_TOOL:
+        number = whole(given, "No")
+        if not 1 <= number <= LAST_TOOL:
             raise ValueError(f"No is 1 to {LAST_TOOL}")
-        return self._controller.set_tool([_number(given, name) for name in FRAME])
+        return self._controller.set_tool(number, frame(given))
 
     def _set_base(self, given: Mapping[str, str]) -> Answer:
-        number = _whole(given, "No")
+        number = whole(given, "No")
         if not 1 <= number <= LAST_BASE:
             raise ValueError(f"No is 1 to {LAST_BASE}")
-        return self._controller.set_base(number, [_number(given, name) for name in FRAME])
-
-
-def _not_served(_: Mapping[str, str]) -> Answer:
-    return Answer(AckCode.REFUSED, "this program moves the arm by RSI only")
-
-
-def _whole(given: Mapping[str, str], name: str) -> int:
-    try:
-        return int(given[name])
-    except (KeyError, ValueError):
-        raise ValueError(f"{name} is missing or no whole number") from None
-
-
-def _flag(given: Mapping[str, str], name: str) -> bool:
-    if given.get(name) not in ("0", "1"):
-        raise ValueError(f"{name} is 0 or 1")
-    return given[name] == "1"
-
-
-def _number(given: Mapping[str, str], name: str) -> float:
-    try:
-        value = float(given[name])
-    except (KeyError, ValueError):
-        value = float("nan")
-    if not isfinite(value):
-        raise ValueError(f"{name} is missing or no number")
-    return value
-
-
-def _text(text: str) -> str:
-    return escape(text[:STRING_LIMIT], _QUOTES)
+        return self._controller.set_base(number, frame(given))

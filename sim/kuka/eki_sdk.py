@@ -140,7 +140,7 @@ class SdkChannel:
         if not self._server.connected:
             return inf
         again_s = now_s + SUBMIT_CYCLE_S
-        if self._server.due_s is not None or now_s < self._first_status_s:
+        if self._server.writes_later or now_s < self._first_status_s:
             return again_s
         values = self._values()
         if values != self._told:
@@ -170,9 +170,9 @@ class SdkChannel:
 
     def _start(self) -> Event:
         correction = CORRECTIONS.get(self._control_mode)
-        if correction is None:
-            return Event.ERROR
         controller = self._controller
+        if correction is None or controller.cell.mode is not OperationMode.EXT:
+            return Event.ERROR
         self._autostart.give_way()
         if controller.run is None and controller.program_state is not ProState.FREE:
             controller.acknowledge()
@@ -204,11 +204,11 @@ class SdkChannel:
             self._control_mode,
             self._cycle,
             int(controller.drives_on),
-            int(controller.emergency_stop),
-            int(controller.guard_open),
+            int(controller.cell.emergency_stop),
+            int(controller.cell.guard_open),
             int(controller.moving),
             int(controller.may_move and controller.program_state is ProState.ACTIVE),
-            OPERATION_MODES[controller.mode],
+            OPERATION_MODES[controller.cell.mode],
             int(controller.message is not None),
         )
 

@@ -1,7 +1,9 @@
 """One EKI channel: a TCP server for a single client. Cuts requests out of the stream, writes answers whole.
 
 The stream has no framing: a request ends with its root element. What stands before a root (NUL padding,
-line ends, leftovers) is skipped, requests may come split or merged.
+line ends, leftovers) is skipped, requests may come split or merged. The program that reads them does so once
+per loop of the submit interpreter; what it has not read yet waits in a memory, and a memory that overflows
+ends the connection.
 """
 
 from __future__ import annotations
@@ -39,7 +41,10 @@ class Peer(Protocol):
 
 
 class EkiServer:
-    """Non-blocking: the owner selects on `sockets` and calls `serve`, and `flush` when `due_s` has come."""
+    """Non-blocking: the owner selects on `sockets` and calls `serve`, and `flush` when `due_s` has come.
+
+    `spacing_s` is the loop of the program: at most one telegram is read and one written in it.
+    """
 
     def __init__(self, endpoint: Endpoint, spacing_s: float = 0.0) -> None:
         self._spacing_s = spacing_s
@@ -48,7 +53,11 @@ class EkiServer:
         self._peer: Peer | None = None
         self._received = b""
         self._outgoing: deque[bytes] = deque()
+        self._unread: deque[bytes] = deque()
         self._next_s = 0.0
+        self._next_read_s = 0.0
+        self.silent = False  # the program neither reads nor writes
+        self._cuts_next = self._full = False
 
     def attach(self, peer: Peer) -> None:
         """Say who answers."""
@@ -72,8 +81,24 @@ class EkiServer:
 
     @property
     def due_s(self) -> float | None:
-        """Host time at which `flush` has something to write, or None."""
-        return self._next_s if self._outgoing else None
+        """Host time at which `flush` has something to read or to write, or None."""
+        moments = [self._next_s] if self._outgoing else []
+        if self._unread and not self.silent:
+            moments.append(self._next_read_s)
+        return min(moments) if moments else None
+
+    @property
+    def writes_later(self) -> bool:
+        """True while something waits for its turn to be written."""
+        return bool(self._outgoing)
+
+    def cut_next(self) -> None:
+        """Write only the first half of the next telegram."""
+        self._cuts_next = True
+
+    def overflow(self) -> None:
+        """Fill the memory of the channel: the next request finds no room."""
+        self._full = True
 
     def serve(self, ready: socket.socket) -> None:
         """Handle a socket that is ready to be read."""
@@ -84,18 +109,26 @@ class EkiServer:
 
     def send(self, text: str) -> None:
         """Write one telegram, at once or as soon as the spacing allows."""
-        if self._client is not None:
+        if self._client is not None and not self.silent:
             self._outgoing.append(text.encode("utf-8"))
-            self.flush()
+            self._write()
 
     def flush(self) -> None:
-        """Write what is due; one write per telegram."""
+        """Read and write what is due."""
+        self._hand_over()
+        self._write()
+
+    def _write(self) -> None:
+        """One write per telegram."""
         while self._outgoing and self._client is not None:
             now_s = time.monotonic()
             if now_s < self._next_s:
                 return
             telegram = self._outgoing.popleft()
             self._next_s = now_s + self._spacing_s
+            if self._cuts_next:
+                self._cuts_next = False
+                telegram = telegram[: len(telegram) // 2]
             try:
                 if self._client.send(telegram) != len(telegram):
                     self.drop()  # the client does not read; half a telegram would break its framing
@@ -107,6 +140,8 @@ class EkiServer:
         client, self._client = self._client, None
         self._received = b""
         self._outgoing.clear()
+        self._unread.clear()
+        self._full = False
         if client is not None:
             client.close()
             if self._peer is not None:
@@ -155,17 +190,27 @@ class EkiServer:
             self.drop()
             return
         requests, self._received = cut_requests(self._received + data)
-        if len(requests) > UNREAD_LIMIT or len(self._received) > BUFFER_LIMIT_BYTES:
-            self.drop()
+        self._unread.extend(requests)
+        overflow = len(self._unread) > UNREAD_LIMIT or (self._full and bool(requests))
+        if overflow or len(self._received) > BUFFER_LIMIT_BYTES:
+            self.drop()  # what was stored is lost with the connection
             return
-        for request in requests:
-            if self._client is None or self._peer is None:
+        self._hand_over()
+
+    def _hand_over(self) -> None:
+        """Let the program read: all that waits, or one request per loop."""
+        while self._unread and self._client is not None and not self.silent:
+            now_s = time.monotonic()
+            if now_s < self._next_read_s:
                 return
+            self._next_read_s = now_s + self._spacing_s
+            request = self._unread.popleft()
             try:
                 element = ElementTree.fromstring(request)
             except ElementTree.ParseError:
                 continue
-            self._peer.request(element)
+            if self._peer is not None:
+                self._peer.request(element)
 
 
 def cut_requests(stream: bytes) -> tuple[list[bytes], bytes]:

@@ -17,3 +17,10 @@ class ClientAddressInvalid(ConfigurationError):
 
     code = "KRC-002"
     action = "Say where the client listens with --rsi udp://ADDRESS:PORT."
+
+
+class UnknownParameter(ConfigurationError):
+    """A parameter of the controller that is not there, or that cannot have this value."""
+
+    code = "KRC-003"
+    action = "Name one of the parameters of sim/kuka/parameters.py: --set NAME=VALUE."

@@ -22,6 +22,7 @@ INTERNAL = "INTERNAL"
 AXIS_GROUPS = ("AK", "AKorr")
 FRAME_GROUPS = ("RKorr",)
 STOP_TAGS = ("Stop", "MoveStop")
+STAT_TAGS = {"AKorr.Stat": "AXISCORR", "AK.Stat": "AXISCORR", "RKorr.Stat": "POSCORR"}
 # Of a link whose context is not known: what all public projects set.
 INFERRED_TIMEOUT_PACKETS = 100
 INFERRED_PRECISION = 4
@@ -44,7 +45,13 @@ def read_ethernet_file(path: Path, context: RsiContext | None) -> RsiContext:
         for section in SECTIONS
     }
     content: dict[str, Any] = (
-        {"schema": 1, "name": "foreign", "program": _program(), "wiring": _inferred(elements["RECEIVE"])}
+        {
+            "schema": 1,
+            "name": "foreign",
+            "program": _program(),
+            "wiring": _inferred(elements["RECEIVE"]),
+            "feedback": _inferred_feedback(elements["SEND"]),
+        }
         if context is None
         else {**context.model_dump(by_alias=True)}
     )
@@ -130,3 +137,11 @@ def _inferred(receive: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
         if element["indx"] != INTERNAL and place not in wires:
             wires[place] = {"indx": element["indx"], "object": place[0], "input": place[1]}
     return tuple(wires.values())
+
+
+def _inferred_feedback(send: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
+    return tuple(
+        {"indx": element["indx"], "object": STAT_TAGS[element["tag"]]}
+        for element in send
+        if element["tag"] in STAT_TAGS and element["indx"] != INTERNAL
+    )

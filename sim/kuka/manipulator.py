@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import degrees, radians
+from itertools import pairwise
+from math import degrees, dist, radians
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.kuka.angles import frame_of
-from sim.kuka.chain import Chain
+from sim.kuka.chain import Chain, rotation_vector
 from sim.kuka.description import description
 from sim.kuka.moving_arm import MovingArm
 from sim.kuka.parameters import ControllerParameters
+from sim.kuka.posture import axes_of_posture
 from sim.kuka.true_arm import TrueArm
-from sim.theatre.rigid import inverse
+from sim.theatre.rigid import inverse, rotation_from_vector
 from sim.theatre.scene import ArmTruth
 from sim.theatre.world import ArmState
 
 Matrix = NDArray[np.float64]
 NO_FRAME = np.eye(4)
+WAY_POINTS = 40  # looked at before a straight way is accepted
 
 
 class Manipulator:
@@ -63,10 +66,25 @@ class Manipulator:
         """$BASE in $ROBROOT, (4, 4)."""
         return NO_FRAME if self._base is None else self._base
 
-    def tool_point(self) -> Matrix:
-        """Believed pose (4, 4) of the tool in $ROBROOT."""
-        flange = self._nominal.flange([radians(angle) for angle in self.drives.axes_deg])
+    def tool_point(self, axes_deg: Sequence[float] | None = None) -> Matrix:
+        """Believed pose (4, 4) of the tool in $ROBROOT, now or at other axes."""
+        axes = self.drives.axes_deg if axes_deg is None else axes_deg
+        flange = self._nominal.flange([radians(angle) for angle in axes])
         return flange if self._tool is None else flange @ self._tool
+
+    def tool_travel_mm(self, goal_deg: Sequence[float]) -> float:
+        """Speed of the tool, mm per whole way, where it is fastest on the way of all axes to a goal."""
+        start_deg = self.drives.axes_deg
+        places = [
+            self.tool_point([a + n / WAY_POINTS * (b - a) for a, b in zip(start_deg, goal_deg, strict=True)])[
+                :3, 3
+            ]
+            for n in range(WAY_POINTS + 1)
+        ]
+        return WAY_POINTS * max(dist(a, b) for a, b in pairwise(places))
+
+    def _flange_of(self, tool_point: Matrix) -> Matrix:
+        return tool_point if self._tool is None else tool_point @ inverse(self._tool)
 
     def set_tool(self, tool: Matrix) -> None:
         """Use another $TOOL, (4, 4) in the flange frame."""
@@ -78,9 +96,32 @@ class Manipulator:
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
         """Joint angles (deg) that bring the tool to a believed pose; None where that fails."""
-        flange = tool_point if self._tool is None else tool_point @ inverse(self._tool)
+        flange = self._flange_of(tool_point)
         joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
         return None if joints is None else [degrees(angle) for angle in joints]
+
+    def axes_in_posture(self, frame: Matrix, status: int, turn: int) -> list[float] | None:
+        """Axes (deg) that bring the tool to a pose (4, 4) in BASE in the posture S T; None out of reach."""
+        flange = self._flange_of(self.base @ frame)
+        return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
+
+    def joints_on_the_way(self, tool_point: Matrix) -> list[float] | None:
+        """Axes (deg) at the end of a straight way to a pose in $ROBROOT; None when no way leads there."""
+        start, near_deg = self.tool_point(), self.drives.axes_deg
+        turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
+        for number in range(1, WAY_POINTS + 1):
+            share = number / WAY_POINTS
+            pose = np.eye(4)
+            pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
+            pose[:3, 3] = start[:3, 3] + share * (tool_point[:3, 3] - start[:3, 3])
+            joints_deg = self.joints_for(pose, near_deg)
+            if joints_deg is None or any(
+                not joint.lower_deg <= angle <= joint.upper_deg
+                for joint, angle in zip(self.description.joints, joints_deg, strict=True)
+            ):
+                return None
+            near_deg = joints_deg
+        return near_deg
 
     def follow(self, command_deg: list[float], *, heard: bool) -> None:
         """One cycle towards a command."""

@@ -46,11 +46,25 @@ def step_too_large(axis: str, step_deg: float, limit_deg: float) -> Message:
     )
 
 
+def too_much_acceleration(axis: str, acceleration_deg_s2: float, limit_deg_s2: float) -> Message:
+    """The command gained or lost speed faster than the axis can, for longer than one cycle."""
+    return Message(
+        COMMAND_ACCELERATION,
+        f"command acceleration {axis}: {acceleration_deg_s2:.0f} deg/s2, at most {limit_deg_s2:.0f}",
+        True,
+    )
+
+
 def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
     """The command moved faster than the axis can."""
     return Message(
         COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
     )
+
+
+def too_fast_for_T1(number: int, speed_mm_s: float, limit_mm_s: float) -> Message:
+    """The tool moved faster than the test mode allows."""
+    return Message(number, f"T1: tool speed {speed_mm_s:.0f} mm/s, at most {limit_mm_s:.0f}", True)
 
 
 def end_switch(number: int, axis: str, angle_deg: float) -> Message:
@@ -60,5 +74,25 @@ def end_switch(number: int, axis: str, angle_deg: float) -> Message:
 
 
 def no_inverse() -> Message:
-    """A Cartesian correction leads where the joints cannot follow."""
-    return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian correction near a singularity", True)
+    """A Cartesian correction or path leads where the joints cannot follow."""
+    return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
+
+
+def emergency_stop(number: int) -> Message:
+    """The emergency stop was pressed; it is acknowledged after its release."""
+    return Message(number, "emergency stop", True)
+
+
+def guard_opened(number: int) -> Message:
+    """The safety gate was opened in an automatic mode; it is acknowledged when closed again."""
+    return Message(number, "operator safety: guard open", True)
+
+
+def enabling_switch_released(number: int) -> Message:
+    """The enabling switch was let go in a test mode while a program ran."""
+    return Message(number, "enabling switch released", True)
+
+
+def collision(number: int) -> Message:
+    """The torque monitor saw more than the model explains."""
+    return Message(number, "collision detected: torque beyond the monitored range", True)

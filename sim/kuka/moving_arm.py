@@ -21,9 +21,7 @@ class MovingArm:
         self, arm: Description, start_deg: Sequence[float], parameters: ControllerParameters
     ) -> None:
         self._parameters = parameters
-        self._braking_deg_s2 = [
-            joint.acceleration_deg_s2 * parameters.path_stop_share for joint in arm.joints
-        ]
+        self._acceleration_deg_s2 = [joint.acceleration_deg_s2 for joint in arm.joints]
         self.axes_deg: list[float] = list(start_deg)
         self.command_deg: list[float] = self.axes_deg
         self.flanks: list[float] = [0.0] * AXES  # where each joint is in its backlash, -1 to 1
@@ -34,6 +32,8 @@ class MovingArm:
         self._extremes_deg: list[float] = list(start_deg)
         self._in_motion = False
         self._braking = False
+        self._braking_share = parameters.path_stop_share
+        self._slipping: dict[int, bool] = {}  # axes that stick, and whether they slip just now
         self._cycle_s = 0.0
         self._pending: deque[list[float]] = deque()
         self.start_cycles(IPO_FAST_S)
@@ -57,6 +57,8 @@ class MovingArm:
         follow_deg = self._pending.popleft()
         share, before = self._share, self.axes_deg
         axes = [y + share * (u - y) for u, y in zip(follow_deg, before, strict=True)]
+        if self._slipping:
+            self._stick(axes, before, follow_deg)
         self.flanks = [
             flank + share * (direction - flank)
             for direction, flank in zip(self._directions, self.flanks, strict=True)
@@ -64,7 +66,7 @@ class MovingArm:
         self.command_deg = command_deg
         if follow_deg is command_deg and self._arrived(axes, command_deg):
             # The pose at rest is exact: it depends on the command and the flanks, not on how long it took.
-            self.axes_deg = command_deg
+            self.axes_deg = self._resting(axes, command_deg)
             self.flanks = list(self._directions)
             self._speed_deg_s = [0.0] * AXES
             self._pending = deque([command_deg] * self._parameters.dead_time_cycles)
@@ -74,9 +76,17 @@ class MovingArm:
         self.axes_deg = axes
         self._speed_deg_s = [(y - old) / self._cycle_s for y, old in zip(axes, before, strict=True)]
 
-    def brake(self) -> None:
+    def brake(self, *, fast: bool = False) -> None:
         """Stop along the ramps of the axes, whatever was commanded."""
         self._braking = not self.at_rest
+        parameters = self._parameters
+        self._braking_share = parameters.fast_stop_share if fast else parameters.path_stop_share
+
+    def stick(self, axes: frozenset[int]) -> None:
+        """Say which axes (0 to 5) move by fits and starts from now on."""
+        if axes != self._slipping.keys():
+            self._slipping = {axis: self._slipping.get(axis, False) for axis in axes}
+            self.at_rest = self.at_rest and self.axes_deg == self.command_deg
 
     def settle(self) -> None:
         """One cycle without a program: finish braking, or the way to the last command."""
@@ -84,8 +94,10 @@ class MovingArm:
             self.step(self.command_deg)
             return
         speeds, axes = [], []
-        for angle, speed, limit in zip(self.axes_deg, self._speed_deg_s, self._braking_deg_s2, strict=True):
-            change = limit * self._cycle_s
+        for angle, speed, limit in zip(
+            self.axes_deg, self._speed_deg_s, self._acceleration_deg_s2, strict=True
+        ):
+            change = limit * self._braking_share * self._cycle_s
             slower = max(0.0, abs(speed) - change) * (1.0 if speed > 0 else -1.0)
             speeds.append(slower)
             axes.append(angle + slower * self._cycle_s)
@@ -105,7 +117,30 @@ class MovingArm:
 
     def _arrived(self, axes_deg: list[float], command_deg: list[float]) -> bool:
         limit = self._parameters.rest_error_deg
+        if self._slipping:
+            return all(
+                -limit < u - y < limit or self._slipping.get(axis) is False
+                for axis, (u, y) in enumerate(zip(command_deg, axes_deg, strict=True))
+            )
         return all(-limit < u - y < limit for u, y in zip(command_deg, axes_deg, strict=True))
+
+    def _stick(self, axes_deg: list[float], before_deg: list[float], follow_deg: list[float]) -> None:
+        """Hold the sticking axes until the command has run far enough ahead; then they catch up."""
+        for axis in self._slipping:
+            ahead = abs(follow_deg[axis] - before_deg[axis])
+            if ahead > self._parameters.stick_breakaway_deg:
+                self._slipping[axis] = True
+            elif ahead < self._parameters.rest_error_deg:
+                self._slipping[axis] = False
+            if not self._slipping[axis]:
+                axes_deg[axis] = before_deg[axis]
+
+    def _resting(self, axes_deg: list[float], command_deg: list[float]) -> list[float]:
+        """Where the arm rests: exactly at the command, but for axes that stick."""
+        held = [axis for axis, slips in self._slipping.items() if not slips]
+        if not held:
+            return command_deg
+        return [axes_deg[axis] if axis in held else angle for axis, angle in enumerate(command_deg)]
 
     def _note_movement(self, command_deg: list[float]) -> None:
         reversal, fastest = self._parameters.reversal_deg, 0.0

@@ -48,6 +48,7 @@ class RunSettings:
     relative: bool
     number: int
     counts_from_first_reply: bool  # an autostarted program waits for its first client
+    needs_confirmation: bool = False  # in T1 and T2 somebody confirms that corrections become active
 
 
 @dataclass(frozen=True)
@@ -80,13 +81,16 @@ class RsiRun:
         self.message: Message | None = None
         self.notice = ""  # last EStr
         self._heard_once = self._held = False
+        self._confirmed = not settings.needs_confirmation
         self._late_in_a_row = 0
         self._counting = not settings.counts_from_first_reply and not context.ethernet.only_send
         self._cycles = 0
         self._parameters = parameters
         self._timeout = context.ethernet.timeout_packets
         self._stop_mode = context.stop.mode if context.stop is not None else EXIT_MOVE_CORR
-        self._writer = TelegramWriter(context.send, context.ethernet.precision, start.axes_deg, start.frame)
+        self._writer = TelegramWriter(
+            context.send, context.ethernet.precision, start.axes_deg, start.frame, context.feedback
+        )
         self._reader = ReplyReader(context.receive, context.ethernet.sentype)
         self._outputs = EthernetOutputs(context)
         self._supervision = Supervision(arm, settings.cycle_ms / 1000.0, parameters)
@@ -126,7 +130,21 @@ class RsiRun:
 
     def telegram(self, frame: Sequence[float], axes_deg: Sequence[float]) -> bytes:
         """The telegram of this cycle."""
-        return self._writer.write(frame, axes_deg, self.late, self.ipoc)
+        return self._writer.write(frame, axes_deg, self.late, self.ipoc, self._flow.stats)
+
+    @property
+    def begins(self) -> bool:
+        """True before the first cycle has ended."""
+        return self._cycles == 0
+
+    def short_telegram(self) -> bytes:
+        """A nearly empty telegram, as the first one of an RSI before 3.0."""
+        return f'<Rob Type="KUKA"><IPOC>{self.ipoc}</IPOC></Rob>'.encode("ascii")
+
+    def with_other_stamp(self, telegram: bytes) -> bytes:
+        """The telegram as the controller of another arm might write it."""
+        other = (self.ipoc + IPOC_RANGE // 2) % IPOC_RANGE
+        return telegram.replace(f">{self.ipoc}<".encode("ascii"), f">{other}<".encode("ascii"))
 
     def read(self, data: bytes) -> Reply | None:
         """A reply that belongs to this cycle, or None: broken, foreign, or of another cycle."""
@@ -153,13 +171,22 @@ class RsiRun:
             return
         if self.state is RsiState.MOVECORR:
             self._correct(values)
-        elif not self._held and self._cycles >= self._parameters.movecorr_after_cycles:
+        elif not self._held and self._confirmed and self._cycles >= self._parameters.movecorr_after_cycles:
             self.state = RsiState.MOVECORR
 
     def hold(self) -> None:
         """The program is stopped but not cancelled: it keeps streaming, corrections act no more."""
         self._held = True
         self.state = RsiState.ON
+
+    @property
+    def awaits_confirmation(self) -> bool:
+        """True while nobody has confirmed that corrections become active."""
+        return not self._confirmed and self._cycles >= self._parameters.movecorr_after_cycles
+
+    def confirm(self) -> None:
+        """Corrections may become active."""
+        self._confirmed = True
 
     @property
     def held(self) -> bool:

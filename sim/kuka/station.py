@@ -16,24 +16,24 @@ import time
 
 from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.autostart import Autostart
+from sim.kuka.cell_faults import CellFaults
 from sim.kuka.controller import Controller
 from sim.kuka.eki_project import ProjectChannel
 from sim.kuka.eki_sdk import SdkChannel
 from sim.kuka.eki_server import EkiServer
+from sim.kuka.fault_log import FaultLog
+from sim.kuka.link_faults import LinkFaults
 from sim.kuka.reply import Reply
 from sim.kuka.rsi_run import RsiRun
 from sim.kuka.rsi_socket import RsiSocket
 from sim.theatre.faults import FaultBoard
-from sim.theatre.noise import noise
 from sim.theatre.world import World
 
-IDLE_WAIT_S = 0.1  # longest wait without looking whether the process should end
+IDLE_WAIT_S = 0.02  # longest wait without looking at the fault script, and whether the process should end
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
 LOOK_S = 0.001  # host time between two looks whether somebody waits for theatre time
 UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
 STALE_LIMIT = 256  # datagrams read in one cycle; a flood must not stop the clock
-DROP_NOISE = "robot drop"
-PERCENT = 100.0
 
 
 class Station:
@@ -50,16 +50,19 @@ class Station:
     ) -> None:
         self._controller = controller
         self._clock = world.clock
-        self._seed = world.scene.seed
-        self._faults = FaultBoard(world, "robot")
         self._client = client
         self._servers = (project_server, sdk_server)
+        log = FaultLog(self._moment)
+        self._link = LinkFaults(world.scene.seed, log)
+        self._cell = CellFaults(FaultBoard(world, "robot"), controller, self._servers, self._link, log)
         self._project = ProjectChannel(project_server, controller, autostart)
         self._sdk = SdkChannel(sdk_server, controller, autostart)
         self._autostart = autostart
         self._ending = False
         self._run: RsiRun | None = None
         self._rsi: RsiSocket | None = None
+        self._foreign: RsiSocket | None = None
+        self._datagram: bytes | None = None
         self._deadline_s = 0.0
         self._tick_s = 0.0
         self._noticed: tuple[RsiState, bool] | None = None
@@ -77,6 +80,7 @@ class Station:
         self._autostart.begin()
         try:
             while not self._ending:
+                self._cell.poll()
                 if self._controller.run is not None:
                     self._cycle(self._controller.run)
                 elif self._rsi is not None or self._controller.moving:
@@ -87,8 +91,7 @@ class Station:
                         self._wait(time.monotonic() + IDLE_WAIT_S)
         finally:
             self._clock.end_stream()
-            if self._rsi is not None:
-                self._rsi.close()
+            self._close_rsi()
             for server in self._servers:
                 server.close()
 
@@ -101,7 +104,13 @@ class Station:
         controller = self._controller
         cycle_s = run.settings.cycle_ms / 1000.0
         began_s = time.monotonic()
-        self._rsi.send(run.telegram(controller.arm.frame, controller.arm.axes_deg))
+        telegram = run.telegram(controller.arm.frame, controller.arm.axes_deg)
+        faulty = not self._link.idle
+        answerable = True
+        if faulty:
+            answerable = self._send_with_faults(run, telegram)
+        else:
+            self._rsi.send(telegram)
         lock_step = not self._clock.paced and not run.settings.context.ethernet.only_send
         if not lock_step:
             # An absolute schedule; after a stall of the host it begins anew instead of hurrying.
@@ -110,14 +119,18 @@ class Station:
                 self._deadline_s = began_s + cycle_s
             reply = self._reply_until(run, self._deadline_s)
             self._wait_until(run, self._deadline_s)
-        else:
+        elif answerable:
             limit_s = cycle_s if self._silent else REPLY_WAIT_S
             reply = self._reply_until(run, began_s + limit_s)
             self._silent = reply is None
+        else:
+            reply = self._datagram = None
+        if faulty:
+            reply = self._link.incoming(self._datagram, run.read)
         if controller.run is not run:
             return  # ended by a request while it waited
         self.cycles += 1
-        controller.finish_cycle(self._after_faults(reply))
+        controller.finish_cycle(reply)
         self._notice_change()
         if not self._clock.paced:
             self._clock.advance_cycle(run.settings.cycle_ms * 1_000_000)
@@ -139,16 +152,35 @@ class Station:
             idle = self._controller.run is run and not self._ending
         self._serve_timers(now_s)
 
-    def _after_faults(self, reply: Reply | None) -> Reply | None:
-        shares = [float(fault.argument) for fault in self._faults.active("drop")]
-        if not shares or reply is None:
-            return reply
-        lost = noise(self._seed, DROP_NOISE, self.cycles).random() * PERCENT
-        return None if lost < max(shares) else reply
+    def _send_with_faults(self, run: RsiRun, telegram: bytes) -> bool:
+        """Send what the faults of the link leave of a telegram; False when the client cannot answer it."""
+        assert self._rsi is not None
+        link = self._link
+        link.begin_cycle(self.cycles + 1)
+        if link.acts("foreign_sender"):
+            self._foreign = self._foreign or RsiSocket(self._client)
+            self._foreign.send(run.with_other_stamp(telegram))
+        if link.acts("short_first") and run.begins:
+            telegram = run.short_telegram()
+        leaving, answerable = link.outgoing(telegram)
+        if leaving is not None:
+            self._rsi.send(leaving)
+        return answerable
+
+    def _moment(self) -> tuple[float, int | None]:
+        """Theatre time, and the time stamp of the telegram that leaves next."""
+        run = self._controller.run
+        return self._clock.now_s(), run.ipoc if run is not None else None
+
+    def _close_rsi(self) -> None:
+        for link in (self._rsi, self._foreign):
+            if link is not None:
+                link.close()
+        self._rsi = self._foreign = self._run = None
 
     def _enter_run(self, run: RsiRun) -> None:
-        if self._rsi is not None:
-            self._rsi.close()
+        self._close_rsi()
+        self._link.begin_run()
         self._run = run
         self._rsi = RsiSocket(self._client)
         self._deadline_s = time.monotonic()
@@ -157,10 +189,9 @@ class Station:
         self._last_command = run.command_deg
 
     def _leave_run(self) -> None:
-        """After RSI_OFF: the arm comes to rest before the pace of time is given back."""
+        """Without RSI: a motion, or coming to rest, before the pace of time is given back."""
         if self._rsi is not None:
-            self._rsi.close()
-            self._rsi = self._run = None
+            self._close_rsi()
             self._deadline_s = time.monotonic()
         cycle_s = self._controller.cycle_ms / 1000.0
         if self._controller.moving:
@@ -170,6 +201,7 @@ class Station:
                 self._wait(self._deadline_s)
             else:
                 self._clock.advance_cycle(round(cycle_s * 1e9))
+                self._wait_once(0.0, None)  # a motion may be stopped on its way
         if not self._controller.moving:
             self._clock.end_stream()
         self._notice_change()
@@ -187,6 +219,7 @@ class Station:
         """The reply of this cycle, or None when it has not come by `limit_s` (host time)."""
         assert self._rsi is not None
         budget = STALE_LIMIT
+        self._datagram = None
         while True:
             # The time is taken before looking: what lies in the socket at the limit has come in time.
             now_s = time.monotonic()
@@ -198,6 +231,7 @@ class Station:
                         break
                     reply = run.read(data)
                     if reply is not None:
+                        self._datagram = data
                         return reply
             if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
                 return None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ronna_hw.wire.kuka_context import FREE_TAG, INTERNAL, SendElement
+from ronna_hw.wire.kuka_context import FREE_TAG, INTERNAL, Feedback, SendElement
 from sim.kuka.errors import EthernetFileInvalid
 
 FRAME = ("X", "Y", "Z", "A", "B", "C")
@@ -31,6 +31,9 @@ KEYWORDS = {
     "MECur": (EXTERNAL, NOTHING),
 }
 DELAY = "Delay"
+LATE_PLACE = 0  # in what is told as whole numbers: late packets, Stat of AXISCORR, Stat of POSCORR
+STAT_PLACES = {"AXISCORR": 1, "POSCORR": 2}
+ONLY_DELAY = [LATE_PLACE]
 ZERO_OF = {"BOOL": "0", "LONG": "0", "STRING": ""}
 
 
@@ -43,10 +46,12 @@ class TelegramWriter:
         precision: int,
         set_axes_deg: Sequence[float],
         set_frame: Sequence[float],
+        feedback: Sequence[Feedback] = (),
     ) -> None:
         self._number = f"%.{precision}f"
         self._order: list[str] = []
-        self._delays = 0
+        self._counts: list[int] = []  # what each whole number in the telegram tells
+        self._stats = {wire.indx: STAT_PLACES[wire.object] for wire in feedback}
         constants = {SET_AXES: set_axes_deg, SET_FRAME: set_frame, NOTHING: (0.0,) * 6}
         groups: list[tuple[str, str]] = []  # name, attributes or text as a template
         for element in elements:
@@ -60,17 +65,28 @@ class TelegramWriter:
         self._last: tuple[Sequence[float] | None, Sequence[float] | None] = (None, None)
         self._filled = ""
 
-    def write(self, frame: Sequence[float], axes_deg: Sequence[float], late: int, ipoc: int) -> bytes:
-        """One telegram: actual frame (mm, deg), actual axes (deg), late packets so far, time stamp."""
+    def write(
+        self,
+        frame: Sequence[float],
+        axes_deg: Sequence[float],
+        late: int,
+        ipoc: int,
+        stats: tuple[int, int] = (0, 0),
+    ) -> bytes:
+        """One telegram: actual frame (mm, deg), actual axes (deg), late packets so far, time stamp.
+
+        `stats` are Stat of AXISCORR and of POSCORR.
+        """
         if self._last[0] is not axes_deg or self._last[1] is not frame:
             values: list[float] = []
             for name in self._order:
                 values += frame if name == ACTUAL_FRAME else axes_deg
             self._filled = self._template % tuple(values)
             self._last = (axes_deg, frame)
-        if self._delays == 1:
+        if self._counts == ONLY_DELAY:
             return (self._filled % (late, ipoc)).encode("ascii")
-        return (self._filled % ((late,) * self._delays + (ipoc,))).encode("ascii")
+        told = (late, *stats)
+        return (self._filled % (*(told[place] for place in self._counts), ipoc)).encode("ascii")
 
     def _add(
         self,
@@ -84,6 +100,9 @@ class TelegramWriter:
         if element.indx != INTERNAL:
             name, _, attribute = tag.partition(".")
             zero = ZERO_OF.get(element.type, self._number % 0.0)
+            if element.indx in self._stats:
+                self._counts.append(self._stats[element.indx])
+                zero = "%%d" if element.type in ZERO_OF else f"%{self._number}"
             if not attribute:
                 groups.append((name, zero))
                 return
@@ -91,7 +110,7 @@ class TelegramWriter:
             return
         name, _, part = tag.removeprefix(KEYWORD_PREFIX).partition(".")
         if name == DELAY:
-            self._delays += 1
+            self._counts.append(LATE_PLACE)
             groups.append((name, ' D="%%d"'))
         elif name == "Tech" and part[:1] == "C" and part[1:] in map(str, range(1, TECH_GENERATORS + 1)):
             text = "".join(

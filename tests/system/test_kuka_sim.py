@@ -320,7 +320,7 @@ def test_the_state_says_what_a_driver_must_know_before_it_moves(cell: Callable[.
     assert eki.command("DRIVES", On=2) == 2
     assert eki.command("RSI_START", Cycle=5) == 2
     assert eki.command("RSI_START", Ref="OTHER") == 2
-    assert eki.command("PTP_AXIS", A1=0) == 1
+    assert eki.command("PTP_AXIS", A1=0) == 2
     assert eki.command("NONSENSE") == 2
     assert eki.command("SELECT") == 0
     assert eki.command("CANCEL") == 0

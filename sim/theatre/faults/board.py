@@ -36,6 +36,15 @@ class FaultBoard:
             if fault.kind.name == kind and fault.active(now_s, step, started_ns / 1e9)
         )
 
+    def acting(self) -> tuple[Fault, ...]:
+        """All lasting faults of any kind that act now."""
+        self._refresh()
+        if not self._faults:
+            return ()
+        step, started_ns = self._world.step()
+        now_s = self._world.clock.now_s()
+        return tuple(fault for fault in self._faults if fault.active(now_s, step, started_ns / 1e9))
+
     def happened(self, kind: str) -> tuple[Fault, ...]:
         """Momentary faults of that kind whose moment has come since the last call; each is told once.
 

@@ -1,11 +1,99 @@
-"""Faults of the robot's controller and of its links."""
+"""Faults of the robot's controller, of its links, and what people do at its cell."""
 
 from __future__ import annotations
 
-from sim.theatre.faults.kinds import FaultKind, at_most_all
+from collections.abc import Iterator
 
-ROBOT_FAULTS = (
-    FaultKind(
-        "drop", "robot", "drop NUMBER %", "That share of the RSI replies never arrives.", check=at_most_all
+from sim.theatre.faults.kinds import Arguments, FaultKind, at_most_all
+from sim.theatre.scene import Scene
+
+MODES = ("T1", "T2", "AUT", "EXT")
+AXES = ("1", "2", "3", "4", "5", "6")
+
+
+def _mode(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    if arguments[0] not in MODES:
+        yield f"there is no operating mode {arguments[0]!r}, only {', '.join(MODES)}"
+
+
+def _axis(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    if arguments[0] not in AXES:
+        yield f"there is no axis {arguments[0]}, only {AXES[0]} to {AXES[-1]}"
+
+
+def _lasting(name: str, phrase: str, meaning: str) -> FaultKind:
+    return FaultKind(name, "robot", phrase, meaning)
+
+
+def _share(name: str, phrase: str, meaning: str) -> FaultKind:
+    return FaultKind(name, "robot", phrase, meaning, check=at_most_all)
+
+
+def _once(name: str, phrase: str, meaning: str) -> FaultKind:
+    return FaultKind(name, "robot", phrase, meaning, momentary=True)
+
+
+LINK_FAULTS = (
+    _share("drop", "drop NUMBER %", "That share of the RSI replies never arrives."),
+    _lasting("delay", "delay INT cycles", "Every RSI reply arrives that many cycles later."),
+    _share("duplicate", "duplicate NUMBER %", "That share of the RSI replies arrives twice."),
+    _share(
+        "reorder", "reorder NUMBER %", "That share of the RSI replies arrives after the one that follows."
+    ),
+    _share("corrupt_replies", "corrupt replies NUMBER %", "That share of the RSI replies arrives broken."),
+    _share("corrupt_telegrams", "corrupt telegrams NUMBER %", "That share of the telegrams leaves broken."),
+    _share("lose_telegrams", "lose telegrams NUMBER %", "That share of the telegrams never leaves."),
+    _lasting("network_cut", "network cut", "Nothing passes on the RSI link, either way."),
+    _lasting(
+        "foreign_sender",
+        "foreign sender",
+        "Another controller sends to the same port, from a port of its own.",
+    ),
+    _lasting(
+        "short_first", "short first telegram", "A run begins with a nearly empty telegram, as old RSI did."
     ),
 )
+
+CELL_FAULTS = (
+    _lasting("emergency_stop", "emergency stop", "The emergency stop is pressed, and released at the end."),
+    _lasting("guard", "guard open", "The guard is open; it stops the arm in AUT and EXT."),
+    FaultKind(
+        "mode",
+        "robot",
+        "mode NAME",
+        "The key stands at T1, T2 or AUT, and is turned back to EXT at the end.",
+        check=_mode,
+    ),
+    _lasting("enabling_switch", "enabling switch released", "Nobody enables motion; matters in T1 and T2."),
+    _lasting("start_key", "start key held", "Somebody holds the start key, which T1 and T2 ask for."),
+    _once("drives_off", "drives off", "The drives are switched off."),
+    _once("collision", "collision", "The torque monitor stops the arm, with a message."),
+    _once(
+        "overload",
+        "overload",
+        "The brakes close and nobody is told: the measured axes stop following until the program is reset.",
+    ),
+    FaultKind(
+        "stick",
+        "robot",
+        "stick axis INT",
+        "That axis moves by fits and starts.",
+        check=_axis,
+    ),
+    _once(
+        "restart",
+        "program restart",
+        "The RSI program starts anew: other port, other time stamps, new base pose.",
+    ),
+)
+
+EKI_FAULTS = (
+    _once("eki_cut", "eki cut", "Both EKI connections break."),
+    _once("eki_overflow", "eki overflow", "A memory is full: the next request ends its EKI connection."),
+    _once(
+        "eki_half", "eki half telegram", "Of the next telegram on each EKI channel only the half is written."
+    ),
+    _lasting("eki_silence", "eki silence", "The EKI program neither reads nor answers."),
+)
+
+ROBOT_FAULTS = (*LINK_FAULTS, *CELL_FAULTS, *EKI_FAULTS)

@@ -30,12 +30,23 @@ def test_a_start_needs_drives_key_and_an_idle_program(make_bench: Callable[..., 
     controller.press_emergency_stop(True)
     assert controller.start().code is AckCode.NOT_READY
     assert controller.switch_drives(True).code is AckCode.NOT_READY
+    assert controller.acknowledge().code is AckCode.NOT_READY
     controller.press_emergency_stop(False)
     controller.switch_drives(True)
+    assert controller.start().code is AckCode.REFUSED  # the message stands until it is acknowledged
+    assert controller.acknowledge().code is AckCode.OK
     controller.open_guard(True)
     assert controller.start().code is AckCode.NOT_READY
     assert controller.acknowledge().code is AckCode.NOT_READY
     controller.open_guard(False)
+    assert controller.acknowledge().code is AckCode.OK
+    assert controller.switch_drives(True).code is AckCode.OK
+    controller.turn_key(OperationMode.AUT)
+    controller.switch_drives(True)
+    assert controller.start().code is AckCode.REFUSED
+    controller.turn_key(OperationMode.EXT)
+    assert controller.start().code is AckCode.NOT_READY  # turning the key switches the drives off
+    controller.switch_drives(True)
     assert controller.start(correction="POS").code is AckCode.BAD_VALUE
     assert controller.start(correction="AXIS").code is AckCode.OK
     assert controller.start().code is AckCode.BUSY
@@ -70,8 +81,8 @@ def test_every_interruption_brakes_the_arm_and_no_correction_acts_any_more(
             controller.settle()
     assert not controller.moving
     assert 3.0 < controller.arm.axes_deg[0] < 5.0
-    if reason in ("drives", "emergency"):
-        assert not controller.drives_on
+    assert controller.drives_on is (reason == "stop")
+    assert (controller.message is not None) is (reason in ("emergency", "guard"))
     if streams:
         controller.cancel()
         assert controller.program_state is ProState.FREE
@@ -93,10 +104,10 @@ def test_a_fault_is_left_only_by_acknowledgement(bench: Any) -> None:
 def test_tool_base_and_override_are_taken_outside_a_run_only(bench: Any) -> None:
     controller = bench.controller
     frame = (10.0, 0.0, 100.0, 0.0, 0.0, 0.0)
-    assert controller.set_tool(frame).code is AckCode.REFUSED
+    assert controller.set_tool(2, frame).code is AckCode.REFUSED
     controller.cancel()
     flange = list(controller.arm.frame)
-    assert controller.set_tool(frame).code is AckCode.OK
+    assert controller.set_tool(2, frame).code is AckCode.OK
     assert controller.arm.frame[2] == pytest.approx(flange[2] - 100.0)
     assert controller.set_base(3, (0.0, 0.0, 500.0, 90.0, 0.0, 0.0)).code is AckCode.OK
     assert controller.arm.frame[2] == pytest.approx(flange[2] - 600.0)

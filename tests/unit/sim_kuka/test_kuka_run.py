@@ -181,7 +181,7 @@ def test_a_teleport_at_speed_ends_in_a_braked_stop(bench: Any) -> None:
 
 
 def test_speed_above_the_axis_limit_for_several_cycles_is_a_fault(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench(parameters=ControllerParameters(step_share=2.0))
+    bench = make_bench(parameters=ControllerParameters(step_share=2.0, acceleration_share=100.0))
     bench.enter_movecorr()
     for n in range(1, 3):
         bench.answer(on_a1(n * 1.5))
@@ -190,6 +190,44 @@ def test_speed_above_the_axis_limit_for_several_cycles_is_a_fault(make_bench: Ca
     for n in range(1, 4):
         bench.answer(on_a1(3.0 + n * 1.5))
     assert message_of(bench) == 1102
+
+
+@pytest.mark.parametrize("cycle_ms", [4, 12])
+@pytest.mark.parametrize("axis", range(6))
+def test_one_held_value_at_the_working_speed_passes_and_no_acceleration_is_read_into_it(
+    make_bench: Callable[..., Any], cycle_ms: int, axis: int
+) -> None:
+    bench = make_bench(start=False)
+    bench.controller.switch_drives(True)
+    bench.controller.start(cycle_ms=cycle_ms)
+    bench.enter_movecorr()
+    joint = bench.controller.arm.description.joints[axis]
+    step_deg, place = joint.full_speed_deg_s * cycle_ms / 1000 / 8, 0.0
+    gain_deg = 0.2 * joint.acceleration_deg_s2 * (cycle_ms / 1000) ** 2  # a fifth of the axis acceleration
+    speed = 0.0
+    lost = 0
+    for cycle in range(400):
+        speed = min(step_deg, speed + gain_deg) if cycle < 300 else max(0.0, speed - gain_deg)
+        place += speed
+        if place > 90.0:
+            break
+        if speed == step_deg and cycle % 7 == 0:
+            bench.miss()
+            lost += 1
+        else:
+            bench.answer((0.0,) * axis + (-place,) + (0.0,) * (5 - axis))
+    assert lost
+    assert bench.controller.message is None
+
+
+def test_acceleration_that_lasts_is_a_fault_though_no_step_is_too_large(bench: Any) -> None:
+    bench.enter_movecorr()
+    A2_step_deg = 0.24 * 300.0 * 0.004
+    with pytest.raises(AssertionError):
+        bench.ramp((0.0, 60 * A2_step_deg, 0.0, 0.0, 0.0, 0.0), steps=60)
+    assert message_of(bench) == 1074
+    assert "deg/s2" in bench.controller.message.text
+    assert not bench.controller.drives_on
 
 
 def test_the_default_context_clamps_at_the_software_end_switches(bench: Any) -> None:

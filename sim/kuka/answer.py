@@ -1,0 +1,17 @@
+"""What the controller answers a request with."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ronna_hw.wire.kuka_eki import AckCode
+
+
+class Answer(NamedTuple):
+    """A code, and why."""
+
+    code: AckCode = AckCode.OK
+    text: str = ""
+
+
+DONE = Answer()

@@ -1,0 +1,65 @@
+"""Attributes of EKI commands: read strictly, and written so that no parser stumbles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from xml.sax.saxutils import escape
+
+from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, STRING_LIMIT
+
+FRAME = ("X", "Y", "Z", "A", "B", "C")
+_QUOTES = {'"': "&quot;", "\n": " ", "\r": " "}
+
+
+def whole(given: Mapping[str, str], name: str, otherwise: int | None = None) -> int:
+    """A whole number; ValueError when it is none, or missing and nothing else is meant by that."""
+    if otherwise is not None and name not in given:
+        return otherwise
+    try:
+        return int(given[name])
+    except (KeyError, ValueError):
+        raise ValueError(f"{name} is missing or no whole number") from None
+
+
+def flag(given: Mapping[str, str], name: str) -> bool:
+    """0 or 1; ValueError for anything else."""
+    if given.get(name) not in ("0", "1"):
+        raise ValueError(f"{name} is 0 or 1")
+    return given[name] == "1"
+
+
+def number(given: Mapping[str, str], name: str, otherwise: float | None = None) -> float:
+    """A finite number; ValueError as for `whole`."""
+    if otherwise is not None and name not in given:
+        return otherwise
+    try:
+        value = float(given[name])
+    except (KeyError, ValueError):
+        value = float("nan")
+    if not isfinite(value):
+        raise ValueError(f"{name} is missing or no number")
+    return value
+
+
+def share(given: Mapping[str, str], name: str) -> float:
+    """A percentage above 0 up to 100 as a share; everything when it is missing."""
+    value = number(given, name, 100.0)
+    if not 0.0 < value <= 100.0:
+        raise ValueError(f"{name} is a percentage above 0 up to 100")
+    return value / 100.0
+
+
+def frame(given: Mapping[str, str]) -> list[float]:
+    """X Y Z (mm) A B C (deg)."""
+    return [number(given, name) for name in FRAME]
+
+
+def axes(given: Mapping[str, str]) -> list[float]:
+    """A1 to A6 (deg)."""
+    return [number(given, name) for name in AXIS_ATTRIBUTES]
+
+
+def text(content: str) -> str:
+    """An attribute's value, not longer than a KRL string."""
+    return escape(content[:STRING_LIMIT], _QUOTES)

@@ -1,0 +1,33 @@
+"""Parameters of the controller, set by name."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim.kuka.errors import UnknownParameter
+from sim.kuka.parameters import ControllerParameters, changed_parameters
+
+
+def test_parameters_are_set_by_name() -> None:
+    changed = changed_parameters(["timeout_counting=total", "streams_after_stop=false", "lag_s=0.02"])
+    assert (changed.timeout_counting, changed.streams_after_stop, changed.lag_s) == ("total", False, 0.02)
+    assert changed_parameters(["dead_time_cycles=3"]).dead_time_cycles == 3
+    assert changed_parameters(()) == ControllerParameters()
+
+
+@pytest.mark.parametrize(
+    ("assignment", "told"),
+    [
+        ("lag=1", "no parameter 'lag'"),
+        ("lag_s", "lag_s cannot be ''"),
+        ("lag_s=-1", "lag_s cannot be -1"),
+        ("lag_s=nan", "lag_s cannot be nan"),
+        ("dead_time_cycles=1.5", "dead_time_cycles cannot be '1.5'"),
+        ("timeout_counting=some", "timeout_counting cannot be 'some'"),
+        ("streams_after_stop=1", "streams_after_stop cannot be '1'"),
+    ],
+)
+def test_a_wrong_parameter_is_refused_with_what_may_stand_there(assignment: str, told: str) -> None:
+    with pytest.raises(UnknownParameter, match=told) as caught:
+        changed_parameters([assignment])
+    assert caught.value.code == "KRC-003"
