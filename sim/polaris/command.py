@@ -38,7 +38,7 @@ def polaris(
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra or Vicra, for any client; runs until it is ended."""
-    from sim.polaris.parameters import UnitParameters, parameter_lines
+    from sim.polaris.parameters import UnitParameters, parameter_rows
     from sim.polaris.profile import PROFILES
     from sim.polaris.pseudo_terminal import PseudoTerminal
     from sim.polaris.server import EndSignal, Server, listen, network_address
@@ -48,7 +48,8 @@ def polaris(
     from sim.theatre.process import announce, end_with_parent, open_world
 
     if list_parameters:
-        typer.echo("\n".join(parameter_lines()))
+        for name, value, meaning in parameter_rows():
+            typer.echo(f"{name}={value}  {meaning}")
         return
     address = None if endpoint == SERIAL_PTY else network_address(endpoint)
     behaviour = UnitParameters.with_settings(setting or [])

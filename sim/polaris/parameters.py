@@ -7,6 +7,7 @@ chooses one.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
 from enum import IntEnum
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
@@ -156,23 +157,25 @@ class UnitParameters:
         for setting in settings:
             name, equals, text = setting.partition("=")
             if name not in kinds:
-                raise BadUnitParameter(f"there is no parameter {name!r}", awaited=", ".join(kinds))
+                alike = ", ".join(get_close_matches(name, kinds)) or None
+                raise BadUnitParameter(f"there is no parameter {name!r}", awaited=alike)
             if not equals:
                 raise BadUnitParameter(f"{name} is given no value", awaited=f"{name}=VALUE")
             values[name] = _value(name, kinds[name][0], text)
         return replace(cls(), **values)
 
 
-def parameter_lines() -> list[str]:
-    """One line for each parameter: name, best estimate, meaning, and the values of an enumeration."""
-    lines = []
+def parameter_rows() -> list[tuple[str, str, str]]:
+    """Of each parameter its name, best estimate, and meaning with the values of an enumeration."""
+    rows = []
     kinds = _kinds()
     for entry in fields(UnitParameters):
         kind, meaning = kinds[entry.name]
-        default = f"{int(entry.default):02X}" if isinstance(entry.default, IntEnum) else entry.default
+        default: Any = entry.default
+        text = f"{int(default):02X}" if isinstance(default, IntEnum) else str(default).lower()
         choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
-        lines.append(f"{entry.name}={default}  {meaning}{choices}")
-    return lines
+        rows.append((entry.name, default if get_origin(kind) is Literal else text, meaning + choices))
+    return rows
 
 
 def _kinds() -> dict[str, tuple[Any, str]]:
