@@ -19,10 +19,12 @@ import sim
 from procedures.engine.machine import mermaid
 from ronna_hw.config import TheatreFile
 from ronna_hw.errors import concrete_errors
+from sim.polaris.parameters import parameter_rows
 from sim.theatre.faults import FAULT_KINDS
 
 sys.path.append(str(Path(__file__).parent))  # when this file is loaded by path, its neighbours are not found
 from hazard_matrix import hazard_page
+from polaris_checklist import checklist_page
 
 REFERENCE = Path(__file__).parent / "reference"
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures)
@@ -35,8 +37,10 @@ def pages() -> dict[str, str]:
         "error-codes.md": NOTE + _error_codes(),
         "faults.md": NOTE + _faults(),
         "hazards.md": NOTE + hazard_page(),
+        "polaris-checklist.md": NOTE + checklist_page(),
         "state-chart.md": NOTE + f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
         "theatre-file.md": NOTE + _theatre_keys(),
+        "tracker-parameters.md": NOTE + _tracker_parameters(),
     }
 
 
@@ -67,6 +71,16 @@ def _faults() -> str:
         "| fault | | what happens |\n|---|---|---|",
     ]
     lines += [f"| `{k.usage}` | {'once' if k.momentary else 'lasts'} | {k.meaning} |" for k in FAULT_KINDS]
+    return "\n".join(lines) + "\n"
+
+
+def _tracker_parameters() -> str:
+    lines = [
+        "# Unconfirmed behaviour of the tracker\n",
+        "No public source settles these. `ronna-sim polaris --set NAME=VALUE` chooses another answer.\n",
+        "| parameter | best estimate | meaning |\n|---|---|---|",
+    ]
+    lines += [f"| `{name}` | {value} | {meaning} |" for name, value, meaning in parameter_rows()]
     return "\n".join(lines) + "\n"
 
 

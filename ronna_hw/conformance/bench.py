@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import socket
 from typing import Any
 
 from ronna_hw.clock import Clock, HostClock, SharedClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.disturbed_line import DisturbedLine
+from ronna_hw.conformance.errors import ControlRefused
+from ronna_hw.conformance.polaris_tap import PolarisTap
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.registry import load_driver, make_device
 
 CHECKED_PROTOCOLS = frozenset({"ndi-polaris"})  # their replies carry checksums
+CONTROL_LIMIT_S = 5.0  # host time, for an answer of the control port
 _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
 
 
@@ -20,6 +25,7 @@ class Bench:
     """One device configuration under test. `offers` is what the cases may rely on.
 
     `clock_known` is False where the host's clock was taken because nobody said which clock the device has.
+    `control` is the endpoint by which the device can be made to fail, where there is one.
     """
 
     def __init__(
@@ -30,11 +36,13 @@ class Bench:
         allowed: frozenset[str] = frozenset(),
         *,
         clock_known: bool = True,
+        control: str | None = None,
     ) -> None:
         self.name = name
         self.config = config
         self.clock = clock
         self.clock_known = clock_known
+        self._control = control
         self._shared: Device | None = None
         self._made: list[Device] = []
         self.offers = allowed | self._capabilities()
@@ -85,6 +93,32 @@ class Bench:
         assert self.config.endpoint is not None, "line faults are offered only for one endpoint"
         return DisturbedLine(parse_endpoint(self.config.endpoint))
 
+    def polaris_tap(self) -> PolarisTap:
+        """A line of ours that understands commands and replies of the Polaris protocol."""
+        self.release()
+        assert self.config.endpoint is not None, "line faults are offered only for one endpoint"
+        return PolarisTap(parse_endpoint(self.config.endpoint))
+
+    def fault(self, line: str) -> None:
+        """Make the device fail, by one line of the language of faults; raises CNF-004 when it is refused."""
+        self._tell_control({"do": "fault", "line": line})
+
+    def clear_faults(self) -> None:
+        """End every fault."""
+        self._tell_control({"do": "clear_faults"})
+
+    def _tell_control(self, request: dict[str, str]) -> None:
+        assert self._control is not None, "faults are offered only with a control port"
+        address = parse_endpoint(self._control).require("tcp")
+        try:
+            with socket.create_connection((address.host, address.port), CONTROL_LIMIT_S) as door:
+                door.sendall(json.dumps(request).encode() + b"\n")
+                answer = json.loads(door.makefile("rb").readline() or b"{}")
+        except (OSError, ValueError) as error:
+            raise ControlRefused(f"no answer from {address}: {error}") from error
+        if not answer.get("ok"):
+            raise ControlRefused(f"{request.get('line', request['do'])}: {answer.get('reason', 'refused')}")
+
     def _capabilities(self) -> frozenset[str]:
         found = set()
         driver = load_driver(self.config.driver)
@@ -93,6 +127,10 @@ class Bench:
             found.add("checked replies")
         if protocol == "ndi-polaris" and self.config.endpoint is not None:
             found.add("polaris bytes")
+            if parse_endpoint(self.config.endpoint).scheme == "serial":
+                found.add("serial line")
+        if self._control is not None:
+            found.add("live faults")
         if isinstance(self.clock, HostClock) or (isinstance(self.clock, SharedClock) and self.clock.paced):
             found.add("host time")
         if self._can_be_disturbed():

@@ -20,6 +20,8 @@ NEEDS = {
     "checked replies": "the protocol of this driver has no checksums that we know of",
     "polaris bytes": "the device does not speak the NDI Polaris protocol, or the driver does not say so",
     "tool definition": "no tool definition is configured",
+    "serial line": "the endpoint is no serial line: rates and breaks have no meaning there",
+    "live faults": "no control port is known by which the device could be made to fail: --control names one",
     "host time": "the theatre's time is not the host's",
 }
 
@@ -42,7 +44,10 @@ class Nonconformity(AssertionError):
 
 @dataclass(frozen=True)
 class Case:
-    """One behaviour. `number` is stable: T.. for any tracker, P.. a line of the Polaris checklist."""
+    """One behaviour under a stable number.
+
+    T.. any tracker must show; P.. and D.. are lines of the Polaris checklist, about the unit and its driver.
+    """
 
     number: str
     statement: str

@@ -44,6 +44,12 @@ AllowOption = Annotated[
 OnlyOption = Annotated[
     list[str] | None, typer.Option("--only", help="Run only cases whose number begins so, such as P or T2.")
 ]
+ControlOption = Annotated[
+    str | None,
+    typer.Option(
+        "--control", help="Control port of the device at --endpoint, by which it can be made to fail."
+    ),
+]
 ReportOption = Annotated[Path | None, typer.Option("--report", help="Write the whole report as JSON here.")]
 
 
@@ -55,12 +61,13 @@ def tracker(
     driver: DriverOption = None,
     allow: AllowOption = None,
     only: OnlyOption = None,
+    control: ControlOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
 ) -> int:
     """An optical tracker."""
-    return _run("tracker", sim, config, endpoint, driver, None, allow, only, report, json, verbose)
+    return _run("tracker", sim, config, endpoint, driver, None, allow, only, report, json, verbose, control)
 
 
 @app.command()
@@ -108,6 +115,7 @@ def _run(
     report_file: Path | None,
     json: bool,
     verbose: bool,
+    control: str | None = None,
 ) -> int:
     set_up_logging(verbose)
     from ronna_hw.conformance.report import run_suite
@@ -118,7 +126,7 @@ def _run(
         write_whole(report_file, b"")  # a place that cannot be written is told before the work, not after
     suite = load_suite(kind).only(only or [])
     with (
-        stand(suite, sim, config, endpoints or [], driver, device, allow or []) as bench,
+        stand(suite, sim, config, endpoints or [], driver, device, allow or [], control) as bench,
         progress_bar(f"{kind} suite") as progress,
     ):
         report = run_suite(suite, bench, progress)

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Protocol
+from typing import Protocol, Self
 
 from ronna_hw.endpoints import Endpoint
 
@@ -36,6 +36,7 @@ class DisturbedLine:
         self._device = device.require("tcp", "serial")
         self._server = socket.create_server(("127.0.0.1", 0))
         self._next: Disturbance | None = None
+        self._unasked: list[bytes] = []
         self._silent = False
         self._cut = False
         self._ended = False
@@ -58,6 +59,10 @@ class DisturbedLine:
         """Hold the next chunk back, and all that follows it."""
         self._next = lambda data: [(delay_s, data)]
 
+    def say(self, data: bytes) -> None:
+        """Say something to the driver that the device never said."""
+        self._unasked.append(data)
+
     def silence(self, silent: bool = True) -> None:
         """Swallow everything that the device says, until switched off."""
         self._silent = silent
@@ -66,7 +71,7 @@ class DisturbedLine:
         """Close the present connection; the next one is served again."""
         self._cut = True
 
-    def __enter__(self) -> DisturbedLine:
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 
@@ -104,17 +109,28 @@ class DisturbedLine:
                     if not data:
                         return
                     if key.fileobj is client:
+                        self._heard(data)
                         _write_all(device.fileno(), data)
                     elif not self._silent:
-                        held += self._disturbed(data, held)
+                        held += self._in_order(self._disturbed(data), held)
+                while self._unasked:
+                    held += self._in_order([(0.0, self._unasked.pop(0))], held)
                 while held and held[0][0] <= time.monotonic():
                     client.sendall(held.pop(0)[1])
 
-    def _disturbed(self, data: bytes, held: list[tuple[float, bytes]]) -> list[tuple[float, bytes]]:
+    def _heard(self, data: bytes) -> None:
+        """What the driver says passes here, and is never changed."""
+
+    def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
         disturbance, self._next = self._next, None
+        return disturbance(data) if disturbance else [(0.0, data)]
+
+    @staticmethod
+    def _in_order(
+        deliveries: list[tuple[float, bytes]], held: list[tuple[float, bytes]]
+    ) -> list[tuple[float, bytes]]:
         now_s = time.monotonic()
         earliest_s = held[-1][0] if held else now_s  # nothing overtakes what was said before
-        deliveries = disturbance(data) if disturbance else [(0.0, data)]
         return [(max(earliest_s, now_s + delay_s), part) for delay_s, part in deliveries]
 
     def _open_device(self) -> _End:

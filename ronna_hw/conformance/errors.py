@@ -24,3 +24,10 @@ class NoSuchCase(ConfigurationError):
 
     code = "CNF-003"
     action = "Run the suite without --only to see the numbers of its cases."
+
+
+class ControlRefused(ConfigurationError):
+    """The control port does not answer, or refuses what it was told."""
+
+    code = "CNF-004"
+    action = "Give the control port that the device under test told in its READY line."

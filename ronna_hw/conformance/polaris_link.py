@@ -30,6 +30,8 @@ from ronna_hw.wire.polaris import (
 )
 
 REPLY_LIMIT_S = 6.0  # the unit's own longest limit for the commands used here
+BREAK_S = 0.5
+RESET_LIMIT_S = 7.0  # from a break to the unit's RESET, the longest that any client waits
 QUIET_S = 0.02  # a line of which nothing is wanted is quiet after this
 _ASCII = re.compile(rb"(.*)([0-9A-F]{4})\r", re.DOTALL)
 _ERROR = re.compile("ERROR[0-9A-F]{2}")
@@ -51,6 +53,22 @@ class SerialLine:
 
     def recv(self, size: int) -> bytes:
         return bytes(self._port.read(size))
+
+    @property
+    def baud(self) -> int:
+        """Rate of our end."""
+        return int(self._port.baudrate)
+
+    @baud.setter
+    def baud(self, rate: int) -> None:
+        self._port.baudrate = rate
+
+    def send_break(self) -> None:
+        """Hold the line low: the unit resets itself. What either side still holds is dropped first."""
+        import termios
+
+        termios.tcflush(self.fileno(), termios.TCIOFLUSH)
+        self._port.send_break(BREAK_S)
 
     def close(self) -> None:
         self._port.close()
@@ -81,9 +99,9 @@ class PolarisLink:
     def send(self, command: str | bytes) -> None:
         self.line.sendall(with_crc(command) if isinstance(command, str) else command)
 
-    def text(self) -> str:
+    def text(self, limit_s: float = REPLY_LIMIT_S) -> str:
         """The text of the next ASCII reply."""
-        heard = self._read_until(lambda data: data.endswith(b"\r"))
+        heard = self._read_until(lambda data: data.endswith(b"\r"), limit_s)
         match = _ASCII.fullmatch(heard)
         check(match is not None, "text, four upper-case hex digits and CR", heard)
         assert match is not None
@@ -128,13 +146,17 @@ class PolarisLink:
     def load(self, definition: bytes, priority: str = "D") -> str:
         """Load, initialise and enable a tool; its handle as two hex digits."""
         handle = self.request_handle()
-        for address in range(0, len(definition), PVWR_BLOCK_BYTES):
-            block = definition[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
-            self.okay(f"PVWR:{handle}{address:04X}{block.hex().upper()}")
+        self.write(handle, definition)
         reply = self.ask(f"PINIT:{handle}")
         check(reply == REPLY_OKAY or reply.startswith("WARNING"), "OKAY or WARNING to PINIT", reply)
         self.okay(f"PENA:{handle}{priority}")
         return handle
+
+    def write(self, handle: str, definition: bytes) -> None:
+        """Write a definition into the memory of a handle."""
+        for address in range(0, len(definition), PVWR_BLOCK_BYTES):
+            block = definition[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
+            self.okay(f"PVWR:{handle}{address:04X}{block.hex().upper()}")
 
     def request_handle(self) -> str:
         handle = self.ask(f"PHRQ:{PHRQ_ANY_PASSIVE}")
@@ -154,14 +176,20 @@ class PolarisLink:
         for handle in self.handles():
             self.ask(f"PHF:{handle}")
 
-    def _read_until(self, complete: Callable[[bytes], bool]) -> bytes:
+    @property
+    def serial(self) -> SerialLine:
+        """The line, where it is a serial one: cases that need it say so."""
+        assert isinstance(self.line, SerialLine), "the case needs a serial line"
+        return self.line
+
+    def _read_until(self, complete: Callable[[bytes], bool], limit_s: float = REPLY_LIMIT_S) -> bytes:
         heard = b""
-        until_s = time.monotonic() + REPLY_LIMIT_S
+        until_s = time.monotonic() + limit_s
         while not complete(heard):
             left_s = until_s - time.monotonic()
             ready = left_s > 0 and select.select([self.line], [], [], left_s)[0]
             data = self.line.recv(65536) if ready else b""
-            check(bool(data), f"a reply within {REPLY_LIMIT_S:g} s", heard.hex(" ") or "nothing")
+            check(bool(data), f"a reply within {limit_s:g} s", heard.hex(" ") or "nothing")
             heard += data
         return heard
 
@@ -172,17 +200,24 @@ def is_error(text: str) -> bool:
 
 
 @contextmanager
-def idle_unit(bench: Bench) -> Iterator[PolarisLink]:
-    """The unit of the bench, initialised and without tools, by plain bytes; left that way again."""
+def plain_unit(bench: Bench) -> Iterator[PolarisLink]:
+    """The unit of the bench as its last client left it, by plain bytes."""
     bench.release()
     assert bench.config.endpoint is not None, "polaris bytes are offered only for one endpoint"
     line = _open(parse_endpoint(bench.config.endpoint))
     try:
         link = PolarisLink(line)
         link.rest()
+        yield link
+    finally:
+        line.close()
+
+
+@contextmanager
+def idle_unit(bench: Bench) -> Iterator[PolarisLink]:
+    """The unit of the bench, initialised and without tools, by plain bytes; left that way again."""
+    with plain_unit(bench) as link:
         link.okay("INIT:")
         link.clean_up()
         yield link
         link.clean_up()
-    finally:
-        line.close()

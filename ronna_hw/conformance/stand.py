@@ -36,10 +36,12 @@ def stand(
     driver: str | None,
     device: str | None,
     allow: list[str],
+    control: str | None = None,
 ) -> Iterator[Bench]:
     """A bench for what the command line names; whatever was started for it is ended afterwards.
 
-    On a simulator everything is allowed. Raises CNF-001, CNF-002, CFG-00x, DEV-002, PRC-001.
+    On a simulator everything is allowed. `control` is the control port of one that was started elsewhere.
+    Raises CNF-001, CNF-002, CFG-00x, DEV-002, PRC-001.
     """
     if (sim, config is not None, bool(endpoints)).count(True) != 1:
         raise NoDeviceChosen("what to test is not said, or said twice")
@@ -60,12 +62,14 @@ def stand(
             child = stack.enter_context(
                 ChildProcess(f"ronna-sim {suite.simulator[0]}", command(SIMULATOR_MODULE, *suite.simulator))
             )
+            control = child.ready.get("control")
             addresses = child.ready.get("endpoints") or {None: child.ready["endpoint"]}
             chosen = _device(driver or suite.driver, addresses)
         else:
             chosen = _device(driver or suite.driver, _by_name(endpoints))
         theatre_clock = open_clock(clock)
-        bench = Bench(name, chosen, theatre_clock, allowed, clock_known=sim or config is not None)
+        known = sim or config is not None
+        bench = Bench(name, chosen, theatre_clock, allowed, clock_known=known, control=control)
         stack.callback(bench.release)
         yield bench
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -9,7 +13,7 @@ import pytest
 from ronna_hw.child_process import ChildNotReady
 from ronna_hw.conformance import stand as stand_module
 from ronna_hw.conformance.case import Suite
-from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen
+from ronna_hw.conformance.errors import ControlRefused, DeviceNotInFile, NoDeviceChosen
 from ronna_hw.conformance.stand import load_suite, stand
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.endpoints import BadEndpoint
@@ -135,3 +139,54 @@ def test_a_simulator_that_does_not_start_is_told() -> None:
         stand(Suite("tracker", "ndi_polaris", ("no-such-device",)), True, None, [], None, None, []),
     ):
         pass
+
+
+@contextmanager
+def control_port(answer: bytes) -> Iterator[tuple[str, list[bytes]]]:
+    """(endpoint, what was said to it) of a port that answers one request."""
+    heard: list[bytes] = []
+
+    def serve() -> None:
+        peer, _ = server.accept()
+        with peer, peer.makefile("rb") as lines:
+            heard.append(lines.readline())
+            peer.sendall(answer)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}", heard
+        thread.join(10.0)
+
+
+def test_a_control_port_offers_live_faults(suite: Suite) -> None:
+    with (
+        control_port(b'{"ok": true}\n') as (control, heard),
+        stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, [], control) as bench,
+    ):
+        assert "live faults" in bench.offers
+        bench.fault("now: tracker bump")
+    assert heard == [b'{"do": "fault", "line": "now: tracker bump"}\n']
+
+
+def test_without_a_control_port_nothing_is_made_to_fail(suite: Suite) -> None:
+    with stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, []) as bench:
+        assert "live faults" not in bench.offers
+
+
+def test_a_fault_that_the_control_port_refuses_is_told(suite: Suite) -> None:
+    with (
+        control_port(b'{"ok": false, "reason": "SIM-003: no such fault"}\n') as (control, _),
+        stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, [], control) as bench,
+        pytest.raises(ControlRefused, match="no such fault") as caught,
+    ):
+        bench.fault("now: tracker nonsense")
+    assert caught.value.code == "CNF-004"
+
+
+def test_a_control_port_where_nobody_is_is_told(suite: Suite) -> None:
+    with (
+        stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, [], "tcp://127.0.0.1:1") as bench,
+        pytest.raises(ControlRefused, match="no answer"),
+    ):
+        bench.clear_faults()

@@ -231,7 +231,7 @@ def test_case_numbers_are_unique_and_needs_known() -> None:
 def test_a_part_of_a_suite_is_chosen_by_the_beginning_of_its_numbers() -> None:
     assert SUITE.only([]) is SUITE
     assert [case.number for case in SUITE.only(["T01", "P0"]).cases] == [
-        "T01", "P02", "P03", "P04", "P05", "P06", "P07"
+        "T01", "P01", "P01b", "P02", "P03", "P04", "P05", "P06", "P07", "P08", "P09"
     ]  # fmt: skip
     with pytest.raises(NoSuchCase) as caught:
         SUITE.only(["Z"])

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from ronna_hw.conformance import polaris_unit
+from ronna_hw.conformance import polaris_frames
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import Nonconformity, NotShown
 
@@ -49,10 +49,10 @@ def judge(monkeypatch: pytest.MonkeyPatch) -> Callable[[Counter, bool], None]:
         def line(_bench: Bench) -> Iterator[Any]:
             yield unit
 
-        monkeypatch.setattr(polaris_unit, "idle_unit", line)
-        monkeypatch.setattr(polaris_unit, "definition", lambda _bench: b"")
-        monkeypatch.setattr(polaris_unit, "_frame", lambda _unit: counter())
-        polaris_unit.frame_rate(cast(Bench, SimpleNamespace(clock_known=clock_known)))
+        monkeypatch.setattr(polaris_frames, "idle_unit", line)
+        monkeypatch.setattr(polaris_frames, "definition", lambda _bench: b"")
+        monkeypatch.setattr(polaris_frames, "frame_number", lambda _unit: counter())
+        polaris_frames.frame_rate(cast(Bench, SimpleNamespace(clock_known=clock_known)))
 
     return run
 
