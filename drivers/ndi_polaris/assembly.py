@@ -22,12 +22,8 @@ from ronna_hw.wire.polaris import PortStatus
 
 NORM_TOLERANCE = 1e-2  # rounding in TX moves the norm by 1e-4; more than this is no rotation
 FARTHEST_MM = 9999.99  # what the unit's own text format can say
-REMARKABLE_PORT_STATUS = int(
-    PortStatus.OUT_OF_VOLUME
-    | PortStatus.PARTIALLY_OUT_OF_VOLUME
-    | PortStatus.IR_INTERFERENCE
-    | PortStatus.PROCESSING_EXCEPTION
-)
+DISTURBED = 0x7F00  # above the low byte every bit says that something disturbed the measurement
+REMARKABLE_PORT_STATUS = int(PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME) | DISTURBED
 
 
 def frame_number(reply: TrackingReply) -> int:

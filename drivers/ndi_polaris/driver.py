@@ -301,15 +301,16 @@ class PolarisTracker:
         raise_baud(link, self._options.maximum_baud, deadline_s, self._pause)
         link.adopt_limits({**read_time_limits(link, deadline_s), **self._options.time_limits_s})
         refuse_standing_trouble(link, deadline_s)
-        note = set_illuminator_rate(link, self._options.illuminator_rate_hz, deadline_s)
-        if note is not None:
-            self._notices.append(note)
+        wanted_hz = self._options.illuminator_rate_hz
+        rate_hz = set_illuminator_rate(link, wanted_hz, deadline_s)
+        if rate_hz != wanted_hz:
+            self._notices.append(f"the unit keeps its illuminators at {rate_hz} Hz instead of {wanted_hz} Hz")
         self._volume = choose_volume(link, self._options.volume, deadline_s)
         if self._volume is None:
             self._notices.append("the unit does not tell its volume: strays are judged by its own bits")
         wanted = ((tool, self._definitions[tool.name]) for tool in self._options.tools)
         self._loaded = load_tools(link, wanted, deadline_s, self._notices.append)
-        self._tracking = Tracking(link, self._loaded, self._volume, self._options, self._clock)
+        self._tracking = Tracking(link, self._loaded, self._volume, rate_hz, self._options, self._clock)
 
     def _farewell(self, session: Session, deadline_s: float) -> None:
         if isinstance(self._guard.fault, LinkLost):

@@ -19,7 +19,7 @@ from drivers.ndi_polaris.rom import ToolDefinition, definition_hash, read_defini
 from drivers.ndi_polaris.shipped import find_definition
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig, describe_mistakes
-from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S, FRAME_RATE_HZ
+from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 
 
 class ToolOption(Strict):
@@ -81,11 +81,6 @@ class PolarisOptions(Strict):
     def limits_s(self) -> dict[str, float]:
         """The unit's time limits per command with the changes of the theatre file."""
         return {**COMMAND_TIMEOUT_S, **self.time_limits_s}
-
-    @property
-    def frames_per_measurement(self) -> int:
-        """Counts of the 60 Hz frame number from one measurement to the next."""
-        return round(FRAME_RATE_HZ / self.illuminator_rate_hz)
 
 
 def read_options(config: DeviceConfig) -> PolarisOptions:

@@ -130,17 +130,21 @@ def _selected(session: Session, deadline_s: float) -> int:
     return int(value) if value.isdecimal() else 0
 
 
-def set_illuminator_rate(session: Session, rate_hz: int, deadline_s: float) -> str | None:
-    """Set the rate by SET, or IRATE on older firmware; a note when the unit keeps its own rate."""
+def set_illuminator_rate(session: Session, rate_hz: int, deadline_s: float) -> int:
+    """Set the rate by SET, or IRATE on older firmware; the rate that the unit then has, in Hz."""
     code = next(code for code, rate in ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
-    try:
-        session.ask("SET", f"{PARAMETER_ILLUMINATOR_RATE}={code}", deadline_s=deadline_s)
-    except UnitError:
+    for name, argument in (("SET", f"{PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
         try:
-            session.ask("IRATE", f"{code}", deadline_s=deadline_s)
-        except UnitError as error:
-            return f"the unit keeps its own illuminator rate instead of {rate_hz} Hz ({error.what})"
-    return None
+            session.ask(name, argument, deadline_s=deadline_s)
+        except UnitError:
+            continue
+        return rate_hz
+    try:
+        value = read_parameter(session, PARAMETER_ILLUMINATOR_RATE, deadline_s)
+    except UnitError:
+        value = ""
+    kept = int(value) if value.isdecimal() else min(ILLUMINATOR_RATES_HZ)
+    return ILLUMINATOR_RATES_HZ.get(kept, min(ILLUMINATOR_RATES_HZ.values()))
 
 
 def free_handles(session: Session, deadline_s: float | None) -> None:

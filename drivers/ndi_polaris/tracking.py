@@ -20,6 +20,7 @@ from ronna_hw.devices.readings import Stamp, TrackerFrame
 from ronna_hw.wire.polaris import (
     BX_CRC_BYTES,
     BX_HEADER_BYTES,
+    FRAME_RATE_HZ,
     MAXIMUM_STRAYS,
     TSTART_RESET_FRAME_COUNTER,
     ReplyOption,
@@ -49,6 +50,7 @@ class Tracking:
         session: Session,
         tools: tuple[LoadedTool, ...],
         volume: MeasuringVolume | None,
+        rate_hz: int,
         options: PolarisOptions,
         clock: Clock,
     ) -> None:
@@ -57,6 +59,7 @@ class Tracking:
         self._volume = volume
         self._options = options
         self._clock = clock
+        self._frames_per_measurement = round(FRAME_RATE_HZ / rate_hz)
         self._binary = options.reply != "TX"
         self._longest_reply_bytes = (
             BX_HEADER_BYTES + BX_CRC_BYTES + len(tools) * BYTES_PER_HANDLE + MAXIMUM_STRAYS * BYTES_PER_STRAY
@@ -95,7 +98,7 @@ class Tracking:
             self.statistics.repeated += 1
         elif self._last_count is not None:
             step = count - self._last_count
-            self.statistics.missed += max(0, step // self._options.frames_per_measurement - 1)
+            self.statistics.missed += max(0, step // self._frames_per_measurement - 1)
         self._last_count = count
         self.statistics.frames += 1
         self._sequence += 1

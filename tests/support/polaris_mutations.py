@@ -106,7 +106,7 @@ class Tapped(UnitInProcess):
 
 
 class Campaign:
-    """One tracker on one line, disturbed burst after burst. Raises AssertionError when a promise is broken."""
+    """One tracker on one line, disturbed burst after burst; AssertionError when a promise is broken."""
 
     def __init__(self, seed: int, reply: str) -> None:
         self.mutated = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+import signal
 import time
 from collections.abc import Iterator
 from datetime import date
@@ -14,6 +15,7 @@ from typing import Any
 import pytest
 
 from drivers.ndi_polaris import PolarisTracker
+from drivers.ndi_polaris.driver import CLOSE_LIMIT_S
 from drivers.ndi_polaris.errors import LinkLost, ToolRefused
 from drivers.ndi_polaris.rom import encode_definition, planar_tool
 from ronna_hw.child_process import ChildProcess, command
@@ -24,6 +26,7 @@ from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
 from ronna_hw.registry import make_device
 
+STALL_OF_THE_COMPUTER_S = 3.0
 ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
 POINTER = planar_tool(
     "POINTER",
@@ -138,6 +141,20 @@ def test_a_unit_that_dies_is_noticed_and_closing_is_bounded(unit: ChildProcess) 
     began_s = time.monotonic()
     device.close()
     assert time.monotonic() - began_s < 3.0
+
+
+@pytest.mark.hazard(4)
+def test_closing_is_bounded_while_the_unit_is_there_but_answers_nothing(unit: ChildProcess) -> None:
+    device = tracking(unit)
+    device.read_frame()
+    unit.process.send_signal(signal.SIGSTOP)
+    try:
+        began_s = time.monotonic()
+        device.close()
+        assert time.monotonic() - began_s < CLOSE_LIMIT_S + STALL_OF_THE_COMPUTER_S
+        assert device.state is Lifecycle.CLOSED
+    finally:
+        unit.process.send_signal(signal.SIGCONT)
 
 
 def test_a_definition_the_unit_cannot_use_is_refused_by_its_code(unit: ChildProcess, tmp_path: Path) -> None:
