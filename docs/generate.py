@@ -16,6 +16,7 @@ import drivers
 import procedures
 import ronna_hw
 import sim
+from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
 from ronna_hw.config import TheatreFile
 from ronna_hw.errors import concrete_errors
@@ -40,6 +41,7 @@ def pages() -> dict[str, str]:
         "polaris-checklist.md": NOTE + checklist_page(),
         "state-chart.md": NOTE + f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
         "theatre-file.md": NOTE + _theatre_keys(),
+        "tracker-options.md": NOTE + _tracker_options(),
         "tracker-parameters.md": NOTE + _tracker_parameters(),
     }
 
@@ -82,6 +84,26 @@ def _tracker_parameters() -> str:
     ]
     lines += [f"| `{name}` | {value} | {meaning} |" for name, value, meaning in parameter_rows()]
     return "\n".join(lines) + "\n"
+
+
+def _tracker_options() -> str:
+    schema = PolarisOptions.model_json_schema()
+    lines = [
+        "# Options of the driver `ndi_polaris`\n",
+        "They stand in `[tracker.options]` of the theatre file. Unknown ones are errors.\n",
+    ]
+    for name, definition in ((PolarisOptions.__name__, schema), *sorted(schema["$defs"].items())):
+        lines += [f"## {name}\n", definition["description"] + "\n"]
+        lines += ["| key | default | meaning |", "|---|---|---|"]
+        for key, value in definition["properties"].items():
+            default = "needed" if key in definition.get("required", []) else value.get("default", {})
+            choices = [str(c) for one in (value, *value.get("anyOf", [])) for c in one.get("enum", [])]
+            among = f" One of {', '.join(choices)}." if choices else ""
+            lines.append(
+                f"| `{key}` | {'none' if default is None else default} | {value['description']}{among} |"
+            )
+        lines.append("")
+    return "\n".join(lines)
 
 
 def _theatre_keys() -> str:

@@ -97,7 +97,7 @@ class BadOptions(ConfigurationError):
     """The options of the tracker in the theatre file have mistakes; all of them are listed."""
 
     code = "NDI-010"
-    action = "Correct the tracker's options; docs/reference lists them."
+    action = "Correct the tracker's options; docs/reference/tracker-options.md lists them."
 
 
 class BadToolFile(DataError):

@@ -23,16 +23,26 @@ from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 
 
 class ToolOption(Strict):
-    """One passive tool to load.
+    """One passive tool to load."""
 
-    `rom` is a path, relative to the theatre file that names it, or the name of a definition that comes with
-    the driver.
-    """
-
-    name: Annotated[str, Field(min_length=1)]
-    rom: Annotated[str, Field(min_length=1)]
-    priority: Literal["S", "D"] = "D"  # S for a tool that hardly moves, D for one that does
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None  # of the definition that is meant
+    name: Annotated[str, Field(min_length=1, description="What readings and calibrations call it.")]
+    rom: Annotated[
+        str,
+        Field(
+            min_length=1,
+            description="A path, relative to the theatre file that names it, or the name of a definition "
+            "that comes with the driver.",
+        ),
+    ]
+    priority: Annotated[
+        Literal["S", "D"], Field(description="S for a tool that hardly moves, D for one that does.")
+    ] = "D"
+    sha256: Annotated[
+        str | None,
+        Field(
+            pattern="^[0-9a-f]{64}$", description="Hash of the definition that is meant; another is refused."
+        ),
+    ] = None
 
     def definition(self, folder: Path | None = None) -> ToolDefinition:
         """The definition that `rom` names, relative to `folder`; raises NDI-011, or NDI-013 by its hash."""
@@ -50,15 +60,32 @@ class ToolOption(Strict):
 class PolarisOptions(Strict):
     """Everything that may be said about a Polaris unit; all of it has a default that works."""
 
-    tools: tuple[ToolOption, ...] = ()  # without any, a dummy tool is loaded so that strays are seen
-    expected_model: Literal["spectra", "vicra", "vega"] | None = None
-    expected_serial: str | None = None
-    illuminator_rate_hz: Literal[20, 30, 60] = 60
-    maximum_baud: int = 921600  # the fastest rate to try; the unit may do less
-    reply: Literal["auto", "BX", "TX"] = "auto"  # auto: binary, or text when the unit has no BX
-    volume: Annotated[int, Field(ge=1, le=9)] | None = None  # from 1; none leaves the unit's choice
-    stray_to_marker_mm: Annotated[float, Field(gt=0)] = 5.75  # a stray this near to a tool's marker is it
-    time_limits_s: dict[str, Annotated[float, Field(gt=0)]] = Field(default_factory=dict)  # per command
+    tools: Annotated[
+        tuple[ToolOption, ...],
+        Field(description="Without any, a dummy tool is loaded so that strays are seen."),
+    ] = ()
+    expected_model: Annotated[
+        Literal["spectra", "vicra", "vega"] | None, Field(description="Another model is refused.")
+    ] = None
+    expected_serial: Annotated[str | None, Field(description="Another unit is refused.")] = None
+    illuminator_rate_hz: Annotated[
+        Literal[20, 30, 60], Field(description="Measurements per second; the unit may keep its own.")
+    ] = 60
+    maximum_baud: Annotated[int, Field(description="The fastest rate to try; the unit may do less.")] = 921600
+    reply: Annotated[
+        Literal["auto", "BX", "TX"], Field(description="auto: binary, or text when the unit has no BX.")
+    ] = "auto"
+    volume: Annotated[
+        int | None,
+        Field(ge=1, le=9, description="Number of the volume, from 1; none leaves the unit's choice."),
+    ] = None
+    stray_to_marker_mm: Annotated[
+        float, Field(gt=0, description="A stray this near to a marker of a tool is that marker.")
+    ] = 5.75
+    time_limits_s: Annotated[
+        dict[str, Annotated[float, Field(gt=0)]],
+        Field(default_factory=dict, description="Time limit by command, instead of the one the unit tells."),
+    ]
 
     @model_validator(mode="after")
     def _checks(self) -> Self:
