@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         register,
     )
     from procedures.registration.matching import match
+    from procedures.registration.similarity_matrix import match_by_similarity
     from procedures.registration.verification import (
         CtToRoom,
         RoomPoint,
@@ -56,6 +57,7 @@ __all__ = [
     "fre_gate",
     "fre_limit_mm",
     "match",
+    "match_by_similarity",
     "register",
     "verify_two_way",
 ]
@@ -72,6 +74,7 @@ _HOMES = {
     "fit": ("Finding", "Registration", "TargetError", "drop_one_explanations", "register"),
     "correspondence": ("Hypothesis", "Match", "MatchStatus", "Prior"),
     "matching": ("match",),
+    "similarity_matrix": ("match_by_similarity",),
     "verification": ("CtToRoom", "RoomPoint", "RoomToCt", "VerificationTable", "verify_two_way"),
 }
 

@@ -1,0 +1,224 @@
+"""The thesis' correspondence by a similarity matrix: a baseline to measure against, not for clinical use.
+
+A cell (i, j) counts how many distances from image point i equal one from physical point j within e. Points
+whose best cell is lowest are dropped one by one until every point left agrees with all the others, or too
+few are left. The text leaves open how a cell is matched and what is dropped when: here distances are matched
+one to one in order of length, and the single worst point of the larger set goes first (of both sets, when
+they are equal). Dropping all failing points at once fails far more often.
+
+Many readings with equally many points are solved at once, because a study repeats it by the million.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.registration.correspondence import Match, MatchStatus
+from procedures.registration.errors import BadParameter
+from procedures.registration.points import FEWEST_PAIRS, checked_points
+from procedures.registration.rigid import fit_rigid
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+THESIS_TOLERANCES_MM = tuple(round(1.0 + 0.1 * step, 1) for step in range(51))  # e from 1 to 6 mm
+DEFAULT_TOLERANCE_MM = 3.0
+
+
+@dataclass(frozen=True)
+class SimilarityPairs:
+    """The outcome of one reading: pairs (k, 2) when UNIQUE, else none."""
+
+    status: MatchStatus
+    pairs: Indices
+
+
+def match_by_similarity(
+    image_mm: ArrayLike, physical_mm: ArrayLike, *, tolerance_mm: float = DEFAULT_TOLERANCE_MM
+) -> Match:
+    """Pair image points (n, 3) with physical points (m, 3), in mm, by the thesis' rule with its parameter e.
+
+    UNIQUE when every point left has exactly one partner, AMBIGUOUS when some have several, else TOO_FEW or
+    INCONSISTENT. Raises REG-001 and REG-007.
+    """
+    image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
+    if not (np.isfinite(tolerance_mm) and tolerance_mm > 0.0):
+        raise BadParameter("the tolerance e must be a positive length", last=f"{tolerance_mm} mm")
+    if min(len(image), len(physical)) < FEWEST_PAIRS:
+        found = SimilarityPairs(MatchStatus.TOO_FEW, _no_pairs())
+    else:
+        (found,) = match_many_by_similarity(image[None], physical[None], np.array([tolerance_mm]))
+    return _answer(found, image, physical)
+
+
+def match_many_by_similarity(
+    image_mm: Array, physical_mm: Array, tolerance_mm: Array
+) -> tuple[SimilarityPairs, ...]:
+    """The same for readings (b, n, 3) and (b, m, 3), each with its own e (b,); n and m at least 3."""
+    image, physical = _distances(image_mm), _distances(physical_mm)
+    found: dict[int, SimilarityPairs] = {}
+    for readings in _levels(image, physical):
+        rows = _sorted_rows(image[readings.of], readings.rows)
+        columns = _sorted_rows(physical[readings.of], readings.columns)
+        matrix = similarity(rows, columns, tolerance_mm[readings.of])
+        found |= readings.settle(matrix)
+    return tuple(found[one] for one in range(len(image)))
+
+
+def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
+    """Matrices (b, n, m) for sorted distances (b, n, k) of image and (b, m, l) of physical points, e (b,).
+
+    All cells walk along their two sorted rows at once: the shorter distance of two that differ by more than
+    e is passed over.
+    """
+    # A last column of infinity stops a walk at the end of its row; infinities of two signs never agree.
+    image = np.pad(within_image_mm, ((0, 0), (0, 0), (0, 1)), constant_values=np.inf)
+    physical = np.pad(within_physical_mm, ((0, 0), (0, 0), (0, 1)), constant_values=1e300)
+    batch, rows, length = image.shape
+    columns, width = physical.shape[1:]
+    at_image = np.arange(batch * rows).reshape(batch, rows, 1) * length + np.zeros(columns, dtype=np.intp)
+    at_physical = np.arange(batch * columns).reshape(batch, 1, columns) * width + np.zeros(
+        (rows, 1), dtype=np.intp
+    )
+    tolerance = tolerance_mm[:, None, None]
+    end_image, end_physical = at_image + length - 1, at_physical + width - 1
+    found = np.zeros((batch, rows, columns), dtype=np.intp)
+    flat_image, flat_physical = image.ravel(), physical.ravel()
+    for _ in range(length + width - 2):
+        difference = flat_image.take(at_image) - flat_physical.take(at_physical)
+        not_longer, not_shorter = difference <= tolerance, difference >= -tolerance
+        found += not_longer & not_shorter
+        at_image += not_longer
+        at_physical += not_shorter
+        np.minimum(at_image, end_image, out=at_image)
+        np.minimum(at_physical, end_physical, out=at_physical)
+    return found
+
+
+@dataclass
+class _Readings:
+    """Readings that have the same number of points left: `of` (k,), `rows` (k, r), `columns` (k, c)."""
+
+    of: Indices
+    rows: Indices
+    columns: Indices
+    waiting: list[_Readings]  # where those go that lose another point
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Image and physical points left."""
+        return self.rows.shape[1], self.columns.shape[1]
+
+    def settle(self, matrix: Indices) -> dict[int, SimilarityPairs]:
+        """Outcomes of the readings that are complete or have too few points; the others lose a point."""
+        r, c = self.size
+        settled: dict[int, SimilarityPairs] = {}
+        complete = matrix == r - 1 if r == c else np.zeros(matrix.shape, dtype=bool)
+        done = np.all(complete.any(axis=1), axis=1) & np.all(complete.any(axis=2), axis=1)
+        per_column, per_row = np.asarray(complete.sum(axis=1)), np.asarray(complete.sum(axis=2))
+        single = np.all(per_column == 1, axis=1) & np.all(per_row == 1, axis=1)
+        for k in np.flatnonzero(done):
+            status, pairs = MatchStatus.AMBIGUOUS, _no_pairs()
+            if single[k]:
+                status = MatchStatus.UNIQUE
+                pairs = np.column_stack([self.rows[k], self.columns[k][complete[k].argmax(axis=1)]])
+            settled[int(self.of[k])] = SimilarityPairs(status, pairs)
+        left = np.flatnonzero(~done)
+        if min(r, c) <= FEWEST_PAIRS and r == c:
+            return settled | {
+                int(self.of[k]): SimilarityPairs(MatchStatus.INCONSISTENT, _no_pairs()) for k in left
+            }
+        self._drop(matrix, left)
+        return settled
+
+    def _drop(self, matrix: Indices, left: Indices) -> None:
+        row, row_best = _worst(matrix[left])
+        column, column_best = _worst(matrix[left].swapaxes(1, 2))
+        r, c = self.size
+        of_rows = row_best <= column_best if r == c else np.full(len(left), r > c)
+        for drops_row, chosen in ((True, left[of_rows]), (False, left[~of_rows])):
+            if not len(chosen):
+                continue
+            rows, columns = self.rows[chosen], self.columns[chosen]
+            if drops_row:
+                rows = _without(rows, row[of_rows])
+            else:
+                columns = _without(columns, column[~of_rows])
+            self.waiting.append(_Readings(self.of[chosen], rows, columns, self.waiting))
+
+
+def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
+    """Readings in groups of equal size, largest first, until none waits."""
+    batch, n, m = len(image_mm), image_mm.shape[1], physical_mm.shape[1]
+    waiting: list[_Readings] = []
+    everything = np.arange(batch)
+    rows, columns = np.tile(np.arange(n), (batch, 1)), np.tile(np.arange(m), (batch, 1))
+    waiting.append(_Readings(everything, rows, columns, waiting))
+    while waiting:
+        size = max(one.size for one in waiting)
+        alike = [one for one in waiting if one.size == size]
+        waiting[:] = [one for one in waiting if one.size != size]
+        yield _Readings(
+            np.concatenate([one.of for one in alike]),
+            np.concatenate([one.rows for one in alike]),
+            np.concatenate([one.columns for one in alike]),
+            waiting,
+        )
+
+
+def _worst(matrix: Indices) -> tuple[Indices, Indices]:
+    """The row whose best cell is lowest, among equals the one with the smallest sum; and that best cell."""
+    best = matrix.max(axis=2)
+    most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any sum of a row
+    worst = (best * most + matrix.sum(axis=2)).argmin(axis=1)
+    return worst, np.take_along_axis(best, worst[:, None], axis=1)[:, 0]
+
+
+def _without(kept: Indices, position: Indices) -> Indices:
+    """Each row of (k, r) without the element at its position."""
+    stays = np.arange(kept.shape[1]) != position[:, None]
+    return np.asarray(kept[stays].reshape(len(kept), -1))
+
+
+def _distances(points: Array) -> Array:
+    return np.asarray(np.linalg.norm(points[:, :, None] - points[:, None], axis=-1))
+
+
+def _sorted_rows(distances: Array, kept: Indices) -> Array:
+    """Distances from each kept point to the other kept ones, ascending."""
+    chosen = np.take_along_axis(distances, kept[:, :, None], axis=1)
+    chosen = np.take_along_axis(chosen, kept[:, None, :], axis=2)
+    return np.asarray(np.sort(chosen, axis=2)[:, :, 1:])  # the first is that to itself
+
+
+def _no_pairs() -> Indices:
+    return np.empty((0, 2), dtype=np.intp)
+
+
+def _answer(found: SimilarityPairs, image: Array, physical: Array) -> Match:
+    reasons = {
+        MatchStatus.UNIQUE: f"{len(found.pairs)} points agree within e",
+        MatchStatus.AMBIGUOUS: "points have several partners: their distances are alike",
+        MatchStatus.INCONSISTENT: "fewer than three points agree within e",
+        MatchStatus.TOO_FEW: f"{len(image)} image and {len(physical)} physical points, {FEWEST_PAIRS} needed",
+    }
+    transform = None
+    if len(found.pairs):
+        fit = fit_rigid(image[found.pairs[:, 0]], physical[found.pairs[:, 1]])
+        transform = RigidTransform.from_components(fit.translation_mm, Rotation.from_matrix(fit.rotation))
+    used_image, used_physical = set(found.pairs[:, 0].tolist()), set(found.pairs[:, 1].tolist())
+    return Match(
+        found.status,
+        found.pairs,
+        transform,
+        reasons[found.status],
+        runner_up=None,
+        margin_nats=0.0,
+        unmatched_image=tuple(i for i in range(len(image)) if i not in used_image),
+        unmatched_physical=tuple(j for j in range(len(physical)) if j not in used_physical),
+    )
