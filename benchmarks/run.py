@@ -98,16 +98,27 @@ def _show(figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> None
 
     console = Console(width=None if on_terminal(sys.stdout) else 160)
     table = Table(title="Medians of interleaved rounds", title_justify="left")
-    for column in ("figure", "who", "value", "unit", "ratio"):
+    for column in ("figure", "who", "value", "unit", "ratio", "goal"):
         table.add_column(column, justify="right" if column == "value" else "left", overflow="fold")
     for figures in figures_of.values():
         table.add_section()
         for figure in figures:
             ratio = "" if figure.ratio is None else f"{figure.ratio:.3g} x {figure.baseline}"
-            table.add_row(figure.what, figure.who, f"{figure.value:.4g}", figure.unit, ratio)
+            goal = "" if figure.met is None else f"{figure.goal}: {'met' if figure.met else 'MISSED'}"
+            table.add_row(figure.what, figure.who, _rounded(figure.value), figure.unit, ratio, goal)
     console.print(table)
+    goals = [figure for figures in figures_of.values() for figure in figures if figure.met is not None]
+    if goals:
+        missed = [figure.what for figure in goals if not figure.met]
+        said = f"missed: {'; '.join(missed)}" if missed else "none missed"
+        sys.stdout.write(f"goals met: {len(goals) - len(missed)} of {len(goals)}, {said}\n")
     for name, reason in failures.items():
         sys.stderr.write(f"{name} was not measured: {reason}\n")
+
+
+def _rounded(value: float) -> str:
+    """Four digits, without an exponent where a person would write none."""
+    return f"{value:,.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
 def _write(folder: Path, figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> Path:

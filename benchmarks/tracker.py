@@ -1,160 +1,109 @@
-"""The tracker's driver beside ndicapi and scikit-surgerynditracker, all on `ronna-sim polaris`, one tool, BX.
-
-Each client has a simulator of its own, because a unit serves one host at a time; they wait while another
-one's turn it is. ndicapi is C and parses in well under a microsecond: its rate is the simulator's.
-"""
+"""The tracker: our driver, bare ndicapi and scikit-surgerynditracker on the simulated unit, by BX replies."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
-from contextlib import ExitStack, redirect_stdout, suppress
-from functools import partial
-from io import StringIO
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from statistics import median
-from typing import Any
 
-from benchmarks.contest import contest, process_cpu_s, rate_of
 from benchmarks.figures import Figure, compared
-from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.tracking import FRAME_OPTIONS
-from ronna_hw.child_process import ChildProcess, command
-from ronna_hw.clock import open_clock
-from ronna_hw.config import DeviceConfig
+from benchmarks.peers import tracker_clients
+from benchmarks.tracker_stand import Rates, Stand, rates_of
 from sim.polaris.definition import write_definition
 from sim.theatre.built_in import robot_frame
 from sim.theatre.process import load_scene
-from sim.theatre.world import World
+from sim.theatre.scene import TrackerTool
 
-ROUNDS = 10
-BLOCK_S = 0.12
-TOOL = "robot_frame"
-PTY, TCP = "serial-pty", "tcp://127.0.0.1:0"
+LINES = {"TCP": "tcp://127.0.0.1:0", "pty": "serial-pty"}
 OURS, NDICAPI, SCIKIT = "driver", "ndicapi", "scikit-surgerynditracker"
-BX = f"BX:{FRAME_OPTIONS.value:04X}"  # for ndicapi the very request of the driver
-PORT_REQUEST = "PHRQ:*********1****"
-PARSED_ALTHOUGH = UnicodeDecodeError  # ndicapi turns binary replies into text after it has parsed them
-
-Reader = Callable[[], object]
+CLIENTS = {OURS: tracker_clients.driver, NDICAPI: tracker_clients.ndicapi, SCIKIT: tracker_clients.scikit}
+UNIT, CANNED = "ronna-sim polaris", "one fixed reply"
+FEW, MANY = "1 tool", "3 tools, 6 strays"
+# What the driver must reach of the peers' rates, and the unit in replies per second, by line and load.
+DRIVER_GOALS = {SCIKIT: 1.0, NDICAPI: 1.0 / 3.0}
+UNIT_GOALS = {("TCP", FEW): 15e3, ("pty", FEW): 5e3, ("TCP", MANY): 8e3, ("pty", MANY): 3e3}
+MORE_TOOLS_MM = {  # markers of planar tools, all their segments and those of the first tool different
+    "pointer": ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (25.0, 100.0, 0.0), (-25.0, 135.0, 0.0)),
+    "probe": ((0.0, 0.0, 0.0), (0.0, 95.0, 0.0), (59.0, 38.0, 0.0), (-46.0, 119.0, 0.0)),
+}
+MORE_STRAYS_MM = ((60.0, -350.0, -1450.0), (-60.0, 350.0, -1550.0), (10.0, 60.0, -1350.0))  # beside three
 
 
 def measure() -> list[Figure]:
-    """Readings per second as fast as each client can ask, then with a new frame for each request."""
+    """Readings per second as fast as each client can ask, then replies per second that the unit can give."""
     with tempfile.TemporaryDirectory() as folder:
-        rom = Path(folder) / f"{TOOL}.rom"
-        rom.write_bytes(write_definition(robot_frame()))
-        return [
-            *_race("TCP", TCP, rom, (OURS, NDICAPI, SCIKIT)),
-            *_race("pty", PTY, rom, (OURS, NDICAPI, SCIKIT)),
-            *_race("TCP, each frame new", TCP, rom, (OURS, NDICAPI), paced=False),
-        ]
+        roms = _definitions(Path(folder))
+        figures: list[Figure] = []
+        for line in LINES:
+            figures += _clients(line, roms[:1])
+        for line in LINES:
+            figures += _unit(line, roms)
+        return figures
 
 
-def _race(
-    where: str, endpoint: str, rom: Path, clients: tuple[str, ...], *, paced: bool = True
-) -> list[Figure]:
-    makers: dict[str, Callable[[ExitStack, str, Path], Reader]] = {
-        OURS: _driver,
-        NDICAPI: _ndicapi,
-        SCIKIT: _scikit,
-    }
-    with ExitStack() as stack:
-        readers: dict[str, Reader] = {}
-        pids: dict[str, int] = {}
-        for name in clients:
-            world = World.create(load_scene("bench"), paced=paced)
-            arguments = command("sim.cli", "polaris", "--endpoint", endpoint, "--world", world.endpoint)
-            unit = stack.enter_context(ChildProcess(f"ronna-sim polaris for {name}", arguments))
-            readers[name] = makers[name](stack, unit.ready["endpoint"], rom)
-            pids[name] = unit.process.pid
-        client_cpu: dict[str, list[float]] = {name: [] for name in clients}
-        unit_cpu = dict.fromkeys(clients, 0.0)
-        replies = dict.fromkeys(clients, 0.0)
-
-        def block(name: str) -> float:
-            before_s = process_cpu_s(pids[name])
-            rate, cpu_s = rate_of(readers[name], BLOCK_S)
-            client_cpu[name].append(cpu_s)
-            unit_cpu[name] += process_cpu_s(pids[name]) - before_s
-            replies[name] += rate * BLOCK_S
-            return rate
-
-        samples = contest({name: partial(block, name) for name in clients}, ROUNDS)
-        figures = compared(f"readings per second, {where}", "1/s", samples, NDICAPI)
-        figures += compared(f"CPU per reading, client, {where}", "µs", client_cpu, NDICAPI, scale=1e6)
-        cpu_s = median(unit_cpu[name] / replies[name] for name in clients)
-        return [*figures, Figure(f"CPU per reply, {where}", "ronna-sim polaris", cpu_s * 1e6, "µs")]
+def _clients(line: str, roms: Sequence[Path]) -> list[Figure]:
+    """The clients beside each other, one tool, a unit that keeps to the host's clock."""
+    bench = load_scene("bench")
+    rates = rates_of({name: Stand(client, LINES[line], bench, roms) for name, client in CLIENTS.items()})
+    what = f"readings/s, {line}"
+    figures = [replace(figure, what=what) for figure in _over_peers(rates)]
+    figures += compared(f"CPU/reading, {line}", "µs", rates.client_cpu_s, NDICAPI, scale=1e6)
+    return figures
 
 
-def _driver(stack: ExitStack, endpoint: str, rom: Path) -> Reader:
-    config = DeviceConfig(
-        driver="ndi_polaris",
-        endpoint=endpoint,
-        options={"tools": [{"name": TOOL, "rom": str(rom)}], "reply": "BX"},
+def _over_peers(rates: Rates) -> list[Figure]:
+    """Everybody beside ndicapi, and our driver beside each peer that sets it a goal."""
+    rows = compared("", "1/s", rates.per_second, NDICAPI)
+    others = [row for row in rows if row.who != OURS]
+    ours = []
+    for peer, share in DRIVER_GOALS.items():
+        pair = {name: rates.per_second[name] for name in (OURS, peer)}
+        ours.append(compared("", "1/s", pair, peer)[0].with_goal(at_least_ratio=share))
+    return [*ours, *others]
+
+
+def _unit(line: str, roms: Sequence[Path]) -> list[Figure]:
+    """What the unit gives to ndicapi while its frames repeat, as a real unit's do, and with every frame new.
+
+    Beside it the least that a unit written in Python can be: one that knows a single answer.
+    """
+    bench = load_scene("bench")
+    strays = (*bench.tracker.strays_mm, *MORE_STRAYS_MM)
+    crowded = bench.model_copy(update={"tracker": bench.tracker.model_copy(update={"strays_mm": strays})})
+    few = Stand(tracker_clients.ndicapi_replies, LINES[line], bench, roms[:1])
+    many = replace(few, scene=crowded, roms=roms)
+    rates = rates_of(
+        {
+            FEW: few,
+            MANY: many,
+            f"{FEW}, all new": replace(few, paced=False),
+            f"{MANY}, all new": replace(many, paced=False),
+            CANNED: Stand(tracker_clients.ndicapi_bare, LINES[line], scene=None),
+        }
     )
-    tracker = PolarisTracker("tracker", config, open_clock("host:"))
-    stack.callback(tracker.close)
-    tracker.connect()
-    tracker.configure()
-    tracker.activate()
-
-    def read() -> None:
-        if tracker.read_frame().tool(TOOL).position_mm is None:
-            raise RuntimeError("the driver does not see the tool")
-
-    return read
+    figures = []
+    for figure in compared("", "1/s", rates.per_second, CANNED):
+        goal = UNIT_GOALS.get((line, figure.who))
+        figures.append(figure if goal is None else figure.with_goal(at_least=goal))
+    cpu_s = {load: [spent] for load, spent in rates.unit_cpu_s.items()}
+    return [
+        *(_of_unit(figure, f"replies/s, {line}") for figure in figures),
+        *(_of_unit(figure, f"CPU/reply, {line}") for figure in compared("", "µs", cpu_s, CANNED, scale=1e6)),
+    ]
 
 
-def _ndicapi(stack: ExitStack, endpoint: str, rom: Path) -> Reader:
-    import ndicapy  # type: ignore[import-not-found]
-
-    if endpoint.startswith("serial://"):
-        path = endpoint.removeprefix("serial://")
-        ndicapy.ndiProbe(path)
-        device = ndicapy.ndiOpen(path)
-        stack.callback(ndicapy.ndiClose, device)
-    else:
-        device = ndicapy.ndiOpenNetwork("127.0.0.1", int(endpoint.rsplit(":", 1)[1]))
-        stack.callback(ndicapy.ndiCloseNetwork, device)
-    ndicapy.ndiCommand(device, "INIT:")
-    ndicapy.ndiCommand(device, PORT_REQUEST)
-    port = ndicapy.ndiGetPHRQHandle(device)
-    ndicapy.ndiPVWRFromFile(device, port, str(rom))
-    for setup in (f"PINIT:{port:02X}", f"PENA:{port:02X}D", "TSTART:80"):
-        ndicapy.ndiCommand(device, setup)
-    handle = bytes([port])
-
-    def read() -> None:
-        with suppress(PARSED_ALTHOUGH):
-            ndicapy.ndiCommand(device, BX)
-        if not isinstance(ndicapy.ndiGetBXTransform(device, handle), tuple):
-            raise RuntimeError("ndicapi does not see the tool")
-
-    return read
+def _of_unit(figure: Figure, what: str) -> Figure:
+    """The load belongs to what was measured, not to who did the work."""
+    if figure.who == CANNED:
+        return replace(figure, what=what)
+    return replace(figure, what=f"{what}, {figure.who}", who=UNIT)
 
 
-def _scikit(stack: ExitStack, endpoint: str, rom: Path) -> Reader:
-    import ndicapy
-    from sksurgerynditracker import nditracker  # type: ignore[import-untyped]
-
-    wanted: dict[str, Any] = {"romfiles": [str(rom)]}
-    if endpoint.startswith("serial://"):
-        wanted |= {"tracker type": "polaris", "serial port": endpoint.removeprefix("serial://")}
-    else:
-        wanted |= {"tracker type": "vega", "ip address": "127.0.0.1", "port": int(endpoint.rsplit(":", 1)[1])}
-        nditracker.call = lambda _arguments: 0  # it runs the program ping first, which need not exist
-    with redirect_stdout(StringIO()):
-        tracker = nditracker.NDITracker(wanted)
-    # It chooses TX or BX by the firmware's name; here everybody reads BX.
-    tracker._get_frame, tracker._get_transform = ndicapy.ndiGetBXFrame, ndicapy.ndiGetBXTransform
-    tracker._capture_string = "BX:0801"
-    tracker.start_tracking()
-    stack.callback(tracker.close)
-
-    def read() -> None:
-        _, _, _, poses, _ = tracker.get_frame()
-        if not poses[0][3, 3] == 1.0:
-            raise RuntimeError("scikit-surgerynditracker does not see the tool")
-
-    return read
+def _definitions(folder: Path) -> list[Path]:
+    more = (TrackerTool(name=name, part_number=name, markers_mm=mm) for name, mm in MORE_TOOLS_MM.items())
+    files = []
+    for tool in (robot_frame(), *more):
+        files.append(folder / f"{tool.name}.rom")
+        files[-1].write_bytes(write_definition(tool))
+    return files

@@ -53,6 +53,20 @@ def test_a_ratio_is_taken_round_by_round_so_that_a_stall_of_the_machine_cancels(
     assert (bare.value, bare.ratio) == (1.0, None)
 
 
+def test_a_goal_is_for_the_value_or_for_the_ratio_and_a_miss_is_called_one(
+    bench: dict[str, ModuleType],
+) -> None:
+    ours, bare = bench["figures"].compared("rate", "1/s", {"ours": [40.0], "bare": [100.0]}, "bare")
+    assert (bare.goal, bare.met) == ("", None)
+    assert bare.with_goal(at_least=100.0).met
+    assert ours.with_goal(at_least_ratio=0.4).met
+    missed = ours.with_goal(at_least=1500.0)
+    assert (missed.goal, missed.met) == ("value ≥ 1,500", False)
+    assert not ours.with_goal(at_least_ratio=0.5).met
+    with pytest.raises(ValueError, match="baseline"):
+        bare.with_goal(at_least_ratio=1.0)
+
+
 def test_processor_time_of_a_process_grows_with_its_work(bench: dict[str, ModuleType]) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", BUSY], stdin=subprocess.PIPE, stdout=subprocess.PIPE

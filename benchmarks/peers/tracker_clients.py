@@ -1,0 +1,138 @@
+"""The tracker's clients at work on one unit: our driver, bare ndicapi, and scikit-surgerynditracker.
+
+Each maker loads tools, starts to track and gives back a function that gets one reading; it raises
+RuntimeError when the unit gives none. What it opens is closed with the stack.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, redirect_stdout, suppress
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from drivers.ndi_polaris import PolarisTracker
+from drivers.ndi_polaris.tracking import FRAME_OPTIONS
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+
+Reader = Callable[[], object]
+MakeReader = Callable[[ExitStack, str, Sequence[Path]], Reader]
+
+BX = f"BX:{FRAME_OPTIONS.value:04X}"  # for ndicapi the very request of the driver
+PORT_REQUEST = "PHRQ:*********1****"
+ILLUMINATOR_REQUEST = "SET:Param.Tracking.Illuminator Rate=2"  # 60 Hz, as the driver asks for
+PARSED_ALTHOUGH = UnicodeDecodeError  # ndicapi turns binary replies into text after it has parsed them
+
+
+def driver(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
+    """Our driver; one reading is a whole frame."""
+    tools = [{"name": rom.stem, "rom": str(rom)} for rom in roms]
+    config = DeviceConfig(driver="ndi_polaris", endpoint=endpoint, options={"tools": tools, "reply": "BX"})
+    tracker = PolarisTracker("tracker", config, open_clock("host:"))
+    stack.callback(tracker.close)
+    tracker.connect()
+    tracker.configure()
+    tracker.activate()
+    first = roms[0].stem
+
+    def read() -> None:
+        if tracker.read_frame().tool(first).position_mm is None:
+            raise RuntimeError("the driver does not see the tool")
+
+    return read
+
+
+def ndicapi(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
+    """ndicapi with nothing around it: one request, and the pose of the first tool."""
+    device, handles = _ndicapi_tracking(stack, endpoint, roms)
+    import ndicapy  # type: ignore[import-not-found]
+
+    def read() -> None:
+        with suppress(PARSED_ALTHOUGH):
+            ndicapy.ndiCommand(device, BX)
+        if not isinstance(ndicapy.ndiGetBXTransform(device, handles[0]), tuple):
+            raise RuntimeError("ndicapi does not see the tool")
+
+    return read
+
+
+def ndicapi_replies(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
+    """Nothing but requests and replies, all tools and strays; looked at once, before it counts."""
+    device, handles = _ndicapi_tracking(stack, endpoint, roms)
+    import ndicapy
+
+    def read() -> None:
+        with suppress(PARSED_ALTHOUGH):
+            ndicapy.ndiCommand(device, BX)
+
+    read()
+    if not all(isinstance(ndicapy.ndiGetBXTransform(device, handle), tuple) for handle in handles):
+        raise RuntimeError("ndicapi does not see all tools")
+    return read
+
+
+def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
+    """scikit-surgerynditracker; its own reading, without strays."""
+    import ndicapy
+    from sksurgerynditracker import nditracker  # type: ignore[import-untyped]
+
+    wanted: dict[str, Any] = {"romfiles": [str(rom) for rom in roms]}
+    if endpoint.startswith("serial://"):
+        wanted |= {"tracker type": "polaris", "serial port": endpoint.removeprefix("serial://")}
+    else:
+        wanted |= {"tracker type": "vega", "ip address": "127.0.0.1", "port": int(endpoint.rsplit(":", 1)[1])}
+        nditracker.call = lambda _arguments: 0  # it runs the program ping first, which need not exist
+    with redirect_stdout(StringIO()):
+        tracker = nditracker.NDITracker(wanted)
+    # It chooses TX or BX by the firmware's name; here everybody reads BX.
+    tracker._get_frame, tracker._get_transform = ndicapy.ndiGetBXFrame, ndicapy.ndiGetBXTransform
+    tracker._capture_string = "BX:0801"
+    tracker.start_tracking()
+    stack.callback(tracker.close)
+
+    def read() -> None:
+        _, _, _, poses, _ = tracker.get_frame()
+        if not poses[0][3, 3] == 1.0:
+            raise RuntimeError("scikit-surgerynditracker does not see the tool")
+
+    return read
+
+
+def ndicapi_bare(stack: ExitStack, endpoint: str, _roms: Sequence[Path]) -> Reader:
+    """The same at a unit that answers anything with one fixed reply."""
+    device = _opened(stack, endpoint)
+    import ndicapy
+
+    return lambda: ndicapy.ndiCommand(device, BX)
+
+
+def _opened(stack: ExitStack, endpoint: str) -> Any:
+    import ndicapy
+
+    if endpoint.startswith("serial://"):
+        device = ndicapy.ndiOpen(endpoint.removeprefix("serial://"))
+        stack.callback(ndicapy.ndiClose, device)
+    else:
+        device = ndicapy.ndiOpenNetwork("127.0.0.1", int(endpoint.rsplit(":", 1)[1]))
+        stack.callback(ndicapy.ndiCloseNetwork, device)
+    return device
+
+
+def _ndicapi_tracking(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> tuple[Any, list[bytes]]:
+    import ndicapy
+
+    device = _opened(stack, endpoint)
+    ndicapy.ndiCommand(device, "INIT:")
+    ndicapy.ndiCommand(device, ILLUMINATOR_REQUEST)
+    handles = []
+    for rom in roms:
+        ndicapy.ndiCommand(device, PORT_REQUEST)
+        port = ndicapy.ndiGetPHRQHandle(device)
+        ndicapy.ndiPVWRFromFile(device, port, str(rom))
+        ndicapy.ndiCommand(device, f"PINIT:{port:02X}")
+        ndicapy.ndiCommand(device, f"PENA:{port:02X}D")
+        handles.append(bytes([port]))
+    ndicapy.ndiCommand(device, "TSTART:80")
+    return device, handles
