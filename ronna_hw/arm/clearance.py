@@ -107,8 +107,10 @@ def sweep_path(model: ArmModel, plan: MotionPlan, surroundings: Surroundings) ->
         joints = _joints(path, plan.start_rad, parameters)
         found = sweep(model, surroundings, joints)
     floors = floors_mm(surroundings, found.gaps_mm[0])
-    while (found.gaps_mm >= floors).all():
-        open_rows = np.flatnonzero(_unsettled(surroundings, found, floors))
+    while True:
+        # A pair that is too near already is followed to where it is worst: that is what people want to know.
+        wanted = np.minimum(floors, found.gaps_mm.min(axis=0))
+        open_rows = np.flatnonzero(_unsettled(surroundings, found, wanted))
         if not len(open_rows):
             break
         middles = (parameters[open_rows] + parameters[open_rows + 1]) / 2.0

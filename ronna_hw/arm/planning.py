@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, degrees, pi, radians, sqrt
+from math import cbrt, ceil, degrees, pi, radians, sqrt
 
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
 from ronna_hw.arm.inverse import RANGE_SLACK_RAD
+from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.limits import MotionLimits
 from ronna_hw.arm.model import AXES, ArmModel
 from ronna_hw.arm.path import JointPath, LinePath
@@ -22,7 +23,6 @@ LEAST_SAMPLES = 16  # enough for the second differences of a short line
 LEAST_SPEED_FRACTION = (
     0.05  # of the line speed asked for; slower than that, the path is too near a singularity
 )
-CURVATURE_SHARE = 0.5  # of the joint acceleration left to the bending of the joint path
 STANDSTILL_RAD = 1e-9  # a thousandth of what the wire can say; also taken as mm
 
 
@@ -87,7 +87,7 @@ def plan_line(
 ) -> MotionPlan:
     """A straight line of the tool centre point to the flange pose `target`, in the branch of the start.
 
-    The line is slowed where that keeps every joint within its speed and acceleration. Raises ARM-001,
+    The line is slowed as a whole so that every joint keeps its speed, acceleration and jerk. Raises ARM-001,
     ARM-002, ARM-003 when a point of it has no solution, ARM-005 when it would have to be slower than
     a twentieth of the line speed asked for.
     """
@@ -115,6 +115,22 @@ def plan_line(
     return MotionPlan(start_rad, points[-1], allowed, target, tool_in_flange_mm)
 
 
+def plan_along_tool(
+    model: ArmModel,
+    start_rad: JointVector,
+    distance_mm: float,
+    limits: MotionLimits,
+    flange_from_tool: Pose,
+) -> MotionPlan:
+    """A straight line along the tool's own z axis, orientation kept: an approach, or, negative, a retreat.
+
+    Raises as `plan_line`.
+    """
+    tool = forward(model, start_rad).compose(flange_from_tool)
+    goal = Pose(tool.apply((0.0, 0.0, distance_mm)), tool.rotation).compose(flange_from_tool.inverse())
+    return plan_line(model, start_rad, goal, limits, flange_from_tool.position_mm)
+
+
 def _scaled(reach: list[float], limits: MotionLimits) -> PathLimits:
     """Limits of s so that no joint exceeds its own when it travels `reach` rad over s = 0..1."""
     longest = [max(r, STANDSTILL_RAD) for r in reach]
@@ -135,17 +151,24 @@ def _cartesian(line: LinePath, limits: MotionLimits) -> PathLimits:
 def _slowed_for_joints(
     points: list[JointVector], count: int, asked: PathLimits, limits: MotionLimits
 ) -> PathLimits:
-    """Joint speed is q' ds/dt and joint acceleration q' d²s/dt² + q'' (ds/dt)²; both by differences."""
-    velocity, acceleration = asked.velocity, asked.acceleration
+    """The limits of s, slowed in time by one factor until every joint keeps its speed, acceleration and jerk.
+
+    With the derivatives q1, q2, q3 of a joint by s (from differences) and s moving at most with v, a, j, its
+    speed is at most |q1| v, its acceleration |q1| a + |q2| v², its jerk |q1| j + 3 |q2| v a + |q3| v³.
+    Slowing time by k divides these by k, k² and k³.
+    """
+    v, a, j = asked
+    slower = 1.0
     for axis in range(AXES):
-        angles = [p[axis] for p in points]
-        steps = [b - a for a, b in pairwise(angles)]
-        slope = max(abs(step) for step in steps) * count
-        bend = max(abs(b - a) for a, b in pairwise(steps)) * count * count
-        if slope > STANDSTILL_RAD:
-            velocity = min(velocity, limits.speed_rad_s[axis] / slope)
-            share = (1.0 - CURVATURE_SHARE) * limits.acceleration_rad_s2[axis]
-            acceleration = min(acceleration, share / slope)
-        if bend > STANDSTILL_RAD:
-            velocity = min(velocity, sqrt(CURVATURE_SHARE * limits.acceleration_rad_s2[axis] / bend))
-    return PathLimits(velocity, acceleration, acceleration / limits.ramp_s)
+        first = [y - x for x, y in pairwise(point[axis] for point in points)]
+        second = [y - x for x, y in pairwise(first)]
+        third = [y - x for x, y in pairwise(second)]
+        q1, q2, q3 = (
+            max(map(abs, differences)) * count**order
+            for order, differences in enumerate((first, second, third), start=1)
+        )
+        speed = q1 * v / limits.speed_rad_s[axis]
+        acceleration = (q1 * a + q2 * v * v) / limits.acceleration_rad_s2[axis]
+        jerk = (q1 * j + 3.0 * q2 * v * a + q3 * v**3) / limits.jerk_rad_s3[axis]
+        slower = max(slower, speed, sqrt(acceleration), cbrt(jerk))
+    return PathLimits(v / slower, a / slower**2, j / slower**3)

@@ -1,0 +1,215 @@
+"""Random motion requests with interruptions and stops, driven cycle by cycle and judged from outside.
+
+Judged is only what would be sent: a list of joint vectors, one per cycle, and what was promised before.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+from math import radians
+
+import numpy as np
+
+from ronna_hw.arm.clearance import sweep_path
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.limits import MotionLimits, working_limits
+from ronna_hw.arm.live_watch import LiveWatch
+from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.monitor import Monitor, monitor_limits
+from ronna_hw.arm.motion import PathMotion, StopMotion, state_from_history
+from ronna_hw.arm.planning import MotionPlan, plan_along_tool, plan_joint_move, plan_line
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.speed_zones import with_speed_steps
+from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.arm.swept import sweep
+from ronna_hw.cell import CellConfig
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
+from ronna_hw.wire.kuka_eki import OperationMode
+
+CYCLE_S = 0.004
+MODEL = arm_model(ArmVariant.SIXX)
+CELL = CellConfig()
+TOOL = Pose((220.0, 0.0, 60.0))
+HEAD_SEMI_AXES_MM = (75.0, 95.0, 90.0)
+MODES = (OperationMode.T1, OperationMode.AUT, OperationMode.EXT)
+ZONE_TOLERANCE = 1.01  # differences over a cycle against a speed
+CLEARANCE_TOLERANCE_MM = 0.3  # half of the finest motion between two checks of a path
+JOINT_STOP_AFTER_PATH = 0.15  # share of the interruptions that do not trust the path
+
+
+@dataclass
+class Driven:
+    """What became of one request: the points sent, or the code it was refused with."""
+
+    refused: str = ""
+    sent: list[JointVector] = field(default_factory=list)
+    limits: MotionLimits | None = None
+    surroundings: Surroundings | None = None
+    plan: MotionPlan | None = None
+    stop_cycles: int = 0  # that the stop took, counted
+    stop_predicted_s: float = 0.0
+    rest_predicted_rad: JointVector | None = None
+    trusted_path: bool = True
+    tripped: str = ""  # what the monitor said
+
+
+def drive(seed: int) -> Driven:
+    """One random request in a random room, perhaps interrupted, perhaps stopped."""
+    rng = random.Random(seed)
+    start = _somewhere(rng)
+    surroundings = _room(rng, start)
+    limits = working_limits(MODEL).slowed(rng.choice((1.0, 1.0, 0.3))).in_mode(MODEL, rng.choice(MODES))
+    found = Driven(limits=limits, surroundings=surroundings)
+    try:
+        plan = _request(rng, start, limits)
+        path = sweep_path(MODEL, plan, surroundings)
+        path.require()
+    except LimitError as error:
+        found.refused = error.code
+        return found
+    found.plan = plan = with_speed_steps(plan, path, limits.body_speed_mm_s)
+    if plan.is_standstill:
+        found.sent = [start]
+        return found
+    _follow(rng, found, plan, start)
+    return found
+
+
+def _follow(rng: random.Random, found: Driven, plan: MotionPlan, start: JointVector) -> None:
+    limits, surroundings = found.limits, found.surroundings
+    assert limits is not None
+    assert surroundings is not None
+    monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, start), start)
+    monitor.watch(LiveWatch(MODEL, surroundings, CYCLE_S, start, limits.body_speed_mm_s))
+    motion: PathMotion | StopMotion = PathMotion(
+        plan.path(MODEL), start, plan.limits, CYCLE_S, plan.speed_steps
+    )
+    stop_at = rng.randint(0, 500) if rng.random() < 0.5 else -1
+    slow_at = rng.randint(0, 500) if rng.random() < 0.3 else -1
+    found.sent = [start]
+    cycle = 0
+    while not motion.finished:
+        prepared = motion.prepare()
+        if cycle == stop_at:
+            found.trusted_path = rng.random() >= JOINT_STOP_AFTER_PATH
+            if not found.trusted_path:
+                motion = StopMotion(state_from_history(monitor.history_rad, CYCLE_S), limits, CYCLE_S)
+                prepared = motion.prepare()
+            found.stop_predicted_s, found.rest_predicted_rad = motion.predicted_stop()
+        stopping = 0 <= stop_at <= cycle
+        point = prepared.stop_rad if stopping else prepared.go_rad
+        violation = monitor.check(point)
+        found.tripped = found.tripped or ("" if violation is None else str(violation))
+        if stopping:
+            motion.take_stop()
+            found.stop_cycles += 1
+        else:
+            motion.take_go()
+        monitor.sent(point)
+        found.sent.append(point)
+        if cycle == slow_at and isinstance(motion, PathMotion):
+            motion.limit_speed(rng.choice((0.5, 0.25)))
+        cycle += 1
+
+
+def _room(rng: random.Random, start: JointVector) -> Surroundings:
+    """A head somewhere about the tool, turned anyhow."""
+    x, y, z = forward(MODEL, start).apply(TOOL.position_mm)
+    angles = (rng.uniform(-180, 180), rng.uniform(-60, 60), rng.uniform(-180, 180))
+    head = Pose.from_kuka(
+        x + rng.uniform(-150, 250), y + rng.gauss(0, 150), z - rng.uniform(60, 350), *angles
+    )
+    tool = CELL.guide if rng.random() < 0.5 else CELL.stereo_head
+    return CELL.surroundings(tool, TOOL, head, HEAD_SEMI_AXES_MM)
+
+
+def _somewhere(rng: random.Random) -> JointVector:
+    return radians6(
+        rng.uniform(-60, 60),
+        rng.uniform(-115, -55),
+        rng.uniform(60, 115),
+        rng.uniform(-50, 50),
+        rng.uniform(25, 95),
+        rng.uniform(100, 260),
+    )
+
+
+def _request(rng: random.Random, start: JointVector, limits: MotionLimits) -> MotionPlan:
+    kind = rng.random()
+    if kind < 0.4:
+        target = _somewhere(rng) if rng.random() < 0.5 else _beside(rng, start)
+        return plan_joint_move(MODEL, start, target, limits)
+    if kind < 0.7:
+        flange = forward(MODEL, start)
+        x, y, z = flange.position_mm
+        turned = flange.compose(Pose.from_kuka(0, 0, 0, *(rng.gauss(0, 12) for _ in range(3))))
+        goal = Pose((x + rng.gauss(0, 60), y + rng.gauss(0, 60), z + rng.gauss(0, 60)), turned.rotation)
+        return plan_line(MODEL, start, goal, limits, TOOL.position_mm)
+    return plan_along_tool(MODEL, start, rng.uniform(-120, 120), limits, TOOL)
+
+
+def _beside(rng: random.Random, start: JointVector) -> JointVector:
+    A1, A2, A3, A4, A5, A6 = (angle + radians(rng.gauss(0, 10)) for angle in start)
+    return (A1, A2, A3, A4, A5, A6)
+
+
+def faults_of(driven: Driven) -> list[str]:
+    """Everything that is wrong with what would have been sent; empty when nothing is."""
+    limits, surroundings, plan = driven.limits, driven.surroundings, driven.plan
+    assert limits is not None
+    assert surroundings is not None
+    assert plan is not None
+    found = [f"monitor: {driven.tripped}"] if driven.tripped else []
+    points = np.array(driven.sent)
+    if (points < np.array(MODEL.lower_rad)).any() or (points > np.array(MODEL.upper_rad)).any():
+        found.append("range")
+    # Before the first point and after the last one the arm rests.
+    rested = np.concatenate([points[:1]] * 3 + [points] + [points[-1:]] * 3)
+    steps = np.diff(rested, axis=0)
+    tolerance = 1.02 if plan.target is not None else 1.0 + 1e-6
+    differences = (("speed", steps, limits.speed_rad_s),)
+    for order, (name, most) in enumerate(
+        (("acceleration", limits.acceleration_rad_s2), ("jerk", limits.jerk_rad_s3)), start=2
+    ):
+        differences += ((name, np.diff(rested, order, axis=0), most),)
+    for order, (name, values, most) in enumerate(differences, start=1):
+        share = float((np.abs(values) / CYCLE_S**order / np.array(most)).max())
+        if share > tolerance:
+            found.append(f"{name} {share:.4f}")
+    return found + _stop_faults(driven) + _room_faults(driven, points)
+
+
+def _stop_faults(driven: Driven) -> list[str]:
+    if driven.rest_predicted_rad is None:
+        return []
+    found = []
+    if (driven.stop_cycles - 1) * CYCLE_S > driven.stop_predicted_s + 1e-9:
+        found.append(f"the stop took {driven.stop_cycles} cycles, not {driven.stop_predicted_s:.4f} s")
+    apart = max(abs(x - y) for x, y in zip(driven.sent[-1], driven.rest_predicted_rad, strict=True))
+    if apart > 1e-6:
+        found.append(f"the stop ended {apart:.2e} rad beside its prediction")
+    return found
+
+
+def _room_faults(driven: Driven, points: np.ndarray) -> list[str]:
+    surroundings, limits = driven.surroundings, driven.limits
+    assert surroundings is not None
+    assert limits is not None
+    swept = sweep(MODEL, surroundings, points)
+    found = []
+    floors = np.minimum(surroundings.margin_mm, swept.gaps_mm[0] - 0.05)
+    lacking = float((floors - swept.gaps_mm).max())
+    allowed = CLEARANCE_TOLERANCE_MM if driven.trusted_path else surroundings.margin_mm
+    if lacking > allowed:
+        found.append(f"clearance lacks {lacking:.2f} mm")
+    if len(points) > 1:
+        moved = np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3).max(axis=(1, 2)) / CYCLE_S
+        nearest = np.minimum(swept.to_head_mm[:-1], swept.to_head_mm[1:])
+        caps = np.array(
+            [min(surroundings.cap_mm_s(distance), limits.body_speed_mm_s) for distance in nearest.tolist()]
+        )
+        if float((moved / caps).max()) > ZONE_TOLERANCE:
+            found.append(f"zone speed {float((moved / caps).max()):.4f}")
+    return found

@@ -1,0 +1,209 @@
+"""A path that comes too near to anything is refused; the live watch stops what slips by."""
+
+import json
+import math
+
+import pytest
+
+from ronna_hw.arm.capsule import Capsule
+from ronna_hw.arm.clearance import sweep_path
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.limits import T1_SPEED_MM_S, working_limits
+from ronna_hw.arm.live_watch import LiveWatch
+from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.monitor import Monitor, monitor_limits
+from ronna_hw.arm.motion import PathMotion
+from ronna_hw.arm.planning import MotionPlan, plan_along_tool, plan_joint_move
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.preview import preview
+from ronna_hw.arm.speed_zones import MOST_STEPS, with_speed_steps
+from ronna_hw.arm.surroundings import Corridor, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.wire.kuka_eki import OperationMode
+
+MODEL = arm_model(ArmVariant.SIXX)
+LIMITS = working_limits(MODEL)
+CYCLE_S = 0.004
+START = radians6(0, -75, 99, 0, 66, 180)
+ASIDE = radians6(50, -75, 99, 0, 66, 180)
+TOOL = Pose((0.0, 0.0, 150.0))
+NEEDLE = Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 150.0), 3.0), enters_head=True)
+ZONE = SpeedZone(20.0, 60.0, 400.0, 1000.0)
+
+
+def _at(angle_deg: float, below_mm: float = 0.0) -> tuple[float, float, float]:
+    """Where the tip is when A1 stands at an angle, and so far below."""
+    x, y, z = forward(MODEL, radians6(angle_deg, -75, 99, 0, 66, 180)).apply(TOOL.position_mm)
+    return (x, y, z - below_mm)
+
+
+def _post(angle_deg: float, top_below_tip_mm: float, radius_mm: float = 2.0) -> Obstacle:
+    """An upright thin post on the tip's way from START to ASIDE; its top so far under the tip."""
+    x, y, z = _at(angle_deg, top_below_tip_mm + radius_mm + 3.0)
+    return Obstacle("post", Capsule((x, y, z), (x, y, z - 300.0), radius_mm))
+
+
+def _around(*obstacles: Obstacle, **more: object) -> Surroundings:
+    return Surroundings(tool=(NEEDLE,), obstacles=obstacles, **more)  # type: ignore[arg-type]
+
+
+def _move() -> MotionPlan:
+    return plan_joint_move(MODEL, START, ASIDE, LIMITS)
+
+
+@pytest.mark.hazard(24)
+def test_a_thin_post_on_the_way_is_found_between_the_first_samples() -> None:
+    path = sweep_path(MODEL, _move(), _around(_post(23.0, 9.0)))
+    with pytest.raises(NotClear, match=r"needle would come too near to the post, 4\d% of the way") as caught:
+        path.require("the move")
+    assert caught.value.code == "ARM-007"
+    assert caught.value.limit == "10 mm"
+    assert "\n" not in str(caught.value)
+    assert path.refused is not None
+    assert path.refused.distance_mm == pytest.approx(9.0, abs=0.2)
+
+
+def test_a_post_beyond_the_margin_is_passed() -> None:
+    path = sweep_path(MODEL, _move(), _around(_post(23.0, 11.0)))
+    path.require()
+    assert path.closest is not None
+    assert path.closest.second == "post"
+    assert path.closest.distance_mm == pytest.approx(11.0, abs=1.0)
+
+
+def test_who_stands_too_near_may_leave_but_not_come_nearer() -> None:
+    beside = _around(_post(0.0, 4.0))
+    sweep_path(MODEL, plan_along_tool(MODEL, START, -40.0, LIMITS, TOOL), beside).require()
+    with pytest.raises(NotClear):
+        sweep_path(MODEL, plan_along_tool(MODEL, START, 3.0, LIMITS, TOOL), beside).require()
+
+
+@pytest.mark.hazard(24)
+def test_only_the_needle_enters_the_head_and_only_along_its_corridor() -> None:
+    x, y, z = _at(0.0)
+    head = Obstacle("head", Capsule((x, y, z - 110.0), (x, y, z - 110.0), 80.0), is_head=True)
+    into = plan_along_tool(MODEL, START, 60.0, LIMITS, TOOL)
+    axis_end = forward(MODEL, into.target_rad).apply(TOOL.position_mm)
+    corridor = Corridor((x, y, z), axis_end, 2.5)
+    around = _around(head)
+    with pytest.raises(NotClear, match="needle would come too near to the head"):
+        sweep_path(MODEL, into, around).require()
+    sweep_path(MODEL, into, around.into(corridor)).require()
+    beside = corridor._replace(
+        entry_mm=(x, y + 6.0, z), target_mm=(axis_end[0], axis_end[1] + 6.0, axis_end[2])
+    )
+    with pytest.raises(NotClear):
+        sweep_path(MODEL, into, around.into(beside)).require()
+    blunt = Surroundings(tool=(NEEDLE._replace(enters_head=False),), obstacles=(head,), corridor=corridor)
+    with pytest.raises(NotClear):
+        sweep_path(MODEL, into, blunt).require()
+
+
+def _drive(plan: MotionPlan, around: Surroundings) -> str:
+    """What the monitor says on the way, or nothing."""
+    monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, START), START)
+    monitor.watch(LiveWatch(MODEL, around, CYCLE_S, START))
+    motion = PathMotion(plan.path(MODEL), START, plan.limits, CYCLE_S, plan.speed_steps)
+    while not motion.finished:
+        prepared = motion.prepare()
+        violation = monitor.check(prepared.go_rad)
+        if violation is not None:
+            return str(violation)
+        assert monitor.check(prepared.stop_rad) is None
+        motion.take_go()
+        monitor.sent(prepared.go_rad)
+    return ""
+
+
+@pytest.mark.hazard(24)
+def test_the_live_watch_stops_what_planning_did_not_refuse() -> None:
+    around = _around(_post(23.0, 4.0))
+    said = _drive(_move(), around)
+    assert said.startswith("clearance of pair")
+    assert "under 5.00 mm" in said
+    assert _drive(_move(), _around(_post(23.0, 6.0))) == ""
+
+
+@pytest.mark.hazard(21)
+def test_a_path_past_the_head_is_slow_there_and_fast_elsewhere() -> None:
+    x, y, z = _at(25.0)
+    head = Obstacle("head", Capsule((x, y, z - 120.0), (x, y, z - 120.0), 60.0), is_head=True)
+    around = _around(head, zone=ZONE)
+    plan = _move()
+    slowed = with_speed_steps(plan, sweep_path(MODEL, plan, around))
+    speeds = [step.velocity for step in slowed.speed_steps]
+    assert 3 <= len(speeds) <= MOST_STEPS
+    assert min(speeds) < 0.6 * max(speeds)
+    assert _drive(slowed, around) == ""
+    assert _drive(plan, around).startswith("speed near the head")
+
+
+def test_without_a_zone_there_are_no_steps() -> None:
+    path = sweep_path(MODEL, _move(), _around(_post(23.0, 30.0)))
+    assert with_speed_steps(_move(), path).speed_steps == ()
+
+
+def test_in_t1_nothing_moves_faster_than_250_mm_per_second() -> None:
+    limits = LIMITS.in_mode(MODEL, OperationMode.T1)
+    for speed, full in zip(limits.speed_rad_s, MODEL.full_speed_rad_s, strict=True):
+        assert speed <= 0.1 * full
+    for mode in (OperationMode.AUT, OperationMode.EXT):
+        assert LIMITS.in_mode(MODEL, mode) == LIMITS
+    plan = plan_joint_move(MODEL, START, ASIDE, limits)
+    fast, slow = preview(MODEL, _move(), _around(), LIMITS), preview(MODEL, plan, _around(), limits)
+    assert fast.largest_speed_mm_s > T1_SPEED_MM_S > slow.largest_speed_mm_s > 0.9 * T1_SPEED_MM_S
+    assert slow.duration_s > fast.duration_s
+    assert LIMITS.in_mode(MODEL, OperationMode.T1).slowed(0.5).body_speed_mm_s == T1_SPEED_MM_S / 2
+
+
+def test_a_cap_is_linear_between_two_distances() -> None:
+    assert ZONE.cap_mm_s(0.0) == ZONE.cap_mm_s(20.0) == 60.0
+    assert ZONE.cap_mm_s(210.0) == pytest.approx(530.0)
+    assert ZONE.cap_mm_s(5000.0) == 1000.0
+    assert Surroundings().cap_mm_s(1.0) == math.inf
+
+
+def test_a_preview_says_how_the_path_will_be() -> None:
+    seen = preview(MODEL, _move(), _around(_post(23.0, 11.0)), LIMITS)
+    assert seen.clear
+    motion = PathMotion(_move().path(MODEL), START, _move().limits, CYCLE_S)
+    cycles = 0
+    while not motion.finished:
+        motion.prepare()
+        motion.take_go()
+        cycles += 1
+    assert seen.duration_s == pytest.approx(cycles * CYCLE_S)
+    assert seen.joint_ranges_rad[0] == pytest.approx((0.0, math.radians(50)))
+    assert seen.singularity.wrist == pytest.approx(math.sin(math.radians(66)))
+    assert seen.singularity.least > 0.2
+    assert 0.9 < seen.largest_joint_speed_share <= 1.0 + 1e-9
+    assert seen.nearest_to_head_mm is None
+    payload = json.loads(json.dumps(seen.as_payload(), allow_nan=False))
+    assert payload["closest"]["second"] == "post"
+    assert payload["clear"] is True
+    told = dict(seen.rows())
+    assert told["smallest distance"].endswith("of the way")
+    assert told["clear"] == "yes"
+
+
+def test_a_preview_of_a_bad_path_tells_and_does_not_raise() -> None:
+    seen = preview(MODEL, _move(), _around(_post(23.0, 2.0)), LIMITS)
+    assert not seen.clear
+    assert seen.refused is not None
+    assert dict(seen.rows())["clear"] == "no"
+
+
+def test_approach_and_retreat_lie_on_the_tool_axis() -> None:
+    begin = forward(MODEL, START).compose(TOOL)
+    for distance in (50.0, -80.0):
+        plan = plan_along_tool(MODEL, START, distance, LIMITS, TOOL)
+        end = forward(MODEL, plan.target_rad).compose(TOOL)
+        assert end.position_mm == pytest.approx(begin.apply((0.0, 0.0, distance)), abs=1e-6)
+        assert end.angle_rad(begin) < 1e-9
+        half = forward(MODEL, plan.path(MODEL).joints(0.5, START)).apply(TOOL.position_mm)
+        assert half == pytest.approx(begin.apply((0.0, 0.0, distance / 2)), abs=1e-6)
+
+
+def test_nothing_around_is_nothing_to_come_near_to() -> None:
+    nothing = Surroundings(radii=Surroundings().radii._replace(column_mm=0.001))
+    assert sweep_path(MODEL, _move(), nothing).refused is None

@@ -1,0 +1,154 @@
+"""Distances agree with a library that we did not write, and between planning and the live watch."""
+
+import math
+import random
+
+import coal
+import numpy as np
+import pytest
+
+from ronna_hw.arm.capsule import Capsule, covering_ellipsoid, gap_mm
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.live_watch import LiveWatch, body_segments
+from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.surroundings import Corridor, Surroundings
+from ronna_hw.arm.swept import segment_distances, sweep
+from ronna_hw.cell import CellConfig
+from ronna_hw.devices.readings import JointVector, Vector3
+
+MODEL = arm_model(ArmVariant.R900_2)
+CYCLE_S = 0.004
+CELL = CellConfig()
+TOOL = Pose((220.0, 0.0, 60.0))
+HEAD = Pose.from_kuka(760.0, 10.0, 200.0, 90.0, 0.0, 30.0)
+SEMI_AXES_MM = (75.0, 95.0, 90.0)
+AROUND = CELL.surroundings(CELL.guide, TOOL, HEAD, SEMI_AXES_MM, ((700.0, 30.0, 290.0),))
+HOME = radians6(0, -75, 99, 0, 66, 180)
+
+
+def _point(rng: random.Random, spread_mm: float = 200.0) -> Vector3:
+    return (rng.gauss(0, spread_mm), rng.gauss(0, spread_mm), rng.gauss(0, spread_mm))
+
+
+def _capsule(rng: random.Random) -> Capsule:
+    start = _point(rng)
+    kind = rng.random()
+    if kind < 0.1:
+        return Capsule(start, start, rng.uniform(1, 60))
+    if kind < 0.3:  # parallel to others of its kind: the degenerate case of the formula
+        return Capsule(start, (start[0], start[1], start[2] + rng.uniform(1, 300)), rng.uniform(1, 60))
+    return Capsule(start, _point(rng), rng.uniform(1, 60))
+
+
+def _coal_distance(a: Capsule, b: Capsule) -> float:
+    """Of the bare axes, by thin capsules in metres would lose digits: radius 1 mm, added again."""
+    shapes = []
+    for capsule in (a, b):
+        start, end = np.array(capsule.start_mm), np.array(capsule.end_mm)
+        length = float(np.linalg.norm(end - start))
+        shape = coal.Capsule(1.0, length) if length > 1e-9 else coal.Sphere(1.0)
+        axis = (end - start) / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
+        across = np.cross([0.0, 0.0, 1.0], axis)
+        sine, cosine = float(np.linalg.norm(across)), float(axis[2])
+        if sine < 1e-12:
+            turn = np.eye(3) if cosine > 0 else np.diag([1.0, -1.0, -1.0])
+        else:
+            k = across / sine
+            cross = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0]])
+            turn = np.eye(3) + sine * cross + (1 - cosine) * cross @ cross
+        shapes.append((shape, coal.Transform3s(turn, (start + end) / 2)))
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    coal.distance(*shapes[0], *shapes[1], request, result)
+    return float(result.min_distance) + 2.0 - a.radius_mm - b.radius_mm
+
+
+def test_the_distance_of_two_capsules_is_coals() -> None:
+    rng = random.Random(1)
+    compared = 0
+    for _ in range(2000):
+        a, b = _capsule(rng), _capsule(rng)
+        apart = gap_mm(a, b) + a.radius_mm + b.radius_mm
+        if apart > 2.5:  # coal's thin capsules overlap below
+            assert gap_mm(a, b) == pytest.approx(_coal_distance(a, b), abs=2e-3)
+            compared += 1
+    assert compared > 1900
+
+
+def test_both_formulas_give_one_distance() -> None:
+    rng = random.Random(2)
+    pairs = [(_capsule(rng), _capsule(rng)) for _ in range(3000)]
+    columns = [
+        np.array(values).T
+        for values in zip(*((a.start_mm, a.end_mm, b.start_mm, b.end_mm) for a, b in pairs), strict=True)
+    ]
+    batch = segment_distances(*columns)
+    one_by_one = [gap_mm(a, b) + a.radius_mm + b.radius_mm for a, b in pairs]
+    assert np.allclose(batch, one_by_one, atol=1e-7)
+
+
+def test_the_distance_does_not_depend_on_order_or_direction() -> None:
+    rng = random.Random(3)
+    for _ in range(500):
+        a, b = _capsule(rng), _capsule(rng)
+        turned = Capsule(b.end_mm, b.start_mm, b.radius_mm)
+        assert gap_mm(a, b) == pytest.approx(gap_mm(turned, a), abs=1e-9)
+
+
+@pytest.mark.parametrize("axes", [SEMI_AXES_MM, (90.0, 75.0, 95.0), (80.0, 80.0, 80.0), (60.0, 100.0, 110.0)])
+def test_the_capsules_of_a_head_hold_its_ellipsoid_and_little_more(axes: Vector3) -> None:
+    pose = Pose.from_kuka(10.0, -20.0, 30.0, 40.0, 50.0, 60.0)
+    capsules = covering_ellipsoid(axes, pose)
+    rng = np.random.default_rng(4)
+    directions = rng.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    surface = directions * np.array(axes)
+    for x, y, z in surface.tolist():
+        point = pose.apply((x, y, z))
+        assert min(gap_mm(Capsule(point, point, 0.0), one) for one in capsules) <= 1e-9
+    overshoot = max(capsules[0].radius_mm - min(axes), 0.0)
+    assert overshoot <= 0.4 * (max(axes) - min(axes)) + 1e-9
+
+
+def test_planning_and_live_watch_see_the_same_bodies() -> None:
+    rng = random.Random(5)
+    joints: list[JointVector] = []
+    for _ in range(100):
+        A1, A2, A3, A4, A5, A6 = (
+            rng.uniform(low, high) for low, high in zip(MODEL.lower_rad, MODEL.upper_rad, strict=True)
+        )
+        joints.append((A1, A2, A3, A4, A5, A6))
+    swept = sweep(MODEL, AROUND, joints)
+    for row, vector in enumerate(joints):
+        assert np.allclose(swept.ends_mm[row], body_segments(MODEL, AROUND, vector), atol=1e-8)
+        watch = LiveWatch(MODEL, AROUND, CYCLE_S, vector)
+        live = [watch._gap(number, watch._segments) for number in range(len(AROUND.pairs))]
+        assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
+
+
+def test_the_hand_ends_at_the_flange() -> None:
+    hand = body_segments(MODEL, AROUND, HOME)[3]
+    assert hand[1] == pytest.approx(forward(MODEL, HOME).position_mm)
+    assert math.dist(*hand) == pytest.approx(MODEL.flange_mm)
+
+
+def test_surroundings_travel_as_one_line() -> None:
+    corridor = Corridor((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), 2.5)
+    line = AROUND.into(corridor).to_json()
+    assert "\n" not in line
+    assert Surroundings.from_json(line) == AROUND.into(corridor)
+    assert Surroundings.from_json(Surroundings().to_json()) == Surroundings()
+
+
+def test_a_corridor_is_straight_narrow_and_ends_behind_the_target() -> None:
+    corridor = Corridor((0.0, 0.0, 0.0), (0.0, 0.0, -50.0), 2.5)
+    assert corridor.holds((0.0, 0.0, 100.0), (2.0, 1.0, -50.0))
+    assert not corridor.holds((0.0, 0.0, 100.0), (2.6, 0.0, -20.0))
+    assert not corridor.holds((0.0, 0.0, 100.0), (0.0, 0.0, -54.0))
+    assert not corridor.holds((50.0, 0.0, 100.0), (0.0, 0.0, -20.0))
+
+
+def test_the_arm_at_home_is_clear_of_itself_and_of_the_patient() -> None:
+    for tool in (CELL.guide, CELL.stereo_head):
+        swept = sweep(MODEL, CELL.surroundings(tool, TOOL, HEAD, SEMI_AXES_MM), [HOME])
+        assert swept.gaps_mm.min() > CELL.margin_mm

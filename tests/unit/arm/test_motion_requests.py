@@ -1,0 +1,83 @@
+"""Random motion requests, interruptions and stops: nothing that would be sent breaks a limit or jumps."""
+
+from collections import Counter
+
+import pytest
+from motion_requests import CYCLE_S, MODEL, Driven, drive, faults_of
+
+from ronna_hw.arm.live_watch import LiveWatch
+from ronna_hw.arm.monitor import Monitor, monitor_limits
+from ronna_hw.arm.motion import PathMotion
+
+BATCH = 100
+
+
+def _judge(seeds: range) -> Counter[str]:
+    """Drive all; every accepted one is without fault."""
+    outcomes: Counter[str] = Counter()
+    for seed in seeds:
+        driven = drive(seed)
+        outcomes[driven.refused or "driven"] += 1
+        if not driven.refused:
+            assert faults_of(driven) == [], f"request {seed}"
+            outcomes["stopped"] += driven.rest_predicted_rad is not None
+            outcomes["slowed near the head"] += bool(driven.plan and driven.plan.speed_steps)
+    return outcomes
+
+
+@pytest.mark.hazard(21)
+@pytest.mark.hazard(24)
+@pytest.mark.parametrize("batch", range(5))
+def test_random_requests_break_no_limit_do_not_jump_and_stop_as_predicted(batch: int) -> None:
+    outcomes = _judge(range(batch * BATCH, (batch + 1) * BATCH))
+    # The requests are worth something only when all of this happens.
+    assert outcomes["driven"] > BATCH // 2
+    for kind in ("stopped", "slowed near the head", "ARM-007"):
+        assert outcomes[kind] >= BATCH // 20, outcomes
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+def test_ten_thousand_requests() -> None:
+    _judge(range(500, 10_000))
+
+
+def test_the_first_set_point_is_where_the_arm_stands() -> None:
+    for seed in range(8):
+        driven = drive(seed)
+        if driven.plan is not None and not driven.plan.is_standstill:
+            motion = PathMotion(driven.plan.path(MODEL), driven.sent[0], driven.plan.limits, CYCLE_S)
+            first = motion.prepare().go_rad
+            assert max(abs(x - y) for x, y in zip(first, driven.sent[0], strict=True)) < 1e-4
+
+
+@pytest.mark.hazard(21)
+def test_a_generator_that_forgets_the_zone_is_caught_by_the_monitor() -> None:
+    slowed = [driven for driven in map(drive, range(30)) if _much_slower(driven)]
+    assert slowed
+    for driven in slowed:
+        assert "speed near the head" in _without_steps(driven)
+
+
+def _much_slower(driven: Driven) -> bool:
+    plan = driven.plan
+    return plan is not None and any(step.velocity < 0.5 * plan.limits.velocity for step in plan.speed_steps)
+
+
+def _without_steps(driven: Driven) -> str:
+    plan, limits, surroundings = driven.plan, driven.limits, driven.surroundings
+    assert plan is not None
+    assert limits is not None
+    assert surroundings is not None
+    start = plan.start_rad
+    monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, start), start)
+    monitor.watch(LiveWatch(MODEL, surroundings, CYCLE_S, start, limits.body_speed_mm_s))
+    motion = PathMotion(plan.path(MODEL), start, plan.limits, CYCLE_S)
+    while not motion.finished:
+        point = motion.prepare().go_rad
+        violation = monitor.check(point)
+        if violation is not None:
+            return str(violation)
+        motion.take_go()
+        monitor.sent(point)
+    return ""
