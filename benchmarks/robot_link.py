@@ -37,7 +37,7 @@ def _lock_step() -> list[Figure]:
         home = cell.arm.read_state().joints_rad
         away: JointVector = (home[0] + SWING_RAD, *home[1:])
         ends = [away, home]
-        link_pid = cell.arm._link._process.pid if cell.arm._link else 0
+        link_pid = cell.arm._ways.open_link._process.pid if cell.arm._ways.open_link else 0
         pids = {"simulator": cell.controller.process.pid, "driver's process": link_pid}
         spent = {name: 0.0 for name in pids}
         cycles_seen = 0

@@ -61,6 +61,7 @@ class RonnaError(Exception):
         self.last = last
         self.advice = action or self.action
         self.wire = bytes(wire[-LAST_BYTES_KEPT:])
+        self.attachments: dict[str, str] = {}  # file name -> text: evidence for the folder of a run
         super().__init__(self._one_line())
 
     def _one_line(self) -> str:

@@ -12,7 +12,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
@@ -43,6 +43,18 @@ class Ack(NamedTuple):
     text: str
 
 
+class Listener(Protocol):
+    """Called from the reader's thread: be quick."""
+
+    def controller_said(self, state: ControllerState) -> None:
+        """A state came, asked or unasked."""
+        ...
+
+    def controller_lost(self, failure: RonnaError) -> None:
+        """The connection broke; not called for one that we closed."""
+        ...
+
+
 class EkiClient:
     """One connection. Calls may come from any thread."""
 
@@ -65,6 +77,8 @@ class EkiClient:
         self._states: dict[int, ControllerState] = {}
         self._latest: ControllerState | None = None
         self._failure: RonnaError | None = None
+        self._listener: Listener | None = None
+        self._closing = False
         self._reader = threading.Thread(target=self._read, name="eki reader", daemon=True)
         self._reader.start()
 
@@ -77,6 +91,12 @@ class EkiClient:
     def failure(self) -> RonnaError | None:
         """Why the connection is broken, if it is."""
         return self._failure
+
+    def listen(self, listener: Listener) -> None:
+        """Tell somebody of every state, and of the loss of the connection."""
+        self._listener = listener
+        if self._failure is not None and not self._closing:
+            listener.controller_lost(self._failure)
 
     def status(self, timeout_s: float) -> ControllerState:
         """Ask for the state. Raises EKI-003 when none comes in time, EKI-002 or EKI-004 on a broken link."""
@@ -122,6 +142,7 @@ class EkiClient:
 
     def close(self) -> None:
         """Close the connection; never raises."""
+        self._closing = True
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -168,6 +189,8 @@ class EkiClient:
         with self._arrived:
             self._failure = failure
             self._arrived.notify_all()
+        if self._listener is not None and not self._closing:
+            self._listener.controller_lost(failure)
 
     def _take(self, root: ElementTree.Element) -> None:
         try:
@@ -175,14 +198,17 @@ class EkiClient:
             code = AckCode(int(root.get("Code") or 0))
         except ValueError as error:
             raise BadEkiTelegram(str(error), wire=ElementTree.tostring(root)) from error
+        state = read_state(root, time.monotonic()) if root.tag == STATE else None
         with self._arrived:
-            if root.tag == STATE:
-                self._latest = read_state(root, time.monotonic())
-                _keep(self._states, number, self._latest)
+            if state is not None:
+                self._latest = state
+                _keep(self._states, number, state)
             elif root.tag == ACK:
                 # A motion is answered twice; the first answer is what the caller waits for.
                 _keep(self._acks, number, Ack(code, root.get("Text") or ""))
             self._arrived.notify_all()
+        if state is not None and self._listener is not None:
+            self._listener.controller_said(state)
 
 
 def _keep(store: dict[int, T], number: int, value: T) -> None:

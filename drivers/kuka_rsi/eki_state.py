@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
-from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, Unverified, WrongController
+from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, WrongController
 from ronna_hw.arm.model import ArmVariant
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.wire.kuka_context import RsiContext, context_hash
@@ -73,9 +73,8 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
         ) from error
 
 
-def require_ours(state: ControllerState, context: RsiContext, variant: ArmVariant) -> None:
-    """Raise EKI-005 listing every fact that differs from what the driver was made for, EKI-006 when the
-    controller does not say."""
+def require_ours(state: ControllerState, context: RsiContext, variant: ArmVariant) -> tuple[str, ...]:
+    """What the controller does not say; raises EKI-005 listing every fact that is said and is another."""
     reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
     facts = (
         ("cycle in ms", context.program.cycle_ms, state.cycle_ms),
@@ -84,19 +83,23 @@ def require_ours(state: ControllerState, context: RsiContext, variant: ArmVarian
         ("context hash", context_hash(context), state.context_hash),
         ("arm", variant.value, state.variant),
     )
-    silent = [name for name, _, said in facts if said is None]
-    if silent:
-        raise Unverified("the controller does not say its " + ", ".join(silent))
-    wrong = [f"{name} is {said}, not {awaited}" for name, awaited, said in facts if said != awaited]
+    wrong = [
+        f"{name} is {said}, not {awaited}"
+        for name, awaited, said in facts
+        if said is not None and said != awaited
+    ]
     if wrong:
         raise WrongController("the controller is not set up for this driver: " + "; ".join(wrong))
+    return tuple(name for name, _, said in facts if said is None)
 
 
-def require_ready(state: ControllerState, *, drives: bool) -> None:
+def require_ready(
+    state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
+) -> None:
     """Raise EKI-007 listing everything that forbids motion; `drives`: they must be on already."""
     unmet = []
-    if state.mode is not OperationMode.EXT:
-        unmet.append(f"operating mode is {state.mode}, not EXT")
+    if state.mode not in modes:
+        unmet.append(f"operating mode is {state.mode}, not {' or '.join(modes)}")
     if state.emergency_stop:
         unmet.append("emergency stop is active")
     if state.guard_open:

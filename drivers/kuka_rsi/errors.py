@@ -16,6 +16,9 @@ RSI-013 BadOptions          the driver's options in the theatre file are wrong
 RSI-014 BadTelegram         bytes from the controller are no telegram of ours
 RSI-015 PoseDisagrees       RSI and EKI report different axes
 RSI-016 PathFailed          a path had no solution on the way
+RSI-017 ContextUnusable     the RSI context is unsafe, or blind, for this driver
+RSI-018 HandshakeFailed     an unverified controller did not do what it was told
+RSI-019 LinkUnusable        too many replies were lost for too long
 EKI-001 ControllerNotFound  nothing answers at the address
 EKI-002 ControllerLost      the connection broke
 EKI-003 NoAnswer            a command was not answered in time
@@ -88,11 +91,10 @@ class LinkStopped(StateError):
 
 
 class MotionTripped(LimitError):
-    """The monitor stopped the arm. `cycles` holds the last cycles before, oldest first."""
+    """The monitor stopped the arm."""
 
     code = "RSI-005"
     action = "Read the recorded cycles, find the cause, then recover the arm."
-    cycles: tuple[RecordedCycle, ...] = ()
 
 
 class HeartbeatLate(LinkTimeout):
@@ -134,7 +136,7 @@ class MotionNotFinished(LinkTimeout):
     """A motion did not end, or the arm did not settle, in its time limit."""
 
     code = "RSI-011"
-    action = "Give the motion more time, or check the servo's stiffness and option settle_tolerance_deg."
+    action = "Give the motion more time, or look at the lost cycles and at option settle_tolerance_deg."
 
 
 class MotionRefused(RefusedError):
@@ -170,6 +172,27 @@ class PathFailed(LimitError):
 
     code = "RSI-016"
     action = "Recover the arm and move away from the singular pose by a joint move."
+
+
+class ContextUnusable(ConfigurationError):
+    """The RSI context is unsafe, or blind, for this driver."""
+
+    code = "RSI-017"
+    action = "Correct the named entries, generate the controller's files anew and load them."
+
+
+class HandshakeFailed(DeviceError):
+    """An unverified controller did not do what it was told in the micro-move."""
+
+    code = "RSI-018"
+    action = "Load the files of drivers/kuka_rsi/controller on the controller; do not move the arm before."
+
+
+class LinkUnusable(LinkTimeout):
+    """Too many replies were lost for too long: the arm was stopped."""
+
+    code = "RSI-019"
+    action = "Find what loads the computer or the RSI network (nothing else belongs on it), then recover."
 
 
 class ControllerNotFound(ConnectError):
@@ -211,7 +234,10 @@ class Unverified(ConnectError):
     """The controller cannot say which context it runs."""
 
     code = "EKI-006"
-    action = "Load the EKI program of this driver, which reports it."
+    action = (
+        "Load the EKI program of this driver, which reports it; or set option accept_unverified and call "
+        "activate_unverified(confirmed_by), which shows it by a micro-move."
+    )
 
 
 class ControllerNotReady(RefusedError):
@@ -219,8 +245,9 @@ class ControllerNotReady(RefusedError):
 
     code = "EKI-007"
     action = (
-        "Bring the controller to EXT, guard closed and emergency stop released; then call the arm's "
-        "recover(acknowledged_by), which acknowledges messages (ACK_ERRORS), and activate it again."
+        "Bring the controller to EXT (or confirm T1 by allow_t1), guard closed and emergency stop released; "
+        "then call the arm's recover(acknowledged_by), which acknowledges messages (ACK_ERRORS), and "
+        "activate it again."
     )
 
 

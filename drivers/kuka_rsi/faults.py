@@ -10,14 +10,15 @@ from drivers.kuka_rsi.errors import (
     HeartbeatLate,
     LinkSilent,
     LinkStopped,
+    LinkUnusable,
     MotionRefused,
     MotionTripped,
     PathFailed,
     PoseDisagrees,
     ProtectiveStop,
-    RecordedCycle,
 )
-from drivers.kuka_rsi.link_state import Fault, LinkState, Result
+from drivers.kuka_rsi.link_state import NO_STATE, Fault, LinkState, Result
+from drivers.kuka_rsi.losses import UNUSABLE_SHARE, WINDOW_CYCLES
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.errors import RonnaError
 
@@ -34,7 +35,6 @@ def error_of_fault(
     name: str,
     state: LinkState,
     options: KukaOptions,
-    cycles: tuple[RecordedCycle, ...] = (),
     message: int = 0,
 ) -> RonnaError | None:
     """The error of the latched fault, or None when there is none. `message`: the controller's, 0 for none."""
@@ -43,13 +43,11 @@ def error_of_fault(
         case Fault.NONE:
             return None
         case Fault.MONITOR:
-            tripped = MotionTripped(
+            return MotionTripped(
                 f"{where} the monitor stopped the arm: {state.violation_kind} of A{state.violation_axis}",
                 limit=f"{degrees(state.violation_limit):.4f} deg",
                 last=f"{degrees(state.violation_value):.4f} deg",
             )
-            tripped.cycles = cycles
-            return tripped
         case Fault.SILENCE:
             said = f"; the controller shows message {message}" if message else ""
             return LinkSilent(
@@ -71,7 +69,14 @@ def error_of_fault(
         case Fault.PATH:
             return PathFailed(f"{where} the path had no solution")
         case Fault.RESTARTED:
-            return ControllerRestarted(f"{where} telegrams of another run came", last=f"IPOC {state.IPOC}")
+            return ControllerRestarted(
+                f"{where} telegrams of another run came{strangers_text(state)}", last=f"IPOC {state.IPOC}"
+            )
+        case Fault.LOSSES:
+            return LinkUnusable(
+                f"{where} too few replies were taken{losses_text(NO_STATE, state)}",
+                limit=f"{UNUSABLE_SHARE:.0%} of {WINDOW_CYCLES} cycles, twice in a row",
+            )
         case Fault.BASE:
             return PoseDisagrees(
                 f"{name}: the first telegram's axes are outside the joint ranges",
@@ -83,6 +88,22 @@ def error_of_refusal(name: str, state: LinkState) -> MotionRefused:
     """The error of a motion that the real-time process did not accept."""
     why = _REFUSALS.get(state.result, f"result {state.result.name}")
     return MotionRefused(f"{name}: the motion was refused: {why}")
+
+
+def losses_text(begun: LinkState, state: LinkState) -> str:
+    """What was lost meanwhile, for a message; nothing when nothing was."""
+    cycles, late, lost = (
+        max(now - before, 0)
+        for now, before in ((state.cycles, begun.cycles), (state.late, begun.late), (state.lost, begun.lost))
+    )
+    if not late and not lost:
+        return ""
+    return f": of {cycles} cycles {late} were late or lost by the controller's count, {lost} by IPOC"
+
+
+def strangers_text(state: LinkState) -> str:
+    """Who else sent telegrams, for a message."""
+    return f" from {state.foreign_host}" if state.foreign else ""
 
 
 def axes_text(state: LinkState) -> str:

@@ -31,6 +31,7 @@ IDLE_LOOK_S = 0.01  # how long to wait for a telegram before looking at orders, 
 QUIET_AFTER_PARENT_NS = 100_000_000  # no telegram for so long: nobody is left to answer
 LONGEST_ENDING_CYCLES = 250  # of Stop being sent after the parent is gone
 GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
+RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
 AT_ONCE_NS = 30_000  # waited less for a telegram: it was in the queue already
 LATE_CYCLES = 1.5  # waited so many for a telegram: the host, or the network, was held up
 PACED_WAIT_NS = 300_000  # waited so long for a telegram: the controller keeps a pace, and there is time
@@ -80,6 +81,7 @@ class LinkLoop:
         self._command_number = 0
         self._told: tuple[object, ...] = ()
         self._ending_cycles = 0
+        self._cycles_since_fault = 0
 
     def run(self) -> None:
         """Serve until the parent is gone."""
@@ -174,7 +176,8 @@ class LinkLoop:
         session.after_reply(self._new_command(orders.command_number))
         mailbox.count_turnaround(bin_of(self._turnaround_us))
         mailbox.count_jitter(bin_of(session.jitter_us))
-        if not session.fault:
+        self._cycles_since_fault = self._cycles_since_fault + 1 if session.fault else 0
+        if self._cycles_since_fault <= RECORDED_AFTER_FAULT:
             mailbox.record(
                 Record(
                     session.cycles,

@@ -53,6 +53,7 @@ class Fault(IntEnum):
     PATH = 7
     RESTARTED = 8
     BASE = 9  # the first telegram's axes are outside the joint ranges
+    LOSSES = 10  # too many cycles without a reply that acted
 
 
 class Result(IntEnum):

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 DEGRADED_ABOVE = 3  # lost cycles in one stretch
 STRETCH_CYCLES = 250  # without a loss for so long, the count of the stretch begins anew (1 s at 4 ms)
+WINDOW_CYCLES = 250  # over which the share of lost cycles is judged
+UNUSABLE_SHARE = 0.35  # of two windows in a row: far above 20 %, which is worked through
+UNUSABLE_WINDOWS = 2  # one stall of the host, or one burst, fills no two
 RECOVERED_CYCLES = 1000  # without a loss for so long, full working speed is allowed again
 IPOC_WRAP = 2**32
 RESTART_MS = 10_000  # a jump of the time stamp beyond this is another run, not a gap
@@ -23,6 +26,8 @@ class Losses:
         self._last_delay = 0
         self._stretch = 0
         self._clean = 0
+        self._window = (0, 0)  # cycles and losses of the present one
+        self._bad_windows = 0  # in a row
         self.told = -1  # the controller's own count in the last telegram, -1 when it sends none
         self.lost = 0
         self.late = 0
@@ -53,7 +58,21 @@ class Losses:
         self.untaken = late > missing
         self.standing = missing + self.standing + 1 if self.untaken else missing
         self._judge(max(missing, late))
+        self._judge_window(1 + missing, max(missing, late))
         return missing
+
+    @property
+    def unusable(self) -> bool:
+        """Whether so much was lost for so long that no motion gets anywhere."""
+        return self._bad_windows >= UNUSABLE_WINDOWS
+
+    def _judge_window(self, cycles: int, losses: int) -> None:
+        seen, lost = self._window[0] + cycles, self._window[1] + losses
+        if seen < WINDOW_CYCLES:
+            self._window = (seen, lost)
+            return
+        self._bad_windows = self._bad_windows + 1 if lost > UNUSABLE_SHARE * seen else 0
+        self._window = (0, 0)
 
     def _judge(self, losses: int) -> None:
         if losses:

@@ -28,7 +28,7 @@ from drivers.kuka_rsi.link_state import (
 )
 from ronna_hw.arm.planning import MotionPlan
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.progress import PathLimits
+from ronna_hw.arm.progress import MOST_STEPS, PathLimits, SpeedStep
 
 MAGIC = b"RONNARSI"
 SIZE = 65536
@@ -42,7 +42,7 @@ _ORDERS = struct.Struct("<QQQ")
 _WORD = struct.Struct("<Q")
 
 COMMAND_BLOCK_AT = 256
-_COMMAND = struct.Struct("<QQBB6d6d3d3d9d3d")
+_COMMAND = struct.Struct(f"<QQBBB6d6d3d3d9d3d{2 * MOST_STEPS}d")
 STATE_BLOCK_AT = 1024
 _STATE = struct.Struct("<QQq 8B QQ QQQQQ4s 6d6d6d BB2d i")
 HISTOGRAM_BINS = 64
@@ -103,17 +103,20 @@ class Mailbox:
         target = plan.target if plan else None
         pose = target or Pose()
         zeros = (0.0,) * 6
+        steps = plan.speed_steps if plan else ()
         payload = _COMMAND.pack(
             command.number,
             command.stop_number,
             command.kind,
             target is not None,
+            len(steps),
             *(plan.start_rad if plan else zeros),
             *(plan.target_rad if plan else zeros),
             *(plan.limits if plan else zeros[:3]),
             *pose.position_mm,
             *pose.rotation,
             *(plan.tool_in_flange_mm if plan else zeros[:3]),
+            *(value for step in (*steps, *(NO_STEP,) * (MOST_STEPS - len(steps))) for value in step),
         )
         self._write_block(COMMAND_BLOCK_AT, payload)
         _WORD.pack_into(self._memory, COMMAND_AT, command.number)
@@ -133,7 +136,7 @@ class Mailbox:
         payload = self._read_block(COMMAND_BLOCK_AT, _COMMAND.size)
         if payload is None:
             return None
-        number, stop_number, kind, has_pose, *v = _COMMAND.unpack(payload)
+        number, stop_number, kind, has_pose, steps, *v = _COMMAND.unpack(payload)
         plan = None
         if kind == CommandKind.MOVE:
             pose = Pose((v[15], v[16], v[17]), tuple(v[18:27])) if has_pose else None

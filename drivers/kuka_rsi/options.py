@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ipaddress import IPv4Address
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -31,6 +32,9 @@ class KukaOptions(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     variant: ArmVariant = ArmVariant.SIXX
+    context: Path | None = None  # another description than our own, in the same form
+    cycle_ms: Literal[4, 12] | None = None  # another cycle than the description's
+    accept_unverified: bool = False  # of a controller that does not say what it runs
     controller_host: ControllerHost = ""  # who may open a session by RSI; "" for whoever sends
     silence_limit_s: Annotated[float, Field(gt=0.02, le=60.0)] = SILENCE_LIMIT_S
     heartbeat_limit_s: Annotated[float, Field(ge=0.1, le=60.0)] = HEARTBEAT_LIMIT_S

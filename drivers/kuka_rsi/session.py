@@ -139,6 +139,8 @@ class Session:
             self._trip(points.violation)
         elif points.path_failed:
             self._latch(Fault.PATH)
+        elif points.moving and self._losses.unusable:
+            self._latch(Fault.LOSSES)
         if points.moving and (self._losses.untaken or missing > HELD_AFTER_CYCLES):
             return self._answer_loss(points)
         self.choice = Choice.STOP if self._stopping else Choice.GO
@@ -373,7 +375,9 @@ class Session:
     def _make_ready(self, points: SetPoints) -> None:
         """Make the whole next reply, when only something new could change it."""
         self.ready = None
-        unsettled = points.violation is not None or points.path_failed or self.parent_gone
+        unsettled = (
+            points.violation is not None or points.path_failed or self.parent_gone or self._losses.unusable
+        )
         if unsettled or self.phase not in SESSION_PHASES:
             return
         self.ready = self._replies.whole(

@@ -9,20 +9,22 @@ from math import degrees
 
 from drivers.kuka_rsi.eki_client import EkiClient
 from drivers.kuka_rsi.eki_state import require_ours, require_ready
-from drivers.kuka_rsi.errors import ControllerNotFound, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.errors import ControllerLost, ControllerNotFound, NoTelegram, PoseDisagrees, Unverified
 from drivers.kuka_rsi.faults import error_of_fault
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.link_state import CommandKind, Fault, Phase
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.settings import AXIS_NAMES, LinkSettings
-from ronna_hw.arm.model import ArmVariant
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import RsiContext
-from ronna_hw.wire.kuka_eki import CommandName, Correction, Reference, RsiState
+from ronna_hw.wire.kuka_eki import CommandName, Correction, OperationMode, Reference, RsiState
 
 AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at different moments of rest
+FIRST_PAUSE_S = 0.1  # between two attempts to open the EKI session again; each is twice the one before
+LONGEST_PAUSE_S = 2.0
+LEAST_TRY_S = 0.2
 STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
 
 
@@ -32,17 +34,20 @@ def rest_of(deadline: float) -> float:
 
 
 def open_controller(
-    address: Endpoint, context: RsiContext, variant: ArmVariant, timeout_s: float
-) -> tuple[EkiClient, Identity]:
-    """Connect by EKI and check that the controller runs our context for our arm.
+    address: Endpoint, context: RsiContext, options: KukaOptions, timeout_s: float
+) -> tuple[EkiClient, Identity, bool]:
+    """Connect by EKI and check that the controller runs our context for our arm; True when it says so.
 
-    Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 or EKI-006 when it is set up otherwise.
+    Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 when it is set up otherwise, EKI-006 when it
+    does not say and option `accept_unverified` is off.
     """
     deadline = time.monotonic() + timeout_s
     eki = EkiClient(address.host, address.port, timeout_s)
     try:
         state = eki.status(rest_of(deadline))
-        require_ours(state, context, variant)
+        unsaid = require_ours(state, context, options.variant)
+        if unsaid and not options.accept_unverified:
+            raise Unverified("the controller does not say its " + ", ".join(unsaid))
     except RonnaError as error:
         eki.close()
         if isinstance(error, TimeoutError):
@@ -54,9 +59,27 @@ def open_controller(
         ("context", str(state.context_hash)),
         ("cycle_ms", str(state.cycle_ms)),
         ("mode", str(state.mode)),
+        ("verified", "no, it does not say its " + ", ".join(unsaid) if unsaid else "yes"),
     )
     # EKI carries neither serial number nor software version of the controller.
-    return eki, Identity("KUKA", str(state.variant), serial="", firmware="", details=details)
+    model = state.variant or "unknown"
+    return eki, Identity("KUKA", model, serial="", firmware="", details=details), not unsaid
+
+
+def reopen_controller(
+    address: Endpoint, context: RsiContext, options: KukaOptions, timeout_s: float
+) -> tuple[EkiClient, Identity, bool]:
+    """As `open_controller`, again and again with growing pauses: after a loss the server opens anew first."""
+    deadline = time.monotonic() + timeout_s
+    pause_s = FIRST_PAUSE_S
+    while True:
+        try:
+            return open_controller(address, context, options, max(rest_of(deadline), LEAST_TRY_S))
+        except (ControllerNotFound, ControllerLost):
+            if rest_of(deadline) <= pause_s:
+                raise
+        time.sleep(pause_s)
+        pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
 
 def link_settings(
@@ -90,21 +113,30 @@ def link_settings(
 
 
 def start_stream(
-    eki: EkiClient, link: LinkClient, context: RsiContext, options: KukaOptions, name: str, timeout_s: float
-) -> None:
+    eki: EkiClient,
+    link: LinkClient,
+    context: RsiContext,
+    options: KukaOptions,
+    name: str,
+    timeout_s: float,
+    modes: tuple[OperationMode, ...],
+) -> OperationMode:
     """Switch the drives on, start the RSI program, answer its telegrams, wait until corrections act.
 
-    Until then every correction is zero: what is sent before RSI_MOVECORR would act in one jump.
+    Until then every correction is zero: what is sent before RSI_MOVECORR would act in one jump. In T1 the
+    operator switches the drives on and presses the start key. Returns the operating mode.
     """
     deadline = time.monotonic() + timeout_s
     state = eki.status(rest_of(deadline))
     require_ours(state, context, options.variant)
-    require_ready(state, drives=False)
+    require_ready(state, drives=False, modes=modes)
     if not state.drives:
-        eki.require(CommandName.DRIVES, rest_of(deadline), On=1)
+        if state.mode is OperationMode.EXT:
+            eki.require(CommandName.DRIVES, rest_of(deadline), On=1)
         eki.await_state(lambda s: s.drives, rest_of(deadline))
-        state = eki.status(rest_of(deadline))
-    require_ready(state, drives=True)
+        state = eki.status(max(rest_of(deadline), LEAST_TRY_S))
+    require_ready(state, drives=True, modes=modes)
+    mode = state.mode
     number = link.command(CommandKind.OPEN)
     link.wait(lambda s: s.command_number >= number, rest_of(deadline))
     eki.require(
@@ -116,8 +148,12 @@ def start_stream(
     )
     first = link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), rest_of(deadline))
     if first is None:
+        said = link.state
+        strangers = f"; {said.foreign} came from {said.foreign_host}" if said.foreign else ""
         raise NoTelegram(
-            f"{name}: the RSI program runs, but no telegram comes here", limit=f"{timeout_s:g} s"
+            f"{name}: the RSI program runs, but no telegram comes here{strangers}",
+            awaited=f"telegrams of {options.controller_host}" if options.controller_host else None,
+            limit=f"{timeout_s:g} s",
         )
     for axis, (told, measured) in enumerate(zip(state.axes_deg, first.base_rad, strict=True)):
         if abs(told - degrees(measured)) > AXES_AGREE_DEG:
@@ -130,6 +166,8 @@ def start_stream(
     fault = error_of_fault(name, link.state, options)
     if fault is not None:
         raise fault
+    require_ready(eki.status(max(rest_of(deadline), LEAST_TRY_S)), drives=True, modes=(mode,))
+    return mode
 
 
 def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadline: float) -> None:
@@ -141,7 +179,7 @@ def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadl
     eki.require(CommandName.ACK_ERRORS, rest_of(deadline))
     state = eki.status(rest_of(deadline))
     require_ours(state, context, options.variant)
-    require_ready(state, drives=False)
+    require_ready(state, drives=False, modes=tuple(OperationMode))
 
 
 def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:

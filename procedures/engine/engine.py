@@ -133,8 +133,12 @@ class Engine:
         self.devices.stop()
         self.machine.fail()
         code = problem.code if isinstance(problem, RonnaError) else type(problem).__name__
+        attachments = problem.attachments if isinstance(problem, RonnaError) else {}
+        for name, text in attachments.items():
+            (self.case.folder / name).write_text(text, encoding="utf-8")
         if not isinstance(problem, JournalBroken):
-            self._write(Entry.FAILED, step=str(key), code=code, what=str(problem))
+            files = {"files": sorted(attachments)} if attachments else {}
+            self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
     def _context(self, key: StepKey) -> StepContext:
         return StepContext(

@@ -1,0 +1,70 @@
+"""The two ways to the controller: the EKI session, and the real-time process behind the RSI port."""
+
+from __future__ import annotations
+
+from drivers.kuka_rsi import stream
+from drivers.kuka_rsi.eki_client import EkiClient, Listener
+from drivers.kuka_rsi.errors import ControllerNotFound, NoTelegram
+from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.options import KukaOptions
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.wire.kuka_context import RsiContext
+
+
+class Connections:
+    """Opened and closed one by one; what is asked for and not open raises."""
+
+    def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
+        """Opens nothing. Raises CFG-001 or CFG-002 for a missing or wrong endpoint."""
+        self._name = name
+        self._rsi = config.address("rsi").require("udp")
+        self._eki_address = config.address("eki_project").require("tcp")
+        self._options = options
+        self._context = context
+        self.open_eki: EkiClient | None = None
+        self.open_link: LinkClient | None = None
+        self.verified = False  # the controller says that it runs our context
+
+    @property
+    def eki(self) -> EkiClient:
+        """The EKI session; raises EKI-001 when there is none."""
+        if self.open_eki is None:
+            raise ControllerNotFound(f"{self._name}: there is no EKI session")
+        return self.open_eki
+
+    @property
+    def link(self) -> LinkClient:
+        """The real-time process; raises RSI-002 when there is none."""
+        if self.open_link is None:
+            raise NoTelegram(f"{self._name}: there is no real-time process")
+        return self.open_link
+
+    def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
+        """Open the EKI session and check who answers; `retry`: again and again until the time is over.
+
+        Raises EKI-001 when nothing answers, EKI-005 or EKI-006 when it is another controller or set-up.
+        """
+        self.close_eki()
+        opening = stream.reopen_controller if retry else stream.open_controller
+        found = opening(self._eki_address, self._context, self._options, timeout_s)
+        self.open_eki, identity, self.verified = found
+        self.open_eki.listen(listener)
+        return identity
+
+    def start_link(self, timeout_s: float) -> None:
+        """Start the real-time process, which takes the RSI port. Raises RSI-001."""
+        self.close_link()
+        self.open_link = LinkClient(stream.link_settings(self._rsi, self._context, self._options), timeout_s)
+
+    def close_eki(self) -> None:
+        """End the EKI session, if there is one."""
+        if self.open_eki is not None:
+            self.open_eki.close()
+            self.open_eki = None
+
+    def close_link(self) -> None:
+        """End the real-time process, if there is one."""
+        if self.open_link is not None:
+            self.open_link.close()
+            self.open_link = None

@@ -1,0 +1,110 @@
+"""Latches what goes wrong: in the real-time process, on the EKI channel, and at the controller itself.
+
+The real-time process stops the arm for what it sees by itself. What only EKI tells (emergency stop, guard,
+mode, drives, a message, or that the channel broke) is noticed here as soon as it arrives, and stops the arm.
+"""
+
+from __future__ import annotations
+
+from drivers.kuka_rsi.connections import Connections
+from drivers.kuka_rsi.eki_state import ControllerState, require_ready
+from drivers.kuka_rsi.faults import error_of_fault
+from drivers.kuka_rsi.flight_record import attach_flight_record
+from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.link_state import LinkState, StopOrder
+from drivers.kuka_rsi.options import KukaOptions
+from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire.kuka_eki import OperationMode
+
+STREAMING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
+
+
+class FaultWatch:
+    """One per arm. Also the listener of its EKI session."""
+
+    def __init__(self, name: str, guard: LifecycleGuard, ways: Connections, options: KukaOptions) -> None:
+        self._name = name
+        self._guard = guard
+        self._ways = ways
+        self._options = options
+        self._told: RonnaError | None = None  # the fault that a caller has already been given
+        self.mode = OperationMode.EXT  # in which the stream was started: a change stops the arm
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """The error that latched FAULT, if any."""
+        self.notice()
+        return self._guard.fault
+
+    def notice(self) -> None:
+        """Latch what the real-time process or the EKI channel has found wrong meanwhile."""
+        eki = self._ways.open_eki
+        if self._guard.state not in STREAMING:
+            if eki is not None and eki.failure and self._guard.state in READABLE:
+                self._guard.latch(eki.failure)
+            return
+        link = self._ways.link
+        error = self._error_of(link.state)
+        if error is None and not link.alive:
+            error = link.death()
+        if error is None and eki is not None:
+            error = eki.failure
+        if error is not None:
+            self._keep(error, link)
+
+    def latch(self, error: RonnaError) -> None:
+        """Latch an error that is about to be raised."""
+        link = self._ways.open_link
+        if link is not None and self._guard.state in STREAMING:
+            self._keep(error, link)
+        self._guard.latch(error)
+        self._told = self._guard.fault
+
+    def raise_new(self) -> None:
+        """Raise a latched fault to the first call that meets it; later calls are refused and name it."""
+        fault = self.fault
+        if fault is not None and fault is not self._told:
+            self._told = fault
+            raise fault
+
+    def raise_any(self) -> None:
+        """Raise a latched fault."""
+        fault = self.fault
+        if fault is not None:
+            self._told = fault
+            raise fault
+
+    def controller_said(self, state: ControllerState) -> None:
+        """From the EKI reader: the controller's state, asked or unasked."""
+        if self._guard.state not in STREAMING:
+            return
+        self.notice()
+        try:
+            require_ready(state, drives=True, modes=(self.mode,))
+        except RonnaError as error:
+            self._stop_for(error)
+
+    def controller_lost(self, failure: RonnaError) -> None:
+        """From the EKI reader: the channel broke. Nobody tells of an emergency stop any more."""
+        if self._guard.state in STREAMING:
+            self.notice()
+            self._stop_for(failure)
+
+    def _stop_for(self, error: RonnaError) -> None:
+        link = self._ways.open_link
+        if link is None or self._guard.state not in STREAMING:
+            return
+        self._keep(error, link)
+        link.stop(StopOrder.PROTECTIVE)
+
+    def _keep(self, error: RonnaError, link: LinkClient) -> None:
+        if self._guard.state is not Lifecycle.FAULT:
+            attach_flight_record(error, self._name, link.recorded_cycles())
+        self._guard.latch(error)
+
+    def _error_of(self, state: LinkState) -> RonnaError | None:
+        eki = self._ways.open_eki
+        latest = eki.latest if eki is not None else None
+        message = latest.error if latest is not None else 0
+        return error_of_fault(self._name, state, self._options, message)

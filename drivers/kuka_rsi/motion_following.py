@@ -1,0 +1,76 @@
+"""Gives one motion to the real-time process and follows it to its end."""
+
+from __future__ import annotations
+
+import threading
+
+from drivers.kuka_rsi.connections import Connections
+from drivers.kuka_rsi.errors import LinkProcessDied, MotionNotFinished, MotionRefused, MotionStopped
+from drivers.kuka_rsi.fault_watch import FaultWatch
+from drivers.kuka_rsi.faults import axes_text, error_of_refusal, losses_text
+from drivers.kuka_rsi.link_client import Condition
+from drivers.kuka_rsi.link_state import CommandKind, LinkState, Result, StopOrder
+from ronna_hw.arm.planning import MotionPlan
+
+POLL_S = 0.5  # of host time between two looks at the theatre's time while a motion runs
+STOP_S = 1.0  # host time for a motion to come to rest that has used up its time
+
+
+class MotionFollower:
+    """One motion at a time."""
+
+    def __init__(self, name: str, ways: Connections, watch: FaultWatch, cycle_s: float) -> None:
+        self._name = name
+        self._ways = ways
+        self._watch = watch
+        self._cycle_s = cycle_s
+        self._under_way = threading.Lock()  # held while a motion is followed
+
+    def follow(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
+        """Carry out a plan that was made when `stops` stops were known; the state when it has settled.
+
+        Raises RSI-010 when it was stopped, RSI-011 when it used up `timeout_s` of the controller's cycles,
+        RSI-012 when it was refused, and the fault that ended it.
+        """
+        if not self._under_way.acquire(blocking=False):
+            raise MotionRefused(f"{self._name}: another motion is under way")
+        try:
+            return self._carry_out(plan, stops, timeout_s)
+        finally:
+            self._under_way.release()
+
+    def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
+        """As `LinkClient.wait`; the death of the real-time process is latched as well."""
+        try:
+            return self._ways.link.wait(condition, timeout_s)
+        except LinkProcessDied as error:
+            self._watch.latch(error)
+            raise
+
+    def _carry_out(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
+        link = self._ways.link
+        number = link.command(CommandKind.MOVE, plan, stops)
+        begun = link.state
+
+        def ended(state: LinkState) -> bool:
+            if state.fault:
+                return not state.moving
+            return state.command_number >= number and state.result is not Result.RUNNING
+
+        while (state := self.wait(ended, POLL_S)) is None:
+            # The controller's cycles are theatre time; when none come, silence trips.
+            waited_s = (link.state.cycles - begun.cycles) * self._cycle_s
+            if waited_s > timeout_s:
+                link.stop(StopOrder.HOLD)
+                self.wait(lambda s: not s.moving, STOP_S)
+                raise MotionNotFinished(
+                    f"{self._name}: the motion did not end or settle{losses_text(begun, link.state)}",
+                    limit=f"{timeout_s:g} s",
+                    last=axes_text(link.state),
+                )
+        self._watch.raise_any()
+        if state.result is Result.STOPPED:
+            raise MotionStopped(f"{self._name}: stopped on the way", last=axes_text(state))
+        if state.result is not Result.DONE:
+            raise error_of_refusal(self._name, state)
+        return state
