@@ -139,13 +139,12 @@ def start_stream(
     mode = state.mode
     number = link.command(CommandKind.OPEN)
     link.wait(lambda s: s.command_number >= number, rest_of(deadline))
-    eki.require(
-        CommandName.RSI_START,
-        rest_of(deadline),
-        Cycle=context.program.cycle_ms,
-        Ref=Reference.ABSOLUTE,
-        Corr=Correction.AXIS,
-    )
+    wanted = {"Cycle": context.program.cycle_ms, "Ref": Reference.ABSOLUTE, "Corr": Correction.AXIS}
+    if mode is OperationMode.EXT:
+        eki.require(CommandName.RSI_START, rest_of(deadline), **wanted)
+    else:
+        # Whether or not the controller takes it here: somebody starts the program with the pendant.
+        eki.command(CommandName.RSI_START, rest_of(deadline), **wanted)
     first = link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), rest_of(deadline))
     if first is None:
         said = link.state

@@ -26,6 +26,11 @@ OBJECT_IDS = {"AXISCORR": 33, "AXISCORRMON": 82, "ETHERNET": 64, "STOP": 18}
 FIRST_UPPER_LIMIT_ID = 13  # parameter ids of AXISCORR: 1..6 lower A, 7..12 lower E, 13..18 upper A
 CONNECTED_FLAG = 951  # $FLAG numbers of the EKI channel; change both here when the cell uses them
 RECEIVED_FLAG = 952
+WHOLE_VALUES = (("Val", "val"), ("No", "no"))  # attributes of commands, and KRL variables that take them
+REAL_VALUES = (
+    *((name, f"given.{name}") for name in ("X", "Y", "Z", "A", "B", "C")),
+    *(("M", "mass"), ("CX", "mass_x"), ("CY", "mass_y"), ("CZ", "mass_z")),
+)
 
 
 def render(context: RsiContext) -> dict[str, str]:
@@ -58,6 +63,8 @@ def render(context: RsiContext) -> dict[str, str]:
         "codes": kuka_eki.AckCode,
         "connected_flag": CONNECTED_FLAG,
         "received_flag": RECEIVED_FLAG,
+        "whole_values": WHOLE_VALUES,
+        "real_values": REAL_VALUES,
     }
     return {
         name.format(name=context.name): environment.get_template(template).render(values)
