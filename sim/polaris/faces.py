@@ -16,6 +16,7 @@ Vectors = NDArray[np.float64]
 LEAST_TO_FIT = 3
 HYSTERESIS_DEG = 2.0  # another face must look at the unit by so much more than the present one
 ONLY_FACE = 1
+ALL_FACES = 0xFF
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,22 @@ class FaceFit:
 
 
 def best_face(
-    definition: ToolDefinition, seen: list[int], measured_mm: Vectors, previous: int = 0
+    definition: ToolDefinition,
+    seen: list[int],
+    measured_mm: Vectors,
+    previous: int = 0,
+    allowed: int = ALL_FACES,
 ) -> FaceFit | None:
-    """The face to track; None when none shows enough markers for a fit. `previous` is that of the last frame.
+    """The face to track; None when none shows enough markers for a fit.
 
-    `seen` are the numbers of the markers in `measured_mm` (n, 3), in the same order.
+    `seen` are the numbers of the markers in `measured_mm` (n, 3), in the same order, `previous` is the face
+    of the last frame, `allowed` has one bit per face that may be tracked, the lowest for face 1.
     """
-    if len(set(definition.faces)) <= 1:
-        return _fit(definition, definition.faces[0] if definition.faces else ONLY_FACE, seen, measured_mm)
+    faces = [face for face in sorted(set(definition.faces)) or [ONLY_FACE] if allowed >> (face - 1) & 1]
+    if len(faces) == 1:
+        return _fit(definition, faces[0], seen, measured_mm)
     candidates: dict[int, tuple[float, FaceFit]] = {}
-    for face in sorted(set(definition.faces)):
+    for face in faces:
         fitted = _fit(definition, face, seen, measured_mm)
         if fitted is not None:
             candidates[face] = (_turned_away_deg(definition, fitted), fitted)

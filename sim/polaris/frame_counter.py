@@ -21,6 +21,7 @@ class FrameCounter:
         self._epoch_ns = clock.now_ns()
         self._begin = 0
         self.last = 0  # number of the frame that the last request got
+        self.missed = 0  # measurements that a fault lets it miss after each one
         self._counts_per_frame = 1
 
     def start(self, *, restart: bool, rate_hz: int) -> None:
@@ -37,9 +38,14 @@ class FrameCounter:
             self.last = self._measured(self._count_at(self._clock.now_ns()))
             return self.last
         latest = self._measured(max(self.last, self._count_at(self._clock.now_ns())))
-        self.last = latest + self._counts_per_frame
+        self.last = latest + self._step
         self._clock.wait_until_ns(self._moment_ns(self.last))
         return self.last
+
+    def pass_one(self) -> None:
+        """A request got the last frame again; a clock that its users advance moves on all the same."""
+        if not self._clock.paced:
+            self._clock.wait_until_ns(self._clock.now_ns() + NANOSECONDS_PER_SECOND // COUNTS_PER_SECOND)
 
     @property
     def repeats(self) -> bool:
@@ -51,7 +57,11 @@ class FrameCounter:
         return frame - self._begin
 
     def _measured(self, count: int) -> int:
-        return count - (count - self._begin) % self._counts_per_frame
+        return count - (count - self._begin) % self._step
+
+    @property
+    def _step(self) -> int:
+        return self._counts_per_frame * (1 + self.missed)
 
     def _count_at(self, moment_ns: int) -> int:
         return (moment_ns - self._epoch_ns) * COUNTS_PER_SECOND // NANOSECONDS_PER_SECOND

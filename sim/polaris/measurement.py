@@ -113,7 +113,7 @@ class Measurer:
         if len(seen) < len(measured):
             measured = measured[seen]
         inside = [volume.holds(x, y, z) for x, y, z in measured.tolist()]
-        tracked = track(definition, seen, measured, inside, self._faces.get(port.handle, 0))
+        tracked = track(definition, seen, measured, inside, self._faces.get(port.handle, 0), port.faces)
         self._faces[port.handle] = tracked.face
         if not group.disturbed:
             return tracked

@@ -11,6 +11,7 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 from sim.errors import EndpointTaken
 from sim.polaris.channel import Channel, Connection, Ready
 from sim.polaris.framing import LineBuffer
+from sim.polaris.line_faults import LineFaults
 from sim.polaris.pseudo_terminal import PseudoTerminal
 from sim.polaris.session import Session
 
@@ -47,7 +48,10 @@ class Server:
     def serve_network(self, listener: socket.socket) -> None:
         """Serve connections, one after another; the unit's state outlives them."""
         waiting = self._poll(listener.fileno())
-        while self._wait(waiting) is not None:
+        while (ready := self._wait(waiting)) is not None:
+            if not ready:
+                self._session.unasked()  # nobody hears it
+                continue
             connection = Connection(listener.accept()[0])
             try:
                 self._converse(connection)
@@ -56,6 +60,7 @@ class Server:
 
     def _converse(self, channel: Channel) -> None:
         session = self._session
+        faults = LineFaults(session.unit)
         lines = LineBuffer(session.unit.profile.longest_command)
         waiting = self._poll(*channel.files())
         while (ready := self._wait(waiting)) is not None:
@@ -68,7 +73,8 @@ class Server:
                 continue
             for line in lines.feed(received, time.monotonic()):
                 channel.let_arrive(len(line) + 1, session.line)
-                answer = session.answer(line)
+                line = faults.heard(line)
+                answer = faults.said(line, session.answer(line))
                 if answer:
                     channel.send(answer, session.reply_line)
 
@@ -80,8 +86,7 @@ class Server:
 
     def _wait(self, poll: select.poll) -> Ready | None:
         """Wait for a host, or until the unit has something to say; None when told to end."""
-        due_s = self._session.due_s()
-        wait_ms = None if due_s is None else max(0.0, due_s - time.monotonic()) * 1000.0
+        wait_ms = max(0.0, self._session.due_s() - time.monotonic()) * 1000.0
         ready = poll.poll(wait_ms)
         return None if self._end.given else ready
 

@@ -15,8 +15,10 @@ from sim.polaris.line_settings import LineSettings
 from sim.polaris.mode import Mode
 from sim.polaris.refusal import ErrorCode, Refusal
 from sim.polaris.unit import Unit
+from sim.polaris.unit_faults import Power, UnitFaults
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
+LOOK_S = 0.1  # between two looks at what happens without a command
 
 
 class Session:
@@ -30,12 +32,15 @@ class Session:
         self._replies_frame = -1
         self._watch_dog_ns = 0
         self._heard_ns = 0
+        self._faults = UnitFaults(unit)
         self._starts_s: float | None = None  # host time at which a unit that starts again says RESET
 
     def answer(self, line: bytes) -> bytes:
         """The bytes that the unit sends back for one command line (without its CR)."""
         if self._watch_dog_ns:
             self._watch()
+        if self._faults.concerned and not self._works():
+            return b""
         kept = self._replies.get(line)
         if kept is not None and self.unit.frames.number() == self._replies_frame:
             return kept
@@ -64,12 +69,15 @@ class Session:
         if self.unit.behaviour.line_after_close == "default":
             self.unit.restore_line()
 
-    def due_s(self) -> float | None:
-        """Host time at which the unit will speak unasked; None while it has nothing to say."""
-        return self._starts_s
+    def due_s(self) -> float:
+        """Host time at which to ask `unasked` again: something may have happened by then."""
+        look_s = time.monotonic() + LOOK_S
+        return look_s if self._starts_s is None else min(look_s, self._starts_s)
 
     def unasked(self) -> bytes:
         """What the unit says of itself now: RESET, once it has started again."""
+        if self._faults.concerned:
+            self._works()
         if self._starts_s is None or time.monotonic() < self._starts_s:
             return b""
         self._starts_s = None
@@ -88,6 +96,8 @@ class Session:
             raise Refusal(ErrorCode.NOT_INITIALISED if early else ErrorCode.WRONG_MODE)
         if not command.tells_frame:
             self._forget()
+        if not unit.faults.empty:
+            self._faults.before(name, request.argument)
         answer = command.carry_out(unit, request.argument)
         if command.restarts_line:
             self.reply_line = unit.line
@@ -117,11 +127,28 @@ class Session:
         now_ns = self.unit.clock.now_ns()
         silent_ns = now_ns - self._heard_ns
         self._heard_ns = now_ns
-        if silent_ns <= self._watch_dog_ns:
-            return
+        if silent_ns > self._watch_dog_ns:
+            self._bite()
+
+    def _bite(self) -> None:
+        """What the watch dog does."""
         self._forget()
         if self.unit.behaviour.watch_dog == "reset":
             self._watch_dog_ns = 0
             self.restart()
         elif self.unit.mode is Mode.TRACKING:
             self.unit.stop_tracking()
+
+    def _works(self) -> bool:
+        """Let faults act; False while the unit is dead."""
+        self._forget()
+        power = self._faults.power()
+        if power is Power.GONE:
+            self._starts_s = None
+            return False
+        if power is Power.RETURNS:
+            self.restart()
+        self._faults.act()
+        if self._faults.host_seems_gone:
+            self._bite()
+        return True

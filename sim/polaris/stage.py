@@ -97,7 +97,9 @@ def _disturbed(
     """The tool as the faults that name it leave it."""
     for name, push_mm in disturbance.bent:
         if name in names:
-            markers_mm = np.vstack([markers_mm[:-1], markers_mm[-1] + (0.0, 0.0, push_mm)])
+            outwards = markers_mm[-1] - markers_mm.mean(axis=0)
+            push = outwards * (push_mm / np.linalg.norm(outwards))
+            markers_mm = np.vstack([markers_mm[:-1], markers_mm[-1] + push])
     for name, angle_deg in disturbance.turned:
         if name in names:
             pose = pose.copy()

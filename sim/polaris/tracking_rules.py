@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ronna_hw.wire.polaris import MarkerState, PortStatus, ToolInformation
 from sim.polaris.definition import ToolDefinition
-from sim.polaris.faces import ONLY_FACE, FaceFit, best_face
+from sim.polaris.faces import ALL_FACES, ONLY_FACE, FaceFit, best_face
 from sim.polaris.fit import BodyFit, fit_body
 from sim.theatre.rigid import quaternion_from_rotation
 
@@ -70,10 +70,13 @@ def track(
     measured_mm: Vectors,
     inside: list[bool],
     previous_face: int = 0,
+    allowed_faces: int = ALL_FACES,
 ) -> Tracked:
     """Apply the rules. `seen` are the numbers of the markers in `measured_mm` (n, 3), in the same order."""
     judge = _Judge(definition, seen, measured_mm, inside)
-    return judge.tracked(best_face(definition, seen, measured_mm, previous_face), previous_face)
+    return judge.tracked(
+        best_face(definition, seen, measured_mm, previous_face, allowed_faces), previous_face
+    )
 
 
 def as_asked(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:

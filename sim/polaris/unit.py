@@ -9,7 +9,7 @@ from ronna_hw.wire.polaris import ILLUMINATOR_RATES_HZ, SystemStatus
 from sim.polaris.alerts import Alerts
 from sim.polaris.frame_counter import FrameCounter
 from sim.polaris.line_settings import DEFAULT_LINE
-from sim.polaris.measurement import Frame, Measurer
+from sim.polaris.measurement import DEVICE, Frame, Measurer
 from sim.polaris.mode import Mode
 from sim.polaris.parameters import UnitParameters
 from sim.polaris.ports import Port, PortTable
@@ -19,6 +19,7 @@ from sim.polaris.user_parameter_table import WATCH_DOG
 from sim.polaris.user_parameters import UserParameters
 from sim.polaris.volume import Volume
 from sim.polaris.wired import WiredPorts
+from sim.theatre.faults import FaultBoard
 from sim.theatre.world import World
 
 
@@ -35,6 +36,8 @@ class Unit:
         self.profile = profile
         self.behaviour = behaviour or UnitParameters()
         self.clock = world.clock
+        self.seed = world.scene.seed
+        self.faults = FaultBoard(world, DEVICE)
         self.mode = Mode.NOT_INITIALISED
         self.line = DEFAULT_LINE
         self.ports = PortTable(profile.handles)
@@ -125,6 +128,8 @@ class Unit:
 
     def frame(self) -> Frame:
         """The frame that a request gets now: measured once, however often it is asked for."""
+        if not self.faults.empty and self._frame is not None and self._holds_frame():
+            return self._frame
         number = self.frames.number()
         status = self.alerts.system_status | self.port_changes | self.measurer.light
         kept = self._frame
@@ -149,6 +154,14 @@ class Unit:
             found = {port.handle: tracked for port, tracked in frame.tools}
             frame = replace(frame, tools=tuple((port, found.get(port.handle)) for port in listed))
         return frame
+
+    def _holds_frame(self) -> bool:
+        """True while a fault keeps the unit from measuring anew; another one makes it miss frames."""
+        self.frames.missed = sum(int(fault.argument) for fault in self.faults.active("skip_frames"))
+        if not self.faults.active("repeat_frames"):
+            return False
+        self.frames.pass_one()
+        return True
 
     def _begin(self, *, restart: bool) -> None:
         rate = self.parameters.number(wire.PARAMETER_ILLUMINATOR_RATE)

@@ -22,8 +22,9 @@ class FaultKind:
     """One kind of fault of one device.
 
     `phrase` is what stands between the device's name and `for`: words as they are written, arguments as
-    the grammar's terminals INT, NUMBER, NAME and HEX (`occlude marker INT`, `drop NUMBER %`). A lasting
-    fault acts for its duration, or to the end when none is given; a momentary one happens once and has none.
+    the grammar's terminals INT, NUMBER, SIGNED, NAME and HEX (`occlude marker INT`, `drop NUMBER %`). A
+    lasting fault acts for its duration, or to the end when none is given; a momentary one happens once and
+    has none.
     `check` yields what is wrong with the arguments in a scene, in words that begin with "there is" or the
     value itself.
     """
@@ -38,7 +39,7 @@ class FaultKind:
     @property
     def usage(self) -> str:
         """The phrase as a person reads it."""
-        words = {"INT": "N", "NUMBER": "X", "NAME": "NAME", "HEX": "HEX"}
+        words = {"INT": "N", "NUMBER": "X", "SIGNED": "±X", "NAME": "NAME", "HEX": "HEX"}
         return " ".join([self.device, *(words.get(word, word) for word in self.phrase.split())])
 
 

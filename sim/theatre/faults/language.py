@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from lark import Lark
 
 FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS)
-TERMINALS = ("INT", "NUMBER", "NAME", "HEX")
+TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME", "HEX")
 NOW = "now"
 TRIGGERS = ("at", "when", NOW)
 
@@ -43,6 +43,7 @@ duration: "for" NUMBER "s"
 ?fault: {faults}
 STEP: /[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?/
 NAME: /[A-Za-z0-9_][A-Za-z0-9_.-]*/
+SIGNED: /[+-]?[0-9]+([.][0-9]+)?/
 HEX: /0x[0-9A-Fa-f]+/
 COMMENT: /#[^\n]*/
 %import common.NUMBER

@@ -1,11 +1,16 @@
-"""Faults of the optical tracker."""
+"""Faults of the optical tracker: what its sensors see, the unit itself, and its line to the host."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sim.theatre.faults.kinds import Arguments, FaultKind
-from sim.theatre.scene import Scene
+from ronna_hw.wire.polaris import MAXIMUM_STRAYS
+from sim.theatre.faults.kinds import Arguments, FaultKind, at_most_all
+from sim.theatre.scene import Scene, TrackerTool
+
+SLOW_COMMANDS = ("INIT", "PINIT", "TSTART")
+SOCKETS = 3  # of the unit for wired tools that can be connected
+KNOWN_ALERTS = (*range(9), *range(20, 27), 29, 30)  # bits of Info.Status.Alerts that have a meaning
 
 
 def _marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
@@ -14,19 +19,143 @@ def _marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
         yield f"there is no marker {arguments[0]}, only {', '.join(markers)}"
 
 
+def _tools(name: str, scene: Scene) -> list[TrackerTool]:
+    return [tool for tool in scene.tracker.tools if name in (tool.name, tool.part_number)]
+
+
 def _tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    tools = [tool.name for tool in scene.tracker.tools]
-    known = {*tools, *(tool.part_number for tool in scene.tracker.tools)}
     # Where there are places for other tools, a client may load definitions that the scene does not know.
-    if not scene.tracker.places and arguments[0] not in known:
-        yield f"there is no tool {arguments[0]!r}, only {', '.join(tools)}"
+    if not scene.tracker.places and not _tools(arguments[0], scene):
+        names = ", ".join(tool.name for tool in scene.tracker.tools)
+        yield f"there is no tool {arguments[0]!r}, only {names}"
 
 
-TRACKER_FAULTS = (
+def _tool_marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    yield from _tool(arguments, scene)
+    for tool in _tools(arguments[0], scene):
+        if not 1 <= int(arguments[1]) <= len(tool.markers_mm):
+            yield f"there is no marker {arguments[1]} on {tool.name}, only 1 to {len(tool.markers_mm)}"
+
+
+def _alert(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    if int(arguments[0]) not in KNOWN_ALERTS:
+        yield f"there is no alert {arguments[0]}, only {', '.join(map(str, KNOWN_ALERTS))}"
+
+
+def _socket(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    if not 1 <= int(arguments[0]) <= SOCKETS:
+        yield f"there is no socket {arguments[0]}, only 1 to {SOCKETS}"
+
+
+def _slow(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    if arguments[0] not in SLOW_COMMANDS:
+        yield f"there is no slow command {arguments[0]!r}, only {', '.join(SLOW_COMMANDS)}"
+
+
+def _few(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    if int(arguments[0]) > MAXIMUM_STRAYS:
+        yield f"{arguments[0]} are more than the unit can tell: {MAXIMUM_STRAYS}"
+
+
+def _lasting(name: str, phrase: str, meaning: str) -> FaultKind:
+    return FaultKind(name, "tracker", phrase, meaning)
+
+
+def _of_tool(name: str, phrase: str, meaning: str) -> FaultKind:
+    return FaultKind(name, "tracker", phrase, meaning, check=_tool)
+
+
+def _share(name: str, phrase: str, meaning: str) -> FaultKind:
+    return FaultKind(name, "tracker", phrase, meaning, check=at_most_all)
+
+
+def _once(name: str, phrase: str, meaning: str) -> FaultKind:
+    return FaultKind(name, "tracker", phrase, meaning, momentary=True)
+
+
+SIGHT_FAULTS = (
     FaultKind(
         "occlude_marker", "tracker", "occlude marker INT", "A fiducial on the head is hidden.", check=_marker
     ),
+    _of_tool("occlude_tool", "occlude tool NAME", "All markers of a tool are hidden."),
     FaultKind(
-        "occlude_tool", "tracker", "occlude tool NAME", "All markers of a tool are hidden.", check=_tool
+        "occlude_tool_marker",
+        "tracker",
+        "occlude tool NAME marker INT",
+        "One marker of a tool is hidden; they count from 1.",
+        check=_tool_marker,
+    ),
+    _of_tool("bend_tool", "bend tool NAME NUMBER mm", "The last marker of a tool stands so far outwards."),
+    _of_tool("turn_tool", "turn tool NAME SIGNED deg", "A tool is turned so far about its own x axis."),
+    _of_tool(
+        "move_tool",
+        "move tool NAME SIGNED SIGNED SIGNED mm",
+        "A tool is moved along x, y and z of the tracker.",
+    ),
+    _of_tool("interference", "interference tool NAME", "Infrared light disturbs the sight of one tool."),
+    _lasting("sunlight", "sunlight", "The sun shines in: too much infrared, more noise, reflections."),
+    FaultKind("strays", "tracker", "strays INT", "So many more spheres lie in the volume.", check=_few),
+    FaultKind(
+        "reflections", "tracker", "reflections INT", "So many more surfaces shine now and then.", check=_few
+    ),
+    _lasting(
+        "phantoms", "phantoms NUMBER mm", "Rays that pass each other so near count as one marker: phantoms."
     ),
 )
+
+UNIT_FAULTS = (
+    _once("bump", "bump", "The unit is knocked: no poses until the host has read the alert."),
+    _lasting("cold", "cold", "The unit has not warmed up: no poses."),
+    _lasting("hot", "hot", "The unit is too hot: no poses."),
+    FaultKind(
+        "alert",
+        "tracker",
+        "alert INT",
+        "That alert bit is set; 0 to 8 are faults of the hardware.",
+        check=_alert,
+    ),
+    _lasting("power_off", "power off", "The unit is dead; when power returns it sends RESET at 9600 baud."),
+    _once("unit_restart", "restart", "The unit restarts at once."),
+    _once("watchdog", "watchdog", "The unit thinks that the host is gone, and stops to track."),
+    FaultKind(
+        "plug",
+        "tracker",
+        "plug INT",
+        "A wired tool is in that socket, and leaves it at the end.",
+        check=_socket,
+    ),
+    FaultKind(
+        "unplug",
+        "tracker",
+        "unplug INT",
+        "The wired tool of that socket is pulled out, and put back at the end.",
+        check=_socket,
+    ),
+    _lasting(
+        "corrupt_definitions", "corrupt definitions", "A definition that is initialised proves corrupt."
+    ),
+    _lasting("enabled_limit", "allow INT tools", "No more tools than that can be enabled."),
+    _lasting("handle_limit", "allow INT handles", "No more port handles than that are to be had."),
+    _lasting("wavelength", "wrong wavelength", "The selected volume does not take the light of any tool."),
+    FaultKind(
+        "slow", "tracker", "slow NAME NUMBER s", "INIT, PINIT or TSTART takes so much longer.", check=_slow
+    ),
+    _lasting("repeat_frames", "repeat frames", "The unit measures nothing new: the same frame again."),
+    _lasting("skip_frames", "skip INT frames", "After each frame the unit misses so many."),
+)
+
+LINE_FAULTS = (
+    _share(
+        "garble_commands", "garble commands NUMBER %", "That share of the commands arrives with a bit wrong."
+    ),
+    _share(
+        "garble_replies", "garble replies NUMBER %", "That share of the replies arrives with a bit wrong."
+    ),
+    _share("drop_bytes", "drop bytes NUMBER %", "That share of the replies loses a byte."),
+    _share("double_bytes", "double bytes NUMBER %", "That share of the replies has a byte twice."),
+    _share("cut_replies", "cut replies NUMBER %", "That share of the replies breaks off."),
+    _share("lose_replies", "lose replies NUMBER %", "That share of the replies never comes."),
+    _lasting("late_replies", "delay replies NUMBER s", "Each reply comes so much later."),
+)
+
+TRACKER_FAULTS = (*SIGHT_FAULTS, *UNIT_FAULTS, *LINE_FAULTS)

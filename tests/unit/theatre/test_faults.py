@@ -126,7 +126,7 @@ def test_now_becomes_the_moment_at_which_it_was_said() -> None:
 
 
 def test_every_kind_has_a_phrase_of_its_own_that_the_language_reads() -> None:
-    words = {"INT": "1", "NUMBER": "2.5", "NAME": "robot_frame", "HEX": "0x01"}
+    words = {"INT": "1", "NUMBER": "2.5", "SIGNED": "-2.5", "NAME": "robot_frame", "HEX": "0x01"}
     for kind in FAULT_KINDS:
         phrase = " ".join(words.get(word, word) for word in kind.phrase.split())
         (fault,) = parse_faults(f"now: {kind.device} {phrase}")

@@ -1,0 +1,282 @@
+"""What a client is told while something disturbs the markers or the light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
+from sim.polaris.extra_strays import REFLECTION_PRESENCE
+from sim.polaris.volume import PYRAMID
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene import Scene, TrackerTool
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+POINTER_NUMBER = "8700340"
+BENCH_STRAYS = 3
+
+
+@dataclass(frozen=True)
+class Told:
+    """An answer to TX 1803 about one tool."""
+
+    missing: bool
+    position_mm: np.ndarray
+    status: int
+    information: int
+    digits: str
+    strays_mm: np.ndarray
+    system_status: int
+
+
+def tell(bench: Bench, options: str = "1803") -> Told:
+    record, block = bench.send(f"TX {options}")[4:].split("\n")
+    missing = record.startswith("MISSING")
+    head = 7 if missing else 51
+    position = [] if missing else [float(record[24 + 7 * k : 31 + 7 * k]) / 100.0 for k in range(3)]
+    count = int(block[:2], 16)
+    places = block[2 + -(-count // 4) : -4]
+    return Told(
+        missing,
+        np.array(position),
+        int(record[head : head + 8], 16),
+        int(record[head + 16 : head + 18], 16),
+        record[head + 18 : head + 22],
+        np.array([float(places[k : k + 7]) / 100.0 for k in range(0, len(places), 7)]).reshape(-1, 3),
+        int(block[-4:], 16),
+    )
+
+
+@pytest.fixture
+def tracked(bench: Bench, pointer: TrackerTool) -> Bench:
+    bench.enable(pointer)
+    assert bench.send("TSTART 80") == "OKAY"
+    return bench
+
+
+def disturb(bench: Bench, *lines: str) -> None:
+    bench.world.set_fault_script("\n".join(f"at 0 s: tracker {line}" for line in lines))
+
+
+def test_an_undisturbed_tool_is_there(tracked: Bench) -> None:
+    told = tell(tracked)
+    assert not told.missing
+    assert (told.status, told.information, told.digits) == (0x31, 0x10, "3333")
+    assert len(told.strays_mm) == BENCH_STRAYS
+    assert told.system_status == 0
+
+
+def test_a_hidden_tool_is_missing_with_too_few_markers(tracked: Bench) -> None:
+    disturb(tracked, f"occlude tool {POINTER_NUMBER}")
+    told = tell(tracked)
+    assert told.missing
+    assert (told.status, told.information, told.digits) == (0x31, 0x02, "0000")
+    assert len(told.strays_mm) == BENCH_STRAYS
+
+
+def test_a_tool_is_tracked_with_one_marker_hidden_but_not_with_two(tracked: Bench) -> None:
+    disturb(tracked, f"occlude tool {POINTER_NUMBER} marker 2")
+    one = tell(tracked)
+    assert not one.missing
+    assert one.digits == "3033"
+    disturb(tracked, f"occlude tool {POINTER_NUMBER} marker 2", f"occlude tool {POINTER_NUMBER} marker 4")
+    two = tell(tracked)
+    assert two.missing
+    assert (two.information, two.digits) == (0x02, "0000")
+    assert len(two.strays_mm) == BENCH_STRAYS + 2  # its other markers are nobody's now
+
+
+def test_a_bent_tool_does_not_fit_its_definition(tracked: Bench) -> None:
+    disturb(tracked, f"bend tool {POINTER_NUMBER} 20 mm")
+    told = tell(tracked)
+    assert told.missing
+    assert told.information == 0x01
+    assert "2" in told.digits
+    assert len(told.strays_mm) == BENCH_STRAYS + 4
+
+
+def test_a_slightly_bent_tool_is_tracked_with_a_larger_error(tracked: Bench) -> None:
+    straight = float(tracked.send("TX 0001")[49:55]) / 1e4
+    disturb(tracked, f"bend tool {POINTER_NUMBER} 1.5 mm")
+    bent = float(tracked.send("TX 0001")[49:55]) / 1e4
+    assert bent > straight + 0.2
+
+
+@pytest.mark.parametrize(("angle", "digits"), [("-60", "3333"), ("100", "1111"), ("-120", "1111")])
+def test_a_tool_turned_beyond_its_angle_is_missing(tracked: Bench, angle: str, digits: str) -> None:
+    disturb(tracked, f"turn tool {POINTER_NUMBER} {angle} deg")
+    told = tell(tracked)
+    assert told.missing is (digits == "1111")
+    assert told.digits == digits
+    assert told.information == (0x02 if told.missing else 0x10)
+
+
+def test_a_tool_moved_out_of_the_volume_is_told_only_on_demand(tracked: Bench) -> None:
+    disturb(tracked, f"move tool {POINTER_NUMBER} 0 0 -1000 mm")
+    unasked = tell(tracked, "1003")
+    assert unasked.missing
+    assert unasked.status == 0x31 | PortStatus.OUT_OF_VOLUME
+    assert (unasked.information, unasked.digits) == (0x12, "4444")
+    asked = tell(tracked)
+    assert asked.position_mm == pytest.approx((-150.0, -300.0, -2500.0), abs=2.5)
+    assert asked.status == 0x31 | PortStatus.OUT_OF_VOLUME
+    assert (asked.information, asked.digits) == (0x10, "5555")
+
+
+def test_a_tool_partially_out_of_the_volume_says_so(tracked: Bench) -> None:
+    _, half_y = PYRAMID.half_widths_mm(1500.0)
+    disturb(tracked, f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
+    told = tell(tracked, "1003")
+    assert told.status == 0x31 | PortStatus.PARTIALLY_OUT_OF_VOLUME
+    assert not told.missing
+
+
+def test_a_unit_may_hide_tools_that_are_partially_out(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    bench = make_bench(poses_partially_out=False)
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    _, half_y = PYRAMID.half_widths_mm(1500.0)
+    disturb(bench, f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
+    assert tell(bench, "1003").missing
+    assert not tell(bench, "1803").missing
+
+
+def test_a_tool_behind_the_sensor_is_not_seen_at_all(tracked: Bench) -> None:
+    disturb(tracked, f"move tool {POINTER_NUMBER} 0 0 3000 mm")
+    told = tell(tracked)
+    assert told.missing
+    assert told.digits == "0000"
+
+
+def test_further_spheres_are_strays_that_stay_where_they_are(tracked: Bench) -> None:
+    disturb(tracked, "strays 5")
+    first, second = tell(tracked).strays_mm, tell(tracked).strays_mm
+    assert len(first) == len(second) == BENCH_STRAYS + 5
+    for stray in first:
+        assert np.linalg.norm(second - stray, axis=1).min() < 1.5
+
+
+def test_no_more_strays_are_told_than_the_unit_can(tracked: Bench) -> None:
+    disturb(tracked, f"strays {MAXIMUM_STRAYS}")
+    assert len(tell(tracked).strays_mm) == MAXIMUM_STRAYS
+
+
+def test_reflections_come_and_go(tracked: Bench) -> None:
+    disturb(tracked, "reflections 10")
+    counts = [len(tell(tracked).strays_mm) - BENCH_STRAYS for _ in range(60)]
+    assert len(set(counts)) > 2
+    assert 0.5 * REFLECTION_PRESENCE < np.mean(counts) / 10 < 1.5 * REFLECTION_PRESENCE
+
+
+def test_a_careless_stereo_match_sees_phantoms_in_the_planes_of_both_sensors(tracked: Bench) -> None:
+    disturb(tracked, "phantoms 30 mm")
+    told = tell(tracked)
+    assert len(told.strays_mm) > BENCH_STRAYS
+    truth = np.array(tracked.world.scene.tracker.strays_mm)
+    ghosts = [stray for stray in told.strays_mm if np.linalg.norm(truth - stray, axis=1).min() > 5.0]
+    # x / z is the epipolar plane: each phantom lies near that of a true marker
+    tool = told.position_mm + np.array(
+        [[0.0, 0.0, 0.0], [0.0, 50.0, 0.0], [25.0, 100.0, 0.0], [-25.0, 135.0, 0.0]]
+    )
+    slopes = np.array([x / z for x, _, z in (*truth, *tool)])
+    assert ghosts
+    for x, _, z in ghosts:
+        assert np.abs(slopes - x / z).min() * abs(z) < 30.0
+
+
+def test_sunlight_tells_of_too_much_infrared_and_disturbs_everything(tracked: Bench) -> None:
+    disturb(tracked, "sunlight")
+    seen = [tell(tracked) for _ in range(20)]
+    assert all(told.system_status == 0x0002 for told in seen)
+    assert all(told.status & PortStatus.IR_INTERFERENCE for told in seen)
+    assert max(len(told.strays_mm) for told in seen) > BENCH_STRAYS
+
+
+def test_interference_concerns_one_tool(tracked: Bench) -> None:
+    disturb(tracked, f"interference tool {POINTER_NUMBER}")
+    told = tell(tracked)
+    assert told.status == 0x31 | PortStatus.IR_INTERFERENCE
+    assert told.information == 0x14
+    assert told.system_status == 0
+
+
+@pytest.mark.parametrize(
+    "line",
+    [f"move tool {POINTER_NUMBER} 0 0 -1000 mm", f"bend tool {POINTER_NUMBER} 20 mm", "strays 4", "sunlight"],
+)
+def test_a_fault_ends_and_leaves_nothing_behind(tracked: Bench, line: str) -> None:
+    tracked.world.set_fault_script(f"at 0.5 s: tracker {line} for 0.5 s")
+    seen = [tell(tracked) for _ in range(90)]
+    for told in (*seen[:29], *seen[60:]):
+        assert (told.status, told.digits, len(told.strays_mm), told.system_status) == (0x31, "3333", 3, 0)
+    assert any(
+        told.status != 0x31 or told.digits != "3333" or len(told.strays_mm) > 3 for told in seen[31:59]
+    )
+
+
+def test_the_same_faults_give_the_same_frames_again(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    def record() -> list[bytes]:
+        bench = make_bench()
+        bench.send("INIT ")
+        bench.enable(pointer)
+        bench.send("TSTART 80")
+        disturb(bench, "sunlight", "strays 5", "phantoms 5 mm", f"bend tool {POINTER_NUMBER} 1 mm")
+        return [bench.raw("BX 1803") for _ in range(20)]
+
+    assert record() == record()
+
+
+def phantom_scene() -> Scene:
+    """The bench with two strays in one plane with both sensors, and a unit that tells rays 0.5 mm apart."""
+    scene = built_in_scene("bench")
+    pair = ((60.0, -80.0, -1600.0), (60.0, 40.0, -1600.0), (-90.0, 0.0, -1400.0))
+    return scene.model_copy(
+        update={"tracker": scene.tracker.model_copy(update={"strays_mm": pair, "line_separation_mm": 0.5})}
+    )
+
+
+def test_two_spheres_in_one_plane_with_both_sensors_make_two_phantoms(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    bench = make_bench(phantom_scene())
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    # two markers of the pointer lie in one plane with the sensors as well
+    assert len(tell(bench).strays_mm) == 3 + 2 + 2
+    disturb(bench, f"occlude tool {POINTER_NUMBER}")
+    found = tell(bench).strays_mm
+    assert len(found) == 3 + 2
+    # similar triangles over the base of 500 mm: 1600 * 500 / (500 + 120) and / (500 - 120)
+    assert found[:, 2].max() == pytest.approx(-1290.3, abs=2.5)
+    assert found[:, 2].min() == pytest.approx(-2105.3, abs=2.5)
+
+
+def test_in_and_out_bits_tell_which_strays_are_inside(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    scene = built_in_scene("bench")
+    strays = ((0.0, 0.0, -1500.0), (0.0, 0.0, -2600.0), (0.0, 700.0, -1500.0))
+    tracker = scene.tracker.model_copy(update={"strays_mm": strays})
+    bench = make_bench(scene.model_copy(update={"tracker": tracker}))
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    for _ in range(10):
+        block = bench.send("TX 1801").split("\n")[1]
+        bits = int(block[2], 16)
+        places = [[float(block[3 + 21 * k + 7 * j :][:7]) / 100.0 for j in range(3)] for k in range(3)]
+        outside = [not PYRAMID.holds(*place) for place in places]
+        assert outside == [bool(bits >> (2 - k) & 1) for k in range(3)]
+        assert sum(outside) == 2
