@@ -1,0 +1,84 @@
+"""Diagnostic mode: single markers, firing, light from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from sim.theatre.scene import TrackerTool
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+
+@pytest.fixture
+def diagnostic(bench: Bench, pointer: TrackerTool) -> Bench:
+    """The bench in diagnostic mode with one initialised tool."""
+    bench.enable(pointer)
+    assert bench.send("DSTART ") == "OKAY"
+    return bench
+
+
+def test_the_mode_is_entered_from_setup_and_left_to_it(diagnostic: Bench) -> None:
+    assert diagnostic.send("GET Info.Status.System Mode").endswith("=Diagnostic")
+    for line in ("DSTART ", "TSTART ", "TX 0001", "BX 0001", "TSTOP ", "PHSR 00", "PINIT 01"):
+        assert diagnostic.send(line) == "ERROR0C"
+    assert diagnostic.send("VER 0").startswith("Polaris")
+    assert diagnostic.send("SFLIST 02") == "9"
+    assert diagnostic.send("DSTOP ") == "OKAY"
+    assert diagnostic.send("DSTOP ") == "ERROR0C"
+    assert diagnostic.send("PHSR 04") == "0101031"
+
+
+@pytest.mark.parametrize("line", ["DSTOP ", "IRED 0100000001", "3D 015", "IRINIT ", "IRCHK 0001"])
+def test_its_commands_are_refused_outside_it(
+    make_bench: Callable[..., Bench], bench: Bench, line: str
+) -> None:
+    assert make_bench().send(line) == "ERROR10"
+    assert bench.send(line) == "ERROR0C"
+    bench.send("TSTART ")
+    assert bench.send(line) == "ERROR0C"
+
+
+def test_3d_tells_every_marker_with_its_line_separation(diagnostic: Bench, pointer: TrackerTool) -> None:
+    count, *records = diagnostic.send("3D 015").split("\n")
+    assert count == "007"  # four of the tool, three strays
+    assert {len(record) for record in records} == {3 * 9 + 4 + 1}
+    places = np.array([[float(record[9 * k : 9 * k + 9]) / 1e4 for k in range(3)] for record in records])
+    tracker = diagnostic.world.scene.tracker
+    tool = np.array(pointer.markers_mm) + tracker.places[0].translation_mm
+    for truth in (*tool, *tracker.strays_mm):
+        assert np.linalg.norm(places - truth, axis=1).min() < 2.0
+    assert {record[27:31] for record in records} == {"0005"}
+    assert {record[31] for record in records} == {"0"}
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("3D 011", "ERROR23"),
+        ("3D 01", "ERROR07"),
+        ("3D 025", "ERROR2B"),
+        ("IRED 0100000001", "ERROR32"),  # a passive tool does not fire
+        ("IRED 01", "ERROR07"),
+        ("IRCHK 0001", "ERROR1B"),
+        ("IRCHK 0004", "ERROR23"),
+    ],
+)
+def test_arguments_are_checked(diagnostic: Bench, line: str, answer: str) -> None:
+    assert diagnostic.send(line) == answer
+
+
+def test_light_from_outside_is_looked_for(diagnostic: Bench) -> None:
+    assert diagnostic.send("IRINIT ") == "OKAY"
+    assert diagnostic.send("IRCHK 0001") == "0"
+    assert diagnostic.send("IRCHK ") == "0"
+    assert diagnostic.send("IRCHK 0003") == "0" + "000" + "000"
+
+
+def test_a_broken_unit_does_not_start_it(bench: Bench) -> None:
+    bench.send("SET Param.Simulated Alerts=1")
+    assert bench.send("DSTART ") == "ERROR16"

@@ -1,0 +1,125 @@
+"""PINIT judges definitions: bad ones are refused, ambiguous ones bring a warning."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import pytest
+
+from ronna_hw.wire import polaris_rom as rom
+from sim.polaris.definition import checksum, write_definition
+from sim.polaris.refusal import ErrorCode
+from sim.theatre.built_in import robot_frame
+from sim.theatre.scene import TrackerTool
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+SQUARE = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (80.0, 80.0, 0.0), (0.0, 80.0, 0.0))
+TRIANGLE = ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0))  # sides 50, 70, 86.0
+ONE_SIDE_SHARED = ((0.0, 0.0, 0.0), (0.0, 50.5, 0.0), (110.0, 0.0, 0.0))
+
+
+def tool(markers: tuple[tuple[float, float, float], ...]) -> TrackerTool:
+    return TrackerTool(name="tool", part_number="TOOL", markers_mm=markers)
+
+
+def changed(content: bytes, offset: int, value: bytes) -> bytes:
+    """A definition with some bytes replaced and a right checksum."""
+    new = bytearray(content)
+    new[offset : offset + len(value)] = value
+    struct.pack_into("<H", new, rom.CHECKSUM_OFFSET, checksum(bytes(new)))
+    return bytes(new)
+
+
+def judged(bench: Bench, content: bytes) -> str:
+    """Answer of PINIT to one more definition."""
+    return bench.send(f"PINIT {bench.load(content):02X}")
+
+
+def test_a_good_tool_brings_no_warning(bench: Bench, pointer: TrackerTool) -> None:
+    assert judged(bench, write_definition(pointer)) == "OKAY"
+    assert judged(bench, write_definition(robot_frame())) == "OKAY"
+
+
+def test_equal_segments_break_unique_geometry(bench: Bench) -> None:
+    assert judged(bench, write_definition(tool(SQUARE))) == "WARNING02"
+    assert bench.send("PHSR 03") == "0101011"  # a warning means that it was carried out
+
+
+def test_a_triangle_that_two_tools_share_is_a_conflict(bench: Bench) -> None:
+    assert judged(bench, write_definition(tool(TRIANGLE))) == "OKAY"
+    assert judged(bench, write_definition(tool((*TRIANGLE, (-40.0, 17.0, 90.0))))) == "WARNING03"
+    assert bench.send("PINIT 01") == "WARNING03"
+
+
+def test_a_freed_tool_no_longer_conflicts(bench: Bench) -> None:
+    judged(bench, write_definition(tool(TRIANGLE)))
+    bench.send("PHF 01")
+    assert judged(bench, write_definition(tool(TRIANGLE))) == "OKAY"
+
+
+def test_both_at_once(bench: Bench) -> None:
+    judged(bench, write_definition(tool(SQUARE)))
+    assert judged(bench, write_definition(tool(SQUARE))) == "WARNING04"
+
+
+def test_one_shared_segment_is_a_conflict_where_the_unit_says_so(make_bench: Callable[..., Bench]) -> None:
+    for rule, answer in (("triangle", "OKAY"), ("segment", "WARNING03")):
+        bench = make_bench(conflict=rule)
+        bench.send("INIT ")
+        judged(bench, write_definition(tool(TRIANGLE)))
+        assert judged(bench, write_definition(tool(ONE_SIDE_SHARED))) == answer
+
+
+def test_definitions_without_the_flag_may_be_left_alone(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(judges_only_flagged=True)
+    bench.send("INIT ")
+    square = write_definition(tool(SQUARE))
+    assert judged(bench, changed(square, rom.FLAGS_OFFSET, b"\0")) == "OKAY"
+    assert judged(bench, square) == "WARNING02"
+
+
+def test_a_tool_without_a_wavelength_gets_the_default_one(bench: Bench, pointer: TrackerTool) -> None:
+    content = changed(write_definition(pointer), rom.MARKER_TYPE_OFFSET, b"\0")
+    assert judged(bench, content) == "WARNING05"
+    assert bench.send("SET Param.Default Wavelength.Return Warning=0") == "OKAY"
+    assert bench.send("PINIT 01") == "OKAY"
+
+
+def test_older_firmware_says_warning_alone(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(warns_with_code=False)
+    bench.send("INIT ")
+    assert judged(bench, write_definition(tool(SQUARE))) == "WARNING"
+
+
+def test_a_wavelength_that_no_volume_takes_prevents_tracking(bench: Bench, pointer: TrackerTool) -> None:
+    content = changed(write_definition(pointer), rom.MARKER_TYPE_OFFSET, b"\x2f")
+    assert judged(bench, content) == "OKAY"
+    assert bench.send("TSTART 80") == "OKAY"
+    bench.send("TSTOP ")
+    bench.send("PENA 01D")
+    assert bench.send("TSTART 80") == "ERROR22"
+
+
+@pytest.mark.parametrize(
+    ("offset", "value", "parameter"),
+    [
+        (0, b"XDI", "bad_definition"),
+        (rom.MARKER_COUNT_OFFSET, b"\x15", "definition_beyond_limits"),
+        (rom.MARKER_FACES_OFFSET, b"\x09", "definition_beyond_limits"),
+        (rom.MARKER_GROUPS_OFFSET, b"\x15", "definition_beyond_limits"),
+    ],
+)
+def test_a_bad_definition_has_the_code_of_the_firmware(
+    make_bench: Callable[..., Bench], pointer: TrackerTool, offset: int, value: bytes, parameter: str
+) -> None:
+    content = changed(write_definition(pointer), offset, value)
+    old = make_bench()
+    new = make_bench(**{parameter: ErrorCode.DEFINITION_CORRUPT})
+    for bench, answer in ((old, "ERROR13"), (new, "ERROR40")):
+        bench.send("INIT ")
+        assert judged(bench, content) == answer
+        assert bench.send("PHSR 02") == "0101001"

@@ -1,0 +1,146 @@
+"""What no public source settles is a parameter, and each parameter does what it says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from sim.polaris.errors import BadUnitParameter
+from sim.polaris.parameters import UnitParameters, parameter_rows
+from sim.polaris.refusal import ErrorCode
+from sim.theatre.scene import TrackerTool
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "line", "usual", "other"),
+    [
+        ({"accepts_lower_case": True}, "echo x", "ERROR01", "x"),
+        ({"malformed_line_settings": ErrorCode.PARAMETER_COUNT}, "COMM Z0000", "ERROR23", "ERROR07"),
+        ({"absent_command": ErrorCode.UNKNOWN_COMMAND}, "GETIO 01", "ERROR33", "ERROR01"),
+        ({"absent_command": ErrorCode.UNKNOWN_COMMAND}, "PSTART ", "ERROR33", "ERROR01"),
+        ({"unknown_feature_list": ErrorCode.NO_FEATURE_LIST}, "SFLIST 77", "ERROR23", "ERROR25"),
+        ({"starts_without_tools": False}, "TSTART ", "OKAY", "ERROR12"),
+        ({"freeze_tag_with_minor": False}, "VER 0", "Rev 007.000\n", "Rev 007\n"),
+        ({"memory_of_passive": "1E/1F"}, "PPRD 010000", "ERROR32", "ERROR1E"),
+        ({"memory_of_passive": "1E/1F"}, "PPWR 010000" + "00" * 64, "ERROR32", "ERROR1F"),
+    ],
+)
+def test_an_answer_may_be_another(
+    make_bench: Callable[..., Bench], behaviour: dict[str, Any], line: str, usual: str, other: str
+) -> None:
+    for bench, answer in ((make_bench(), usual), (make_bench(**behaviour), other)):
+        bench.send("INIT ")
+        bench.send("PHRQ *********1****")
+        assert answer in bench.send(line)
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "way", "line", "usual", "other"),
+    [
+        ({"answers_before_init": False}, "", "GET Features.Hardware.Model", "Features", "ERROR10"),
+        ({"answers_before_init": False}, "", "COMM 00000", "OKAY", "ERROR10"),
+        ({"identity_while_tracking": False}, "INIT ,TSTART ", "VER 5", "024", "ERROR0C"),
+        ({"settings_in_diagnostic": False}, "INIT ,DSTART ", "SFLIST 05", "1", "ERROR0C"),
+        ({"settings_in_diagnostic": False}, "INIT ,DSTART ", "SAVE ", "OKAY", "ERROR0C"),
+        ({"handles_in_diagnostic": True}, "INIT ,DSTART ", "PHSR 00", "ERROR0C", "00"),
+        ({"init_forgets_handles": False}, "INIT ,PHRQ *********1****,INIT ", "PHSR 00", "00", "0101001"),
+    ],
+)
+def test_a_mode_may_allow_more_or_less(
+    make_bench: Callable[..., Bench], behaviour: dict[str, Any], way: str, line: str, usual: str, other: str
+) -> None:
+    for bench, answer in ((make_bench(), usual), (make_bench(**behaviour), other)):
+        for step in filter(None, way.split(",")):
+            bench.send(step)
+        assert bench.send(line).startswith(answer)
+
+
+def test_disabled_handles_may_stand_in_the_reply(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    for status, told in ((False, "02DISABLED\n"), (True, "02DISABLED00000011")):
+        bench = make_bench(lists_disabled_handles=True, status_of_unseen_handles=status)
+        bench.send("INIT ")
+        bench.enable(pointer)
+        bench.enable(pointer)
+        bench.send("PDIS 02")
+        bench.send("TSTART 80")
+        answer = bench.send("TX 0001")
+        assert answer.startswith("0201+")
+        assert told in answer
+        raw = bench.raw("BX 0003")
+        assert raw[6:8] == b"\x02\x01"
+        assert raw[6 + 1 + 2 + 32 + 8 + 11 :][:2] == b"\x02\x04"
+        assert raw[6 + 1 + 2 + 32 + 8 + 11 + 2 :][:2] == b"\0\0"  # nothing of it, for any option
+
+
+def test_the_active_stray_of_a_passive_tool_has_two_forms(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    for behaviour, text, size in (
+        ({}, "02\n", 13),
+        ({"text_active_stray": "words", "binary_active_stray_always": False}, "MISSING\n", 1),
+    ):
+        bench = make_bench(**behaviour)
+        bench.send("INIT ")
+        bench.enable(pointer)
+        bench.send("TSTART 80")
+        assert bench.send("TX 0004") == f"0101{text}0000"
+        assert len(bench.raw("BX 0004")) == 6 + 1 + 2 + size + 2 + 2
+
+
+def test_markers_of_tools_are_told_by_bx_and_perhaps_by_tx(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    bench = make_bench(text_tool_markers=True)
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    answer = bench.send("TX 0008")
+    assert answer.startswith("0101" + "04" + "0")
+    assert len(answer) == 4 + 2 + 1 + 4 * 21 + 1 + 4
+    raw = bench.raw("BX 0008")
+    assert raw[9:11] == b"\x04\0"
+    assert len(raw) == 6 + 1 + 2 + 1 + 1 + 48 + 2 + 2
+    usual = make_bench()
+    usual.send("INIT ")
+    usual.send("TSTART 80")
+    assert usual.send("TX 0008") == "ERROR23"
+
+
+def test_every_parameter_has_a_meaning_and_can_be_set_by_its_name() -> None:
+    rows = parameter_rows()
+    assert [name for name, _, _ in rows] == [entry.name for entry in fields(UnitParameters)]
+    assert all(len(meaning) > len(name) for name, _, meaning in rows)
+    assert UnitParameters.with_settings([f"{name}={value}" for name, value, _ in rows]) == UnitParameters()
+
+
+def test_parameters_are_set_by_text() -> None:
+    settings = ["enforces_line=no", "bad_definition=40", "watch_dog=reset", "reset_s=2.5"]
+    chosen = UnitParameters.with_settings(settings)
+    assert not chosen.enforces_line
+    assert chosen.bad_definition is ErrorCode.DEFINITION_CORRUPT
+    assert (chosen.watch_dog, chosen.reset_s) == ("reset", 2.5)
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("weak_dog=reset", "watch_dog"),
+        ("watch_dog=bark", "stop, reset"),
+        ("watch_dog", "no value"),
+        ("enforces_line=perhaps", "true or false"),
+        ("bad_definition=99", "error code"),
+        ("reset_s=soon", "a number"),
+    ],
+)
+def test_a_wrong_setting_is_named(setting: str, said: str) -> None:
+    with pytest.raises(BadUnitParameter, match=said) as refused:
+        UnitParameters.with_settings([setting])
+    assert refused.value.code == "PSU-001"

@@ -1,0 +1,277 @@
+"""The serial line: settings that count, breaks, power-up, throttling, hosts that come and go."""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from sim.polaris.parameters import UnitParameters
+from sim.polaris.pseudo_terminal import PseudoTerminal
+from sim.polaris.server import EndSignal, Server
+from sim.polaris.session import Session
+from sim.polaris.unit import Unit
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.world import World
+
+ANSWER_LIMIT_S = 30.0
+QUIET_S = 0.1
+OKAY, RESET = b"OKAYA896\r", b"RESETBE6F\r"
+INPUT_SPEED, OUTPUT_SPEED, CONTROL_FLAGS = 4, 5, 2
+
+
+class Host:
+    """A host with a hand on every setting of its end."""
+
+    def __init__(self, path: str) -> None:
+        self._file = os.open(path, os.O_RDWR | os.O_NOCTTY)
+
+    def ask(self, line: str) -> bytes:
+        termios.tcflush(self._file, termios.TCIFLUSH)  # as clients do before each command
+        os.write(self._file, line.encode() + b"\r")
+        return self.read()
+
+    def write(self, data: bytes) -> None:
+        os.write(self._file, data)
+
+    def read(self) -> bytes:
+        """Up to a CR."""
+        answer = b""
+        while not answer.endswith(b"\r"):
+            answer += self.read_some(1)
+        return answer
+
+    def read_some(self, size: int) -> bytes:
+        assert select.select([self._file], [], [], ANSWER_LIMIT_S)[0], "no answer"
+        return os.read(self._file, size)
+
+    def hears_nothing(self, line: str) -> bool:
+        os.write(self._file, line.encode() + b"\r")
+        return not select.select([self._file], [], [], QUIET_S)[0]
+
+    def set_line(self, baud: int = termios.B9600, flags: int = 0) -> None:
+        settings = termios.tcgetattr(self._file)
+        settings[INPUT_SPEED] = settings[OUTPUT_SPEED] = baud
+        settings[CONTROL_FLAGS] |= flags
+        termios.tcsetattr(self._file, termios.TCSANOW, settings)
+
+    def send_break(self) -> None:
+        termios.tcflush(self._file, termios.TCIOFLUSH)
+        termios.tcsendbreak(self._file, 0)
+
+    def flush_output(self) -> None:
+        termios.tcflush(self._file, termios.TCOFLUSH)
+
+    def close(self) -> None:
+        os.close(self._file)
+
+
+class Line:
+    """A unit on a serial line, in a thread of its own."""
+
+    def __init__(self, *, throttle: bool = False, **behaviour: Any) -> None:
+        world = World.create(built_in_scene("bench"), paced=True)
+        self.session = Session(Unit(world, behaviour=UnitParameters(**behaviour)))
+        self._end = EndSignal()
+        self._terminal = PseudoTerminal(self.session, throttle=throttle)
+        server = Server(self.session, self._end)
+        self._thread = threading.Thread(target=server.serve_line, args=(self._terminal,))
+        self._thread.start()
+
+    def host(self) -> Host:
+        return Host(self._terminal.endpoint.removeprefix("serial://"))
+
+    def close(self) -> None:
+        self._end.give()
+        self._thread.join()
+        self._terminal.close()
+
+
+@pytest.fixture
+def make_line() -> Iterator[Callable[..., Line]]:
+    lines: list[Line] = []
+
+    def make(**options: Any) -> Line:
+        lines.append(Line(**options))
+        return lines[-1]
+
+    yield make
+    for line in lines:
+        line.close()
+
+
+def test_power_up_says_reset_at_9600(make_line: Callable[..., Line]) -> None:
+    host = make_line().host()
+    assert host.read() == RESET
+    assert host.ask("PHSR 00").startswith(b"ERROR10")
+    assert host.ask("INIT:E3A5") == OKAY
+    host.close()
+
+
+def test_a_unit_may_be_switched_on_long_before(make_line: Callable[..., Line]) -> None:
+    host = make_line(power_up_reset=False).host()
+    host.write(b"INIT:E3A5\r")
+    assert host.read() == OKAY
+    host.close()
+
+
+@pytest.mark.parametrize(
+    ("code", "baud"), [("5", termios.B115200), ("A", termios.B230400), ("6", termios.B921600)]
+)
+def test_comm_is_answered_at_the_old_rate_and_then_the_line_switches(
+    make_line: Callable[..., Line], code: str, baud: int
+) -> None:
+    host = make_line().host()
+    assert host.ask("INIT ") == OKAY
+    assert host.ask(f"COMM {code}0000") == OKAY
+    assert host.hears_nothing("ECHO x")
+    host.set_line(baud)
+    assert host.ask("ECHO x").startswith(b"x")
+    assert host.ask("COMM 00000") == OKAY
+    assert host.hears_nothing("ECHO x")
+    host.set_line(termios.B9600)
+    assert host.ask("ECHO x").startswith(b"x")
+    host.close()
+
+
+def test_half_a_command_at_a_wrong_rate_is_forgotten(make_line: Callable[..., Line]) -> None:
+    host = make_line().host()
+    host.ask("INIT ")
+    host.set_line(termios.B38400)
+    assert host.hears_nothing("TSTART ")
+    host.set_line(termios.B9600)
+    assert host.ask("TX 0001").startswith(b"ERROR0C")
+    host.close()
+
+
+def test_a_wrong_rate_may_be_heard_as_garbage(make_line: Callable[..., Line]) -> None:
+    host = make_line(wrong_line="garbage").host()
+    host.ask("INIT ")
+    host.set_line(termios.B38400)
+    host.write(b"ECHO x\r")
+    assert all(byte > 0x7F for byte in host.read_some(100))
+    host.close()
+
+
+def test_odd_parity_must_be_odd_at_both_ends(make_line: Callable[..., Line]) -> None:
+    host = make_line().host()
+    host.ask("INIT ")
+    assert host.ask("COMM 00100") == OKAY
+    assert host.hears_nothing("ECHO x")
+    host.set_line(flags=termios.PARODD)
+    assert host.ask("ECHO x").startswith(b"x")
+    host.close()
+
+
+def test_a_line_may_be_understood_at_any_rate(make_line: Callable[..., Line]) -> None:
+    host = make_line(enforces_line=False).host()
+    assert host.ask("COMM 50000") == OKAY
+    assert host.ask("ECHO x").startswith(b"x")
+    host.close()
+
+
+def test_seven_bits_are_too_few_for_bx(make_line: Callable[..., Line]) -> None:
+    host = make_line().host()
+    for command in ("INIT ", "COMM 01000", "TSTART "):
+        assert host.ask(command) == OKAY
+    host.write(b"BX 0001\r")
+    assert host.read_some(2) == b"\x44\x25"  # of C4 A5
+    host.close()
+
+
+def test_a_fast_line_left_behind_falls_back(make_line: Callable[..., Line]) -> None:
+    line = make_line()
+    first = line.host()
+    assert first.ask("INIT ") == OKAY
+    assert first.ask("COMM 50000") == OKAY
+    first.close()
+    second = line.host()
+    second.set_line(termios.B9600)
+    assert second.ask("PHSR 00").startswith(b"00")  # nothing else was forgotten
+    second.close()
+
+
+def test_a_fast_line_left_behind_may_stay_fast(make_line: Callable[..., Line]) -> None:
+    line = make_line(line_after_close="kept")
+    first = line.host()
+    first.ask("INIT ")
+    first.ask("COMM 50000")
+    first.close()
+    second = line.host()
+    second.set_line(termios.B9600)
+    assert second.hears_nothing("ECHO x")
+    second.set_line(termios.B115200)
+    assert second.ask("ECHO x").startswith(b"x")
+    second.close()
+
+
+def test_a_break_resets_the_unit_from_any_rate(make_line: Callable[..., Line]) -> None:
+    host = make_line(break_deaf_s=0.0).host()
+    for command in ("INIT ", "COMM 50000"):
+        assert host.ask(command) == OKAY
+    host.set_line(termios.B9600)
+    assert host.hears_nothing("ECHO x")
+    host.send_break()
+    assert host.read() == RESET
+    assert host.ask("PHSR 00").startswith(b"ERROR10")
+    assert host.ask("INIT:E3A5") == OKAY
+    host.close()
+
+
+def test_a_unit_that_starts_is_deaf_until_it_says_reset(make_line: Callable[..., Line]) -> None:
+    host = make_line(break_deaf_s=0.0, reset_s=1.0).host()
+    host.ask("INIT ")
+    host.send_break()
+    host.write(b"INIT \r")
+    assert host.read() == RESET
+    assert host.ask("PHSR 00").startswith(b"ERROR10")
+    host.close()
+
+
+def test_what_looks_like_a_break_at_the_opening_of_a_line_is_none(make_line: Callable[..., Line]) -> None:
+    line = make_line()
+    first = line.host()
+    assert first.ask("INIT ") == OKAY
+    first.close()
+    second = line.host()
+    second.send_break()
+    assert second.ask("PHSR 00").startswith(b"00")
+    second.flush_output()  # one direction alone is no break either
+    assert second.ask("PHSR 00").startswith(b"00")
+    second.close()
+
+
+def test_reset_is_said_at_9600_again(make_line: Callable[..., Line]) -> None:
+    host = make_line().host()
+    host.ask("INIT ")
+    host.ask("COMM 50000")
+    host.set_line(termios.B115200)
+    assert host.ask("RESET 0") == RESET
+    assert host.hears_nothing("ECHO x")
+    host.set_line(termios.B9600)
+    assert host.ask("ECHO x").startswith(b"x")
+    host.close()
+
+
+def test_throttling_counts_both_directions_and_every_bit(make_line: Callable[..., Line]) -> None:
+    host = make_line(throttle=True).host()
+    host.ask("INIT ")
+    line = "ECHO " + "x" * 60
+
+    def seconds() -> float:
+        began_s = time.monotonic()
+        assert len(host.ask(line)) == 65
+        return time.monotonic() - began_s
+
+    bytes_both_ways = len(line) + 1 + 65
+    assert seconds() >= bytes_both_ways * 10 / 9600
+    host.ask("COMM 30010")  # 38400 baud, two stop bits
+    host.set_line(termios.B38400, termios.CSTOPB)
+    assert seconds() >= bytes_both_ways * 11 / 38400
+    host.close()

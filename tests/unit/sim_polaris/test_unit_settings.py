@@ -1,0 +1,163 @@
+"""Settings that outlive a reset, the watch dog, factory values, and a Vicra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from sim.polaris.profile import VICRA
+from sim.theatre.scene import TrackerTool
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+SENSITIVITY = "Param.Tracking.Sensitivity"
+BUMP, MAIN_VOLTAGE = 1 << 21, 1 << 2
+
+
+def value(bench: Bench, name: str) -> str:
+    """What GET says after the equals sign."""
+    return bench.send(f"GET {name}").partition("=")[2]
+
+
+def test_only_what_was_saved_outlives_a_reset(bench: Bench) -> None:
+    for line in (f"SET {SENSITIVITY}=7", "SET Param.User.String1=ours", "SAVE ", f"SET {SENSITIVITY}=2"):
+        assert bench.send(line) == "OKAY"
+    bench.send("INIT ")
+    assert value(bench, SENSITIVITY) == "2"
+    bench.send("RESET 0")
+    assert value(bench, SENSITIVITY) == "7"
+    assert value(bench, "Param.User.String1") == "ours"
+
+
+def test_alerts_are_not_saved(bench: Bench) -> None:
+    bench.send(f"SET Param.Simulated Alerts={BUMP}")
+    bench.send("SAVE ")
+    bench.send("RESET 0")
+    assert value(bench, "Param.Simulated Alerts") == "0"
+    assert value(bench, "Info.Status.Alerts") == "0"
+
+
+def test_factory_values_come_back_one_by_one_or_all(bench: Bench) -> None:
+    bench.send(f"SET {SENSITIVITY}=7")
+    bench.send("SET Param.User.String0=x")
+    assert bench.send(f"DFLT {SENSITIVITY}") == "OKAY"
+    assert value(bench, SENSITIVITY) == "4"
+    assert bench.send("DFLT Param.*") == "OKAY"
+    assert value(bench, "Param.User.String0") == ""
+    assert bench.send("DFLT Features.Hardware.Model") == "ERROR39"
+    assert bench.send("DFLT Param.Nothing") == "ERROR34"
+    assert bench.send("DFLT ") == "ERROR07"
+
+
+def test_a_unit_starts_at_20_hz_and_tells_its_rates(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(saved_illuminator_rate=0)
+    assert value(bench, "Param.Tracking.Illuminator Rate") == "0"
+    assert bench.send("GETINFO Param.Tracking.Illuminator Rate").split(";")[1:6] == [
+        "1", "3", "0", "2", "20Hz,30Hz,60Hz",
+    ]  # fmt: skip
+
+
+def test_bump_detection_can_be_switched_off(bench: Bench) -> None:
+    from ronna_hw.wire.polaris import Alert
+
+    bench.send("SET Param.Bump Detector.Bump Detection=0")
+    bench.unit.alerts.raise_alert(Alert.BUMP)
+    assert value(bench, "Param.Bump Detector.Bumped") == "0"
+    bench.send("SET Param.Bump Detector.Bump Detection=1")
+    bench.unit.alerts.raise_alert(Alert.BUMP)
+    assert value(bench, "Info.Status.Bump Detected") == "1"
+    assert value(bench, "Param.Bump Detector.Clear") == "0"
+
+
+def test_a_second_bump_is_news_again(bench: Bench) -> None:
+    from ronna_hw.wire.polaris import Alert
+
+    bench.unit.alerts.raise_alert(Alert.BUMP)
+    assert value(bench, "Info.Status.New Alerts") == str(BUMP)
+    bench.unit.alerts.raise_alert(Alert.BUMP)
+    assert value(bench, "Info.Status.New Alerts") == str(BUMP)
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "answer"),
+    [({}, "WARNING01"), ({"hardware_fault_at_init": "ERROR15"}, "ERROR15")],
+)
+def test_a_broken_unit_says_so_at_init_and_does_not_track(
+    make_bench: Callable[..., Bench], behaviour: dict[str, Any], answer: str
+) -> None:
+    bench = make_bench(**behaviour)
+    bench.send("INIT ")
+    bench.send(f"SET Param.Simulated Alerts={MAIN_VOLTAGE}")
+    assert bench.send("INIT ") == answer
+    assert bench.send("TSTART 80") == "ERROR12"
+    assert bench.send("SSTAT 0007") == "000002"
+
+
+@pytest.mark.parametrize("line", ["SET Param.Watch Dog Timer=2", "HCWDOG 2"])
+def test_the_watch_dog_stops_tracking_when_the_host_is_silent(
+    bench: Bench, pointer: TrackerTool, line: str
+) -> None:
+    bench.enable(pointer)
+    assert bench.send(line) == "OKAY"
+    assert value(bench, "Param.Watch Dog Timer") == "2"
+    bench.send("TSTART 80")
+    for _ in range(5):
+        bench.world.clock.sleep(1.5)
+        assert not bench.send("TX 0001").startswith("ERROR")
+    bench.world.clock.sleep(2.5)
+    assert bench.send("TX 0001") == "ERROR0C"
+    assert bench.send("PHSR 04") == "0101031"
+
+
+def test_the_watch_dog_may_reset_the_unit(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(watch_dog="reset", reset_s=0.0)
+    bench.send("INIT ")
+    bench.send("HCWDOG 2")
+    bench.world.clock.sleep(3.0)
+    assert bench.raw("PHSR 00") == b""
+    assert bench.session.unasked() == b"RESETBE6F\r"
+    assert bench.send("PHSR 00") == "ERROR10"
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"), [("HCWDOG x", "ERROR23"), ("HCWDOG 3601", "ERROR23"), ("HCWDOG ", "ERROR07")]
+)
+def test_the_watch_dog_takes_seconds(bench: Bench, line: str, answer: str) -> None:
+    assert bench.send(line) == answer
+
+
+def test_a_beep_may_take_its_time(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(beep_s=0.5)
+    assert bench.send("BEEP 2") == "1"
+    assert bench.send("BEEP 1") == "0"
+    bench.world.clock.sleep(1.0)
+    assert bench.send("BEEP 1") == "1"
+
+
+def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
+    bench = make_bench(profile=VICRA)
+    assert bench.send("INIT ") == "OKAY"
+    assert bench.send("VER 4").split("\n") == [
+        "Polaris Vicra Control Firmware",
+        "NDI S/N: P6-00042",
+        "Characterization Date: 06/05/24",
+        "Freeze Tag: Polaris Vicra Rev 007.000",
+        "Freeze Date: 01/04/10",
+        "(C) Northern Digital Inc.",
+    ]
+    assert bench.send("VER 5") == "014"
+    assert value(bench, "Features.Firmware.Version") == "007.000.011"
+    assert bench.send("SFLIST 02") == "6"
+    assert bench.send("SFLIST 03").startswith("17-133600")
+    assert bench.send("SFLIST 00") == "00000012"
+    assert bench.send("VSEL 2") == "ERROR24"
+    assert bench.send("IRATE 1") == "ERROR23"
+    assert bench.send("IRATE 0") == "OKAY"
+    assert bench.send("PHRQ *********001**") == "ERROR2F"
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    assert bench.send("TX 0001").startswith("0101MISSING00000071")  # 1.5 m is behind its volume
+    assert bench.send("TX 0801").startswith("0101+")
