@@ -1,18 +1,27 @@
-"""`ronna-procedure doctor`: what this computer offers, and what answers at a theatre file's endpoints."""
+"""`ronna-procedure doctor`: what this computer offers, and what answers at a theatre file's endpoints.
+
+The tracker's line is looked at below its driver as well: a wrong rate, another program or a missing
+permission are the usual reasons for a tracker that does not answer.
+"""
 
 from __future__ import annotations
 
 import os
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ronna_hw.command_line.console import print_json, print_table
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
+
+if TYPE_CHECKING:
+    from procedures.cli.line_cause import Verdict
+    from procedures.cli.line_probe import Probe
 
 RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras at 1500-byte packets
 ANSWER_S = 3.0  # host time per device
@@ -28,26 +37,40 @@ class Finding:
     advice: str = ""
 
 
-def examine(config: Path | None) -> list[Finding]:
-    """Look at the computer, and at every device of a theatre file when one is given."""
+@dataclass(frozen=True)
+class Report:
+    """All findings, and what was seen of each tracker's line in numbers and bytes."""
+
+    findings: tuple[Finding, ...]
+    lines: tuple[dict[str, Any], ...] = ()
+
+
+def examine(config: Path | None, endpoints: Sequence[str] = ()) -> Report:
+    """Look at the computer, at a tracker's line at each endpoint, and at every device of a theatre file."""
+    trackers = [parse_endpoint(text).require("serial", "tcp") for text in endpoints]
+    theatre = None if config is None else read_theatre_file(config)
     findings = [_python(), _foreign_packages(), _receive_buffer(), _real_time(), *_serial_ports()]
-    if config is not None:
-        theatre = read_theatre_file(config)
-        findings += [_device(name, device) for name, device in _devices(theatre)]
-    return findings
+    if theatre is not None and theatre.tracker is not None:
+        trackers += _polaris_lines(theatre.tracker)
+    probes = [_probed(endpoint) for endpoint in trackers]
+    findings += [_line(probe) for probe in probes]
+    if theatre is not None:
+        causes = {str(probe.endpoint): _judged(probe).advice for probe in probes if not _judged(probe).well}
+        findings += [_device(name, device, causes) for name, device in _devices(theatre)]
+    return Report(tuple(findings), tuple(_documented(probe) for probe in probes))
 
 
-def show(findings: list[Finding], *, as_json: bool) -> None:
-    """Print the findings; ends with exit code 4 when a device of the theatre did not answer."""
+def show(report: Report, *, as_json: bool) -> None:
+    """Print the findings; ends with exit code 4 when a device of the theatre or a line did not answer."""
     if as_json:
-        print_json({"findings": [asdict(finding) for finding in findings]})
+        print_json({"findings": [asdict(item) for item in report.findings], "lines": list(report.lines)})
     else:
         print_table(
             "Doctor",
             ("looked at", "", "seen", "what to do"),
-            [(f.subject, "well" if f.well else "look", f.seen, f.advice) for f in findings],
+            [(f.subject, "well" if f.well else "look", f.seen, f.advice) for f in report.findings],
         )
-    if any(not f.well and f.subject.startswith("device ") for f in findings):
+    if any(not f.well and f.subject.startswith(("device ", "line ")) for f in report.findings):
         raise SystemExit(EXIT_NOT_FOUND)
 
 
@@ -98,17 +121,59 @@ def _serial_ports() -> list[Finding]:
     ports = sorted(list_ports.comports(), key=lambda port: str(port.device))
     if not ports:
         return [Finding("serial ports", True, "none on this computer")]
-    return [
-        Finding(
-            f"serial port {port.device}",
-            os.access(port.device, os.R_OK | os.W_OK),
-            str(port.description),
-            ""
-            if os.access(port.device, os.R_OK | os.W_OK)
-            else "Join the group that owns it (often dialout).",
-        )
-        for port in ports
-    ]
+    return [_serial_port(str(port.device), _described(str(port.description))) for port in ports]
+
+
+def _described(description: str) -> str:
+    return "no description" if description == "n/a" else description
+
+
+def _serial_port(path: str, description: str) -> Finding:
+    from procedures.cli.line_cause import permission_advice
+    from procedures.cli.line_holders import holders_of
+
+    subject = f"serial port {path}"
+    if not os.access(path, os.R_OK | os.W_OK):
+        return Finding(subject, False, f"{description}; permission denied", permission_advice(path))
+    if holders := holders_of(path):
+        who = " and ".join(str(holder) for holder in holders)
+        return Finding(subject, True, f"{description}; in use by {who}")
+    return Finding(subject, True, description)
+
+
+def _polaris_lines(tracker: DeviceConfig) -> list[Endpoint]:
+    """The endpoint of a tracker whose driver speaks the protocol that the probe speaks."""
+    from ronna_hw.registry import load_driver
+
+    try:
+        protocol = getattr(load_driver(tracker.driver), "wire_protocol", None)
+        endpoint = tracker.address()
+    except RonnaError:  # told with the device itself
+        return []
+    return [endpoint] if protocol == "ndi-polaris" and endpoint.scheme in ("serial", "tcp") else []
+
+
+def _probed(endpoint: Endpoint) -> Probe:
+    from procedures.cli.line_probe import probe_line
+
+    return probe_line(endpoint)
+
+
+def _judged(probe: Probe) -> Verdict:
+    from procedures.cli.line_cause import judge
+
+    return judge(probe)
+
+
+def _documented(probe: Probe) -> dict[str, Any]:
+    from procedures.cli.line_cause import document
+
+    return document(probe)
+
+
+def _line(probe: Probe) -> Finding:
+    verdict = _judged(probe)
+    return Finding(f"line {probe.endpoint}", verdict.well, verdict.seen, verdict.advice)
 
 
 def _devices(theatre: TheatreFile) -> list[tuple[str, DeviceConfig]]:
@@ -120,8 +185,8 @@ def _devices(theatre: TheatreFile) -> list[tuple[str, DeviceConfig]]:
     return devices
 
 
-def _device(name: str, device: DeviceConfig) -> Finding:
-    """Connect as the procedure would, read the identity, and leave."""
+def _device(name: str, device: DeviceConfig, causes: dict[str, str]) -> Finding:
+    """Connect as the procedure would, read the identity, and leave. `causes`: endpoint -> likely cause."""
     from ronna_hw.clock import HostClock
     from ronna_hw.registry import make_device
 
@@ -133,24 +198,20 @@ def _device(name: str, device: DeviceConfig) -> Finding:
         finally:
             session.close()
     except RonnaError as error:
-        return Finding(
-            f"device {name}", False, f"{addresses}: {error.code} {error.what}", _cause(device, error)
-        )
+        cause = causes.get(addresses) or _cause(device) or error.advice
+        return Finding(f"device {name}", False, f"{addresses}: {error.code} {error.what}", cause)
     return Finding(
         f"device {name}", True, f"{addresses}: {identity.model} {identity.serial} {identity.firmware}"
     )
 
 
-def _cause(device: DeviceConfig, error: RonnaError) -> str:
-    """The likely cause in plain words, from a look below the protocol."""
-    texts = [*device.endpoints.values()] or [str(device.endpoint)]
-    for text in texts:
+def _cause(device: DeviceConfig) -> str:
+    """Why nothing answers at the TCP endpoints of a device of any kind, in plain words."""
+    for text in [*device.endpoints.values()] or [str(device.endpoint)]:
         endpoint = parse_endpoint(text)
-        look = _LOOKS.get(endpoint.scheme)
-        cause = look(endpoint) if look else ""
-        if cause:
+        if endpoint.scheme == "tcp" and (cause := _look_at_tcp(endpoint)):
             return cause
-    return error.advice
+    return ""
 
 
 def _look_at_tcp(endpoint: Endpoint) -> str:
@@ -161,14 +222,3 @@ def _look_at_tcp(endpoint: Endpoint) -> str:
     except OSError as error:
         return f"{endpoint} cannot be reached ({error.strerror or error}): check cable and subnet."
     return ""
-
-
-def _look_at_serial(endpoint: Endpoint) -> str:
-    if not os.path.exists(endpoint.path):
-        return f"{endpoint.path} does not exist: is the adapter plugged in?"
-    if not os.access(endpoint.path, os.R_OK | os.W_OK):
-        return f"No permission for {endpoint.path}: join the group that owns it."
-    return ""
-
-
-_LOOKS: dict[str, Callable[[Endpoint], str]] = {"tcp": _look_at_tcp, "serial": _look_at_serial}

@@ -181,12 +181,20 @@ def graph_command() -> None:
 @app.command("doctor")
 def doctor_command(
     config: ConfigOption = None,
+    endpoint: Annotated[
+        list[str] | None,
+        typer.Option("--endpoint", help="A tracker's line to look at: serial:///dev/... or tcp://host:port."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Look at this computer and, with --config, at every endpoint of a theatre file."""
+    """Look at this computer and, with --config, at every endpoint of a theatre file.
+
+    A tracker's line is asked at every rate, without changing anything: who answers, which bytes came, who
+    else holds the port, and what that means. Exit codes: 0 all answer, 4 a device or a line does not.
+    """
     from procedures.cli.doctor import examine, show
 
-    show(examine(config), as_json=as_json)
+    show(examine(config, endpoint or ()), as_json=as_json)
 
 
 def _request(
