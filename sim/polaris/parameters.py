@@ -62,6 +62,7 @@ class UnitParameters:
     starts_without_tools: Annotated[bool, "TSTART without an enabled tool is OKAY, not refused with 12."] = (
         True
     )
+    most_tracked: Annotated[int, "TSTART with more enabled tools answers 28."] = 15
     hardware_fault_at_init: Annotated[
         Literal["WARNING01", "ERROR15", "ERROR1A", "OKAY"], "Answer of INIT with a hardware alert."
     ] = "WARNING01"

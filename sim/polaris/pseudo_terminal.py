@@ -23,6 +23,7 @@ from sim.polaris.session import Session
 
 FULL_PATIENCE_S = 0.5  # a serial line waits for nobody: what the host does not take in this time is lost
 THROTTLE_STEP_S = 0.01  # a throttled reply trickles in steps as long as this
+SLOW_ANSWER_S = 0.02  # a host may lose its patience meanwhile
 FLUSH_GAP_S = 0.005  # a flush of both directions may be told in two pieces
 SEVEN_BITS = bytes(byte & 0x7F for byte in range(256))
 UNREADABLE = bytes((byte * 0x9D + 0x37) & 0xFF | 0x80 for byte in range(256))  # what another rate makes of it
@@ -46,8 +47,10 @@ class PseudoTerminal:
         self._host = HostLine(self._master)
         packet_mode(self._master)
         os.set_blocking(self._master, False)
+        self._controls = select.poll()
+        self._controls.register(self._master, select.POLLPRI)  # in packet mode: something was flushed
         self._spoken_to = False  # since the line was opened
-        self._opened_s = 0.0
+        self._opened_s = self._heard_s = 0.0
         self._flushed_input_s = 0.0
         if self._behaviour.power_up_reset:
             self._write(ascii_reply(REPLY_RESET))  # whoever opens the line and does not flush it reads this
@@ -71,6 +74,7 @@ class PseudoTerminal:
             if packet[:1] == b"\0":
                 break
             self._controlled(packet[0])
+        self._heard_s = time.monotonic()
         self._spoken_to = True
         if self._understands(self._session.line):
             return packet[1:]
@@ -83,6 +87,8 @@ class PseudoTerminal:
             time.sleep(received_bytes * line.seconds_per_byte)
 
     def send(self, data: bytes, line: LineSettings) -> None:
+        if time.monotonic() - self._heard_s > SLOW_ANSWER_S and self._broken_meanwhile():
+            return
         if line.data_bits == 7 and self._behaviour.strips_eighth_bit:
             data = data.translate(SEVEN_BITS)
         if not self._throttle:
@@ -94,6 +100,8 @@ class PseudoTerminal:
             piece = data[start : start + step]
             moment_s += len(piece) * line.seconds_per_byte
             time.sleep(max(0.0, moment_s - time.monotonic()))
+            if self._broken_meanwhile():
+                return
             self._write(piece)
 
     def close(self) -> None:
@@ -113,16 +121,27 @@ class PseudoTerminal:
     def _understands(self, line: LineSettings) -> bool:
         return not self._behaviour.enforces_line or self._host.agrees(line)
 
-    def _controlled(self, control: int) -> None:
-        """A host flushed something. Ordinary commands flush its input only; both directions mean a break."""
+    def _broken_meanwhile(self) -> bool:
+        """Whether the host sent a break while the unit was at work on its command."""
+        broken = False
+        while self._controls.poll(0):
+            broken = self._controlled(os.read(self._master, 1)[0]) or broken
+        return broken
+
+    def _controlled(self, control: int) -> bool:
+        """A host flushed something. Ordinary commands flush its input only; both directions mean a break:
+        True then.
+        """
         now_s = time.monotonic()
         input_too = control & termios.TIOCPKT_FLUSHREAD or now_s - self._flushed_input_s < FLUSH_GAP_S
         if control & termios.TIOCPKT_FLUSHREAD:
             self._flushed_input_s = now_s
         if not (control & termios.TIOCPKT_FLUSHWRITE and input_too and self._behaviour.break_from_flush):
-            return
-        if self._spoken_to and now_s - self._opened_s >= self._behaviour.break_deaf_s:
-            self._session.restart()
+            return False
+        if not self._spoken_to or now_s - self._opened_s < self._behaviour.break_deaf_s:
+            return False
+        self._session.restart()
+        return True
 
     def _write(self, data: bytes) -> None:
         deadline_s = 0.0

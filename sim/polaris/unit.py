@@ -47,7 +47,6 @@ class Unit:
         self.alerts = Alerts()
         self.port_changes = SystemStatus(0)  # wired tools that came or went
         self.infrared_checked = False
-        self.infrared_light = False  # so much from outside that the sensors are blinded
         self.beeps_until_s = 0.0
         self._frame: Frame | None = None
         self.parameters = UserParameters(profile, self.wired.count, self.alerts, lambda: self.mode.value)
@@ -128,7 +127,8 @@ class Unit:
 
     def frame(self) -> Frame:
         """The frame that a request gets now: measured once, however often it is asked for."""
-        if not self.faults.empty and self._frame is not None and self._holds_frame():
+        faulty = self.frames.missed or not self.faults.empty
+        if faulty and self._frame is not None and self._holds_frame():
             return self._frame
         number = self.frames.number()
         status = self.alerts.system_status | self.port_changes | self.measurer.light

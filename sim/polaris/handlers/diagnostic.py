@@ -91,7 +91,7 @@ def check_infrared(unit: Unit, argument: str) -> str:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     if not unit.infrared_checked:
         raise Refusal(ErrorCode.INFRARED_CHECK_NOT_READY)
-    if unit.infrared_light:
+    if unit.measurer.light:
         raise Refusal(ErrorCode.TOO_MUCH_INFRARED)
     detected = "0" if asked & DETECTED else ""
     return detected + (2 * NO_SOURCES if asked & SOURCES else "")

@@ -31,6 +31,8 @@ def start(unit: Unit, argument: str) -> str:
     idle = not enabled and not unit.behaviour.starts_without_tools
     if faulty or idle or _dummy_beside_tool(enabled):
         raise Refusal(ErrorCode.CANNOT_START_TRACKING)
+    if len(enabled) > unit.behaviour.most_tracked:
+        raise Refusal(ErrorCode.TOO_MANY_ENABLED)
     supported = unit.behaviour.supported_wavelengths
     if any(port.definition and str(wavelength_of(port.definition)) not in supported for port in enabled):
         raise Refusal(ErrorCode.WAVELENGTH)

@@ -79,6 +79,12 @@ def test_light_from_outside_is_looked_for(diagnostic: Bench) -> None:
     assert diagnostic.send("IRCHK 0003") == "0" + "000" + "000"
 
 
+def test_the_sun_is_too_much(diagnostic: Bench) -> None:
+    diagnostic.send("IRINIT ")
+    diagnostic.world.set_fault_script("now: tracker sunlight")
+    assert diagnostic.send("IRCHK 0001") == "ERRORF1"
+
+
 def test_a_broken_unit_does_not_start_it(bench: Bench) -> None:
     bench.send("SET Param.Simulated Alerts=1")
     assert bench.send("DSTART ") == "ERROR16"

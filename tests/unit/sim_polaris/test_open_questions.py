@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         ({"absent_command": ErrorCode.UNKNOWN_COMMAND}, "PSTART ", "ERROR33", "ERROR01"),
         ({"unknown_feature_list": ErrorCode.NO_FEATURE_LIST}, "SFLIST 77", "ERROR23", "ERROR25"),
         ({"starts_without_tools": False}, "TSTART ", "OKAY", "ERROR12"),
+        ({"most_tracked": -1}, "TSTART ", "OKAY", "ERROR28"),
         ({"freeze_tag_with_minor": False}, "VER 0", "Rev 007.000\n", "Rev 007\n"),
         ({"memory_of_passive": "1E/1F"}, "PPRD 010000", "ERROR32", "ERROR1E"),
         ({"memory_of_passive": "1E/1F"}, "PPWR 010000" + "00" * 64, "ERROR32", "ERROR1F"),

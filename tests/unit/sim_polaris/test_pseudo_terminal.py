@@ -75,8 +75,9 @@ class Host:
 class Line:
     """A unit on a serial line, in a thread of its own."""
 
-    def __init__(self, *, throttle: bool = False, **behaviour: Any) -> None:
+    def __init__(self, *, throttle: bool = False, faults: str = "", **behaviour: Any) -> None:
         world = World.create(built_in_scene("bench"), paced=True)
+        world.set_fault_script(faults)
         self.session = Session(Unit(world, behaviour=UnitParameters(**behaviour)))
         self._end = EndSignal()
         self._terminal = PseudoTerminal(self.session, throttle=throttle)
@@ -229,6 +230,18 @@ def test_a_unit_that_starts_is_deaf_until_it_says_reset(make_line: Callable[...,
     host.ask("INIT ")
     host.send_break()
     host.write(b"INIT \r")
+    assert host.read() == RESET
+    assert host.ask("PHSR 00").startswith(b"ERROR10")
+    host.close()
+
+
+def test_a_break_ends_a_command_that_takes_too_long(make_line: Callable[..., Line]) -> None:
+    line = make_line(break_deaf_s=0.0, faults="at 0 s: tracker slow INIT 0.5 s")
+    host = line.host()
+    host.ask("ECHO x")
+    host.write(b"INIT \r")
+    time.sleep(QUIET_S)  # as ndiProbe does
+    host.send_break()
     assert host.read() == RESET
     assert host.ask("PHSR 00").startswith(b"ERROR10")
     host.close()
