@@ -1,0 +1,177 @@
+"""Every fault of the unit itself, through the wire: what the driver says, its state, and the way back."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from drivers.ndi_polaris import PolarisTracker, errors
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.errors import RonnaError
+from sim.theatre.process import load_scene
+from sim.theatre.world import World
+
+TOOL = "robot_frame"
+LASTS_S = 0.5
+READINGS = 60
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World.create(load_scene("bench"), paced=False)
+
+
+@pytest.fixture(scope="module", params=["tcp://127.0.0.1:0", "serial-pty"], ids=["tcp", "pty"])
+def unit(world: World, request: pytest.FixtureRequest) -> Iterator[ChildProcess]:
+    arguments = command("sim.cli", "polaris", "--endpoint", request.param, "--world", world.endpoint)
+    with ChildProcess("ronna-sim polaris", arguments) as child:
+        yield child
+
+
+@pytest.fixture
+def tracker(world: World, unit: ChildProcess) -> Iterator[PolarisTracker]:
+    world.set_fault_script("")
+    device = tracker_at(unit.ready["endpoint"], world)
+    with contextlib.closing(device):
+        device.connect()
+        device.configure()
+        device.activate()
+        yield device
+
+
+def tracker_at(endpoint: str, world: World, **options: Any) -> PolarisTracker:
+    options.setdefault("tools", [{"name": TOOL, "rom": "robot_frame.rom"}])
+    config = DeviceConfig(driver="ndi_polaris", endpoint=endpoint, options=options)
+    return PolarisTracker("tracker", config, open_clock(world.clock_endpoint))
+
+
+def happen(world: World, fault: str) -> None:
+    world.set_fault_script(f"at {world.clock.now_s()} s: tracker {fault}")
+
+
+def first_trouble(tracker: PolarisTracker) -> RonnaError:
+    for _ in range(READINGS):
+        try:
+            tracker.read_frame()
+        except RonnaError as trouble:
+            return trouble
+    raise AssertionError(f"no trouble in {READINGS} readings")
+
+
+def sees(frame: TrackerFrame) -> bool:
+    return frame.tool(TOOL).validity is Validity.OK
+
+
+@pytest.mark.hazard(15)
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        ("bump", errors.SensorBumped),
+        (f"alert 4 for {LASTS_S} s", errors.HardwareFailure),
+        ("restart", errors.UnitRestarted),
+        ("watchdog", errors.UnitRestarted),
+    ],
+)
+def test_a_fault_of_the_unit_latches_and_recover_leads_back_to_tracking(
+    world: World, tracker: PolarisTracker, fault: str, kind: type[RonnaError]
+) -> None:
+    assert sees(tracker.read_frame())
+    happen(world, fault)
+    assert isinstance(first_trouble(tracker), kind)
+    assert tracker.state is Lifecycle.FAULT
+    assert isinstance(tracker.fault, kind)
+    world.clock.sleep(LASTS_S)
+    tracker.recover("tester", timeout_s=30.0)
+    assert tracker.state is Lifecycle.CONFIGURED
+    tracker.activate()
+    assert any(sees(tracker.read_frame()) for _ in range(5))
+
+
+@pytest.mark.hazard(15)
+@pytest.mark.parametrize("fault", ["cold", "hot"])
+def test_a_wrong_temperature_holds_until_it_is_right(
+    world: World, tracker: PolarisTracker, fault: str
+) -> None:
+    happen(world, f"{fault} for {LASTS_S} s")
+    assert isinstance(first_trouble(tracker), errors.TemperatureHold)
+    assert tracker.state is Lifecycle.HOLD
+    world.clock.sleep(LASTS_S)
+    frames = [frame for frame in (read_or_none(tracker) for _ in range(5)) if frame is not None]
+    assert sees(frames[-1])
+    assert tracker.state is Lifecycle.ACTIVE
+
+
+@pytest.mark.hazard(15)
+def test_a_hardware_fault_that_lasts_refuses_the_recovery(world: World, tracker: PolarisTracker) -> None:
+    happen(world, f"alert 2 for {LASTS_S} s")
+    first_trouble(tracker)
+    with pytest.raises(errors.HardwareFailure):
+        tracker.recover("tester", timeout_s=30.0)
+    assert tracker.state is Lifecycle.FAULT
+    world.clock.sleep(LASTS_S)
+    tracker.recover("tester", timeout_s=30.0)
+    assert tracker.state is Lifecycle.CONFIGURED
+
+
+@pytest.mark.hazard(14)
+@pytest.mark.parametrize(
+    ("fault", "validity"),
+    [
+        (f"occlude tool {TOOL}", Validity.MISSING),
+        (f"bend tool {TOOL} 20 mm", Validity.MISSING),
+        (f"turn tool {TOOL} 120 deg", Validity.MISSING),
+        (f"move tool {TOOL} 0 0 -2000 mm", Validity.OUT_OF_VOLUME),
+        (f"interference tool {TOOL}", Validity.PARTIAL),
+    ],
+)
+def test_a_fault_of_the_sight_is_a_validity_and_passes_by_itself(
+    world: World, tracker: PolarisTracker, fault: str, validity: Validity
+) -> None:
+    happen(world, f"{fault} for {LASTS_S} s")
+    assert {tracker.read_frame().tool(TOOL).validity for _ in range(5)} == {validity}
+    world.clock.sleep(LASTS_S)
+    assert sees(tracker.read_frame())
+    assert tracker.state is Lifecycle.ACTIVE
+
+
+@pytest.mark.hazard(4)
+def test_a_unit_that_measures_nothing_new_is_stale(world: World, tracker: PolarisTracker) -> None:
+    tracker.read_frame()
+    happen(world, f"repeat frames for {LASTS_S} s")
+    assert Validity.STALE in {tracker.read_frame().validity for _ in range(5)}
+
+
+def test_frames_that_the_unit_leaves_out_are_counted(world: World, tracker: PolarisTracker) -> None:
+    tracker.read_frame()
+    happen(world, f"skip 3 frames for {LASTS_S} s")
+    for _ in range(5):
+        tracker.read_frame()
+    assert tracker.statistics.missed >= 9
+
+
+@pytest.mark.hazard(4)
+def test_a_unit_without_power_is_found_again_when_it_is_back(world: World, tracker: PolarisTracker) -> None:
+    tracker.read_frame()
+    happen(world, f"power off for {LASTS_S} s")
+    trouble = [first_trouble(tracker)]
+    while tracker.state is Lifecycle.ACTIVE:
+        trouble.append(first_trouble(tracker))
+    assert isinstance(trouble[-1], errors.LinkLost | errors.UnitRestarted)
+    world.clock.sleep(LASTS_S)
+    tracker.recover("tester", timeout_s=30.0)
+    tracker.activate()
+    assert sees(tracker.read_frame())
+
+
+def read_or_none(tracker: PolarisTracker) -> TrackerFrame | None:
+    try:
+        return tracker.read_frame()
+    except errors.TemperatureHold:
+        return None
