@@ -26,7 +26,8 @@ SLOW = 0.1  # of the working speed
 STRAY_RAD = radians(0.002)  # of an axis that should stand still: twenty digits of the wire
 ANSWERED_SHARE = 0.75  # of the commanded angle that must be measured
 LOOK_S = 0.002  # host time between two looks at the measured axes
-AXIS_LIMIT_S = 10.0  # host time for one axis out and back
+AXIS_LIMIT_CYCLES = 500  # for one axis to get there and settle: some five times what it takes
+TELEGRAMS_LIMIT_S = 10.0  # host time
 CYCLES_WATCHED = 25  # before anything moves
 PROBE_RAD = 1e-4
 
@@ -60,7 +61,7 @@ def micro_angle(model: ArmModel, joints_rad: JointVector, axis: int) -> float:
 
 def _require_cycle(name: str, link: LinkClient) -> None:
     begun = link.state
-    seen = link.wait(lambda s: s.cycles >= begun.cycles + CYCLES_WATCHED, AXIS_LIMIT_S)
+    seen = link.wait(lambda s: s.cycles >= begun.cycles + CYCLES_WATCHED, TELEGRAMS_LIMIT_S)
     if seen is None or seen.lost - begun.lost >= CYCLES_WATCHED:
         lost = "no telegrams" if seen is None else f"{seen.lost - begun.lost} cycles lost by IPOC"
         raise HandshakeFailed(f"{name}: the cycle is another one: {lost} within {CYCLES_WATCHED} telegrams")
@@ -77,13 +78,13 @@ def _go(
 ) -> None:
     plan = plan_joint_move(model, link.state.commanded_rad, target, limits.slowed(SLOW))
     number = link.command(CommandKind.MOVE, plan)
-    deadline = time.monotonic() + AXIS_LIMIT_S
+    begun = link.state.cycles
     while True:
         state = link.state
         _require_small(name, link, state, start, axis)
         if state.fault or (state.command_number >= number and state.result is not Result.RUNNING):
             break
-        if time.monotonic() > deadline:
+        if state.cycles - begun > AXIS_LIMIT_CYCLES:
             _refuse(name, link, f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
         time.sleep(LOOK_S)
     if state.fault or state.result is not Result.DONE:

@@ -178,7 +178,7 @@ def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadl
     eki.require(CommandName.ACK_ERRORS, rest_of(deadline))
     state = eki.status(rest_of(deadline))
     require_ours(state, context, options.variant)
-    require_ready(state, drives=False, modes=tuple(OperationMode))
+    require_ready(state, drives=False, modes=(OperationMode.EXT, OperationMode.T1))
 
 
 def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:

@@ -60,6 +60,10 @@ class FakeController:
         self.replies: list[tuple[int, tuple[float, ...], int]] = []
         self.late = 0
         self.ipoc = 4_208_163_634
+        self.cycle_ms = 4
+        self.order = (0, 1, 2, 3, 4, 5)  # which correction feeds which axis
+        self.adds_up = False  # corrections are relative
+        self.turned_away = 0  # EKI clients to drop as soon as they come
         self.streaming = threading.Event()
         self.silent = threading.Event()  # set: telegrams are withheld
         self.junk: list[bytes] = []  # sent before the next telegrams, one by one
@@ -99,6 +103,11 @@ class FakeController:
         assert self._client is not None
         self._client.sendall(data)
 
+    def tell(self, **facts: str) -> None:
+        """Facts change, and the controller says so unasked."""
+        self.facts.update(facts)
+        self.send_raw(self.state())
+
     def state(self, number: int = 0) -> bytes:
         axes = self.eki_axes_deg or self.axes_deg
         facts = " ".join(f'{k}="{v}"' for k, v in self.facts.items())
@@ -111,6 +120,10 @@ class FakeController:
             try:
                 client, _ = self._server.accept()
             except TimeoutError:
+                continue
+            if self.turned_away:
+                self.turned_away -= 1
+                client.close()
                 continue
             self._client = client
             with client:
@@ -182,7 +195,7 @@ class FakeController:
             if self.new_port:
                 self.new_port = False
                 return
-            self.ipoc += 4
+            self.ipoc += self.cycle_ms
             if self.skip_cycles > 0:
                 self.skip_cycles -= 1
                 self.late += 1
@@ -198,7 +211,9 @@ class FakeController:
                     pending.append(pending[-1])
                 else:
                     corrections, stop = reply
-                    pending.append(tuple(b + c for b, c in zip(base, corrections, strict=True)))
+                    from_ = pending[-1] if self.adds_up else base
+                    fed = [corrections[k] for k in self.order]
+                    pending.append(tuple(b + c for b, c in zip(from_, fed, strict=True)))
                     if stop and self.stop_honoured:
                         self.streaming.clear()
                         self.facts["RSI"] = "0"

@@ -1,0 +1,73 @@
+"""Contexts that are unsafe, or blind, are refused before anything is opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+
+from drivers.kuka_rsi.context_check import usable_context
+from drivers.kuka_rsi.errors import ContextUnusable
+from drivers.kuka_rsi.options import KukaOptions, read_options
+from ronna_hw.wire.kuka_context import load_context
+
+OURS: dict[str, Any] = load_context().model_dump(mode="json", by_alias=True, exclude_none=True)
+EXPLICIT = {"limits": "explicit", "lower_deg": [-9.0] * 6, "upper_deg": [9.0] * 6}
+
+
+def _with(**changes: Any) -> dict[str, Any]:
+    context = {**OURS, **changes}
+    return {name: value for name, value in context.items() if value is not None}
+
+
+def _holdon(value: int, *tags: str) -> list[dict[str, Any]]:
+    return [{**e, "holdon": value if e["tag"] in tags else e["holdon"]} for e in OURS["receive"]]
+
+
+AXES = tuple(f"AK.A{k}" for k in range(1, 7))
+
+
+@pytest.mark.hazard(20)
+@pytest.mark.parametrize(
+    ("context", "reason"),
+    [
+        (_with(program={**OURS["program"], "corrections": "relative"}), "relative with HOLDON 1"),
+        (_with(receive=_holdon(0, *AXES)), "HOLDON 0: a lost reply would jump"),
+        (_with(receive=_holdon(1, "Stop")), "STOP has HOLDON 1"),
+        (_with(stop=None), "no STOP object"),
+        (_with(stop={"mode": "PathFast"}), "no STOP object of mode ExitMoveCorr"),
+        (_with(wiring=[w for w in OURS["wiring"] if w["input"] != "A4"]), "AXISCORR is not wired for A4"),
+        (_with(axis_correction=None), "limits of AXISCORR are missing"),
+        (_with(axis_monitor=None), "limits of AXISCORRMON are missing"),
+        (_with(axis_correction=EXPLICIT), "would clamp in silence"),
+        (_with(axis_monitor={"limits": "explicit", "max_deg": [6.0] * 6}), "wider than those of AXISCORRMON"),
+        (_with(send=[e for e in OURS["send"] if e["tag"] != "DEF_Delay"]), "DEF_Delay is not sent"),
+        (_with(send=[e for e in OURS["send"] if e["tag"] != "DEF_AIPos"]), "DEF_AIPos is not sent"),
+        (_with(ethernet={**OURS["ethernet"], "precision": 1}), "Precision is 1"),
+        (_with(ethernet={**OURS["ethernet"], "only_send": True}), "ONLYSEND"),
+        (_with(program={**OURS["program"], "variant": "kr6_r900_2"}), "option variant is kr6_r900_sixx"),
+    ],
+)
+def test_an_unsafe_context_is_refused_with_the_reason(
+    tmp_path: Path, context: dict[str, Any], reason: str
+) -> None:
+    path = tmp_path / "context.toml"
+    path.write_text(tomli_w.dumps(context))
+    with pytest.raises(ContextUnusable, match=reason) as refused:
+        usable_context("robot.master", KukaOptions(context=path))
+    assert str(path) in str(refused.value)
+
+
+def test_every_reason_is_told_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "context.toml"
+    path.write_text(tomli_w.dumps(_with(axis_correction=None, stop=None)))
+    with pytest.raises(ContextUnusable, match=r"no STOP object.*AXISCORR are missing"):
+        usable_context("robot.master", KukaOptions(context=path))
+
+
+def test_our_own_context_is_usable_in_both_cycles() -> None:
+    assert usable_context("robot.master", KukaOptions()).program.cycle_ms == 4
+    options = read_options("robot.master", {"cycle_ms": 12})
+    assert usable_context("robot.master", options).program.cycle_ms == 12

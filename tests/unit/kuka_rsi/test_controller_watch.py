@@ -1,0 +1,216 @@
+"""What only EKI tells while the stream runs: the arm stops at once, and the message names the cause."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from math import degrees
+from typing import Any
+
+import pytest
+
+from drivers.kuka_rsi.errors import ControllerLost, ControllerNotReady, HandshakeFailed, Unverified
+from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.errors import RonnaError
+
+FAR = radians6(60, -60, 60, 30, 80, 90)
+THERE = radians6(10, -85, 85, 5, 65, -10)
+FULL_SPEED_DEG_S = degrees(arm_model("kr6_r900_sixx").full_speed_rad_s[0])
+
+
+def _eventually(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def _interrupted(arm: Any, controller: Any, interrupt: Callable[[], None]) -> BaseException:
+    """The error of a long motion that something interrupts well under way."""
+    controller.pace_s = 0.001
+    caught: list[BaseException] = []
+
+    def move() -> None:
+        try:
+            arm.move_joints(FAR)
+        except BaseException as error:
+            caught.append(error)
+
+    thread = threading.Thread(target=move)
+    thread.start()
+    _eventually(lambda: len(controller.replies) > 2 and abs(controller.replies[-1][1][0]) > 2.0)
+    interrupt()
+    thread.join(30.0)
+    return caught[0]
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        ({"EStop": "1", "Drives": "0"}, "emergency stop is active"),
+        ({"Guard": "1"}, "the guard is open"),
+        ({"Mode": "T1"}, "operating mode is T1, not EXT"),
+        ({"Drives": "0"}, "drives are off"),
+        ({"Err": "1073"}, "message 1073"),
+    ],
+)
+def test_what_forbids_motion_stops_the_arm_on_its_way_and_is_named(
+    controller: Any, active_arm: Any, change: dict[str, str], cause: str
+) -> None:
+    before = dict(controller.facts)
+    error = _interrupted(active_arm, controller, lambda: controller.tell(**change))
+    assert isinstance(error, ControllerNotReady)
+    assert cause in str(error)
+    assert "flight-record-robot.master.txt" in error.attachments
+    assert active_arm.state is Lifecycle.FAULT
+    rest = controller.replies[-1][1]
+    assert rest[0] < 59.0
+    with pytest.raises(WrongState, match="EKI-007"):
+        active_arm.move_joints(THERE)
+    controller.tell(**before)
+    active_arm.recover("Ana")
+    active_arm.activate()
+    # Recovery moved nothing, and what was interrupted is not continued.
+    assert degrees(active_arm.read_state().joints_rad[0]) == pytest.approx(rest[0], abs=0.01)
+
+
+@pytest.mark.parametrize("change", [{"EStop": "1"}, {"Guard": "1"}, {"Mode": "AUT"}])
+def test_recovery_is_refused_while_the_cause_stands(
+    controller: Any, active_arm: Any, change: dict[str, str]
+) -> None:
+    controller.tell(**change)
+    _eventually(lambda: bool(active_arm.state is Lifecycle.FAULT))
+    with pytest.raises(ControllerNotReady):
+        active_arm.recover("Ana")
+    assert active_arm.state is Lifecycle.FAULT
+
+
+@pytest.mark.hazard(4)
+def test_a_cut_eki_channel_stops_the_arm_and_recovery_tries_until_it_is_open_again(
+    controller: Any, active_arm: Any
+) -> None:
+    error = _interrupted(active_arm, controller, controller.drop_eki)
+    assert isinstance(error, ControllerLost)
+    assert active_arm.state is Lifecycle.FAULT
+    controller.turned_away = 2
+    active_arm.recover("Ana")
+    assert controller.turned_away == 0
+    assert active_arm.state is Lifecycle.CONFIGURED
+    # The program that still ran was ended, not assumed to have ended with the channel.
+    assert controller.facts["RSI"] == "0"
+    active_arm.activate()
+    active_arm.move_joints(THERE)
+
+
+# Operating mode T1
+
+
+def test_T1_needs_a_persons_confirmation_each_time(controller: Any, make_arm: Any) -> None:
+    controller.facts["Mode"] = "T1"
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    with pytest.raises(ControllerNotReady, match="T1"):
+        arm.activate()
+    arm.recover("Ana")
+    with pytest.raises(ValueError, match="name of the person"):
+        arm.allow_t1(" ")
+    arm.allow_t1("Ana")
+    arm.activate()
+    arm.deactivate()
+    with pytest.raises(ControllerNotReady, match="T1"):
+        arm.activate()
+
+
+def test_in_T1_the_pendant_may_start_the_program_and_no_axis_goes_beyond_a_tenth_of_full_speed(
+    controller: Any, make_arm: Any
+) -> None:
+    controller.facts["Mode"] = "T1"
+    controller.ack_codes["RSI_START"] = 5
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    arm.allow_t1("Ana")
+
+    def press_the_start_key() -> None:
+        _eventually(lambda: "RSI_START" in controller.commands)
+        controller.facts["RSI"] = "2"
+        controller.streaming.set()
+
+    presser = threading.Thread(target=press_the_start_key)
+    presser.start()
+    arm.activate()
+    presser.join()
+    arm.move_joints(THERE)
+    angles = [reply[1][0] for reply in controller.replies]
+    fastest_deg_s = max(abs(b - a) for a, b in pairwise(angles)) / 0.004
+    assert 0.0 < fastest_deg_s <= 0.1001 * FULL_SPEED_DEG_S
+
+
+# A controller that does not say what it runs
+
+
+@pytest.fixture
+def silent_controller(controller: Any) -> Any:
+    for fact in ("Ref", "HoldOn", "Cycle", "CtxHash", "Variant"):
+        del controller.facts[fact]
+    return controller
+
+
+def _configured(make_arm: Any) -> Any:
+    arm = make_arm(accept_unverified=True)
+    assert ("verified", "no, it does not say its cycle in ms, corrections, HOLDON, context hash, arm") in (
+        arm.connect().details
+    )
+    arm.configure()
+    return arm
+
+
+@pytest.mark.hazard(20)
+def test_an_unverified_controller_is_activated_only_by_a_micro_move_that_a_person_confirmed(
+    silent_controller: Any, make_arm: Any
+) -> None:
+    arm = _configured(make_arm)
+    with pytest.raises(Unverified):
+        arm.activate()
+    with pytest.raises(ValueError, match="name of the person"):
+        arm.activate_unverified("")
+    arm.activate_unverified("Ana")
+    assert arm.state is Lifecycle.ACTIVE
+    largest = [max(abs(reply[1][axis]) for reply in silent_controller.replies) for axis in range(6)]
+    assert all(0.002 < angle <= 0.02 for angle in largest)  # each axis, and none by more
+    assert silent_controller.replies[-1][1] == (0.0,) * 6  # and back
+    arm.move_joints(THERE)
+
+
+@pytest.mark.hazard(20)
+@pytest.mark.parametrize("how", ["axes exchanged", "corrections add up", "nothing follows"])
+def test_a_controller_that_does_anything_else_in_the_micro_move_is_refused(
+    silent_controller: Any, make_arm: Any, how: str
+) -> None:
+    before = silent_controller.axes_deg
+    silent_controller.pace_s = 0.001
+    if how == "axes exchanged":
+        silent_controller.order = (1, 0, 2, 3, 4, 5)
+    silent_controller.adds_up = how == "corrections add up"
+    silent_controller.frozen = how == "nothing follows"
+    arm = _configured(make_arm)
+    with pytest.raises(HandshakeFailed):
+        arm.activate_unverified("Ana")
+    assert arm.state is Lifecycle.FAULT
+    assert not silent_controller.streaming.is_set()
+    moved = [abs(a - b) for a, b in zip(before, silent_controller.axes_deg, strict=True)]
+    assert max(moved) < 5.0  # this machine may stall; on one that does not it is hundredths
+
+
+@pytest.mark.hazard(20)
+def test_what_an_unverified_controller_does_say_must_be_right(controller: Any, make_arm: Any) -> None:
+    del controller.facts["CtxHash"]
+    controller.facts["Variant"] = "kr6_r900_2"
+    with pytest.raises(RonnaError, match="arm is kr6_r900_2"):
+        make_arm(accept_unverified=True).connect()
