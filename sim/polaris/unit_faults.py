@@ -33,6 +33,7 @@ class UnitFaults:
         self._unit = unit
         self._board = unit.faults
         self._dead = False
+        self._alerts = Alert(0)
         self._plugged: set[int] = set()
         self._pulled: set[int] = set()
         self._refusals: dict[str, Callable[[str], None]] = {
@@ -45,7 +46,8 @@ class UnitFaults:
     @property
     def concerned(self) -> bool:
         """False while no fault of the tracker is in the script and none is left to end."""
-        return not self._board.empty or self._dead or bool(self._plugged or self._pulled)
+        left = self._dead or bool(self._alerts or self._plugged or self._pulled)
+        return left or not self._board.empty
 
     def power(self) -> Power:
         """What happened to the supply since the last question."""
@@ -60,7 +62,9 @@ class UnitFaults:
         alerts = Alert(sum({1 << int(fault.argument) for fault in board.active("alert")}))
         alerts |= Alert.TOO_HOT if board.active("hot") else Alert(0)
         alerts |= Alert.TOO_COLD if board.active("cold") else Alert(0)
-        unit.alerts.impose(alerts)
+        if alerts != self._alerts:
+            unit.alerts.impose(alerts)
+            self._alerts = alerts
         if board.happened("bump"):
             unit.alerts.raise_alert(Alert.BUMP)
         self._change_plugs()

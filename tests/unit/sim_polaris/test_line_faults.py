@@ -1,0 +1,158 @@
+"""What passes between host and unit on a bad line."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from ronna_hw.wire.polaris import crc16
+from sim.polaris.line_faults import LineFaults
+from sim.polaris.server import EndSignal, Server
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+OKAY = b"OKAYA896\r"
+NO_HANDLES = b"001414\r"
+HANG_GUARD_S = 30.0
+
+
+def happen(bench: Bench, *lines: str) -> LineFaults:
+    bench.world.set_fault_script("\n".join(f"at 0 s: tracker {line}" for line in lines))
+    return LineFaults(bench.unit)
+
+
+def with_crc(text: str) -> bytes:
+    return f"{text}{crc16(text.encode()):04X}".encode()
+
+
+def conversation(bench: Bench, faults: LineFaults, line: bytes) -> bytes:
+    """What a host hears when it sends one line."""
+    heard = faults.heard(line)
+    return faults.said(heard, bench.session.answer(heard))
+
+
+def test_a_good_line_changes_nothing(bench: Bench) -> None:
+    assert conversation(bench, LineFaults(bench.unit), b"INIT ") == OKAY
+
+
+def test_a_bit_wrong_on_the_way_to_the_unit_fails_the_crc_and_has_no_effect(bench: Bench) -> None:
+    faults = happen(bench, "garble commands 100 %")
+    line = with_crc("TSTART:")  # its CRC 5423 has no letters, whose case would not matter
+    answers = {conversation(bench, faults, line)[:7] for _ in range(200)}
+    # a hit colon is no separator any more, and the name is unknown
+    assert answers == {b"ERROR04", b"ERROR01"}
+    happen(bench)
+    assert bench.send("TX ") == "ERROR0C"
+
+
+def test_a_bit_wrong_in_a_command_without_crc_makes_it_unknown_or_its_argument_wrong(bench: Bench) -> None:
+    faults = happen(bench, "garble commands 100 %")
+    answers = {conversation(bench, faults, b"PHSR 00")[:7] for _ in range(300)}
+    assert {b"ERROR01", b"ERROR23"} <= answers
+
+
+def test_a_bit_wrong_on_the_way_to_the_host_fails_its_crc(bench: Bench) -> None:
+    faults = happen(bench, "garble replies 100 %")
+    for _ in range(200):
+        heard = conversation(bench, faults, b"PHSR 00")
+        assert len(heard) == len(NO_HANDLES)
+        differing = [
+            sent ^ received for sent, received in zip(NO_HANDLES, heard, strict=True) if sent != received
+        ]
+        assert len(differing) == 1
+        assert differing[0].bit_count() == 1
+
+
+@pytest.mark.parametrize(("fault", "change"), [("drop bytes", -1), ("double bytes", 1)])
+def test_bytes_are_lost_and_doubled(bench: Bench, fault: str, change: int) -> None:
+    faults = happen(bench, f"{fault} 100 %")
+    for _ in range(50):
+        assert len(conversation(bench, faults, b"INIT ")) == len(OKAY) + change
+
+
+def test_a_reply_breaks_off_or_never_comes(bench: Bench) -> None:
+    faults = happen(bench, "cut replies 100 %")
+    heard = {conversation(bench, faults, b"INIT ") for _ in range(100)}
+    assert heard == {OKAY[:count] for count in range(len(OKAY))}
+    faults = happen(bench, "lose replies 100 %")
+    assert conversation(bench, faults, b"INIT ") == b""
+
+
+def test_a_share_is_a_share_and_the_same_one_again(bench: Bench) -> None:
+    def broken() -> list[bool]:
+        faults = happen(bench, "garble replies 20 %")
+        return [conversation(bench, faults, b"INIT ") != OKAY for _ in range(500)]
+
+    first = broken()
+    assert 0.15 < sum(first) / len(first) < 0.25
+    assert broken() == first
+
+
+def test_while_a_host_waits_in_vain_the_time_of_the_theatre_passes(bench: Bench) -> None:
+    bench.world.set_fault_script("at 0 s: tracker lose replies 100 % for 5 s")
+    faults = LineFaults(bench.unit)
+    heard = []
+    for _ in range(5):
+        heard.append(conversation(bench, faults, b"PHSR 00"))  # a host gives it 2 s
+    assert heard == [b"", b"", b"", NO_HANDLES, NO_HANDLES]
+
+
+def test_a_late_reply_comes_after_all(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr("sim.polaris.line_faults.time.sleep", slept.append)
+    faults = happen(bench, "delay replies 3 s")
+    began_s = bench.world.clock.now_s()
+    assert conversation(bench, faults, b"INIT ") == OKAY
+    assert slept == [3.0]
+    assert bench.world.clock.now_s() - began_s == pytest.approx(3.0)
+
+
+@pytest.fixture
+def host(make_bench: Callable[..., Bench]) -> Iterator[tuple[Bench, socket.socket]]:
+    """A unit behind its server, and a host connected to it."""
+    bench = make_bench(reset_s=0.0)
+    end = EndSignal()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        server = threading.Thread(target=Server(bench.session, end).serve_network, args=(listener,))
+        server.start()
+        with socket.create_connection(listener.getsockname(), timeout=HANG_GUARD_S) as connection:
+            yield bench, connection
+        end.give()
+        server.join(HANG_GUARD_S)
+        assert not server.is_alive()
+
+
+def read_until(connection: socket.socket, ending: bytes) -> bytes:
+    received = b""
+    while not received.endswith(ending):
+        received += connection.recv(4096)
+    return received
+
+
+def test_faults_act_on_a_link_that_stays_open(host: tuple[Bench, socket.socket]) -> None:
+    bench, connection = host
+    connection.sendall(b"INIT \r")
+    assert read_until(connection, b"\r") == OKAY
+    happen(bench, "double bytes 100 %")
+    connection.sendall(b"INIT \r")
+    assert len(read_until(connection, b"\r")) >= len(OKAY)
+    happen(bench)
+    connection.sendall(b"INIT \r")
+    assert read_until(connection, OKAY).endswith(OKAY)
+
+
+def test_a_unit_whose_power_returns_speaks_unasked(host: tuple[Bench, socket.socket]) -> None:
+    bench, connection = host
+    connection.sendall(b"INIT \r")
+    assert read_until(connection, b"\r") == OKAY
+    bench.world.set_fault_script("at 0 s: tracker power off for 3 s")
+    connection.sendall(b"VER 4\r")  # never answered; in theatre time a host waits 2 s for it
+    connection.sendall(b"VER 4\r")
+    assert read_until(connection, b"\r") == b"RESETBE6F\r"
+    connection.sendall(b"TX \r")
+    assert read_until(connection, b"\r").startswith(b"ERROR10")

@@ -1,0 +1,234 @@
+"""What a client is told while something is wrong with the unit itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pytest
+
+from sim.polaris.definition import write_definition
+from sim.theatre.scene import TrackerTool
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+
+@pytest.fixture
+def tracked(bench: Bench, pointer: TrackerTool) -> Bench:
+    bench.enable(pointer)
+    assert bench.send("TSTART 80") == "OKAY"
+    return bench
+
+
+def happen(bench: Bench, *lines: str) -> None:
+    bench.world.set_fault_script("\n".join(f"at 0 s: tracker {line}" for line in lines))
+
+
+def system_status(bench: Bench) -> str:
+    return bench.send("TX 0801")[-4:]
+
+
+def value(bench: Bench, name: str) -> str:
+    return bench.send(f"GET {name}").partition("=")[2]
+
+
+def frame_numbers(bench: Bench, count: int) -> list[int]:
+    return [int(bench.send("TX 0001").split("\n")[0][-8:], 16) for _ in range(count)]
+
+
+def test_a_bump_withholds_poses_until_the_alert_is_read_and_stays_known_until_it_is_cleared(
+    tracked: Bench,
+) -> None:
+    happen(tracked, "bump")
+    for _ in range(3):
+        answer = tracked.send("TX 0801")
+        assert answer.startswith("0101MISSING")
+        assert answer.endswith("0100")
+    assert value(tracked, "Info.Status.Alerts") == str(1 << 21)
+    assert value(tracked, "Param.Bump Detector.Bumped") == "1"
+    assert value(tracked, "Info.Status.New Alerts") == str(1 << 21)
+    answer = tracked.send("TX 0801")
+    assert "MISSING" not in answer
+    assert answer.endswith("0000")
+    assert value(tracked, "Param.Bump Detector.Bumped") == "1"
+    assert tracked.send("SET Param.Bump Detector.Clear=1") == "OKAY"
+    assert value(tracked, "Info.Status.Alerts") == "0"
+    assert value(tracked, "Param.Bump Detector.Bumped") == "0"
+
+
+def test_a_bump_happens_once(tracked: Bench) -> None:
+    happen(tracked, "bump")
+    system_status(tracked)
+    value(tracked, "Info.Status.New Alerts")
+    tracked.send("SET Param.Bump Detector.Clear=1")
+    assert [system_status(tracked) for _ in range(5)] == ["0000"] * 5
+
+
+@pytest.mark.parametrize(("fault", "bit"), [("hot", 29), ("cold", 30)])
+def test_a_unit_that_is_too_hot_or_too_cold_gives_no_poses(tracked: Bench, fault: str, bit: int) -> None:
+    tracked.world.set_fault_script(f"at 0.1 s: tracker {fault} for 0.2 s")
+    assert system_status(tracked) == "0000"
+    tracked.world.clock.sleep(0.1)
+    assert tracked.send("TX 0801").startswith("0101MISSING")
+    assert system_status(tracked) == "0300"  # and an alert that nobody has read
+    assert value(tracked, "Info.Status.New Alerts") == str(1 << bit)
+    assert system_status(tracked) == "0200"
+    tracked.world.clock.sleep(0.2)
+    assert "MISSING" not in tracked.send("TX 0801")
+    assert value(tracked, "Info.Status.Alerts") == "0"
+
+
+def test_a_fault_of_the_hardware_shows_in_every_place_that_tells_of_it(
+    bench: Bench, pointer: TrackerTool
+) -> None:
+    bench.enable(pointer)
+    happen(bench, "alert 5")
+    assert bench.send("TSTART 80") == "ERROR12"
+    assert bench.send("INIT ") == "WARNING01"
+    assert value(bench, "Info.Status.Alerts") == str(1 << 5)
+    happen(bench)
+    bench.enable(pointer)
+    assert bench.send("TSTART 80") == "OKAY"
+    happen(bench, "alert 0")
+    bench.send("TX 0801")
+    assert value(bench, "Info.Status.New Alerts") == str(1 << 0 | 1 << 5)  # both are news
+    assert system_status(bench) == "0010"
+    assert bench.send("TX 0801").startswith("0101MISSING")
+
+
+@pytest.mark.parametrize("answer", ["ERROR15", "ERROR1A"])
+def test_a_unit_with_a_fault_of_the_hardware_may_refuse_to_initialise(
+    make_bench: Callable[..., Bench], answer: str
+) -> None:
+    bench = make_bench(hardware_fault_at_init=answer)
+    happen(bench, "alert 1")
+    assert bench.send("INIT ") == answer
+    assert bench.send("PHSR 00") == "ERROR10"
+
+
+def test_a_watch_dog_that_bites_ends_the_tracking(tracked: Bench) -> None:
+    happen(tracked, "watchdog")
+    assert tracked.send("TX 0801") == "ERROR0C"
+    assert tracked.send("TSTART ") == "OKAY"
+    assert "MISSING" not in tracked.send("TX 0801")
+
+
+def test_a_wired_tool_comes_and_goes(tracked: Bench) -> None:
+    tracked.world.set_fault_script("at 0.5 s: tracker plug 2 for 1 s")
+    tracked.world.clock.sleep(0.5)
+    assert system_status(tracked) == "0040"
+    tracked.send("TSTOP ")
+    assert tracked.send("PHSR 02").startswith("0102")
+    assert tracked.send("PINIT 02") == "OKAY"
+    assert tracked.send("PENA 02D") == "OKAY"
+    tracked.send("TSTART ")
+    assert tracked.send("TX 0801").startswith("02")
+    tracked.world.clock.sleep(1.0)
+    answer = tracked.send("TX 0801")
+    assert "02UNOCCUPIED\n" in answer
+    assert answer.endswith("0080")
+    tracked.send("TSTOP ")
+    assert tracked.send("PHSR 01").startswith("0102")
+
+
+def test_a_definition_that_proves_corrupt_is_refused(bench: Bench, pointer: TrackerTool) -> None:
+    happen(bench, "corrupt definitions")
+    handle = bench.load(write_definition(pointer))
+    assert bench.send(f"PINIT {handle:02X}") == "ERROR13"
+    assert bench.send(f"PENA {handle:02X}D") == "ERROR0E"
+
+
+def test_no_more_tools_than_a_unit_allows(bench: Bench, pointer: TrackerTool) -> None:
+    happen(bench, "allow 1 tools", "allow 2 handles")
+    bench.enable(pointer)
+    second = bench.load(write_definition(pointer))
+    bench.send(f"PINIT {second:02X}")
+    assert bench.send(f"PENA {second:02X}D") == "ERROR28"
+    assert bench.send("PHRQ *********1****") == "ERROR2D"
+
+
+def test_a_volume_for_another_wavelength_does_not_start(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    happen(bench, "wrong wavelength")
+    assert bench.send("TSTART 80") == "ERROR22"
+    happen(bench)
+    assert bench.send("TSTART 80") == "OKAY"
+
+
+@pytest.mark.parametrize(("name", "seconds"), [("INIT", 4.0), ("PINIT", 6.0), ("TSTART", 6.0)])
+def test_a_slow_command_takes_its_time(bench: Bench, pointer: TrackerTool, name: str, seconds: float) -> None:
+    handle = bench.load(write_definition(pointer))
+    happen(bench, f"slow {name} {seconds} s")
+    took = {}
+    for line in (f"PINIT {handle:02X}", f"PENA {handle:02X}D", "TSTART 80", "TSTOP ", "INIT "):
+        began_s = bench.world.clock.now_s()
+        assert not bench.send(line).startswith("ERROR")
+        took[line.split()[0]] = bench.world.clock.now_s() - began_s
+    assert took[name] == pytest.approx(seconds)
+    assert all(duration_s < 0.1 for other, duration_s in took.items() if other != name)
+
+
+def test_a_unit_that_measures_nothing_new_repeats_its_frame(tracked: Bench) -> None:
+    tracked.world.set_fault_script("at 0.1 s: tracker repeat frames for 0.5 s")
+    answers = [tracked.raw("BX 1801") for _ in range(60)]
+    numbers = frame_numbers(tracked, 1)
+    assert numbers[0] > 30  # the time has passed, though it measured only some of it
+    assert 25 <= max(answers.count(answer) for answer in answers) <= 35
+    assert len(set(answers)) >= 25
+
+
+def test_a_unit_that_misses_frames_jumps_in_its_numbers(tracked: Bench) -> None:
+    first = frame_numbers(tracked, 3)
+    happen(tracked, "skip 4 frames")
+    jumping = frame_numbers(tracked, 4)
+    assert first == [1, 2, 3]
+    assert [after - before for before, after in pairwise(jumping)] == [5, 5, 5]
+    happen(tracked)
+    assert frame_numbers(tracked, 2)[1] - jumping[-1] == 2
+
+
+def test_a_dead_unit_says_nothing_and_comes_back_with_reset_as_after_power_up(
+    tracked: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moments = later()
+    monkeypatch.setattr("sim.polaris.session.time.monotonic", lambda: next(moments))
+    assert tracked.send("COMM 50000") == "OKAY"
+    tracked.world.set_fault_script("at 1 s: tracker power off for 2 s")
+    tracked.world.clock.sleep(1.0)
+    assert tracked.raw("TX 0801") == b""
+    assert tracked.raw("INIT ") == b""
+    assert tracked.session.unasked() == b""
+    tracked.world.clock.sleep(2.0)
+    assert first_words(tracked) == b"RESETBE6F\r"
+    assert tracked.session.reply_line.baud == 9600
+    assert tracked.send("TX 0801") == "ERROR10"
+    assert tracked.send("INIT ") == "OKAY"
+    assert tracked.send("PHSR 00") == "00"
+
+
+def test_a_unit_that_restarts_forgets_everything(tracked: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    moments = later()
+    monkeypatch.setattr("sim.polaris.session.time.monotonic", lambda: next(moments))
+    happen(tracked, "restart")
+    assert tracked.raw("TX 0801") == b""
+    assert first_words(tracked) == b"RESETBE6F\r"
+    assert tracked.send("PHSR 00") == "ERROR10"
+    assert tracked.session.unasked() == b""  # once
+
+
+def later() -> Iterator[float]:
+    """Host moments, each a hundredth of a second after the other."""
+    moment = 100.0
+    while True:
+        yield moment
+        moment += 0.01
+
+
+def first_words(bench: Bench) -> bytes:
+    """What the unit says of itself."""
+    for _ in range(1000):
+        if said := bench.session.unasked():
+            return said
+    return b""
