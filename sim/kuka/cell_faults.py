@@ -12,7 +12,7 @@ from sim.kuka.link_faults import LinkFaults
 from sim.kuka.rsi_run import RunSettings
 from sim.theatre.faults import FaultBoard
 
-MOMENTARY = ("drives_off", "collision", "overload", "restart", "eki_cut", "eki_overflow", "eki_half")
+MOMENTARY = ("drives_off", "collision", "overload", "program_restart", "eki_cut", "eki_overflow", "eki_half")
 
 
 class CellFaults:
@@ -77,7 +77,7 @@ class CellFaults:
             controller.collide()
         elif kind == "overload":
             controller.overload()
-        elif kind == "restart":
+        elif kind == "program_restart":
             if controller.run is not None:
                 self._restart = controller.run.settings
                 controller.restart()

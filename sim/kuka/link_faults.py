@@ -76,13 +76,15 @@ class LinkFaults:
             return before
         if self._meets("corrupt_replies"):
             datagram = self._broken(datagram, "corrupt_replies")
-        copies = [datagram, datagram] if self._meets("duplicate") else [datagram]
-        delay_cycles = max((int(fault.argument) for fault in self._acting.get("delay", ())), default=0)
+        copies = [datagram, datagram] if self._meets("duplicate_replies") else [datagram]
+        delay_cycles = max(
+            (int(fault.argument) for fault in self._acting.get("delay_replies", ())), default=0
+        )
         if delay_cycles:
-            self._log.hit("delay")
+            self._log.hit("delay_replies")
             self._under_way += [(self._cycle + delay_cycles, copy) for copy in copies]
             return before
-        if self._meets("reorder"):
+        if self._meets("reorder_replies"):
             self._under_way += [(self._cycle + 1, copy) for copy in copies]
             return before
         # What was overtaken comes after what has overtaken it.

@@ -13,6 +13,8 @@ from math import exp
 from sim.kuka.description import AXES, Description
 from sim.kuka.parameters import IPO_FAST_S, ControllerParameters
 
+STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis that has caught up so far sticks again; fast ones slide
+
 
 class MovingArm:
     """Six axes that follow a command. `step` is called once per cycle."""
@@ -130,7 +132,7 @@ class MovingArm:
             ahead = abs(follow_deg[axis] - before_deg[axis])
             if ahead > self._parameters.stick_breakaway_deg:
                 self._slipping[axis] = True
-            elif ahead < self._parameters.rest_error_deg:
+            elif ahead < self._parameters.stick_breakaway_deg * STICKS_AGAIN_SHARE:
                 self._slipping[axis] = False
             if not self._slipping[axis]:
                 axes_deg[axis] = before_deg[axis]

@@ -55,7 +55,7 @@ class RunSettings:
 class StartPose:
     """Where the arm is at RSI_ON: axes (deg), X Y Z A B C in BASE, and TCP and BASE in $ROBROOT."""
 
-    axes_deg: Sequence[float]
+    axes_deg: list[float]
     frame: Sequence[float]
     tool_point: Matrix
     base: Matrix

@@ -62,7 +62,7 @@ class SignalFlow:
     def __init__(
         self,
         inputs: Inputs,
-        base_deg: Sequence[float],
+        base_deg: list[float],
         axis: Callable[[], AxisCorrector],
         position: Callable[[], PositionCorrector],
         *,
@@ -74,7 +74,7 @@ class SignalFlow:
         self._position = position() if inputs.frame else None
         self._last: list[float] | None = None
         self._stop_before = False
-        self.command_deg: list[float] = list(base_deg)
+        self.command_deg: list[float] = base_deg  # the drives' own list: an arm at rest stays at rest
         self._base_deg = self.command_deg
 
     def stop_rises(self, values: list[float]) -> bool:

@@ -105,12 +105,12 @@ class Station:
         cycle_s = run.settings.cycle_ms / 1000.0
         began_s = time.monotonic()
         telegram = run.telegram(controller.arm.frame, controller.arm.axes_deg)
-        faulty = not self._link.idle
         answerable = True
-        if faulty:
-            answerable = self._send_with_faults(run, telegram)
-        else:
+        self._link.begin_cycle(self.cycles + 1)
+        if self._link.idle:
             self._rsi.send(telegram)
+        else:
+            answerable = self._send_with_faults(run, telegram)
         lock_step = not self._clock.paced and not run.settings.context.ethernet.only_send
         if not lock_step:
             # An absolute schedule; after a stall of the host it begins anew instead of hurrying.
@@ -125,7 +125,8 @@ class Station:
             self._silent = reply is None
         else:
             reply = self._datagram = None
-        if faulty:
+        self._cell.poll()  # a fault may have come while the client worked
+        if not self._link.idle:
             reply = self._link.incoming(self._datagram, run.read)
         if controller.run is not run:
             return  # ended by a request while it waited
@@ -156,7 +157,6 @@ class Station:
         """Send what the faults of the link leave of a telegram; False when the client cannot answer it."""
         assert self._rsi is not None
         link = self._link
-        link.begin_cycle(self.cycles + 1)
         if link.acts("foreign_sender"):
             self._foreign = self._foreign or RsiSocket(self._client)
             self._foreign.send(run.with_other_stamp(telegram))

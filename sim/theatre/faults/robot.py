@@ -35,10 +35,12 @@ def _once(name: str, phrase: str, meaning: str) -> FaultKind:
 
 LINK_FAULTS = (
     _share("drop", "drop NUMBER %", "That share of the RSI replies never arrives."),
-    _lasting("delay", "delay INT cycles", "Every RSI reply arrives that many cycles later."),
-    _share("duplicate", "duplicate NUMBER %", "That share of the RSI replies arrives twice."),
+    _lasting("delay_replies", "delay INT cycles", "Every RSI reply arrives that many cycles later."),
+    _share("duplicate_replies", "duplicate NUMBER %", "That share of the RSI replies arrives twice."),
     _share(
-        "reorder", "reorder NUMBER %", "That share of the RSI replies arrives after the one that follows."
+        "reorder_replies",
+        "reorder NUMBER %",
+        "That share of the RSI replies arrives after the one that follows.",
     ),
     _share("corrupt_replies", "corrupt replies NUMBER %", "That share of the RSI replies arrives broken."),
     _share("corrupt_telegrams", "corrupt telegrams NUMBER %", "That share of the telegrams leaves broken."),
@@ -81,7 +83,7 @@ CELL_FAULTS = (
         check=_axis,
     ),
     _once(
-        "restart",
+        "program_restart",
         "program restart",
         "The RSI program starts anew: other port, other time stamps, new base pose.",
     ),

@@ -1,0 +1,118 @@
+"""Key switch, guard, enabling switch, messages: who may move the arm, and what stops it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
+from sim.kuka.parameters import ControllerParameters
+
+
+def on_a1(value: float) -> tuple[float, ...]:
+    return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def in_T1(make_bench: Callable[..., Any]) -> Any:
+    bench = make_bench(start=False)
+    bench.controller.turn_key(OperationMode.T1)
+    bench.controller.hold_start_key(True)
+    bench.controller.switch_drives(True)
+    return bench
+
+
+def test_an_open_guard_does_not_matter_in_T1(in_T1: Any) -> None:
+    controller = in_T1.controller
+    controller.open_guard(True)
+    assert controller.start().code is AckCode.OK
+    assert controller.message is None
+    controller.cancel()
+    controller.turn_key(OperationMode.EXT)
+    assert controller.switch_drives(True).code is AckCode.NOT_READY
+
+
+def test_corrections_wait_for_a_confirmation_in_T1_and_not_in_EXT(in_T1: Any, bench: Any) -> None:
+    bench.enter_movecorr()
+    assert bench.controller.rsi_state is RsiState.MOVECORR
+    in_T1.controller.start()
+    for _ in range(50):
+        in_T1.answer()
+    assert in_T1.controller.rsi_state is RsiState.ON
+    assert in_T1.controller.acknowledge().code is AckCode.OK
+    in_T1.answer()
+    assert in_T1.controller.rsi_state is RsiState.MOVECORR
+    in_T1.ramp(on_a1(2.0))
+    in_T1.rest(on_a1(2.0))
+    assert in_T1.controller.arm.axes_deg[0] == 2.0
+
+
+def test_the_start_key_and_the_enabling_switch_stop_what_they_let_run(in_T1: Any) -> None:
+    controller = in_T1.controller
+    controller.start()
+    in_T1.answer()
+    controller.hold_start_key(False)
+    assert controller.program_state is ProState.STOP
+    assert controller.message is None
+    assert controller.drives_on
+    controller.cancel()
+    controller.hold_start_key(True)
+    assert controller.start().code is AckCode.OK
+    controller.hold_enabling_switch(False)
+    assert controller.message is not None
+    assert not controller.drives_on
+    assert controller.switch_drives(True).code is AckCode.NOT_READY
+    controller.hold_enabling_switch(True)
+    assert controller.acknowledge().code is AckCode.OK
+    assert controller.switch_drives(True).code is AckCode.OK
+    assert controller.start().code is AckCode.OK
+
+
+def test_the_first_message_stands_until_it_is_acknowledged(bench: Any) -> None:
+    controller = bench.controller
+    bench.enter_movecorr()
+    controller.collide()
+    controller.press_emergency_stop(True)
+    assert controller.message.number == ControllerParameters().collision_message
+    assert controller.rsi_state is RsiState.ON  # it streams on
+    assert controller.cancel().code is AckCode.OK
+    assert controller.rsi_state is RsiState.FAULT
+    controller.press_emergency_stop(False)
+    assert controller.acknowledge().code is AckCode.OK
+    assert controller.rsi_state is RsiState.IDLE
+
+
+def test_an_overload_is_nobodys_message_and_ends_with_the_program(bench: Any) -> None:
+    controller = bench.controller
+    bench.enter_movecorr()
+    bench.ramp(on_a1(2.0), steps=50)
+    controller.overload()
+    for _ in range(100):
+        bench.answer(on_a1(4.0)) if controller.arm.drives.at_rest else bench.answer(on_a1(2.0))
+        if controller.arm.drives.at_rest:
+            break
+    held = controller.arm.axes_deg
+    bench.ramp(on_a1(4.0), from_deg=on_a1(2.0))
+    assert controller.arm.axes_deg == held
+    assert (controller.message, controller.rsi_state) == (None, RsiState.MOVECORR)
+    controller.cancel()
+    assert controller.start().code is AckCode.OK
+    bench.enter_movecorr()
+    bench.ramp(on_a1(1.0))
+    bench.rest(on_a1(1.0))
+    assert controller.arm.axes_deg[0] == pytest.approx(held[0] + 1.0)
+
+
+def test_an_axis_that_sticks_is_held_until_the_command_has_run_ahead(bench: Any) -> None:
+    drives = bench.controller.arm.drives
+    bench.enter_movecorr()
+    drives.stick(frozenset({0}))
+    bench.rest((0.04, 0.04, 0.0, 0.0, 0.0, 0.0))
+    assert bench.controller.arm.axes_deg[:2] == [0.0, -89.96]
+    bench.rest((0.07, 0.04, 0.0, 0.0, 0.0, 0.0))
+    assert 0.03 < bench.controller.arm.axes_deg[0] < 0.07
+    drives.stick(frozenset())
+    bench.rest((0.07, 0.04, 0.0, 0.0, 0.0, 0.0))
+    assert bench.controller.arm.axes_deg[0] == 0.07

@@ -1,0 +1,114 @@
+"""Faults of the RSI link without sockets: which telegrams they meet, and that a broken one is no telegram."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from ronna_hw.wire.kuka_context import load_context
+from sim.kuka.fault_log import FaultLog
+from sim.kuka.link_faults import LinkFaults
+from sim.kuka.reply import ReplyReader
+from sim.theatre.faults import parse_faults
+
+REPLY = (
+    '<Sen Type="KROSHU"><Stop>0</Stop><AK A1="1.500000" A2="0" A3="0" A4="0" A5="0" A6="0"/>'
+    "<IPOC>%d</IPOC></Sen>"
+)
+
+
+def moment() -> tuple[float, int | None]:
+    return 12.5, 4208
+
+
+@pytest.fixture
+def read() -> Callable[[bytes], Any]:
+    context = load_context()
+    return ReplyReader(context.receive, context.ethernet.sentype).read
+
+
+@pytest.fixture
+def link() -> Callable[..., LinkFaults]:
+    def make(*lines: str, seed: int = 1) -> LinkFaults:
+        faults = LinkFaults(seed, FaultLog(moment))
+        faults.look(parse_faults("\n".join(f"now: robot {line}" for line in lines)))
+        return faults
+
+    return make
+
+
+def arrivals(faults: LinkFaults, read: Callable[[bytes], Any], cycles: int) -> list[int | None]:
+    """Stamp of what arrives in each cycle when the client answers every one with the cycle's number."""
+    seen = []
+    for cycle in range(cycles):
+        faults.begin_cycle(cycle)
+        reply = faults.incoming((REPLY % cycle).encode(), read)
+        seen.append(reply.ipoc if reply is not None else None)
+    return seen
+
+
+def test_a_delay_is_a_number_of_cycles(link: Any, read: Any) -> None:
+    assert arrivals(link("delay 3 cycles"), read, 8) == [None, None, None, 0, 1, 2, 3, 4]
+
+
+def test_what_is_overtaken_comes_after_what_overtook_it(link: Any, read: Any) -> None:
+    faults = link("reorder 100 %")
+    assert arrivals(faults, read, 4) == [None, 0, 1, 2]
+    faults.look(())
+    faults.begin_cycle(4)
+    assert faults.incoming((REPLY % 4).encode(), read).ipoc == 4  # and cycle 3's reply behind it
+    assert faults.idle
+
+
+def test_nothing_passes_a_cut_network(link: Any, read: Any) -> None:
+    faults = link("network cut")
+    assert faults.outgoing(b"telegram") == (None, False)
+    assert arrivals(faults, read, 3) == [None] * 3
+
+
+def test_the_same_cycles_are_met_whatever_was_met_before(link: Any, read: Any) -> None:
+    whole = arrivals(link("drop 20 %"), read, 200)
+    late = link("drop 20 %")
+    late.begin_cycle(150)
+    tail = []
+    for cycle in range(150, 200):
+        late.begin_cycle(cycle)
+        reply = late.incoming((REPLY % cycle).encode(), read)
+        tail.append(reply.ipoc if reply is not None else None)
+    assert whole[150:] == tail
+    assert 20 < whole.count(None) < 60
+    assert arrivals(link("drop 20 %", seed=2), read, 200) != whole
+
+
+def test_a_broken_reply_is_none_and_a_broken_telegram_cannot_be_read(link: Any, read: Any) -> None:
+    faults = link("corrupt replies 100 %", "corrupt telegrams 100 %")
+    telegram = b'<Rob Type="KUKA"><AIPos A1="0.0" A2="0.0"/><IPOC>8</IPOC></Rob>'
+    for cycle in range(2000):
+        faults.begin_cycle(cycle)
+        assert faults.incoming((REPLY % cycle).encode(), read) is None
+        broken, answerable = faults.outgoing(telegram)
+        assert not answerable
+        assert broken is not None
+        with pytest.raises(ElementTree.ParseError):
+            ElementTree.fromstring(broken)
+
+
+def test_begin_end_and_every_happening_are_logged_with_the_telegram(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    log = FaultLog(moment)
+    lasting = parse_faults("now: robot delay 2 cycles")
+    (once,) = parse_faults("now: robot eki half telegram")
+    log.look(lasting)
+    log.look(lasting)
+    log.hit("delay_replies")
+    log.happened(once)
+    log.look(())
+    assert capsys.readouterr().err.splitlines() == [
+        "fault at 12.500 s, IPOC 4208: robot delay 2 cycles begins",
+        "fault at 12.500 s, IPOC 4208: robot eki half telegram",
+        "fault at 12.500 s, IPOC 4208: robot delay 2 cycles ends after 1 telegrams",
+    ]
