@@ -12,6 +12,7 @@ import sys
 import termios
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -198,6 +199,9 @@ def test_an_address_in_use_is_one_message_with_its_code() -> None:
         (("--endpoint", "nonsense"), "CFG-002"),
         (("--scene", "/nowhere/scene.toml"), "SIM-001"),
         (("--world", "shm:///proc/1/fd/999"), "SIM-002"),
+        (("--set", "weak_dog=reset"), "PSU-001"),
+        (("--profile", "vicra", "--wired", "/nowhere.rom"), "PSU-002"),
+        (("--profile", "vega"), "CLI-001"),
     ],
 )
 def test_a_wrong_option_is_one_message_with_its_code(arguments: tuple[str, ...], code: str) -> None:
@@ -207,6 +211,34 @@ def test_a_wrong_option_is_one_message_with_its_code(arguments: tuple[str, ...],
     assert done.returncode in (2, 4)
     assert done.stderr.startswith(code)
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_unit_of_the_other_kind_with_another_habit(start: Callable[..., ChildProcess]) -> None:
+    ready = start("--profile", "vicra", "--set", "freeze_tag_with_minor=false").ready
+    assert set(ready) == {"device", "endpoint", "control"}
+    host = Host(ready["endpoint"])
+    host.ask("INIT ")
+    assert b"Freeze Tag: Polaris Vicra Rev 007\n" in host.ask("VER 4")
+    host.close()
+
+
+def test_wired_tools_are_plugged_in_at_the_start(start: Callable[..., ChildProcess], tmp_path: Path) -> None:
+    rom = tmp_path / "tool.rom"
+    rom.write_bytes(write_definition(robot_frame()))
+    host = Host(start("--wired", str(rom), "--wired", str(rom)).ready["endpoint"])
+    host.ask("INIT ")
+    assert host.ask("PHSR 02").startswith(b"0201001" + b"02001")
+    assert host.ask("PINIT 01").startswith(b"OKAY")
+    host.close()
+
+
+def test_the_unconfirmed_behaviours_can_be_listed() -> None:
+    done = subprocess.run(
+        command("sim.cli", "polaris", "--list-parameters"), capture_output=True, text=True, timeout=20
+    )
+    assert done.returncode == 0
+    assert "watch_dog=stop  What the watch dog does" in done.stdout
+    assert done.stderr == ""
 
 
 def test_a_throttled_line_takes_the_time_of_its_baud_rate(start: Callable[..., ChildProcess]) -> None:
