@@ -7,6 +7,7 @@ the mount is where it is.
 
 from __future__ import annotations
 
+import hashlib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ def theatre_content(
         "tracker": {
             "driver": "ndi_polaris",
             "endpoint": endpoints["polaris"],
-            "options": {"tools": [{"name": name, "rom": rom} for name, rom in tool_files.items()]},
+            "options": {"tools": [_tool(name, Path(rom)) for name, rom in tool_files.items()]},
         },
         "robot": {
             "master": {
@@ -63,6 +64,12 @@ def theatre_content(
         "calibration": _calibrations(scene),
         "procedure": {"servo_area_px": list(scene.servo_area_px), "arm_error_mm": ARM_ERROR_MM},
     }
+
+
+def _tool(name: str, rom: Path) -> dict[str, str]:
+    """A tool with its definition; one that is there is held to its hash: no other takes its place."""
+    option = {"name": name, "rom": str(rom)}
+    return {**option, "sha256": hashlib.sha256(rom.read_bytes()).hexdigest()} if rom.is_file() else option
 
 
 def write_theatre_file(content: dict[str, Any], path: Path) -> None:

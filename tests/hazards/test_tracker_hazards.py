@@ -1,17 +1,22 @@
-"""Hazard 14: what the tracker does not see has no pose, through the wire."""
+"""Hazards 14 and 17: what the tracker does not see has no pose; no tool is taken for another."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from drivers.ndi_polaris import PolarisTracker
+from drivers.ndi_polaris.errors import ForeignTool
+from drivers.ndi_polaris.shipped import FOLDER as SHIPPED_DEFINITIONS
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
-from ronna_hw.config import DeviceConfig
+from ronna_hw.config import DeviceConfig, parse_theatre
 from ronna_hw.devices.readings import Validity
 from sim.theatre.process import load_scene
+from sim.theatre.theatre_file import theatre_content
 from sim.theatre.world import World
 
 TOOL = "robot_frame"
@@ -60,3 +65,20 @@ def test_hiding_a_tool_makes_none_of_the_other_spheres_its_own(world: World, tra
     frame = tracker.read_frame()
     assert frame.tool(TOOL).position_mm is None
     assert len(frame.strays) == STRAYS
+
+
+@pytest.mark.hazard(17)
+def test_a_definition_that_is_exchanged_after_the_theatre_was_set_up_is_refused(tmp_path: Path) -> None:
+    rom = tmp_path / "robot_frame.rom"
+    shutil.copy(SHIPPED_DEFINITIONS / "robot_frame.rom", rom)
+    endpoints = {
+        "polaris": "tcp://127.0.0.1:8765",
+        "kuka": {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:2"},
+        "basler": {"left": "gev://127.0.0.2", "right": "gev://127.0.0.3"},
+    }
+    theatre = parse_theatre(theatre_content(load_scene("mini"), endpoints, "host:", {TOOL: str(rom)}, 1.0))
+    assert theatre.tracker is not None
+    PolarisTracker("tracker", theatre.tracker, open_clock("host:"))
+    shutil.copy(SHIPPED_DEFINITIONS / "x_frame.rom", rom)
+    with pytest.raises(ForeignTool, match=r"NDI-013.*robot_frame"):
+        PolarisTracker("tracker", theatre.tracker, open_clock("host:"))
