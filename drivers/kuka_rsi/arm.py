@@ -19,10 +19,13 @@ from drivers.kuka_rsi.link_state import NO_STATE, LinkState, Phase, StopOrder
 from drivers.kuka_rsi.motion_following import MotionFollower
 from drivers.kuka_rsi.options import read_options
 from drivers.kuka_rsi.turnaround import link_statistics
+from ronna_hw.arm.clearance import sweep_path
 from ronna_hw.arm.limits import MotionLimits, working_limits
 from ronna_hw.arm.model import ArmModel, arm_model, radians6
-from ronna_hw.arm.planning import plan_joint_move, plan_line
+from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.speed_zones import with_speed_steps
+from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard
@@ -62,6 +65,7 @@ class KukaRsiArm:
         self._watch = FaultWatch(name, self._guard, self._ways, options)
         cycle_s = self._context.program.cycle_ms / 1000.0
         self._follower = MotionFollower(name, self._ways, self._watch, cycle_s)
+        self._surroundings = Surroundings()
         self._sequence = 0
         self._t1_confirmed_by = ""
 
@@ -183,7 +187,7 @@ class KukaRsiArm:
             ways.find_controller(timeout_s, self._watch, retry=True)
         link = ways.open_link
         if link is not None:
-            if link.alive:
+            if link.alive and link.stalled_s < CLOSING_STOP_S:
                 with contextlib.suppress(RonnaError):
                     stream.end_stream(ways.eki, link, deadline)
             ways.close_link()
@@ -245,7 +249,7 @@ class KukaRsiArm:
     ) -> ArmReading:
         limits, link = self._ready_to_move("move_joints", speed_fraction)
         stops = link.stop_number
-        plan = plan_joint_move(self._model, link.state.commanded_rad, target_rad, limits)
+        plan = self._clear(plan_joint_move(self._model, link.state.commanded_rad, target_rad, limits), link)
         return self._reading(self._follower.follow(plan, stops, timeout_s))
 
     def move_linear(
@@ -258,7 +262,8 @@ class KukaRsiArm:
     ) -> ArmReading:
         limits, link = self._ready_to_move("move_linear", speed_fraction)
         stops = link.stop_number
-        plan = plan_line(self._model, link.state.commanded_rad, target, limits, tool_in_flange_mm)
+        start_rad = link.state.commanded_rad
+        plan = self._clear(plan_line(self._model, start_rad, target, limits, tool_in_flange_mm), link)
         return self._reading(self._follower.follow(plan, stops, timeout_s))
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
@@ -284,6 +289,19 @@ class KukaRsiArm:
         self._watch.raise_new()
         self._guard.require("resume", STREAMING)
         self._guard.enter(Lifecycle.ACTIVE)
+
+    def surround(self, surroundings: Surroundings) -> None:
+        self._surroundings = surroundings
+
+    def _clear(self, plan: MotionPlan, link: LinkClient) -> MotionPlan:
+        """The plan with its speeds by place, when nothing on its way comes too near; raises ARM-007."""
+        most_mm_s = self._motion_limits.body_speed_mm_s
+        around = replace(self._surroundings, most_mm_s=most_mm_s)
+        if around != link.surroundings:  # the real-time process reads what is new only
+            link.surroundings = around
+        path = sweep_path(self._model, plan, link.surroundings)
+        path.require(f"the way of {self._name}")
+        return with_speed_steps(plan, path)
 
     def _ready_to_move(self, call: str, speed_fraction: float) -> tuple[MotionLimits, LinkClient]:
         self._watch.raise_new()

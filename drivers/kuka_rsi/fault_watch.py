@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki_state import ControllerState, require_ready
+from drivers.kuka_rsi.errors import LinkProcessStalled, NoAnswer
 from drivers.kuka_rsi.faults import error_of_fault
 from drivers.kuka_rsi.flight_record import attach_flight_record
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.link_state import LinkState, StopOrder
+from drivers.kuka_rsi.link_state import NOTHING_AROUND, LinkState, StopOrder
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
+EKI_SILENCE_S = 2.0  # twenty periods of the unasked state; EKI is not for control
 STREAMING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
 
 
@@ -28,6 +30,9 @@ class FaultWatch:
         self._guard = guard
         self._ways = ways
         self._options = options
+        # As patient as that process is with us, and with the controller.
+        self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
+        self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
         self._told: RonnaError | None = None  # the fault that a caller has already been given
         self.mode = OperationMode.EXT  # in which the stream was started: a change stops the arm
 
@@ -48,10 +53,19 @@ class FaultWatch:
         error = self._error_of(link.state)
         if error is None and not link.alive:
             error = link.death()
+        if error is None and link.stalled_s > self._stall_limit_s:
+            error = LinkProcessStalled(
+                f"{self._name}: the real-time process has not run for {link.stalled_s:.1f} s",
+                limit=f"{self._stall_limit_s:g} s",
+            )
         if error is None and eki is not None:
             error = eki.failure
         if error is not None:
             self._keep(error, link)
+        elif eki is not None and eki.silent_s > self._eki_limit_s:
+            # An emergency stop would not be told any more.
+            where = f"{self._name}: {eki.where} says nothing"
+            self._stop_for(NoAnswer(where, awaited="a State every 0.1 s", limit=f"{self._eki_limit_s:g} s"))
 
     def latch(self, error: RonnaError) -> None:
         """Latch an error that is about to be raised."""
@@ -107,4 +121,6 @@ class FaultWatch:
         eki = self._ways.open_eki
         latest = eki.latest if eki is not None else None
         message = latest.error if latest is not None else 0
-        return error_of_fault(self._name, state, self._options, message)
+        link = self._ways.open_link
+        around = NOTHING_AROUND if link is None else link.surroundings
+        return error_of_fault(self._name, state, self._options, message, around)

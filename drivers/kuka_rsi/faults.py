@@ -17,9 +17,11 @@ from drivers.kuka_rsi.errors import (
     PoseDisagrees,
     ProtectiveStop,
 )
-from drivers.kuka_rsi.link_state import NO_STATE, Fault, LinkState, Result
+from drivers.kuka_rsi.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Result
 from drivers.kuka_rsi.losses import UNUSABLE_SHARE, WINDOW_CYCLES
 from drivers.kuka_rsi.options import KukaOptions
+from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
+from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.errors import RonnaError
 
 _REFUSALS = {
@@ -36,6 +38,7 @@ def error_of_fault(
     state: LinkState,
     options: KukaOptions,
     message: int = 0,
+    surroundings: Surroundings = NOTHING_AROUND,
 ) -> RonnaError | None:
     """The error of the latched fault, or None when there is none. `message`: the controller's, 0 for none."""
     where = f"{name}: after {state.cycles} cycles"
@@ -43,11 +46,7 @@ def error_of_fault(
         case Fault.NONE:
             return None
         case Fault.MONITOR:
-            return MotionTripped(
-                f"{where} the monitor stopped the arm: {state.violation_kind} of A{state.violation_axis}",
-                limit=f"{degrees(state.violation_limit):.4f} deg",
-                last=f"{degrees(state.violation_value):.4f} deg",
-            )
+            return _tripped(where, state, surroundings)
         case Fault.SILENCE:
             said = f"; the controller shows message {message}" if message else ""
             return LinkSilent(
@@ -82,6 +81,26 @@ def error_of_fault(
                 f"{name}: the first telegram's axes are outside the joint ranges",
                 last=axes_text(state),
             )
+
+
+def _tripped(where: str, state: LinkState, surroundings: Surroundings) -> MotionTripped:
+    what = f"{where} the monitor stopped the arm: {state.violation_kind} of"
+    if state.violation_kind not in (CLEARANCE, ZONE_SPEED):
+        return MotionTripped(
+            f"{what} A{state.violation_axis}",
+            limit=f"{degrees(state.violation_limit):.4f} deg",
+            last=f"{degrees(state.violation_value):.4f} deg",
+        )
+    unit = "mm" if state.violation_kind == CLEARANCE else "mm/s"
+    pairs = surroundings.pairs
+    bodies = "its bodies"
+    if state.violation_axis < len(pairs):
+        bodies = "{} and {}".format(*surroundings.names(pairs[state.violation_axis]))
+    return MotionTripped(
+        f"{what} {bodies}",
+        limit=f"{state.violation_limit:.1f} {unit}",
+        last=f"{state.violation_value:.1f} {unit}",
+    )
 
 
 def error_of_refusal(name: str, state: LinkState) -> MotionRefused:

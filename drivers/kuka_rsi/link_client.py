@@ -23,6 +23,7 @@ from drivers.kuka_rsi.link_state import (
 from drivers.kuka_rsi.mailbox import Mailbox
 from drivers.kuka_rsi.settings import LinkSettings
 from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.surroundings import Surroundings
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05
@@ -44,6 +45,7 @@ class LinkClient:
         Mailbox.initialise(self._memory_fd)
         self._mailbox = Mailbox(self._memory_fd)
         self._settings = settings(self._memory_fd, self._event_fd)
+        self.surroundings = Surroundings()  # by which the next motions are watched
         self._lock = threading.Lock()
         self._changed = threading.Condition()
         self._words: str | None = None
@@ -75,6 +77,12 @@ class LinkClient:
         return self._process.poll() is None
 
     @property
+    def stalled_s(self) -> float:
+        """Host time since the process last looked around; it does so every 10 ms."""
+        said_ns = self._mailbox.said_alive_ns()
+        return (time.monotonic_ns() - said_ns) / 1e9 if said_ns else 0.0
+
+    @property
     def stop_number(self) -> int:
         """Number of the last stop ordered."""
         return self._stops
@@ -86,7 +94,8 @@ class LinkClient:
         with self._lock:
             self._commands += 1
             seen = self._stops if stop_number is None else stop_number
-            self._mailbox.write_command(Command(self._commands, kind, plan, seen))
+            command = Command(self._commands, kind, plan, seen, self.surroundings)
+            self._mailbox.write_command(command)
             return self._commands
 
     def stop(self, kind: StopOrder) -> int:

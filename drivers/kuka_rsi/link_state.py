@@ -5,7 +5,9 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
+from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
 from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
 
 
@@ -70,7 +72,11 @@ class Result(IntEnum):
     REFUSED_STOP = 8  # a stop was ordered after the motion was planned
 
 
-VIOLATIONS = ("", "range", "total correction", "step", "acceleration", "jerk", "following error")
+VIOLATIONS = (
+    *("", "range", "total correction", "step", "acceleration", "jerk", "following error"),
+    *(CLEARANCE, ZONE_SPEED),
+)
+NOTHING_AROUND = Surroundings()
 CHOICES = ("go", "stop", "repeat", "hold")
 
 
@@ -89,6 +95,7 @@ class Command(NamedTuple):
     kind: CommandKind
     plan: MotionPlan | None = None
     stop_number: int = 0  # the last stop known when it was written: a later stop overtakes the motion
+    surroundings: Surroundings = NOTHING_AROUND  # by which a MOVE is watched
 
 
 class LinkState(NamedTuple):

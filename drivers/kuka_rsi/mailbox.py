@@ -26,9 +26,11 @@ from drivers.kuka_rsi.link_state import (
     Result,
     StopOrder,
 )
+from ronna_hw.arm.errors import SurroundingsTooLarge
 from ronna_hw.arm.planning import MotionPlan
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.progress import MOST_STEPS, PathLimits, SpeedStep
+from ronna_hw.arm.surroundings import Surroundings
 
 MAGIC = b"RONNARSI"
 SIZE = 65536
@@ -38,6 +40,7 @@ READ_TRIES = 100  # a writer is in the block for about 2 us
 HEARTBEAT_AT = 64
 STOP_AT = 72  # stop number * 8 + StopOrder
 COMMAND_AT = 80  # number of the command in the command block
+ALIVE_AT = 88  # host monotonic time of the real-time process' last look, ns: written by that process
 _ORDERS = struct.Struct("<QQQ")
 _WORD = struct.Struct("<Q")
 
@@ -54,6 +57,12 @@ RECORDER_CYCLES = 256
 _RECORD = struct.Struct("<QQqd6d6dB7x")
 
 _CHECKSUM = struct.Struct("<I")
+SURROUNDINGS_AT = 40960
+_COUNTED = struct.Struct("<QI")  # which surroundings, and how long the line is that follows
+COUNTED_SIZE = _CHECKSUM.size + _COUNTED.size
+LONGEST_SURROUNDINGS = SIZE - SURROUNDINGS_AT - COUNTED_SIZE - _CHECKSUM.size
+LARGEST_BYTE = 255
+NO_STEP = SpeedStep(0.0, 0.0)
 
 
 class MailboxTorn(RuntimeError):
@@ -69,6 +78,8 @@ class Mailbox:
         self._histogram = whole[HISTOGRAM_AT:JITTER_AT].cast("Q")
         self._jitter = whole[JITTER_AT : JITTER_AT + 8 * HISTOGRAM_BINS].cast("Q")
         whole.release()
+        self._surroundings = Surroundings()  # the last written or read
+        self._surroundings_number = 0
 
     @staticmethod
     def initialise(fd: int) -> None:
@@ -77,6 +88,7 @@ class Mailbox:
         os.pwrite(fd, MAGIC, 0)
         mailbox = Mailbox(fd)
         mailbox.write_state(NO_STATE)
+        mailbox._write_surroundings(Surroundings())
         mailbox.close()
 
     @property
@@ -118,8 +130,23 @@ class Mailbox:
             *(plan.tool_in_flange_mm if plan else zeros[:3]),
             *(value for step in (*steps, *(NO_STEP,) * (MOST_STEPS - len(steps))) for value in step),
         )
+        if command.surroundings is not self._surroundings:
+            self._write_surroundings(command.surroundings)
         self._write_block(COMMAND_BLOCK_AT, payload)
         _WORD.pack_into(self._memory, COMMAND_AT, command.number)
+
+    def _write_surroundings(self, surroundings: Surroundings) -> None:
+        line = surroundings.to_json().encode()
+        if len(line) > LONGEST_SURROUNDINGS:
+            raise SurroundingsTooLarge(
+                "the arm's surroundings do not fit into its mailbox",
+                limit=f"{LONGEST_SURROUNDINGS} bytes",
+                last=f"{len(line)} bytes",
+            )
+        self._surroundings = surroundings
+        self._surroundings_number += 1
+        self._write_block(SURROUNDINGS_AT, _COUNTED.pack(self._surroundings_number, len(line)))
+        self._write_block(SURROUNDINGS_AT + COUNTED_SIZE, line)
 
     # ... and the real-time process reads.
 
@@ -139,11 +166,29 @@ class Mailbox:
         number, stop_number, kind, has_pose, steps, *v = _COMMAND.unpack(payload)
         plan = None
         if kind == CommandKind.MOVE:
+            if not self._read_surroundings():
+                return None
             pose = Pose((v[15], v[16], v[17]), tuple(v[18:27])) if has_pose else None
+            slower = tuple(SpeedStep(v[30 + 2 * k], v[31 + 2 * k]) for k in range(steps))
             plan = MotionPlan(
-                tuple(v[0:6]), tuple(v[6:12]), PathLimits(*v[12:15]), pose, (v[27], v[28], v[29])
+                tuple(v[0:6]), tuple(v[6:12]), PathLimits(*v[12:15]), pose, (v[27], v[28], v[29]), slower
             )
-        return Command(number, CommandKind(kind), plan, stop_number)
+        return Command(number, CommandKind(kind), plan, stop_number, self._surroundings)
+
+    def _read_surroundings(self) -> bool:
+        """Take over new surroundings; False while they are being written."""
+        counted = self._read_block(SURROUNDINGS_AT, _COUNTED.size)
+        if counted is None:
+            return False
+        number, size = _COUNTED.unpack(counted)
+        if number == self._surroundings_number:
+            return True
+        line = self._read_block(SURROUNDINGS_AT + COUNTED_SIZE, size)
+        if line is None:
+            return False
+        self._surroundings = Surroundings.from_json(line.decode())
+        self._surroundings_number = number
+        return True
 
     # The real-time process writes ...
 
@@ -172,12 +217,15 @@ class Mailbox:
             *state.commanded_rad,
             *state.base_rad,
             VIOLATIONS.index(state.violation_kind),
-            state.violation_axis,
+            min(state.violation_axis, LARGEST_BYTE),
             state.violation_value,
             state.violation_limit,
             state.errno,
         )
         self._write_block(STATE_BLOCK_AT, payload)
+
+    def say_alive(self, now_ns: int) -> None:
+        _WORD.pack_into(self._memory, ALIVE_AT, now_ns)
 
     def count_turnaround(self, bin_number: int) -> None:
         self._histogram[bin_number] += 1
@@ -236,6 +284,11 @@ class Mailbox:
             v[40],
             v[41],
         )
+
+    def said_alive_ns(self) -> int:
+        """When the real-time process last looked around, host monotonic; 0 before its first look."""
+        said: int = _WORD.unpack_from(self._memory, ALIVE_AT)[0]
+        return said
 
     def histogram(self) -> tuple[int, ...]:
         return tuple(self._histogram)

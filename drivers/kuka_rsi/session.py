@@ -195,7 +195,7 @@ class Session:
             return
         self._command_number = command.number
         if command.kind is CommandKind.MOVE and command.plan is not None:
-            self.result = self._start(command.plan, command.stop_number)
+            self.result = self._start(command.plan, command)
         elif command.kind is CommandKind.OPEN and self.phase is Phase.IDLE:
             self.phase, self.fault, self.result = Phase.ARMED, Fault.NONE, Result.NONE
             self.violation = None
@@ -296,11 +296,11 @@ class Session:
         self._prepare_heads(self._points)
         return self._replies.heads[Choice.GO]
 
-    def _start(self, plan: MotionPlan, stop_number: int) -> Result:
+    def _start(self, plan: MotionPlan, command: Command) -> Result:
         points = self._points
         if self.phase is not Phase.RUNNING or points is None:
             return Result.REFUSED_PHASE
-        if stop_number != self._stop_word >> 3:
+        if command.stop_number != self._stop_word >> 3:
             return Result.REFUSED_STOP
         if points.moving or self._stopping:
             return Result.REFUSED_BUSY
@@ -308,7 +308,7 @@ class Session:
         if not gap <= START_TOLERANCE_RAD:
             return Result.REFUSED_START
         try:
-            points.start(plan, self._speed)
+            points.start(plan, self._speed, command.surroundings)
         except RonnaError:
             return Result.REFUSED_NUMBERS
         self._settled_cycles = 0

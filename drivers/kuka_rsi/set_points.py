@@ -9,10 +9,12 @@ from __future__ import annotations
 from enum import IntEnum
 
 from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.live_watch import LiveWatch
 from ronna_hw.arm.model import ArmModel
 from ronna_hw.arm.monitor import Monitor, Violation, monitor_limits
 from ronna_hw.arm.motion import PathMotion, StopMotion, state_from_history
 from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
@@ -57,12 +59,19 @@ class SetPoints:
         """Whether a motion is under way."""
         return self._motion is not None
 
-    def start(self, plan: MotionPlan, speed: float) -> None:
-        """Begin a motion from rest; `speed` scales the planned one. Raises as the path and ruckig do."""
+    def start(self, plan: MotionPlan, speed: float, surroundings: Surroundings | None = None) -> None:
+        """Begin a motion from rest; `speed` scales the planned one. Raises as the path and ruckig do.
+
+        From here on the monitor also watches what the bodies of these surroundings come near to.
+        """
         self.stopped_early = False
         if plan.is_standstill:
             return
-        motion = PathMotion(plan.path(self._model), plan.start_rad, plan.limits, self._cycle_s)
+        motion = PathMotion(
+            plan.path(self._model), plan.start_rad, plan.limits, self._cycle_s, plan.speed_steps
+        )
+        if surroundings is not None:
+            self.monitor.watch(LiveWatch(self._model, surroundings, self._cycle_s, self.last_rad))
         if speed < 1.0:
             motion.limit_speed(speed)
         self._motion = motion

@@ -7,6 +7,7 @@ ARM-004 BranchUnavailable  the asked branch has no solution, or the branch would
 ARM-005 TooFast            a joint would exceed its working speed or acceleration
 ARM-006 MotionInvalid      the motion generator refused its input
 ARM-007 NotClear           on the path a body of arm or tool would come too near to another one
+ARM-008 SurroundingsTooLarge  the cell has more bodies than the real-time process has room for
 """
 
 from __future__ import annotations
@@ -64,3 +65,10 @@ class NotClear(LimitError):
         "Choose another angle about the tool axis or go by way of another pose; if the body does not stand "
         "there, correct it in the cell of the theatre file."
     )
+
+
+class SurroundingsTooLarge(DataError):
+    """The cell has more bodies than the real-time process has room for."""
+
+    code = "ARM-008"
+    action = "Describe the cell in the theatre file by fewer bodies, with shorter names."

@@ -64,13 +64,11 @@ class LiveWatch:
         surroundings: Surroundings,
         cycle_s: float,
         joints_rad: JointVector,
-        most_mm_s: float = inf,
     ) -> None:
         """`joints_rad` is where the arm rests; what stands too near there may only leave."""
         self._model = model
         self._surroundings = surroundings
         self._cycle_s = cycle_s
-        self._most_mm_s = most_mm_s
         self._pairs = surroundings.pairs
         self._fixed = tuple((one.start_mm, one.end_mm) for one in surroundings.fixed_capsules(model))
         fixed_radii = tuple(one.radius_mm for one in surroundings.fixed_capsules(model))
@@ -132,8 +130,9 @@ class LiveWatch:
 
     def _too_fast(self, segments: list[Segment], moved: float) -> Encounter | None:
         speed = moved / self._cycle_s
-        if speed > self._most_mm_s * SPEED_MARGIN:
-            return Encounter(True, 0, speed, self._most_mm_s)
+        most = self._surroundings.most_mm_s
+        if speed > most * SPEED_MARGIN:
+            return Encounter(True, 0, speed, most)
         cap = self._surroundings.cap_mm_s
         bounds, travel = self._bounds, self._odometer_mm + moved
         if not bounds or speed <= cap(min(bounds) - travel):

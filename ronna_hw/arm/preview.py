@@ -114,7 +114,7 @@ def preview(
     Raises ARM-001 to ARM-004 where the path has no solution; a path that is not clear is told, not raised.
     """
     path = sweep_path(model, plan, surroundings)
-    slowed = with_speed_steps(plan, path, limits.body_speed_mm_s)
+    slowed = with_speed_steps(plan, path)
     speeds = _speeds(path, slowed)
     joints = path.joints_rad
     rates = np.abs(np.diff(joints, axis=0)) / np.diff(path.parameters)[:, None]

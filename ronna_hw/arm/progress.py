@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
 
+MOST_STEPS = 12  # of a path; so many have a place in the block that carries a plan to the real-time process
 ROUNDING = 1e-9  # relative; a speed that was braked to is met to the last digits only
 
 

@@ -7,25 +7,23 @@ know them and measures for itself.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.arm.clearance import SweptPath, motion_mm
 from ronna_hw.arm.planning import MotionPlan
-from ronna_hw.arm.progress import SpeedStep
+from ronna_hw.arm.progress import MOST_STEPS, SpeedStep
 
 Array = NDArray[np.float64]
 
-MOST_STEPS = 12  # so many have a place in the block that carries a plan to the real-time process
 SHARE_OF_CAP = 0.97  # what planning uses of a cap; the rest is for its sampling
 ALIKE = 0.95  # neighbouring speeds of this ratio become one step
 
 
-def with_speed_steps(plan: MotionPlan, path: SweptPath, most_mm_s: float = inf) -> MotionPlan:
-    """The plan with its speed steps: nothing that moves exceeds the zone's cap, nor `most_mm_s`."""
-    allowed = np.minimum(allowed_speed(path, most_mm_s), plan.limits.velocity)
+def with_speed_steps(plan: MotionPlan, path: SweptPath) -> MotionPlan:
+    """The plan with its speed steps: nothing that moves exceeds the cap where it is."""
+    allowed = np.minimum(allowed_speed(path), plan.limits.velocity)
     places = np.linspace(0.0, 1.0, MOST_STEPS + 1)
     begins, ends = path.parameters[:-1], path.parameters[1:]
     steps: list[SpeedStep] = []
@@ -39,7 +37,7 @@ def with_speed_steps(plan: MotionPlan, path: SweptPath, most_mm_s: float = inf) 
     return replace(plan, speed_steps=tuple(steps) if needed else ())
 
 
-def allowed_speed(path: SweptPath, most_mm_s: float = inf) -> Array:
+def allowed_speed(path: SweptPath) -> Array:
     """Largest speed of the path parameter in every interval of a swept path, (n - 1), per s."""
     moved = motion_mm(path.swept).max(axis=1)
     rates = moved / np.diff(path.parameters)
@@ -50,6 +48,6 @@ def allowed_speed(path: SweptPath, most_mm_s: float = inf) -> Array:
     with np.errstate(invalid="ignore"):
         nearest = np.where(np.isinf(to_head[:-1]), np.inf, (to_head[:-1] + to_head[1:] - moved) / 2.0)
     nearest = np.maximum(np.minimum(nearest, np.minimum(to_head[:-1], to_head[1:])), 0.0)
-    caps = np.array([min(path.surroundings.cap_mm_s(distance), most_mm_s) for distance in nearest.tolist()])
+    caps = np.array([path.surroundings.cap_mm_s(distance) for distance in nearest.tolist()])
     with np.errstate(divide="ignore"):
         return np.asarray(np.where(rates > 0.0, SHARE_OF_CAP * caps / rates, np.inf))

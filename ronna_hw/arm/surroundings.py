@@ -109,6 +109,7 @@ class Surroundings:
     live_margin_mm: float = 5.0
     zone: SpeedZone | None = None
     corridor: Corridor | None = None
+    most_mm_s: float = inf  # of anything that moves, anywhere: what the operating mode allows
 
     def into(self, corridor: Corridor | None) -> Surroundings:
         """The same with this way into the head open, or with none."""
@@ -167,8 +168,10 @@ class Surroundings:
         return tuple(found)
 
     def cap_mm_s(self, distance_mm: float) -> float:
-        """Largest speed of anything that moves at a distance from the head; infinite without a zone."""
-        return inf if self.zone is None else self.zone.cap_mm_s(distance_mm)
+        """Largest speed of anything that moves at a distance from the head."""
+        if self.zone is None:
+            return self.most_mm_s
+        return min(self.zone.cap_mm_s(distance_mm), self.most_mm_s)
 
     def to_json(self) -> str:
         """One line, for the real-time process."""
@@ -185,6 +188,7 @@ class Surroundings:
             radii=ArmRadii(*values["radii"]),
             margin_mm=values["margin_mm"],
             live_margin_mm=values["live_margin_mm"],
+            most_mm_s=values["most_mm_s"],
             zone=None if zone is None else SpeedZone(*zone),
             corridor=None
             if corridor is None

@@ -10,6 +10,7 @@ from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, T
 
 if TYPE_CHECKING:
     from ronna_hw.arm.pose import Pose
+    from ronna_hw.arm.surroundings import Surroundings
 
 
 class StopKind(StrEnum):
@@ -55,6 +56,13 @@ class RobotArm(Device, Protocol):
         """Straight line of the tool centre point to the flange pose `target`, orientation by slerp.
 
         The branch of the inverse kinematics stays that of the present pose. Raises as `move_joints`.
+        """
+        ...
+
+    def surround(self, surroundings: Surroundings) -> None:
+        """Say what the arm carries and what stands around it; from the next motion on.
+
+        Every motion is then checked against it before it begins (ARM-007), and watched while it goes on.
         """
         ...
 

@@ -6,7 +6,7 @@ Judged is only what would be sent: a list of joint vectors, one per cycle, and w
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import radians
 
 import numpy as np
@@ -59,8 +59,9 @@ def drive(seed: int) -> Driven:
     """One random request in a random room, perhaps interrupted, perhaps stopped."""
     rng = random.Random(seed)
     start = _somewhere(rng)
-    surroundings = _room(rng, start)
+    room = _room(rng, start)
     limits = working_limits(MODEL).slowed(rng.choice((1.0, 1.0, 0.3))).in_mode(MODEL, rng.choice(MODES))
+    surroundings = replace(room, most_mm_s=limits.body_speed_mm_s)
     found = Driven(limits=limits, surroundings=surroundings)
     try:
         plan = _request(rng, start, limits)
@@ -69,7 +70,7 @@ def drive(seed: int) -> Driven:
     except LimitError as error:
         found.refused = error.code
         return found
-    found.plan = plan = with_speed_steps(plan, path, limits.body_speed_mm_s)
+    found.plan = plan = with_speed_steps(plan, path)
     if plan.is_standstill:
         found.sent = [start]
         return found
@@ -82,7 +83,7 @@ def _follow(rng: random.Random, found: Driven, plan: MotionPlan, start: JointVec
     assert limits is not None
     assert surroundings is not None
     monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, start), start)
-    monitor.watch(LiveWatch(MODEL, surroundings, CYCLE_S, start, limits.body_speed_mm_s))
+    monitor.watch(LiveWatch(MODEL, surroundings, CYCLE_S, start))
     motion: PathMotion | StopMotion = PathMotion(
         plan.path(MODEL), start, plan.limits, CYCLE_S, plan.speed_steps
     )
@@ -194,9 +195,8 @@ def _stop_faults(driven: Driven) -> list[str]:
 
 
 def _room_faults(driven: Driven, points: np.ndarray) -> list[str]:
-    surroundings, limits = driven.surroundings, driven.limits
+    surroundings = driven.surroundings
     assert surroundings is not None
-    assert limits is not None
     swept = sweep(MODEL, surroundings, points)
     found = []
     floors = np.minimum(surroundings.margin_mm, swept.gaps_mm[0] - 0.05)
@@ -207,9 +207,7 @@ def _room_faults(driven: Driven, points: np.ndarray) -> list[str]:
     if len(points) > 1:
         moved = np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3).max(axis=(1, 2)) / CYCLE_S
         nearest = np.minimum(swept.to_head_mm[:-1], swept.to_head_mm[1:])
-        caps = np.array(
-            [min(surroundings.cap_mm_s(distance), limits.body_speed_mm_s) for distance in nearest.tolist()]
-        )
+        caps = np.array([surroundings.cap_mm_s(distance) for distance in nearest.tolist()])
         if float((moved / caps).max()) > ZONE_TOLERANCE:
             found.append(f"zone speed {float((moved / caps).max()):.4f}")
     return found

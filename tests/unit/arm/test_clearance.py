@@ -17,7 +17,8 @@ from ronna_hw.arm.motion import PathMotion
 from ronna_hw.arm.planning import MotionPlan, plan_along_tool, plan_joint_move
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.preview import preview
-from ronna_hw.arm.speed_zones import MOST_STEPS, with_speed_steps
+from ronna_hw.arm.progress import MOST_STEPS
+from ronna_hw.arm.speed_zones import with_speed_steps
 from ronna_hw.arm.surroundings import Corridor, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.wire.kuka_eki import OperationMode
 
@@ -150,7 +151,8 @@ def test_in_t1_nothing_moves_faster_than_250_mm_per_second() -> None:
     for mode in (OperationMode.AUT, OperationMode.EXT):
         assert LIMITS.in_mode(MODEL, mode) == LIMITS
     plan = plan_joint_move(MODEL, START, ASIDE, limits)
-    fast, slow = preview(MODEL, _move(), _around(), LIMITS), preview(MODEL, plan, _around(), limits)
+    fast = preview(MODEL, _move(), _around(), LIMITS)
+    slow = preview(MODEL, plan, _around(most_mm_s=limits.body_speed_mm_s), limits)
     assert fast.largest_speed_mm_s > T1_SPEED_MM_S > slow.largest_speed_mm_s > 0.9 * T1_SPEED_MM_S
     assert slow.duration_s > fast.duration_s
     assert LIMITS.in_mode(MODEL, OperationMode.T1).slowed(0.5).body_speed_mm_s == T1_SPEED_MM_S / 2

@@ -71,7 +71,7 @@ def _without_steps(driven: Driven) -> str:
     assert surroundings is not None
     start = plan.start_rad
     monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, start), start)
-    monitor.watch(LiveWatch(MODEL, surroundings, CYCLE_S, start, limits.body_speed_mm_s))
+    monitor.watch(LiveWatch(MODEL, surroundings, CYCLE_S, start))
     motion = PathMotion(plan.path(MODEL), start, plan.limits, CYCLE_S)
     while not motion.finished:
         point = motion.prepare().go_rad
