@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from tracker_strangers import NdicapiHost, StrangerError, scikit_frames
 
 from ronna_hw.child_process import ChildProcess, command
-from ronna_hw.wire.polaris import FRAME_RATE_HZ
+from ronna_hw.wire.polaris import FRAME_RATE_HZ, PortStatus, SystemStatus
 from sim.polaris.definition import write_definition
 from sim.theatre.built_in import built_in_scene, robot_frame
 from sim.theatre.door import ask_room
@@ -24,7 +25,7 @@ from sim.theatre.world import World
 
 pytest.importorskip("ndicapy")
 
-ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
+PTY, TCP = "serial-pty", "tcp://127.0.0.1:0"
 SCENE = built_in_scene("bench")
 STRAYS = len(SCENE.tracker.strays_mm)
 # Three planar tools whose 18 segments differ by 3 mm and more, and triangles, which a unit finds too alike.
@@ -50,6 +51,9 @@ TOOLS = (
     ),
 )
 FRAMES = 500
+LONG_FRAMES = 2000
+MID_VOLUME_MM = 1675.0  # where the unit's repeatability is stated; it grows with the square of the depth
+BUMP_ALERT = 21
 BIAS_LIMIT_MM = 1.0  # four times the root mean square of the unit's bias field
 REPEATABILITY_LIMIT_MM = 0.5  # of a fitted tool: single markers repeat to 0.04 mm across and 0.14 mm in depth
 TX_STEP_MM, TX_STEP = 0.01, 1e-4  # what one digit of a TX reply is worth
@@ -68,7 +72,7 @@ def roms(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return files
 
 
-@pytest.fixture(scope="module", params=ENDPOINTS, ids=["pty", "tcp"])
+@pytest.fixture(scope="module", params=[PTY, TCP], ids=["pty", "tcp"])
 def waiting_unit(request: pytest.FixtureRequest) -> Iterator[str]:
     """A unit whose time passes only with its frames: each request gets the next one."""
     world = World.create(load_scene("bench"), paced=False)
@@ -77,7 +81,7 @@ def waiting_unit(request: pytest.FixtureRequest) -> Iterator[str]:
         yield child.ready["endpoint"]
 
 
-@pytest.fixture(scope="module", params=ENDPOINTS, ids=["pty", "tcp"])
+@pytest.fixture(scope="module", params=[PTY, TCP], ids=["pty", "tcp"])
 def unit(request: pytest.FixtureRequest) -> Iterator[dict[str, Any]]:
     """What the READY line of a unit says that was started alone and keeps to the host's clock."""
     arguments = command("sim.cli", "polaris", "--endpoint", request.param)
@@ -93,7 +97,17 @@ def begun(endpoint: str) -> NdicapiHost:
     return host
 
 
-@pytest.mark.parametrize("unit", ENDPOINTS[:1], ids=["pty"], indirect=True)
+@contextmanager
+def fault(unit: dict[str, Any], line: str) -> Iterator[None]:
+    """Something is wrong with the unit from now on, and all is well again afterwards."""
+    ask_room(unit["control"], {"do": "fault", "line": f"now: {line}"})
+    try:
+        yield
+    finally:
+        ask_room(unit["control"], {"do": "clear_faults"})
+
+
+@pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
 def test_ndicapi_finds_the_unit_by_probing_the_line(unit: dict[str, Any]) -> None:
     def probe_s() -> float:
         began_s = time.monotonic()
@@ -107,7 +121,21 @@ def test_ndicapi_finds_the_unit_by_probing_the_line(unit: dict[str, Any]) -> Non
     assert min(probe_s() for _ in range(2)) < PROBE_LIMIT_S
 
 
-@pytest.mark.parametrize("count", [1, 3, len(TOOLS)])
+@pytest.mark.parametrize(
+    ("waiting_unit", "count"),
+    [
+        pytest.param(endpoint, count, id=f"{name}-{count}", marks=marks)
+        for endpoint, name, count, marks in (
+            (TCP, "tcp", 1, ()),
+            (PTY, "pty", 3, ()),
+            (TCP, "tcp", len(TOOLS), ()),
+            (PTY, "pty", 1, pytest.mark.slow),
+            (TCP, "tcp", 3, pytest.mark.slow),
+            (PTY, "pty", len(TOOLS), pytest.mark.slow),
+        )
+    ],
+    indirect=["waiting_unit"],
+)
 def test_tools_and_strays_stand_where_they_are_by_text_and_by_bytes(
     waiting_unit: str, roms: list[Path], count: int
 ) -> None:
@@ -182,6 +210,70 @@ def test_what_is_hidden_while_it_is_tracked_is_missing_and_comes_back(
                 assert frame["status"] == [0x31, 0x31], missing
 
 
+def test_a_tool_that_leaves_the_volume_is_told_as_the_client_wants_it(
+    unit: dict[str, Any], roms: list[Path]
+) -> None:
+    out, found = PortStatus.OUT_OF_VOLUME.value, 0x31
+    with begun(unit["endpoint"]) as host, fault(unit, "tracker move tool robot_frame +0 +0 +700 mm"):
+        handles = host.load(*roms[:2])
+        assert host.command("TSTART:80") == "OKAY"
+        for kind in ("TX", "BX"):
+            (frame,) = host.track(f"{kind}:0001", handles, 1)
+            assert frame["tools"][0] == "MISSING"
+            assert frame["status"] == [found | out, found]
+            (frame,) = host.track(f"{kind}:1801", handles, 1)
+            assert frame["tools"][0][6] == pytest.approx(-800.0, abs=BIAS_LIMIT_MM)
+            assert frame["status"] == [found | out, found]
+
+
+def test_a_knocked_unit_gives_no_poses_until_its_alert_is_read(
+    unit: dict[str, Any], roms: list[Path]
+) -> None:
+    with begun(unit["endpoint"]) as host:
+        handles = host.load(roms[0])
+        assert host.command("TSTART:80") == "OKAY"
+        with fault(unit, "tracker bump"):
+            for line in ("TX:1801", "BX:1801"):
+                (frame,) = host.track(line, handles, 1)
+                assert frame["system"] == SystemStatus.DIAGNOSTICS_PENDING
+                assert frame["tools"] == ["MISSING"]
+            assert host.command("GET:Info.Status.New Alerts") == f"Info.Status.New Alerts={1 << BUMP_ALERT}"
+            (frame,) = host.track("BX:1801", handles, 1)
+            assert frame["system"] == 0
+            assert frame["tools"] != ["MISSING"]
+        assert host.command("SET:Param.Bump Detector.Clear=1") == "OKAY"
+
+
+def test_noise_on_the_line_and_a_restart_reach_the_client_as_what_they_are(
+    unit: dict[str, Any], roms: list[Path]
+) -> None:
+    with begun(unit["endpoint"]) as host:
+        handles = host.load(roms[0])
+        assert host.command("TSTART:80") == "OKAY"
+        with fault(unit, "tracker garble commands 100 %"), pytest.raises(StrangerError, match="POLARIS 0x04"):
+            host.command("TX:0001")
+        with fault(unit, "tracker garble replies 100 %"), pytest.raises(StrangerError, match="Error 0x0100"):
+            host.command("TX:0001")
+        assert len(host.track("TX:1801", handles, 3)) == 3
+
+
+@pytest.mark.parametrize("waiting_unit", [TCP], ids=["tcp"], indirect=True)
+def test_a_marker_at_rest_is_seen_worse_in_depth_and_from_afar(waiting_unit: str, roms: list[Path]) -> None:
+    with begun(waiting_unit) as host:
+        handles = host.load(roms[0])  # without a passive tool there is no light
+        assert host.command("TSTART:80") == "OKAY"
+        frames = host.track("BX:1801", handles, LONG_FRAMES)
+        assert host.command("TSTOP:") == "OKAY"
+    strays = np.array([frame["strays"] for frame in frames])
+    for truth in SCENE.tracker.strays_mm:
+        nearest = np.linalg.norm(strays - truth, axis=-1).argmin(axis=1)
+        x, y, z = strays[np.arange(len(strays)), nearest].std(axis=0)
+        growth = (truth[2] / MID_VOLUME_MM) ** 2
+        assert min(x, y) / growth >= 0.03
+        assert max(x, y) / growth <= 0.06
+        assert 3.0 <= z / np.hypot(x, y) * np.sqrt(2.0) <= 4.0
+
+
 def test_each_error_of_the_unit_reaches_the_client_as_its_own(waiting_unit: str, roms: list[Path]) -> None:
     with begun(waiting_unit) as host:
 
@@ -234,7 +326,7 @@ def test_after_its_client_was_killed_the_unit_serves_the_next_one(
         assert second.command("TSTOP:") == "OKAY"
 
 
-@pytest.mark.parametrize("unit", ENDPOINTS[:1], ids=["pty"], indirect=True)
+@pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
 def test_the_line_changes_its_rate_and_back(unit: dict[str, Any], roms: list[Path]) -> None:
     with begun(unit["endpoint"]) as host:
         handles = host.load(roms[0])
@@ -245,7 +337,18 @@ def test_the_line_changes_its_rate_and_back(unit: dict[str, Any], roms: list[Pat
             assert host.command("TSTOP:") == "OKAY"
 
 
-@pytest.mark.parametrize("unit", ENDPOINTS[:1], ids=["pty"], indirect=True)
+@pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
+def test_a_break_brings_a_unit_on_a_fast_line_back(unit: dict[str, Any]) -> None:
+    with begun(unit["endpoint"]) as host:
+        assert host.command("COMM:50000") == "OKAY"
+        assert host.command("TSTART:80") == "OKAY"
+        assert host.ask("reset") == 0
+        with pytest.raises(StrangerError, match="POLARIS 0x10"):  # as after power-up, at 9600 baud
+            host.command("PHSR:00")
+        assert host.command("INIT:") == "OKAY"
+
+
+@pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
 def test_who_leaves_a_fast_line_behind_does_not_lock_the_next_one_out(unit: dict[str, Any]) -> None:
     with begun(unit["endpoint"]) as careless:
         assert careless.command("COMM:50000") == "OKAY"
