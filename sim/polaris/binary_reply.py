@@ -24,6 +24,7 @@ from sim.polaris.tracking_rules import Tracked
 
 FRAME_NUMBER_MASK = 0xFFFFFFFF
 NO_POSITION = bytes(12)
+MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 _handle = struct.Struct("<BB")
 _pose = struct.Struct("<8f")
@@ -41,7 +42,7 @@ def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitParameters) -
         else:  # nothing more, for any option
             parts.append(_handle.pack(port.handle, HandleStatus.DISABLED))
     if options & ReplyOption.STRAY_PASSIVE:
-        parts.append(_strays(frame.strays, options))
+        parts.append(_strays(frame.strays, options, behaviour))
     parts.append(_u16.pack(frame.system_status))
     return b"".join(parts)
 
@@ -65,15 +66,16 @@ def _tool(
     if options & ReplyOption.TOOL_MARKERS:
         markers = seen_markers(tracked)
         points = b"".join(_point.pack(*position) for position, _ in markers)
-        parts.append(bytes([len(markers)]) + _bits([not inside for _, inside in markers]) + points)
+        parts.append(bytes([len(markers)]) + _bits([not inside for _, inside in markers], behaviour) + points)
     return parts
 
 
-def _strays(strays: tuple[Stray, ...], options: ReplyOption) -> bytes:
+def _strays(strays: tuple[Stray, ...], options: ReplyOption, behaviour: UnitParameters) -> bytes:
     points = b"".join(_point.pack(*stray.position_mm) for stray in told_strays(strays, options))
-    return bytes([len(strays)]) + _bits([not stray.inside for stray in strays]) + points
+    return bytes([len(strays)]) + _bits([not stray.inside for stray in strays], behaviour) + points
 
 
-def _bits(flags: Sequence[bool]) -> bytes:
-    """Eight flags to each byte, the first in the lowest bit."""
-    return sum(1 << k for k, flag in enumerate(flags) if flag).to_bytes(-(-len(flags) // 8), "little")
+def _bits(flags: Sequence[bool], behaviour: UnitParameters) -> bytes:
+    """Eight flags to each byte."""
+    content = sum(1 << k for k, flag in enumerate(flags) if flag).to_bytes(-(-len(flags) // 8), "little")
+    return content if behaviour.first_stray_is_low_bit else content.translate(MIRRORED)

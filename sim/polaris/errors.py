@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError
+from ronna_hw.errors import ConfigurationError, ConnectError
 
 
 class BadUnitParameter(ConfigurationError):
@@ -10,6 +10,13 @@ class BadUnitParameter(ConfigurationError):
 
     code = "PSU-001"
     action = "Give --set NAME=VALUE; ronna-sim polaris --list-parameters tells all names."
+
+
+class LineUnavailable(ConnectError):
+    """This host gives no pseudo-terminal, or does not let it be watched."""
+
+    code = "PSU-003"
+    action = "End other simulators, raise fs.inotify.max_user_instances, or use --endpoint tcp://127.0.0.1:0."
 
 
 class BadWiredTool(ConfigurationError):

@@ -35,6 +35,7 @@ def modes_of(group: Group, behaviour: UnitParameters) -> frozenset[Mode]:
     """The modes in which commands of a group are taken."""
     early = {Mode.NOT_INITIALISED} if behaviour.answers_before_init else set()
     settings = {Mode.DIAGNOSTIC} if behaviour.settings_in_diagnostic else set()
+    settings |= {Mode.TRACKING} if behaviour.settings_while_tracking else set()
     handles = {Mode.DIAGNOSTIC} if behaviour.handles_in_diagnostic else set()
     identity = {Mode.TRACKING} if behaviour.identity_while_tracking else set()
     running = {Mode.SETUP, Mode.TRACKING, Mode.DIAGNOSTIC}

@@ -54,6 +54,9 @@ class UnitParameters:
     identity_while_tracking: Annotated[
         bool, "VER and COMM are answered while tracking, not refused with 0C."
     ] = True
+    settings_while_tracking: Annotated[
+        bool, "SAVE, SFLIST, VSEL and the like are allowed while tracking, not refused with 0C."
+    ] = False
     settings_in_diagnostic: Annotated[
         bool, "SET, SAVE, SFLIST and the like are allowed in diagnostic mode."
     ] = True
@@ -105,6 +108,9 @@ class UnitParameters:
     memory_of_passive: Annotated[
         Literal["32", "1E/1F"], "PPRD and PPWR of a handle without memory: 32, or 1E and 1F."
     ] = "32"
+    serial_low_byte_first: Annotated[
+        bool, "PHINF tells the serial number of a definition as a number, not byte by byte."
+    ] = True
     accessories_of_passive: Annotated[
         bool, "PHINF 0008 tells the tool-in-port entry of a passive definition."
     ] = False
@@ -127,6 +133,9 @@ class UnitParameters:
     ] = False
     first_stray_is_high_bit: Annotated[
         bool, "TX: the out-of-volume digits are one number, stray 0 its highest bit."
+    ] = True
+    first_stray_is_low_bit: Annotated[
+        bool, "BX: stray 0 is the lowest bit of the first out-of-volume byte, not the highest."
     ] = True
     first_marker_is_first_digit: Annotated[bool, "TX option 0002 begins with marker 0."] = True
     first_marker_is_first_nibble: Annotated[bool, "BX option 0002 begins with marker 0."] = False

@@ -16,6 +16,7 @@ import tty
 
 from ronna_hw.wire.polaris import REPLY_RESET
 from sim.polaris.channel import RECEIVE_BYTES, Ready
+from sim.polaris.errors import LineUnavailable
 from sim.polaris.far_end import FarEndWatch, HostLine, packet_mode
 from sim.polaris.framing import ascii_reply
 from sim.polaris.line_settings import LineSettings
@@ -37,13 +38,16 @@ class PseudoTerminal:
         self._session = session
         self._behaviour = session.unit.behaviour
         self._throttle = throttle
-        self._master, self._far_end = os.openpty()
+        try:
+            self._master, self._far_end = os.openpty()
+            self._path = os.ttyname(self._far_end)
+            self._watch = FarEndWatch(self._path)
+        except OSError as error:
+            raise LineUnavailable(f"cannot make a serial line: {error.strerror or error}") from error
         tty.setraw(self._far_end)
         settings = termios.tcgetattr(self._far_end)
         settings[_TERMIOS_INPUT_SPEED] = settings[_TERMIOS_OUTPUT_SPEED] = termios.B9600
         termios.tcsetattr(self._far_end, termios.TCSANOW, settings)
-        self._path = os.ttyname(self._far_end)
-        self._watch = FarEndWatch(self._path)
         self._host = HostLine(self._master)
         packet_mode(self._master)
         os.set_blocking(self._master, False)

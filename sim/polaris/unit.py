@@ -66,6 +66,7 @@ class Unit:
         """As after power-up or a break: settings as saved, default line, not initialised."""
         self.mode = Mode.NOT_INITIALISED
         self.line = DEFAULT_LINE
+        self.frames = FrameCounter(self.clock)
         self.ports.free_all()
         self.alerts.reset()
         self.parameters.reset()

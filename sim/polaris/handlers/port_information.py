@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import MappingProxyType
+from typing import Literal
 
 from ronna_hw.wire.polaris_rom import PART_NUMBER_BYTES
 from sim.polaris.ports import Port
 from sim.polaris.unit import Unit
 
+SERIAL_BYTES = 4
 MANUFACTURER_CHARACTERS = 12
 NO_SWITCHES_NO_LEDS = "00"
 RESERVED = "00"
@@ -22,7 +24,7 @@ PORT_STATUS_BYTE = 0xFF
 ACCESSORY_BITS = (0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x40, 0x80)
 
 
-def _tool_information(_unit: Unit, port: Port) -> str:
+def _tool_information(unit: Unit, port: Port) -> str:
     tool = port.definition
     status = f"{int(port.status) & PORT_STATUS_BYTE:02X}"
     if tool is None:
@@ -31,7 +33,9 @@ def _tool_information(_unit: Unit, port: Port) -> str:
     revision = f"{min(tool.revision, LONGEST_REVISION):03d}"
     counts = f"{sum(tool.switches)}{sum(tool.lit)}" if port.wired_port else NO_SWITCHES_NO_LEDS
     kind = f"{tool.main_type:02X}{counts}{RESERVED}{tool.subtype:02X}"
-    return f"{kind}{maker}{revision}{tool.serial:08X}{status}"
+    order: Literal["big", "little"] = "big" if unit.behaviour.serial_low_byte_first else "little"
+    serial = tool.serial.to_bytes(SERIAL_BYTES, order).hex().upper()
+    return f"{kind}{maker}{revision}{serial}{status}"
 
 
 def _current_test(_unit: Unit, port: Port) -> str:

@@ -8,9 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from ronna_hw.wire.polaris import ReplyOption, SystemStatus
+from sim.polaris.binary_reply import binary_body
 from sim.polaris.errors import BadUnitParameter
+from sim.polaris.measurement import Frame, Stray
 from sim.polaris.parameters import UnitParameters, parameter_rows
 from sim.polaris.refusal import ErrorCode
+from sim.polaris.text_reply import text_reply
 from sim.theatre.scene import TrackerTool
 
 if TYPE_CHECKING:
@@ -49,6 +53,7 @@ def test_an_answer_may_be_another(
         ({"identity_while_tracking": False}, "INIT ,TSTART ", "VER 5", "024", "ERROR0C"),
         ({"settings_in_diagnostic": False}, "INIT ,DSTART ", "SFLIST 05", "1", "ERROR0C"),
         ({"settings_in_diagnostic": False}, "INIT ,DSTART ", "SAVE ", "OKAY", "ERROR0C"),
+        ({"settings_while_tracking": True}, "INIT ,TSTART ", "SFLIST 05", "ERROR0C", "1"),
         ({"handles_in_diagnostic": True}, "INIT ,DSTART ", "PHSR 00", "ERROR0C", "00"),
         ({"init_forgets_handles": False}, "INIT ,PHRQ *********1****,INIT ", "PHSR 00", "00", "0101001"),
     ],
@@ -113,6 +118,26 @@ def test_markers_of_tools_are_told_by_bx_and_perhaps_by_tx(
     usual.send("INIT ")
     usual.send("TSTART 80")
     assert usual.send("TX 0008") == "ERROR23"
+
+
+def test_strays_outside_are_told_from_either_end_of_a_byte() -> None:
+    outside, inside = Stray((900.0, 0.0, -1000.0), False), Stray((0.0, 0.0, -1000.0), True)
+    frame = Frame(1, (), (outside, inside, inside), SystemStatus(0))
+    option = ReplyOption.STRAY_PASSIVE
+    assert binary_body(frame, option, UnitParameters())[1:3] == b"\x03\x01"
+    assert binary_body(frame, option, UnitParameters(first_stray_is_low_bit=False))[1:3] == b"\x03\x80"
+    assert text_reply(frame, option, UnitParameters())[2:5] == "034"
+    assert text_reply(frame, option, UnitParameters(first_stray_is_high_bit=False))[2:5] == "031"
+
+
+def test_a_serial_number_may_be_told_byte_by_byte(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    for number, told in ((True, "3E000001"), (False, "0100003E")):
+        bench = make_bench(serial_low_byte_first=number)
+        bench.send("INIT ")
+        bench.enable(pointer)
+        assert bench.send("PHINF 01")[23:31] == told
 
 
 def test_every_parameter_has_a_meaning_and_can_be_set_by_its_name() -> None:

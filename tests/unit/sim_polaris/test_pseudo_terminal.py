@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import termios
@@ -12,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from sim.polaris.errors import LineUnavailable
 from sim.polaris.parameters import UnitParameters
 from sim.polaris.pseudo_terminal import PseudoTerminal
 from sim.polaris.server import EndSignal, Server
@@ -270,6 +272,17 @@ def test_reset_is_said_at_9600_again(make_line: Callable[..., Line]) -> None:
     host.set_line(termios.B9600)
     assert host.ask("ECHO x").startswith(b"x")
     host.close()
+
+
+def test_a_host_without_pseudo_terminals_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> tuple[int, int]:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "openpty", refuse)
+    session = Session(Unit(World.create(built_in_scene("bench"), paced=True)))
+    with pytest.raises(LineUnavailable, match="No space left") as refused:
+        PseudoTerminal(session, throttle=False)
+    assert refused.value.code == "PSU-003"
 
 
 def test_throttling_counts_both_directions_and_every_bit(make_line: Callable[..., Line]) -> None:

@@ -175,6 +175,12 @@ def test_only_option_80_sets_the_frame_number_back(bench: Bench, pointer: Tracke
     bench.send("TSTOP ")
     bench.send("TSTART 80")
     assert frame_number(bench.send("TX 0001")) == 1
+    bench.world.clock.sleep(1.0)
+    bench.send("RESET 0")
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART ")
+    assert frame_number(bench.send("TX 0001")) == 1  # a reset too begins anew
 
 
 def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
