@@ -35,6 +35,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
 CLOSING_STOP_S = 1.0  # host time that close() gives the arm to come to rest
+RUNS_S = 0.2  # since the real-time process last looked around: then it is worth talking to
 STALE_S = 0.5  # age of a measured pose beyond which it is called stale, host time
 
 _STOP_ORDERS = {
@@ -187,9 +188,9 @@ class KukaRsiArm:
             ways.find_controller(timeout_s, self._watch, retry=True)
         link = ways.open_link
         if link is not None:
-            if link.alive and link.stalled_s < CLOSING_STOP_S:
+            if link.alive and link.stalled_s < RUNS_S:
                 with contextlib.suppress(RonnaError):
-                    stream.end_stream(ways.eki, link, deadline)
+                    stream.end_stream(ways.eki, link, time.monotonic() + 0.5 * stream.rest_of(deadline))
             ways.close_link()
         stream.acknowledge(ways.eki, self._context, self._options, deadline)
         ways.start_link(stream.rest_of(deadline))

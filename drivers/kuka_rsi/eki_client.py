@@ -88,6 +88,12 @@ class EkiClient:
         return self._latest
 
     @property
+    def silent_s(self) -> float:
+        """Host time since the last state; the controller sends one every 0.1 s."""
+        latest = self._latest
+        return time.monotonic() - latest.received_s if latest is not None else 0.0
+
+    @property
     def failure(self) -> RonnaError | None:
         """Why the connection is broken, if it is."""
         return self._failure

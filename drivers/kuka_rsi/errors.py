@@ -19,6 +19,7 @@ RSI-016 PathFailed          a path had no solution on the way
 RSI-017 ContextUnusable     the RSI context is unsafe, or blind, for this driver
 RSI-018 HandshakeFailed     an unverified controller did not do what it was told
 RSI-019 LinkUnusable        too many replies were lost for too long
+RSI-020 LinkProcessStalled  the real-time process runs no more
 EKI-001 ControllerNotFound  nothing answers at the address
 EKI-002 ControllerLost      the connection broke
 EKI-003 NoAnswer            a command was not answered in time
@@ -193,6 +194,16 @@ class LinkUnusable(LinkTimeout):
 
     code = "RSI-019"
     action = "Find what loads the computer or the RSI network (nothing else belongs on it), then recover."
+
+
+class LinkProcessStalled(DeviceError):
+    """The real-time process is there, but has not run for too long: nobody answers the controller."""
+
+    code = "RSI-020"
+    action = (
+        "The controller stops the arm by its Timeout. Find what holds the process or the computer up; "
+        "recover the arm, which starts a new process."
+    )
 
 
 class ControllerNotFound(ConnectError):

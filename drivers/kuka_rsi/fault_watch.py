@@ -58,10 +58,10 @@ class FaultWatch:
                 f"{self._name}: the real-time process has not run for {link.stalled_s:.1f} s",
                 limit=f"{self._stall_limit_s:g} s",
             )
-        if error is None and eki is not None:
-            error = eki.failure
         if error is not None:
             self._keep(error, link)
+        elif eki is not None and eki.failure is not None:
+            self._stop_for(eki.failure)
         elif eki is not None and eki.silent_s > self._eki_limit_s:
             # An emergency stop would not be told any more.
             where = f"{self._name}: {eki.where} says nothing"

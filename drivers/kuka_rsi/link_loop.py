@@ -213,6 +213,7 @@ class LinkLoop:
         real_time, locked = self._granted
         state = self.session.state(real_time=real_time, locked=locked)
         self._mailbox.write_state(state)
+        self._mailbox.say_alive(time.monotonic_ns())
         told = (
             state.phase,
             state.fault,

@@ -58,6 +58,9 @@ class MotionFollower:
             return state.command_number >= number and state.result is not Result.RUNNING
 
         while (state := self.wait(ended, POLL_S)) is None:
+            self._watch.notice()
+            if link.stalled_s > POLL_S:
+                self._watch.raise_any()
             # The controller's cycles are theatre time; when none come, silence trips.
             waited_s = (link.state.cycles - begun.cycles) * self._cycle_s
             if waited_s > timeout_s:
