@@ -1,0 +1,144 @@
+"""`ronna-campaign`: Monte-Carlo studies on all cores, or on the workers of a Dask scheduler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ronna_hw.command_line import console
+
+if TYPE_CHECKING:
+    from procedures.studies.table import Table
+    from procedures.studies.unit import Study, Sums
+
+app = typer.Typer(
+    name="ronna-campaign",
+    help="Monte-Carlo studies beside the thesis' figures: seeded, resumable, the same on any workers.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder of the study [campaigns/<name>].")
+]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything drawn at random.")]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", min=1, help="Processes on this computer [one per core].")
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://127.0.0.1:8786."
+    ),
+]
+Tables = Callable[[Mapping[str, "Sums"]], "list[Table]"]
+Plots = Callable[[Mapping[str, "Sums"]], dict[str, bytes]]
+
+
+@app.command()
+def correspondence(
+    runs: Annotated[
+        int, typer.Option("--runs", min=1, help="Runs per patient and cell; the thesis made 10000.")
+    ] = 10_000,
+    sweep: Annotated[
+        bool,
+        typer.Option("--sweep", help="The thesis' method alone, with its 51 values of e from 1 to 6 mm."),
+    ] = False,
+    xframe: Annotated[
+        bool, typer.Option("--xframe", help="The x-shaped frame: 17 scans, --runs readings each.")
+    ] = False,
+    seed: SeedOption = 0,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    out: OutOption = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """Pairing of unordered points with outliers: ours and the thesis' method on the same data."""
+    from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
+    from procedures.studies import correspondence_tables, x_frame
+    from procedures.studies.correspondence import CorrespondenceStudy, Method
+
+    if xframe:
+        frame = x_frame.XFrameStudy(runs, seed)
+        _run(frame, x_frame.tables, x_frame.plots, workers, scheduler, out, as_json, verbose)
+        return
+    study = CorrespondenceStudy(runs, seed)
+    if sweep:
+        study = CorrespondenceStudy(
+            runs, seed, (Method.THESIS,), THESIS_TOLERANCES_MM, name="correspondence-sweep"
+        )
+    plots = correspondence_tables.plots if sweep else correspondence_tables.bars_beside_thesis
+    _run(study, correspondence_tables.tables, plots, workers, scheduler, out, as_json, verbose)
+
+
+@app.command()
+def registration(
+    runs: Annotated[int, typer.Option("--runs", min=1, help="Runs per cell.")] = 6_000,
+    seed: SeedOption = 0,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    out: OutOption = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """The rigid fit: do its error formulas hold, and what does weighting gain?"""
+    from procedures.studies.registration import RegistrationStudy, tables
+
+    _run(RegistrationStudy(runs, seed), tables, lambda _: {}, workers, scheduler, out, as_json, verbose)
+
+
+def _run(
+    study: Study,
+    tables: Tables,
+    plots: Plots,
+    workers: int | None,
+    scheduler: str | None,
+    out: Path | None,
+    as_json: bool,
+    verbose: bool,
+) -> None:
+    console.set_up_logging(verbose)
+    from procedures.studies.ledger import Ledger
+    from procedures.studies.publish import publish
+    from procedures.studies.unit import add_up
+    from procedures.studies.workers import run_study
+
+    folder = out or Path("campaigns") / study.name
+    ledger = Ledger(folder, study)
+    if kept := len(ledger.finished):
+        console.tell(f"going on from {kept} of {len(study.units())} units in {folder}")
+    with console.progress_bar(study.name) as progress:
+        run_study(study, ledger, workers=workers, scheduler=scheduler, progress=progress)
+    sums = add_up(ledger.results())
+    found = tables(sums)
+    report = publish(folder, study.name, study.parameters(), found, plots(sums))
+    if as_json:
+        console.print_json(
+            {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}
+        )
+        return
+    for table in found:
+        _show(table)
+    console.tell(f"report: {report}")
+
+
+def _show(table: Table) -> None:
+    from procedures.studies.table import shown
+
+    console.print_table(
+        table.title, list(table.columns), [[shown(value) for value in row] for row in table.rows]
+    )
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    console.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""Errors of the studies."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import ConfigurationError, ConnectError, DataError
+
+
+class OtherStudy(ConfigurationError):
+    """The folder holds a study with other parameters."""
+
+    code = "STU-001"
+    action = "Give another --out, or the parameters of the study that is there."
+
+
+class LedgerUnreadable(DataError):
+    """The record of finished units cannot be read."""
+
+    code = "STU-002"
+    action = "Remove the folder and run the study again; only whole lines are ever used."
+
+
+class SchedulerUnreachable(ConnectError):
+    """No Dask scheduler answers at the address."""
+
+    code = "STU-003"
+    action = "Start one with `dask scheduler`, or leave --scheduler out to use this computer's cores."
+
+
+class ExtraMissing(ConfigurationError):
+    """A package that only this option needs is not installed."""
+
+    code = "STU-004"
+    action = "Install it with: pip install 'ronna-hw[dask]'."
+
+
+class UnitFailed(DataError):
+    """A unit of the study raised an error."""
+
+    code = "STU-005"
+    action = "Run the study again: finished units are kept; --verbose shows the trace."

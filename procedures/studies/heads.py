@@ -1,0 +1,75 @@
+"""Heads with fiducials for the correspondence studies, as the thesis' protocol draws them (5.3.1).
+
+The thesis took eight adhesive markers on each of three patients; their coordinates are not published. Here
+they are drawn on the upper side of three ellipsoids of different size, once and for all.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+Array = NDArray[np.float64]
+
+PATIENTS = (1, 2, 3)
+HALF_AXES_MM = {1: (72.0, 92.0, 66.0), 2: (76.0, 97.0, 71.0), 3: (80.0, 102.0, 76.0)}
+SITES = 8
+SITES_SEED = 2018
+APART_MM = 25.0
+LOWEST_SITE = -0.1  # share of the half axis: no screw below the ear
+DISPLACED_MM = 10.0  # radius of the ball in which each site is displaced
+OUTLIER_BALL_MM = 300.0
+AWAY_MM = 500.0
+IMAGE_SIGMA_MM = 0.17
+PHYSICAL_SIGMA_MM = 0.56
+
+
+class NoiseReading(StrEnum):
+    """What a standard deviation of the thesis may mean: it says neither."""
+
+    PER_AXIS = "per axis"
+    NORM = "norm"
+
+
+def sites_mm(patient: int) -> Array:
+    """The eight sites (8, 3) of a patient."""
+    random = np.random.default_rng([SITES_SEED, patient])
+    sites: list[Array] = []
+    while len(sites) < SITES:
+        direction = random.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        site = np.asarray(HALF_AXES_MM[patient]) * direction
+        if direction[2] > LOWEST_SITE and all(np.linalg.norm(site - one) > APART_MM for one in sites):
+            sites.append(site)
+    return np.array(sites)
+
+
+def in_balls(count: int, radius_mm: float, random: np.random.Generator) -> Array:
+    """Uniform points in a ball about the origin, (count, 3)."""
+    direction = random.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.asarray(direction * radius_mm * random.uniform(size=(count, 1)) ** (1.0 / 3.0))
+
+
+def disturbance(
+    shape: tuple[int, int], sigma_mm: float, reading: NoiseReading, random: np.random.Generator
+) -> Array:
+    """Noise (n, 3): normal on every axis, or a normal length in any direction."""
+    if reading is NoiseReading.PER_AXIS:
+        return np.asarray(random.normal(size=shape) * sigma_mm)
+    direction = random.normal(size=shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.asarray(direction * random.normal(size=(shape[0], 1)) * sigma_mm)
+
+
+def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
+    """Standard deviation per axis, for the solvers: a normal length is spread over three axes."""
+    return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
+
+
+def any_pose(random: np.random.Generator) -> RigidTransform:
+    """Any orientation, somewhere in the room."""
+    return RigidTransform.from_components(random.normal(size=3) * AWAY_MM, Rotation.random(rng=random))

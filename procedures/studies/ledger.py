@@ -1,0 +1,67 @@
+"""The record of finished units, one JSON line each: a study that was interrupted goes on from it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from procedures.studies.errors import LedgerUnreadable, OtherStudy
+from procedures.studies.unit import Study, Sums, Unit
+from ronna_hw.records import canonical_json
+
+FILE = "units.jsonl"
+
+
+def fingerprint(study: Study) -> str:
+    """Hash of everything that the numbers of a study depend on."""
+    return hashlib.sha256(canonical_json({"study": study.name, **study.parameters()})).hexdigest()
+
+
+class Ledger:
+    """Finished units of one study in a folder. The first line says which study it is."""
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        """Open or begin it; raises STU-001 when another study is there, STU-002 when it is damaged."""
+        self._path = folder / FILE
+        self._units = {unit.key: unit for unit in study.units()}
+        self.finished: dict[str, Sums] = {}
+        head = {"study": study.name, "fingerprint": fingerprint(study), "parameters": study.parameters()}
+        folder.mkdir(parents=True, exist_ok=True)
+        if not self._path.exists() or not self._path.read_bytes():
+            self._append(head)
+        else:
+            self._read(head)
+
+    def add(self, unit: Unit, sums: Sums) -> None:
+        """Record a finished unit."""
+        self.finished[unit.key] = sums
+        self._append({"unit": unit.key, "sums": sums})
+
+    def missing(self) -> list[Unit]:
+        """Units that are still to be run, in the order of the study."""
+        return [unit for key, unit in self._units.items() if key not in self.finished]
+
+    def results(self) -> Iterator[tuple[Unit, Sums]]:
+        """Finished units in the order of the study, whatever order they were finished in."""
+        for key, unit in self._units.items():
+            if key in self.finished:
+                yield unit, self.finished[key]
+
+    def _read(self, head: Mapping[str, object]) -> None:
+        lines = self._path.read_text(encoding="utf-8").split("\n")
+        try:
+            there = json.loads(lines[0])
+            whole = [json.loads(line) for line in lines[1:-1]]  # what has no end of line was cut off
+            if there["fingerprint"] != head["fingerprint"]:
+                raise OtherStudy(f"{self._path.parent} holds a {there['study']} study with other parameters")
+            self.finished = {line["unit"]: line["sums"] for line in whole if line["unit"] in self._units}
+        except (ValueError, KeyError, TypeError) as error:
+            raise LedgerUnreadable(f"{self._path} is damaged: {error}") from error
+        if lines[-1]:
+            self._path.write_text("\n".join([*lines[:-1], ""]), encoding="utf-8")
+
+    def _append(self, line: Mapping[str, object]) -> None:
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")

@@ -1,0 +1,139 @@
+"""Do the formulas of the rigid fit hold? FRE against FLE, target error against eq. 39, gate, weighting.
+
+Head markers, a target 10 mm below their centre, FLE of 0.3 mm as in the reference experiment.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from procedures.registration.error_theory import fre_gate, tre_principal_axes_mm
+from procedures.registration.fit import register
+from procedures.studies.heads import PATIENTS, any_pose, sites_mm
+from procedures.studies.table import Cell, Table
+from procedures.studies.unit import Sums, Unit, blocks, generator
+
+Array = NDArray[np.float64]
+
+BLOCK_RUNS = 500
+FLE_MM = 0.3  # 3-D rms, both spaces together
+TARGET_BELOW_MM = 10.0
+FIDUCIALS = (3, 4, 5, 6, 8)
+GATE_CONFIDENCE = 0.95
+DEPTH_RATIO = 3.0  # of a camera's depth noise to its lateral noise
+NOISY_RATIO = 5.0  # of one bad fiducial to the others
+ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
+
+
+@dataclass(frozen=True)
+class RegistrationStudy:
+    """`runs` for each number of fiducials and kind of error."""
+
+    runs: int
+    seed: int = 0
+    fiducials: tuple[int, ...] = FIDUCIALS
+    name: str = "registration"
+
+    def parameters(self) -> dict[str, object]:
+        """Everything that the numbers depend on."""
+        return {
+            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
+        }
+
+    def units(self) -> Sequence[Unit]:
+        """Cells in the order kind of error, fiducials."""
+        cells = [f"{ISOTROPIC}|{count}" for count in self.fiducials] + [f"{DEPTH}|5", f"{NOISY}|5"]
+        return [unit for cell in cells for unit in blocks(cell, self.runs, BLOCK_RUNS)]
+
+    def run(self, unit: Unit) -> Sums:
+        """Sums of squares (mm2) and counts over the runs."""
+        kind, count = unit.cell.split("|")
+        random = generator(self.seed, unit)
+        sums: Counter[str] = Counter()
+        for run in range(unit.runs):
+            sites = sites_mm(PATIENTS[run % len(PATIENTS)])
+            points = sites[random.choice(len(sites), int(count), replace=False)]
+            sums.update(_one(points, kind, random))
+        return {key: float(value) for key, value in sums.items()}
+
+
+def _one(points: Array, kind: str, random: np.random.Generator) -> dict[str, float]:
+    """One registration and what became of its target."""
+    truth = any_pose(random)
+    covariance = _covariances(len(points), kind, random)
+    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), random.normal(size=points.shape))
+    measured = truth.apply(points) + noise
+    target = points.mean(axis=0) - np.array([0.0, 0.0, TARGET_BELOW_MM])
+    right = truth.apply(target)
+    plain = register(points, measured)
+    sums = {
+        "runs": 1.0,
+        "fre2": plain.fre_mm**2,
+        "fle2": plain.fle_mm**2,
+        "tre2": float(np.sum((plain.transform.apply(target) - right) ** 2)),
+    }
+    if kind == ISOTROPIC:
+        predicted = tre_principal_axes_mm(np.array([right]), truth.apply(points), FLE_MM)[0]
+        gate = fre_gate(plain.fre_mm, FLE_MM, len(points), GATE_CONFIDENCE)
+        return sums | {"predicted2": float(predicted**2), "alarms": float(not gate.passed)}
+    weighted = register(points, measured, covariance_mm2=covariance)
+    predicted = weighted.predict_tre_mm(target)[0]
+    return sums | {
+        "weighted2": float(np.sum((weighted.transform.apply(target) - right) ** 2)),
+        "predicted2": float(predicted**2),
+    }
+
+
+def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
+    """(n, 3, 3) in the physical frame, mm2; the 3-D rms of an ordinary fiducial is FLE.
+
+    Each sphere is looked at from a side of its own, so the noisy depth has a direction of its own.
+    """
+    if kind == DEPTH:
+        ratios = np.array([1.0, 1.0, DEPTH_RATIO**2])
+        turns = Rotation.random(count, rng=random).as_matrix()
+        return np.asarray((turns * (ratios * FLE_MM**2 / ratios.sum())) @ turns.swapaxes(1, 2))
+    covariance = np.tile(np.eye(3) * FLE_MM**2 / 3.0, (count, 1, 1))
+    if kind == NOISY:
+        covariance[0] *= NOISY_RATIO**2
+    return covariance
+
+
+def tables(sums: Mapping[str, Sums]) -> list[Table]:
+    """Formulas against simulation, and what weighting gains."""
+    formulas: list[Sequence[Cell]] = []
+    gains: list[Sequence[Cell]] = []
+    for cell, total in sums.items():
+        kind, count = cell.split("|")
+        runs = total["runs"]
+        tre_mm = float(np.sqrt(total["tre2"] / runs))
+        predicted_mm = float(np.sqrt(total["predicted2"] / runs))
+        if kind == ISOTROPIC:
+            fle_ratio = float(np.sqrt(total["fle2"] / runs)) / FLE_MM
+            alarms = 100.0 * total["alarms"] / runs
+            formulas.append((int(count), int(runs), fle_ratio, tre_mm, tre_mm / predicted_mm, alarms))
+        else:
+            weighted_mm = float(np.sqrt(total["weighted2"] / runs))
+            gain = 100.0 * (1.0 - weighted_mm / tre_mm)
+            gains.append((kind, int(runs), tre_mm, weighted_mm, gain, weighted_mm / predicted_mm))
+    return [
+        Table(
+            "Formulas of the rigid fit",
+            ("fiducials", "runs", "FLE by eq. 36 / true", "TRE mm", "TRE / eq. 39", "gate alarms %"),
+            formulas,
+            f"FLE {FLE_MM} mm, target {TARGET_BELOW_MM:g} mm below the markers' centre. The gate is set to"
+            f" {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. FRE is a residual, never an accuracy.",
+        ),
+        Table(
+            "What weighting by covariances gains",
+            ("errors", "runs", "TRE mm, equal weights", "TRE mm, weighted", "gain %", "TRE / predicted"),
+            gains,
+            "Five fiducials.",
+        ),
+    ]

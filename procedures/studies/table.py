@@ -1,0 +1,53 @@
+"""A table of a study, and the three forms in which it is written: Markdown, CSV, JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of plain values; `note` says what the figures mean and where the published ones come from."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""
+
+    def markdown(self) -> str:
+        """For a report."""
+        lines = [f"## {self.title}", ""]
+        lines += [f"| {' | '.join(self.columns)} |", "|" + "---|" * len(self.columns)]
+        lines += [f"| {' | '.join(shown(value) for value in row)} |" for row in self.rows]
+        return "\n".join([*lines, "", self.note, ""]) if self.note else "\n".join([*lines, ""])
+
+    def csv(self) -> str:
+        """For a spreadsheet, with all digits."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(self.rows)
+        return text.getvalue()
+
+    def document(self) -> dict[str, object]:
+        """As plain data."""
+        return {
+            "title": self.title,
+            "columns": list(self.columns),
+            "rows": [list(row) for row in self.rows],
+            "note": self.note,
+        }
+
+
+def shown(value: Cell) -> str:
+    """A value as a person reads it."""
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)

@@ -1,0 +1,116 @@
+"""Run the units of a study: in this process, on this computer's cores, or on a Dask scheduler's workers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing import get_context
+from typing import Any
+
+from procedures.studies.errors import ExtraMissing, SchedulerUnreachable, UnitFailed
+from procedures.studies.ledger import Ledger
+from procedures.studies.unit import Study, Sums, Unit
+
+SCHEDULER_LIMIT_S = 10.0
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+Finished = Iterator[tuple[Unit, Sums]]
+
+
+def run_study(
+    study: Study,
+    ledger: Ledger,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> None:
+    """Run what is missing and record it. `workers` 1 stays in this process, None takes every core.
+
+    Raises STU-003, STU-004, STU-005. What was finished before an error or an interruption is kept.
+    """
+    missing = ledger.missing()
+    everything = len(study.units())
+    done = everything - len(missing)
+    progress(done / everything)
+    with _runner(study, missing, workers, scheduler) as finished:
+        for unit, sums in finished:
+            ledger.add(unit, sums)
+            done += 1
+            progress(done / everything)
+
+
+@contextmanager
+def _runner(
+    study: Study, units: list[Unit], workers: int | None, scheduler: str | None
+) -> Iterator[Finished]:
+    if scheduler is not None:
+        with _dask_client(scheduler) as client:
+            yield _on_dask(client, study, units)
+    elif workers == 1:
+        yield ((unit, _result(unit, partial(study.run, unit))) for unit in units)
+    else:
+        count = workers or len(os.sched_getaffinity(0))
+        # Fresh processes: a forked child would inherit locks of the libraries' threads.
+        with _one_thread_each(), ProcessPoolExecutor(count, get_context("spawn")) as pool:
+            try:
+                yield _on_pool(pool, study, units)
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes begun meanwhile inherit that their linear algebra has one thread."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _on_pool(pool: ProcessPoolExecutor, study: Study, units: list[Unit]) -> Finished:
+    waiting = {pool.submit(study.run, unit): unit for unit in units}
+    for future in as_completed(waiting):
+        yield waiting[future], _result(waiting[future], future.result)
+
+
+@contextmanager
+def _dask_client(scheduler: str) -> Iterator[Any]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ExtraMissing("the package distributed is not installed") from error
+    try:
+        client = Client(scheduler, timeout=SCHEDULER_LIMIT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise SchedulerUnreachable(f"no Dask scheduler at {scheduler}") from error
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def _on_dask(client: Any, study: Study, units: list[Unit]) -> Finished:
+    from distributed import as_completed as dask_as_completed
+
+    waiting = {client.submit(study.run, unit, pure=False): unit for unit in units}
+    futures: Iterable[Any] = dask_as_completed(waiting, loop=client.loop)
+    for future in futures:
+        yield waiting[future], _result(waiting[future], future.result)
+
+
+def _result(unit: Unit, result: Callable[[], Sums]) -> Sums:
+    try:
+        return result()
+    except Exception as error:
+        raise UnitFailed(f"{unit.key}: {error}") from error

@@ -1,0 +1,166 @@
+"""Studies: the same numbers on any workers, resumable, and refusing to mix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from procedures.studies.correspondence import CorrespondenceStudy, Method, cell_key
+from procedures.studies.correspondence_tables import shares, tables
+from procedures.studies.errors import LedgerUnreadable, OtherStudy, SchedulerUnreachable, UnitFailed
+from procedures.studies.heads import NoiseReading, disturbance, sites_mm
+from procedures.studies.ledger import FILE, Ledger
+from procedures.studies.publish import publish
+from procedures.studies.registration import RegistrationStudy
+from procedures.studies.table import Table
+from procedures.studies.unit import Unit, add_up, blocks, generator
+from procedures.studies.workers import run_study
+from procedures.studies.x_frame import XFrameStudy
+
+SMALL = CorrespondenceStudy(4, seed=5, fiducials=(3, 5))
+
+
+@dataclass(frozen=True)
+class Failing:
+    """A study whose second unit fails while `broken` exists."""
+
+    broken: Path
+    name: str = "failing"
+
+    def parameters(self) -> dict[str, object]:
+        return {}
+
+    def units(self) -> list[Unit]:
+        return blocks("cell", 3, 1)
+
+    def run(self, unit: Unit) -> dict[str, float]:
+        if unit.block == 1 and self.broken.exists():
+            raise ValueError("no luck")
+        return {"runs": 1.0, "sum": float(generator(1, unit).normal())}
+
+
+def results(study, folder: Path, **where: object) -> dict[str, dict[str, float]]:
+    ledger = Ledger(folder, study)
+    run_study(study, ledger, **where)
+    return add_up(ledger.results())
+
+
+def test_one_process_and_a_pool_of_two_give_the_same_numbers(tmp_path: Path) -> None:
+    study = RegistrationStudy(10, seed=5, fiducials=(3,))
+    assert results(study, tmp_path / "1", workers=1) == results(study, tmp_path / "2", workers=2)
+
+
+@pytest.mark.slow
+def test_two_workers_of_a_dask_scheduler_give_the_same_numbers(tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        spread = results(SMALL, tmp_path / "dask", scheduler=cluster.scheduler_address)
+    assert spread == results(SMALL, tmp_path / "here", workers=1)
+
+
+def test_nobody_at_the_schedulers_address_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("procedures.studies.workers.SCHEDULER_LIMIT_S", 0.2)
+    with pytest.raises(SchedulerUnreachable, match="STU-003"):
+        results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_failed_study_keeps_what_was_finished_and_goes_on(tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    broken.touch()
+    study = Failing(broken)
+    with pytest.raises(UnitFailed, match="STU-005: cell #1: no luck"):
+        results(study, tmp_path / "out", workers=1)
+    assert len(Ledger(tmp_path / "out", study).finished) == 1
+    broken.unlink()
+    assert results(study, tmp_path / "out", workers=1) == results(study, tmp_path / "whole", workers=1)
+
+
+def test_a_line_that_was_cut_off_is_run_again(tmp_path: Path) -> None:
+    whole = results(SMALL, tmp_path, workers=1)
+    path = tmp_path / FILE
+    path.write_bytes(path.read_bytes()[:-20])
+    ledger = Ledger(tmp_path, SMALL)
+    assert len(ledger.missing()) == 1
+    run_study(SMALL, ledger, workers=1)
+    assert add_up(ledger.results()) == whole
+    assert not Ledger(tmp_path, SMALL).missing()
+
+
+def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
+    Ledger(tmp_path, SMALL)
+    with pytest.raises(OtherStudy, match="STU-001"):
+        Ledger(tmp_path, CorrespondenceStudy(5, seed=5, fiducials=(3, 5)))
+
+
+def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
+    Ledger(tmp_path, SMALL)
+    (tmp_path / FILE).write_text("tea\n")
+    with pytest.raises(LedgerUnreadable, match="STU-002"):
+        Ledger(tmp_path, SMALL)
+
+
+def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path) -> None:
+    found = shares(results(SMALL, tmp_path, workers=1))
+    assert {key[1] for key in found} == {"clique", "clique + orientation", "thesis"}
+    assert {runs for _, _, runs in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
+    five = found[(NoiseReading.PER_AXIS, Method.CLIQUE.value, "", 5)]
+    assert five[:2] == (0.0, 0.0)
+    assert [table.title for table in tables(results(SMALL, tmp_path, workers=1))] == [
+        "Correspondence, noise per axis",
+        "Correspondence, noise norm",
+    ]
+
+
+def test_the_numbers_of_a_cell_do_not_depend_on_the_other_cells() -> None:
+    unit = Unit(cell_key(NoiseReading.NORM, 2, 5, 1), 0, 4)
+    assert SMALL.run(unit) == CorrespondenceStudy(4, seed=5).run(unit)
+
+
+def test_the_two_readings_of_the_noise_have_the_size_they_say() -> None:
+    random = np.random.default_rng(1)
+    per_axis = disturbance((20_000, 3), 0.56, NoiseReading.PER_AXIS, random)
+    norm = disturbance((20_000, 3), 0.56, NoiseReading.NORM, random)
+    assert per_axis.std() == pytest.approx(0.56, rel=0.02)
+    assert np.sqrt((norm**2).sum(axis=1).mean()) == pytest.approx(0.56, rel=0.02)
+
+
+def test_heads_differ_and_their_sites_are_apart() -> None:
+    heads = [sites_mm(patient) for patient in (1, 2, 3)]
+    assert not np.allclose(heads[0], heads[1])
+    for sites in heads:
+        gaps = np.linalg.norm(sites[:, None] - sites[None], axis=2) + np.eye(8) * 1e3
+        assert gaps.min() > 25.0
+
+
+def test_the_x_frame_is_found_by_ours_and_for_a_middle_e_by_the_thesis() -> None:
+    study = XFrameStudy(6, seed=1)
+    sums = study.run(study.units()[0])
+    assert sums["clique + planned count||success"] == 6
+    assert sums["thesis|3.0|success"] >= 5
+    assert sums.get("thesis|1.0|success", 0.0) < sums["thesis|3.0|success"]
+
+
+def test_a_study_is_published_as_text_table_and_data(tmp_path: Path) -> None:
+    table = Table("How many", ("what", "value"), [("a", 1.23456), ("b", None)], "A note.")
+    report = publish(tmp_path, "study", {"seed": 1}, [table], {"plot.png": b"png"})
+    assert "| a | 1.235 |" in report.read_text()
+    assert "![plot.png](plot.png)" in report.read_text()
+    assert (tmp_path / "how-many.csv").read_text() == "what,value\na,1.23456\nb,\n"
+    assert (tmp_path / "results.json").exists()
+
+
+@pytest.mark.slow
+def test_weighting_gains_what_the_goals_ask_for(tmp_path: Path) -> None:
+    from procedures.studies.registration import tables as of_registration
+
+    formulas, gains = of_registration(results(RegistrationStudy(400, fiducials=(5,)), tmp_path, workers=1))
+    ((_, _, fle_ratio, _, tre_ratio, _),) = formulas.rows
+    assert fle_ratio == pytest.approx(1.0, abs=0.05)
+    assert tre_ratio == pytest.approx(1.0, abs=0.08)
+    assert [row[4] > least for row, least in zip(gains.rows, (20.0, 40.0), strict=True)] == [True, True]
