@@ -40,6 +40,8 @@ HARDWARE_ALERT = Alert.MAIN_VOLTAGE
 MORE_STRAYS = 5
 SLOWER_S = 0.5
 DELAY_S = 0.3
+GARBLED_COMMANDS = 10
+SOCKET = 1  # for a wired tool
 
 
 @contextmanager
@@ -131,14 +133,14 @@ def moved_out(bench: Bench) -> None:
         unit.okay("TSTOP:")
         volume = volume_in_use(unit)
         unit.okay("TSTART:80")
+        z_mm = volume.middle_mm
+        side_mm, _ = volume.half_extents_mm(z_mm)
+        along = f"{-pose[5]:.1f} {z_mm - pose[6]:.1f} mm"  # to the middle in y and z
         across = sorted(x for x, _, _ in placed(markers_mm, pose))
-        side_mm, _ = volume.half_extents_mm(pose[6])
-        way_mm = -side_mm - OUTSIDE_MM - across[-1]
-        with faulty(bench, f"move tool {part} {way_mm:.1f} 0 0 mm"):
+        with faulty(bench, f"move tool {part} {-side_mm - OUTSIDE_MM - across[-1]:.1f} {along}"):
             await_frame(unit, lambda frame: frame.handles[0].outside, "status bit 0040")
-        await_pose(unit)
         edge_mm = (across[-3] + across[-2]) / 2  # two markers inside: fewer than any tool needs
-        with faulty(bench, f"move tool {part} {-side_mm - edge_mm:.1f} 0 0 mm"):
+        with faulty(bench, f"move tool {part} {-side_mm - edge_mm:.1f} {along}"):
             frame = await_frame(
                 unit,
                 lambda frame: bool(frame.handles[0].port_status & PortStatus.PARTIALLY_OUT_OF_VOLUME),
@@ -214,7 +216,7 @@ def hardware(bench: Bench) -> None:
 )
 def plugged(bench: Bench) -> None:
     with tracking(bench) as (unit, _):
-        with faulty(bench, "plug"):
+        with faulty(bench, f"plug {SOCKET}"):
             await_frame(unit, _has(SystemStatus.PORT_OCCUPIED), "system status 0040")
         await_frame(unit, _has(SystemStatus.PORT_UNOCCUPIED), "system status 0080")
 
@@ -222,9 +224,9 @@ def plugged(bench: Bench) -> None:
 @case("P50j", "fault: a garbled command is answered ERROR04", needs=NEEDS)
 def garbled_commands(bench: Bench) -> None:
     with idle_unit(bench) as unit, faulty(bench, "garble commands 100 %"):
-        found = {unit.ask("APIREV:") for _ in range(5)}
-        # a wrong bit may also fall on the name or on the end of the line
-        check(found <= {"ERROR04", "ERROR01", "ERROR03"}, "ERROR04", found)
+        found = {unit.ask("APIREV:") for _ in range(GARBLED_COMMANDS)}
+        # A wrong bit may fall on the name, or turn a digit of the CRC into lower case, which does no harm.
+        check("ERROR04" in found, "ERROR04", found)
 
 
 @case("P50k", "fault: garbled, shortened, doubled, cut, lost and late replies", needs=NEEDS)

@@ -133,11 +133,11 @@ def poses_are_possible(bench: Bench) -> None:
 @case("P30", "TX and BX of one frame agree within the rounding of TX", needs=WITH_TOOL)
 def tx_and_bx_agree(bench: Bench) -> None:
     block = definition(bench)
-    with idle_unit(bench) as unit:
+    with idle_unit(bench) as unit, unit.hurried():  # both within one frame
         unit.load(block)
         unit.okay("TSTART:80")
         for _ in range(SAME_FRAME_TRIES):
-            text, body = unit.ask("TX:0001"), unit.binary("BX:0001")
+            text, body = unit.ask("TX:0801"), unit.binary("BX:0801")
             if not TX_POSE.match(text, 4) or body[2] != HandleStatus.VALID:
                 bench.clock.sleep(0.02)
                 continue

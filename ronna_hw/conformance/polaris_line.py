@@ -7,11 +7,16 @@ import time
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, check
 from ronna_hw.conformance.polaris_cases import NEEDS, SERIAL, case
-from ronna_hw.conformance.polaris_link import RESET_LIMIT_S, PolarisLink, idle_unit, is_error, with_crc
-from ronna_hw.wire.polaris import COMM_DEFAULT_ARGUMENT, DEFAULT_BAUD, REPLY_RESET
+from ronna_hw.conformance.polaris_link import (
+    FAST_ARGUMENT,
+    FAST_BAUD,
+    RESET_LIMIT_S,
+    idle_unit,
+    is_error,
+    with_crc,
+)
+from ronna_hw.wire.polaris import DEFAULT_BAUD, REPLY_RESET
 
-FAST_BAUD, FAST_ARGUMENT = 115200, "50000"  # every unit and every adapter can do it
-SETTLING_S = 0.1  # from OKAY to COMM until the unit listens at the new rate
 QUICK_INIT_S = 0.15  # slower, and a client that probes for 200 ms sends a break
 INIT_LIMIT_S = 4.0  # the unit's own
 INITS = 5
@@ -22,8 +27,7 @@ RESET_SETTLING_S = 0.2
 def break_resets(bench: Bench) -> None:
     with idle_unit(bench) as unit:
         try:
-            unit.okay(f"COMM:{FAST_ARGUMENT}")
-            _switch(unit, FAST_BAUD)
+            unit.go_to(FAST_ARGUMENT, FAST_BAUD)
             check(not is_error(unit.ask("APIREV:")), f"an answer at {FAST_BAUD} baud")
             unit.serial.send_break()
         finally:
@@ -91,13 +95,8 @@ def byte_by_byte(bench: Bench) -> None:
 def rate_changes_after_the_answer(bench: Bench) -> None:
     with idle_unit(bench) as unit:
         about = unit.ask("APIREV:")
-        unit.okay(f"COMM:{FAST_ARGUMENT}")  # heard at the old rate, which our end still has
-        _switch(unit, FAST_BAUD)
-        try:
+        with unit.hurried():
             check(unit.ask("APIREV:") == about, f"the same answer at {FAST_BAUD} baud")
-            unit.okay(f"COMM:{COMM_DEFAULT_ARGUMENT}")
-        finally:
-            _switch(unit, DEFAULT_BAUD)
         check(unit.ask("APIREV:") == about, f"the same answer at {DEFAULT_BAUD} baud again")
 
 
@@ -131,9 +130,3 @@ def init_is_quick(bench: Bench) -> None:
             raise NotShown(
                 f"INIT takes {quickest_s:.2f} s: allowed, but a client that probes for 200 ms breaks the line"
             )
-
-
-def _switch(unit: PolarisLink, baud: int) -> None:
-    time.sleep(SETTLING_S)
-    unit.serial.baud = baud
-    unit.rest()

@@ -30,7 +30,7 @@ def out_of_volume_is_missing(bench: Bench) -> None:
     block = definition(bench)
     with idle_unit(bench) as unit:
         volume = volume_in_use(unit)
-        z_mm = _middle(volume)
+        z_mm = volume.middle_mm
         x_mm, _ = volume.half_extents_mm(z_mm)
         _load_at(unit, block, (x_mm + BEYOND_MM, 0.0, z_mm))
         told = seen(unit, 0x0801).handles[0]
@@ -96,7 +96,7 @@ def volumes_are_told(bench: Bench) -> None:
 def volume_formulas(bench: Bench) -> None:
     block = definition(bench)
     minimum = block[layout.MINIMUM_MARKER_COUNT_OFFSET]
-    with idle_unit(bench) as unit:
+    with idle_unit(bench) as unit, unit.hurried():
         volume = volume_in_use(unit)
         judged = set()
         for target_mm in _places(volume):
@@ -119,15 +119,10 @@ def volume_formulas(bench: Bench) -> None:
             raise NotShown("the tool is not in sight, or too near to a face of the volume")
 
 
-def _middle(volume: ToldVolume) -> float:
-    far_mm, near_mm = volume.depths_mm
-    return volume.knee_mm if far_mm < volume.knee_mm < near_mm else (far_mm + near_mm) / 2
-
-
 def _places(volume: ToldVolume) -> list[Vector3]:
     """Places in the middle, and just inside and outside of each face in front of and behind the knee."""
     far_mm, near_mm = volume.depths_mm
-    middle_mm = _middle(volume)
+    middle_mm = volume.middle_mm
     places: list[Vector3] = [(0.0, 0.0, middle_mm)]
     for z_mm in ((near_mm + middle_mm) / 2, (middle_mm + far_mm) / 2):
         x_mm, y_mm = volume.half_extents_mm(z_mm)

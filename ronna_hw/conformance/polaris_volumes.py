@@ -37,6 +37,12 @@ class ToldVolume:
         """z of the far and of the near face."""
         return self.numbers[0] / 100, self.numbers[2] / 100
 
+    @property
+    def middle_mm(self) -> float:
+        """A depth z well inside: that of the knee, or the middle where the knee is at a face."""
+        far_mm, near_mm = self.depths_mm
+        return self.knee_mm if far_mm < self.knee_mm < near_mm else (far_mm + near_mm) / 2
+
     def half_extents_mm(self, z_mm: float) -> tuple[float, float]:
         """Largest |x| and |y| inside at a depth."""
         _, knee, _, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.numbers

@@ -33,7 +33,7 @@ CARRY_POSE = frozenset({Validity.OK, Validity.PARTIAL})
 WITHOUT_POSE = frozenset({Validity.MISSING, Validity.CORRUPT})
 RECOVERY_READS = 12  # lost readings after which a line that is whole again must give frames
 
-SUITE = Suite("tracker", driver="ndi_polaris", simulator=("polaris", "--endpoint", "tcp://127.0.0.1:0"))
+SUITE = Suite("tracker", driver="ndi_polaris", simulator=("polaris",))
 
 
 def frames_of(bench: Bench, count: int = FRAMES) -> list[TrackerFrame]:

@@ -19,44 +19,77 @@ def cases(report: dict[str, Any], outcome: str) -> set[str]:
     return {case["number"] for case in report["cases"] if case["outcome"] == outcome}
 
 
-BYTES_AND_DRIVER = (
-    "--only",
-    "P0",
-    "--only",
-    "P1",
-    "--only",
-    "P2",
-    "--only",
-    "P3",
-    "--only",
-    "P4",
-    "--only",
-    "D",
-)
+LINE_AND_VOLUME = ("--only", "P0", "--only", "P4")
 
 
-def test_the_simulated_unit_passes_every_case_about_its_bytes(commands: Any, tmp_path: Path) -> None:
+def test_the_simulated_unit_passes_the_cases_about_its_line_and_its_volume(
+    commands: Any, tmp_path: Path
+) -> None:
     report_file = tmp_path / "report.json"
     run = commands.run(
-        "ronna-conformance", "tracker", "--sim", *BYTES_AND_DRIVER, "--report", str(report_file)
+        "ronna-conformance", "tracker", "--sim", *LINE_AND_VOLUME, "--report", str(report_file)
     )
     assert run.returncode == 0, run.stdout + run.stderr
     report = json.loads(report_file.read_text())
+    assert cases(report, "FAIL") == cases(report, "SKIP") == set()
+    assert len(cases(report, "PASS")) >= 15
+    assert run.stdout.count("PASS") == len(report["cases"])
+    assert (
+        run.stderr.strip()
+        == f"tracker suite, driver ndi_polaris: {len(report['cases'])} pass, 0 fail, 0 skip"
+    )
+
+
+def whole_suite(commands: Any, *unit: str, timeout_s: float = 150.0) -> dict[str, Any]:
+    """The report of every case on a simulated unit at an endpoint, everything allowed."""
+    with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris", *unit)) as child:
+        ready = child.ready
+        run = commands.run(
+            "ronna-conformance", "tracker", "--endpoint", ready["endpoint"], "--control", ready["control"],
+            "--allow", "destructive", "--json", timeout_s=timeout_s,
+        )  # fmt: skip
+    assert run.returncode == 0, run.stdout + run.stderr
+    report: dict[str, Any] = json.loads(run.stdout)
     assert cases(report, "FAIL") == set()
-    assert cases(report, "SKIP") <= {"P01", "P08", "P49", "D40b"}
-    assert len(cases(report, "PASS")) >= 40
-    assert run.stdout.count("PASS") == len(cases(report, "PASS"))
+    return report
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", ["serial-pty", "tcp://127.0.0.1:0"])
-def test_the_driver_passes_every_case_on_either_line(commands: Any, line: str) -> None:
-    with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris", "--endpoint", line)) as unit:
-        run = commands.run("ronna-conformance", "tracker", "--endpoint", unit.ready["endpoint"], "--json")
-    assert run.returncode == 0, run.stdout + run.stderr
-    report = json.loads(run.stdout)
-    assert cases(report, "FAIL") == set()
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("profile", ["spectra", "vicra"])
+def test_every_case_is_passed_on_a_serial_line(commands: Any, profile: str) -> None:
+    report = whole_suite(commands, "--profile", profile)
+    assert cases(report, "SKIP") == set()
+    assert profile in report["identity"]["model"].lower()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_every_case_is_passed_over_tcp_but_those_about_a_serial_line(commands: Any) -> None:
+    report = whole_suite(commands, "--endpoint", "tcp://127.0.0.1:0")
+    assert cases(report, "SKIP") == {"P01", "P08", "D40b"}
     assert all(case["reason"] for case in report["cases"] if case["outcome"] == "SKIP")
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(900)
+def test_every_case_is_passed_at_the_pace_of_a_real_line(commands: Any) -> None:
+    assert cases(whole_suite(commands, "--throttle", timeout_s=800.0), "SKIP") == set()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_without_permission_nothing_is_reset_and_nothing_is_made_to_fail(commands: Any) -> None:
+    with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris")) as unit:
+        run = commands.run(
+            "ronna-conformance", "tracker", "--endpoint", unit.ready["endpoint"], "--only", "P0",
+            "--only", "P5", "--json",
+        )  # fmt: skip
+    report = json.loads(run.stdout)
+    left_out = {case["number"]: case["reason"] for case in report["cases"] if case["outcome"] == "SKIP"}
+    assert {"P01", "P01b", "P09"} == {number for number in left_out if number.startswith("P0")}
+    assert all("--allow destructive" in left_out[number] for number in ("P01", "P01b", "P09"))
+    assert all("--control" in reason for number, reason in left_out.items() if number.startswith("P50"))
 
 
 def test_nobody_at_the_endpoint_is_one_message_and_exit_code_4(commands: Any) -> None:
