@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     )
     from procedures.registration.matching import match
     from procedures.registration.similarity_matrix import match_by_similarity
+    from procedures.registration.template import match_by_template
     from procedures.registration.verification import (
         CtToRoom,
         RoomPoint,
@@ -58,6 +59,7 @@ __all__ = [
     "fre_limit_mm",
     "match",
     "match_by_similarity",
+    "match_by_template",
     "register",
     "verify_two_way",
 ]
@@ -75,6 +77,7 @@ _HOMES = {
     "correspondence": ("Hypothesis", "Match", "MatchStatus", "Prior"),
     "matching": ("match",),
     "similarity_matrix": ("match_by_similarity",),
+    "template": ("match_by_template",),
     "verification": ("CtToRoom", "RoomPoint", "RoomToCt", "VerificationTable", "verify_two_way"),
 }
 

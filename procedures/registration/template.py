@@ -1,0 +1,92 @@
+"""Correspondence through a template: a rigid frame of spheres whose distances are known beforehand.
+
+Each side is paired with the template on its own, so that the distances of the template, not those of noisy
+points, decide; what belongs to no template point is left out on both sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.registration.correspondence import Match, MatchStatus, Prior
+from procedures.registration.matching import match
+from procedures.registration.points import checked_points
+from procedures.registration.rigid import fit_rigid
+
+TEMPLATE_SIGMA_MM = 0.05  # per axis: how exactly such a frame is made and measured
+
+
+def match_by_template(
+    template_mm: ArrayLike,
+    image_mm: ArrayLike,
+    physical_mm: ArrayLike,
+    *,
+    sigma_image_mm: float | Sequence[float] | NDArray[np.float64],
+    sigma_physical_mm: float | Sequence[float] | NDArray[np.float64],
+    sigma_template_mm: float = TEMPLATE_SIGMA_MM,
+    prior: Prior | Rotation | None = None,
+) -> Match:
+    """Pair image points (n, 3) with physical points (m, 3) by a template (k, 3), k at least 3, all in mm.
+
+    UNIQUE only when all k template points are found on both sides, each in one way. The reason of a failure
+    names the side. Raises REG-001 and REG-007.
+    """
+    template = checked_points(template_mm, "template")
+    image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
+    sides = {}
+    for side, points, sigma_mm in (
+        ("image", image, sigma_image_mm),
+        ("physical", physical, sigma_physical_mm),
+    ):
+        found = match(
+            template,
+            points,
+            sigma_image_mm=sigma_template_mm,
+            sigma_physical_mm=sigma_mm,
+            expected=len(template),
+        )
+        if found.status is not MatchStatus.UNIQUE:
+            return _failed(found, side, image, physical)
+        sides[side] = found
+    in_image, in_physical = sides["image"].pairs[:, 1], sides["physical"].pairs[:, 1]
+    pairs = np.column_stack([in_image, in_physical])
+    pairs = pairs[pairs[:, 0].argsort()]
+    fit = fit_rigid(image[pairs[:, 0]], physical[pairs[:, 1]])
+    checked_prior = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
+    if checked_prior is not None and not checked_prior.allows(fit.rotation):
+        outside = replace(
+            sides["physical"], status=MatchStatus.INCONSISTENT, reason="outside the orientation"
+        )
+        return _failed(outside, "physical", image, physical)
+    return Match(
+        MatchStatus.UNIQUE,
+        pairs,
+        RigidTransform.from_components(fit.translation_mm, Rotation.from_matrix(fit.rotation)),
+        f"all {len(template)} template points were found on both sides",
+        runner_up=None,
+        margin_nats=min(one.margin_nats for one in sides.values()),
+        unmatched_image=_others(len(image), pairs[:, 0]),
+        unmatched_physical=_others(len(physical), pairs[:, 1]),
+    )
+
+
+def _failed(found: Match, side: str, image: NDArray[np.float64], physical: NDArray[np.float64]) -> Match:
+    nothing = np.empty((0, 2), dtype=np.intp)
+    return replace(
+        found,
+        pairs=nothing,
+        transform=None,
+        reason=f"the template among the {side} points: {found.reason}",
+        unmatched_image=tuple(range(len(image))),
+        unmatched_physical=tuple(range(len(physical))),
+    )
+
+
+def _others(count: int, used: NDArray[np.intp]) -> tuple[int, ...]:
+    taken = set(used.tolist())
+    return tuple(index for index in range(count) if index not in taken)

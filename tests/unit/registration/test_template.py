@@ -1,0 +1,60 @@
+"""Correspondence through the x-shaped frame: what is not of the frame is left out, on either side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from procedures.registration import MatchStatus, Prior, match_by_template
+from procedures.registration.errors import BadPoints
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+FRAME = np.array(SPHERE_CENTRES_MM)
+SIGMAS = {"sigma_image_mm": 0.17, "sigma_physical_mm": 0.56}
+
+
+def test_the_frame_is_paired_among_free_spheres_and_strays(random, any_pose, ball):
+    in_ct, in_room = any_pose(random), any_pose(random)
+    image = np.vstack([ball(2, 150.0, random), in_ct.apply(FRAME) + random.normal(size=(4, 3)) * 0.05])
+    physical = np.vstack([in_room.apply(FRAME) + random.normal(size=(4, 3)) * 0.1, ball(3, 300.0, random)])
+    found = match_by_template(FRAME, image, physical, **SIGMAS)
+    assert found.status is MatchStatus.UNIQUE, found.reason
+    assert found.pairs.tolist() == [[2, 0], [3, 1], [4, 2], [5, 3]]
+    assert found.unmatched_image == (0, 1)
+    assert found.unmatched_physical == (4, 5, 6)
+    truth = in_room * in_ct.inv()
+    assert (found.transform.rotation.inv() * truth.rotation).magnitude() < 0.01
+
+
+@pytest.mark.parametrize(("missing", "side"), [("image", "image"), ("physical", "physical")])
+def test_a_hidden_sphere_of_the_frame_is_said_with_its_side(random, any_pose, missing, side):
+    image, physical = FRAME, any_pose(random).apply(FRAME)
+    found = match_by_template(
+        FRAME,
+        image[:3] if missing == "image" else image,
+        physical[:3] if missing == "physical" else physical,
+        **SIGMAS,
+    )
+    assert found.status is MatchStatus.TOO_FEW
+    assert f"among the {side} points" in found.reason
+    assert found.transform is None
+
+
+def test_two_frames_in_sight_are_ambiguous(random, any_pose):
+    physical = np.vstack([any_pose(random).apply(FRAME), any_pose(random).apply(FRAME) + 400.0])
+    found = match_by_template(FRAME, FRAME, physical, **SIGMAS)
+    assert found.status is MatchStatus.AMBIGUOUS
+
+
+def test_an_orientation_that_cannot_be_is_refused(random, any_pose):
+    turn = any_pose(random)
+    prior = Prior(Rotation.from_rotvec([0.0, 0.0, np.pi]) * turn.rotation)
+    found = match_by_template(FRAME, FRAME, turn.apply(FRAME), prior=prior, **SIGMAS)
+    assert found.status is MatchStatus.INCONSISTENT
+    assert "outside the orientation" in found.reason
+
+
+def test_a_template_with_holes_is_refused():
+    with pytest.raises(BadPoints, match="REG-001"):
+        match_by_template(np.full((4, 3), np.nan), FRAME, FRAME, **SIGMAS)
