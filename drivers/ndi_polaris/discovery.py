@@ -32,23 +32,28 @@ def find_unit(session: Session, deadline_s: float) -> None:
     """
     transport = session.transport
     heard = bytearray()
+    tried = []
     bauds = LIKELY_BAUDS if transport.baud is not None else (DEFAULT_BAUD,)
     for baud in bauds:
+        if session.now_s() >= deadline_s:
+            break
         try:
             transport.set_baud(baud)
         except PortUnavailable:  # this adapter cannot do that rate
             continue
+        tried.append(f"{baud} baud" if transport.baud is not None else "the connection")
         if answers(session, deadline_s, heard):
             return
-    if transport.baud is not None:
+    if transport.baud is not None and session.now_s() < deadline_s:
         transport.set_baud(DEFAULT_BAUD)
         transport.send_break()
+        tried.append("a break")
         if await_reset(session, deadline_s) or answers(session, deadline_s, heard):
             return
     if heard:
         raise NotAPolaris("something answers, but with no valid CRC", wire=bytes(heard))
-    tried = f"{len(bauds)} rates and a break" if transport.baud is not None else "the connection"
-    raise NothingAnswers(f"no unit answers: tried {tried}", awaited=f"a reply to {PROBE_COMMAND}")
+    what = ", ".join(tried) or "nothing: the time limit is too short"
+    raise NothingAnswers(f"no unit answers: tried {what}", awaited=f"a reply to {PROBE_COMMAND}")
 
 
 def answers(session: Session, deadline_s: float, heard: bytearray | None = None) -> bool:

@@ -22,14 +22,21 @@ BREAK_S = 0.5  # as long as other clients of the vendor's units hold it
 READ_BYTES = 65536
 CLOSED = -1  # no file has this number
 
+_LISTED = "`ronna-procedure doctor` lists the ports of this computer."
+_AT_THE_ADDRESS = "check address and port, and that the unit is on and in the same network."
 _ADVICE = {
-    errno.ENOENT: "Check the name of the port; `ronna-procedure doctor` lists the ports of this computer.",
+    errno.ENOENT: f"Check the name of the port; {_LISTED}",
+    errno.ENOTTY: f"That is no serial port; {_LISTED}",
+    errno.EISDIR: f"That is no serial port; {_LISTED}",
     errno.EACCES: "Join the group that owns the port (often `dialout`), then log in again.",
     errno.EAGAIN: "Another program holds the port: end it, then try again.",
     errno.EBUSY: "Another program holds the port: end it, then try again.",
-    errno.ENOTTY: "This file is no serial port; `ronna-procedure doctor` lists the ports of this computer.",
-    errno.ECONNREFUSED: "Nothing listens at that address: check address and port, and that the unit is on.",
+    errno.ECONNREFUSED: f"Nothing listens there: {_AT_THE_ADDRESS}",
+    errno.ETIMEDOUT: f"Nothing answers there: {_AT_THE_ADDRESS}",
+    errno.EHOSTUNREACH: f"Nothing answers there: {_AT_THE_ADDRESS}",
+    errno.ENETUNREACH: f"Nothing answers there: {_AT_THE_ADDRESS}",
 }
+_REASONS = {errno.EAGAIN: "held by another program", errno.ENOTTY: "not a serial port"}
 
 
 class Transport(Protocol):
@@ -201,6 +208,8 @@ def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
 
 def _number(error: Exception) -> int | None:
     """The system's number of an error; pyserial hides that of a port that is none in the cause."""
+    if isinstance(error, TimeoutError):
+        return errno.ETIMEDOUT
     for candidate in (getattr(error, "errno", None), *getattr(error.__context__, "args", ())[:1]):
         if isinstance(candidate, int) and candidate > 0:
             return candidate
@@ -209,8 +218,6 @@ def _number(error: Exception) -> int | None:
 
 def _reason(error: Exception) -> str:
     number = _number(error)
-    if number == errno.EAGAIN:
-        return "held by another program"
-    if number is not None:
-        return os.strerror(number).lower()
-    return str(getattr(error, "strerror", None) or error)
+    if number is None:
+        return str(getattr(error, "strerror", None) or error)
+    return _REASONS.get(number) or os.strerror(number).lower()

@@ -18,6 +18,8 @@ from ronna_hw.errors import RonnaError
 from sim.theatre.process import load_scene
 from sim.theatre.world import World
 
+TCP, PTY = "tcp://127.0.0.1:0", "serial-pty"
+on_both_lines = pytest.mark.parametrize("unit", [TCP, PTY], ids=["tcp", "pty"], indirect=True)
 TOOL = "robot_frame"
 LASTS_S = 0.5
 READINGS = 60
@@ -28,9 +30,10 @@ def world() -> World:
     return World.create(load_scene("bench"), paced=False)
 
 
-@pytest.fixture(scope="module", params=["tcp://127.0.0.1:0", "serial-pty"], ids=["tcp", "pty"])
+@pytest.fixture(scope="module")
 def unit(world: World, request: pytest.FixtureRequest) -> Iterator[ChildProcess]:
-    arguments = command("sim.cli", "polaris", "--endpoint", request.param, "--world", world.endpoint)
+    endpoint = getattr(request, "param", TCP)
+    arguments = command("sim.cli", "polaris", "--endpoint", endpoint, "--world", world.endpoint)
     with ChildProcess("ronna-sim polaris", arguments) as child:
         yield child
 
@@ -69,6 +72,7 @@ def sees(frame: TrackerFrame) -> bool:
     return frame.tool(TOOL).validity is Validity.OK
 
 
+@on_both_lines
 @pytest.mark.hazard(15)
 @pytest.mark.parametrize(
     ("fault", "kind"),
@@ -156,6 +160,7 @@ def test_frames_that_the_unit_leaves_out_are_counted(world: World, tracker: Pola
     assert tracker.statistics.missed >= 9
 
 
+@on_both_lines
 @pytest.mark.hazard(4)
 def test_a_unit_without_power_is_found_again_when_it_is_back(world: World, tracker: PolarisTracker) -> None:
     tracker.read_frame()

@@ -51,7 +51,7 @@ def tracker_at(endpoint: str, **options: Any) -> PolarisTracker:
 def test_a_wrong_port(tmp_path: Path) -> None:
     with told("NDI-001", "no such file", "name of the port.*doctor"):
         tracker_at(f"serial://{tmp_path}/ttyUSB7").connect(1.0)
-    with told("NDI-001", "inappropriate ioctl", "no serial port.*doctor"):
+    with told("NDI-001", "not a serial port", "no serial port.*doctor"):
         tracker_at("serial:///dev/null").connect(1.0)
     with told("NDI-001", "refused", "nothing listens.*address and port"):
         tracker_at("tcp://127.0.0.1:1").connect(1.0)
@@ -86,8 +86,16 @@ def test_a_port_that_another_program_holds() -> None:
 
 def test_nothing_answers(make_tracker: Make, unit: Any) -> None:
     unit.silent, unit.breaks_work = True, False
-    with told("NDI-002", "tried 8 rates and a break", "powered.*this is its port"):
+    with told(
+        "NDI-002", "tried 9600 baud, 115200 baud, .*, 14400 baud, a break", "powered.*this is its port"
+    ):
         make_tracker().connect()
+
+
+def test_a_time_limit_too_short_for_every_rate_says_what_was_tried(make_tracker: Make, unit: Any) -> None:
+    unit.silent = True
+    with told("NDI-002", "tried 9600 baud, 115200 baud, 921600 baud$", "powered"):
+        make_tracker().connect(1.0)
 
 
 def test_another_program_on_the_port(make_tracker: Make, unit: Any) -> None:
