@@ -35,6 +35,9 @@ class UnitParameters:
     break_from_flush: Annotated[
         bool, "A pseudo-terminal carries no break: flushing both directions stands for one."
     ] = True
+    break_silence_s: Annotated[
+        float, "Silence after such a flush that makes it a break: who only flushes goes on to speak."
+    ] = 0.1
     break_deaf_s: Annotated[float, "Time after an open in which such a flush is not taken for a break."] = (
         0.05
     )

@@ -3,7 +3,8 @@
 The unit keeps the far end open, so that hosts may come, go, and be killed. What a real line would show
 comes from three sources: the far end's settings can be read here (rate, stop bits, odd parity; data bits and
 even parity are not kept by the kernel); packet mode tells what a host flushes, and flushing both directions
-stands for a break, which no pseudo-terminal carries; and the kernel notes who opens and closes the far end.
+before a silence stands for a break, which no pseudo-terminal carries; and the kernel notes who opens and
+closes the far end.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class PseudoTerminal:
         packet_mode(self._master)
         os.set_blocking(self._master, False)
         self._controls = select.poll()
-        self._controls.register(self._master, select.POLLPRI)  # in packet mode: something was flushed
+        # In packet mode POLLPRI says that something was flushed.
+        self._controls.register(self._master, select.POLLIN | select.POLLPRI)
         self._spoken_to = False  # since the line was opened
         self._opened_s = self._heard_s = 0.0
         self._flushed_input_s = 0.0
@@ -80,6 +82,7 @@ class PseudoTerminal:
             self._controlled(packet[0])
         self._heard_s = time.monotonic()
         self._spoken_to = True
+        self._session.deny_break()
         if self._understands(self._session.line):
             return packet[1:]
         if self._behaviour.wrong_line == "garbage" and b"\r" in packet:
@@ -126,15 +129,15 @@ class PseudoTerminal:
         return not self._behaviour.enforces_line or self._host.agrees(line)
 
     def _broken_meanwhile(self) -> bool:
-        """Whether the host sent a break while the unit was at work on its command."""
-        broken = False
-        while self._controls.poll(0):
-            broken = self._controlled(os.read(self._master, 1)[0]) or broken
-        return broken
+        """Whether the host seems to have sent a break while the unit was at work on its command."""
+        suspected = False
+        while (events := self._controls.poll(0)) and events[0][1] & select.POLLPRI:
+            suspected = self._controlled(os.read(self._master, 1)[0]) or suspected
+        return suspected and not events  # who has said more since did not send a break
 
     def _controlled(self, control: int) -> bool:
-        """A host flushed something. Ordinary commands flush its input only; both directions mean a break:
-        True then.
+        """The host flushed something: its input only before an ordinary command. True when it was both
+        directions, as before a break.
         """
         now_s = time.monotonic()
         input_too = control & termios.TIOCPKT_FLUSHREAD or now_s - self._flushed_input_s < FLUSH_GAP_S
@@ -144,7 +147,7 @@ class PseudoTerminal:
             return False
         if not self._spoken_to or now_s - self._opened_s < self._behaviour.break_deaf_s:
             return False
-        self._session.restart()
+        self._session.suspect_break()
         return True
 
     def _write(self, data: bytes) -> None:

@@ -33,6 +33,7 @@ class Session:
         self._watch_dog_ns = 0
         self._heard_ns = 0
         self._faults = UnitFaults(unit)
+        self._break_s: float | None = None  # host time at which what looked like a break was one
         self._starts_s: float | None = None  # host time at which a unit that starts again says RESET
 
     def answer(self, line: bytes) -> bytes:
@@ -64,6 +65,14 @@ class Session:
         self._forget()
         self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
 
+    def suspect_break(self) -> None:
+        """The host did what it does before a break. It was one if silence follows."""
+        self._break_s = time.monotonic() + self.unit.behaviour.break_silence_s
+
+    def deny_break(self) -> None:
+        """The host spoke on."""
+        self._break_s = None
+
     def host_left(self) -> None:
         """The last host closed the line."""
         if self.unit.behaviour.line_after_close == "default":
@@ -71,13 +80,16 @@ class Session:
 
     def due_s(self) -> float:
         """Host time at which to ask `unasked` again: something may have happened by then."""
-        look_s = time.monotonic() + LOOK_S
-        return look_s if self._starts_s is None else min(look_s, self._starts_s)
+        moments_s = (time.monotonic() + LOOK_S, self._break_s, self._starts_s)
+        return min(moment_s for moment_s in moments_s if moment_s is not None)
 
     def unasked(self) -> bytes:
         """What the unit says of itself now: RESET, once it has started again."""
         if self._faults.concerned:
             self._works()
+        if self._break_s is not None and time.monotonic() >= self._break_s:
+            self._break_s = None
+            self.restart()
         if self._starts_s is None or time.monotonic() < self._starts_s:
             return b""
         self._starts_s = None

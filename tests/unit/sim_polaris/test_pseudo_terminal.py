@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from sim.polaris.errors import LineUnavailable
+from sim.polaris.mode import Mode
 from sim.polaris.parameters import UnitParameters
 from sim.polaris.pseudo_terminal import PseudoTerminal
 from sim.polaris.server import EndSignal, Server
@@ -66,6 +67,10 @@ class Host:
     def send_break(self) -> None:
         termios.tcflush(self._file, termios.TCIOFLUSH)
         termios.tcsendbreak(self._file, 0)
+
+    def flush_both(self) -> None:
+        termios.tcflush(self._file, termios.TCIFLUSH)
+        termios.tcflush(self._file, termios.TCOFLUSH)
 
     def flush_output(self) -> None:
         termios.tcflush(self._file, termios.TCOFLUSH)
@@ -228,9 +233,13 @@ def test_a_break_resets_the_unit_from_any_rate(make_line: Callable[..., Line]) -
 
 
 def test_a_unit_that_starts_is_deaf_until_it_says_reset(make_line: Callable[..., Line]) -> None:
-    host = make_line(break_deaf_s=0.0, reset_s=1.0).host()
+    line = make_line(break_deaf_s=0.0, reset_s=1.0)
+    host = line.host()
     host.ask("INIT ")
     host.send_break()
+    deadline_s = time.monotonic() + ANSWER_LIMIT_S
+    while line.session.unit.mode is not Mode.NOT_INITIALISED and time.monotonic() < deadline_s:
+        time.sleep(0.01)
     host.write(b"INIT \r")
     assert host.read() == RESET
     assert host.ask("PHSR 00").startswith(b"ERROR10")
@@ -260,6 +269,15 @@ def test_what_looks_like_a_break_at_the_opening_of_a_line_is_none(make_line: Cal
     second.flush_output()  # one direction alone is no break either
     assert second.ask("PHSR 00").startswith(b"00")
     second.close()
+
+
+def test_who_flushes_both_directions_and_speaks_on_sent_no_break(make_line: Callable[..., Line]) -> None:
+    host = make_line(break_deaf_s=0.0, break_silence_s=ANSWER_LIMIT_S).host()
+    assert host.ask("INIT ") == OKAY
+    for _ in range(20):
+        host.flush_both()
+        assert host.ask("PHSR 00").startswith(b"00")
+    host.close()
 
 
 def test_reset_is_said_at_9600_again(make_line: Callable[..., Line]) -> None:
