@@ -148,9 +148,10 @@ def start_stream(
     first = link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), rest_of(deadline))
     if first is None:
         said = link.state
-        strangers = f"; {said.foreign} came from {said.foreign_host}" if said.foreign else ""
+        others = f"; {said.foreign} came from {said.foreign_host}" if said.foreign else ""
+        others += f"; {said.rejected} were of another form or Type" if said.rejected else ""
         raise NoTelegram(
-            f"{name}: the RSI program runs, but no telegram comes here{strangers}",
+            f"{name}: the RSI program runs, but no telegram of it comes here{others}",
             awaited=f"telegrams of {options.controller_host}" if options.controller_host else None,
             limit=f"{timeout_s:g} s",
         )

@@ -8,6 +8,7 @@ can be made ready before the telegram arrives.
 from __future__ import annotations
 
 import re
+from math import isfinite
 from typing import NamedTuple
 from xml.parsers import expat
 
@@ -32,6 +33,7 @@ KEYWORD_ATTRIBUTES: dict[str, tuple[str, ...]] = {
 }
 GENERATOR_PARAMETERS = 10  # C1 of a Tech element is C11 .. C110
 REPLY_TAIL = b"</IPOC></Sen>"
+ROOT, ROOT_TYPE = "Rob", "KUKA"
 LONGEST_TELEGRAM = 8192  # one datagram; the common ones are below 1000 bytes
 
 _ANYTHING = rb'[^"<]{1,32}'
@@ -127,6 +129,15 @@ def read_strictly(data: bytes) -> Telegram:
     text: list[str] = []
 
     def start(name: str, attributes: dict[str, str]) -> None:
+        if not path:
+            kind = attributes.get("Type", attributes.get("TYPE"))
+            if name != ROOT or kind != ROOT_TYPE:
+                raise BadTelegram(
+                    "a telegram of another type",
+                    awaited=f'<{ROOT} Type="{ROOT_TYPE}">',
+                    last=f'<{name} Type="{kind}">',
+                    wire=data,
+                )
         path.append(name)
         text.clear()
         if len(path) == 2:
@@ -152,6 +163,8 @@ def read_strictly(data: bytes) -> Telegram:
     try:
         parser.Parse(data[: end_of_root + len(b"</Rob>")], True)  # bytes after the root are tolerated
         A1, A2, A3, A4, A5, A6 = (float(values["AIPos", axis]) for axis in AXIS_NAMES)
+        if not all(isfinite(angle) for angle in (A1, A2, A3, A4, A5, A6)):
+            raise BadTelegram("an axis without a finite value", wire=data)
         delay = int(float(values["Delay", "D"])) if ("Delay", "D") in values else -1
         ipoc = values["IPOC", ""]
         if not (ipoc.isascii() and ipoc.isdigit() and len(ipoc) <= 20):

@@ -1,0 +1,107 @@
+"""The driver's receive loop in process: no sockets, no second process, and a clock that is told."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+
+from drivers.kuka_rsi.link_loop import LinkLoop
+from drivers.kuka_rsi.link_state import Command, CommandKind, StopOrder
+from drivers.kuka_rsi.mailbox import Mailbox
+from drivers.kuka_rsi.settings import LinkSettings
+
+AXES = tuple(f"AK.A{k}" for k in range(1, 7))
+START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
+CONTROLLER = ("127.0.0.1", 40000)
+CYCLE_MS = 4
+FIRST_IPOC = 1000
+TELEGRAM = (
+    '<Rob Type="KUKA"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000" C="180.0000"/>'
+    '<AIPos A1="%.4f" A2="%.4f" A3="%.4f" A4="%.4f" A5="%.4f" A6="%.4f"/>'
+    '<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
+    '<Delay D="%d"/><IPOC>%d</IPOC></Rob>'
+)
+CORRECTIONS = re.compile(rb'A\d="(-?\d+\.\d{6})"')
+
+
+class SentReplies:
+    """In place of a socket."""
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+
+    def sendto(self, data: bytes, _address: object) -> int:
+        self.sent.append(data)
+        return len(data)
+
+
+class InProcessLink:
+    """A loop with an open session, given telegrams one by one."""
+
+    def __init__(self, *, heartbeat_limit_s: float = 60.0) -> None:
+        self._memory_fd = os.memfd_create("link under test")
+        self._event_fd = os.eventfd(0, os.EFD_NONBLOCK)
+        Mailbox.initialise(self._memory_fd)
+        self.mailbox = Mailbox(self._memory_fd)
+        self.replies = SentReplies()
+        settings = LinkSettings(
+            host="127.0.0.1",
+            port=1,
+            parent_pid=1,
+            mailbox_fd=self._memory_fd,
+            event_fd=self._event_fd,
+            variant="kr6_r900_sixx",
+            cycle_ms=CYCLE_MS,
+            sentype="KROSHU",
+            send_tags=("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay"),
+            receive_tags=("Stop", *AXES),
+            axis_tags=AXES,
+            stop_tag="Stop",
+            silence_limit_s=60.0,
+            heartbeat_limit_s=heartbeat_limit_s,
+            settle_tolerance_deg=0.0002,
+            speed_fraction=0.12,
+            real_time_priority=0,
+        )
+        self.loop = LinkLoop(settings, self.replies, self.mailbox)  # type: ignore[arg-type]
+        self.now_ns = 1_000_000_000
+        self._commands = 0
+        self._stops = 0
+
+    def close(self) -> None:
+        self.mailbox.close()
+        os.close(self._memory_fd)
+        os.close(self._event_fd)
+
+    def give(self, command: Command) -> None:
+        """A command for the loop; its number is chosen here."""
+        self._commands += 1
+        self.mailbox.write_command(command._replace(number=self._commands, stop_number=self._stops))
+
+    def open(self) -> None:
+        """A session as after a start of the stream, whatever was before."""
+        self.give(Command(0, CommandKind.CLOSE))
+        self.loop._look_around()
+        self.give(Command(0, CommandKind.OPEN))
+        self.loop._look_around()
+
+    def stop(self, kind: StopOrder) -> None:
+        self._stops += 1
+        self.mailbox.order_stop(self._stops, kind)
+
+    def receive(self, data: bytes) -> bytes | None:
+        """The reply to a datagram of the controller."""
+        self.now_ns += CYCLE_MS * 1_000_000
+        self.loop._received_ns = self.now_ns
+        before = len(self.replies.sent)
+        self.loop._serve(data, CONTROLLER)
+        return self.replies.sent[-1] if len(self.replies.sent) > before else None
+
+
+def telegram(ipoc: int, axes_deg: Sequence[float] = START_DEG, delay: int = 0) -> bytes:
+    return (TELEGRAM % (*axes_deg, delay, ipoc)).encode()
+
+
+def corrections_of(reply: bytes) -> tuple[float, ...]:
+    return tuple(float(value) for value in CORRECTIONS.findall(reply))
