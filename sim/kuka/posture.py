@@ -28,6 +28,26 @@ def axes_of_posture(
     None when the pose is out of reach, or an axis of that turn beyond its end switch. `near_deg` decides
     about A4 where the wrist is straight.
     """
+    angles = axes_of_status(arm, flange, status, radians(near_deg[3]))
+    if angles is None:
+        return None
+    axes = []
+    for number, (joint, angle) in enumerate(zip(arm.joints, angles, strict=True)):
+        value = _turned((degrees(angle) + 180.0) % 360.0 - 180.0, bool(turn & 1 << number))
+        if not joint.lower_deg <= value <= joint.upper_deg:
+            return None
+        axes.append(value)
+    return axes
+
+
+def axes_of_status(
+    arm: Description, flange: Matrix, status: int, near_A4: float = 0.0
+) -> tuple[float, float, float, float, float, float] | None:
+    """Axes (rad, each but for whole turns) that bring the flange (4, 4, in $ROBROOT) to a pose with status S.
+
+    None when the pose is out of reach; end switches are not looked at. `near_A4` decides about A4 where the
+    wrist is straight.
+    """
     joints = arm.joints
     rotation = flange[:3, :3] @ rotation_from_vector((0.0, -radians(FLANGE_PITCH_DEG), 0.0))
     x, y, z = (flange[:3, 3] - joints[5].origin_mm[0] * rotation[:, 0]).tolist()
@@ -45,14 +65,8 @@ def axes_of_posture(
     A2 = atan2(down_mm, out_mm) - atan2(fore_mm * sin(bend), upper_mm + fore_mm * cos(bend))
     wrist = _about_z(-A1).T @ rotation
     wrist = rotation_from_vector((0.0, -(A2 + A3), 0.0)) @ wrist
-    A4, A5, A6 = _wrist(wrist, bool(status & WRIST_NOT_POSITIVE), radians(near_deg[3]))
-    axes = []
-    for number, (joint, angle) in enumerate(zip(joints, (A1, A2, A3, A4, A5, A6), strict=True)):
-        value = _turned((degrees(angle) + 180.0) % 360.0 - 180.0, bool(turn & 1 << number))
-        if not joint.lower_deg <= value <= joint.upper_deg:
-            return None
-        axes.append(value)
-    return axes
+    A4, A5, A6 = _wrist(wrist, bool(status & WRIST_NOT_POSITIVE), near_A4)
+    return A1, A2, A3, A4, A5, A6
 
 
 def _wrist(wrist: Matrix, not_positive: bool, near_A4: float) -> tuple[float, float, float]:

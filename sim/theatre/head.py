@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import BadScene
-from sim.theatre.rigid import matrix_from, pose_of, rotation_from_vector, rotation_towards
+from sim.theatre.reach import Reach
+from sim.theatre.rigid import apply, matrix_from, pose_of, rotation_from_vector, rotation_towards
 from sim.theatre.scene import Fiducial, Head, Target
 
 Vector = NDArray[np.float64]
@@ -39,12 +40,13 @@ def draw_head(generator: np.random.Generator, markers: int, targets: int) -> Hea
     if not 1 <= targets <= 10:
         raise BadScene(f"a plan has 1 to 10 targets, not {targets}")
     fiducials = _draw_fiducials(generator, markers)
+    pose = _draw_pose(generator)
     return Head(
-        robot_from_ct=pose_of(_draw_pose(generator)),
+        robot_from_ct=pose_of(pose),
         centre_ct_mm=CENTRE_CT_MM,
         semi_axes_mm=SEMI_AXES_MM,
         fiducials=fiducials,
-        targets=_draw_targets(generator, targets, fiducials),
+        targets=_draw_targets(generator, targets, fiducials, pose),
     )
 
 
@@ -103,11 +105,14 @@ def _well_spread(centres: Vector) -> bool:
 
 
 def _draw_targets(
-    generator: np.random.Generator, count: int, fiducials: tuple[Fiducial, ...]
+    generator: np.random.Generator, count: int, fiducials: tuple[Fiducial, ...], robot_from_ct: Vector
 ) -> tuple[Target, ...]:
+    """Trajectories between the spheres that the arm can serve, all in one posture."""
     axis = np.array(CAP_AXIS_CT)
     spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials])
+    reach = Reach(apply(robot_from_ct, spheres))
     targets: list[Target] = []
+    drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
     for _ in range(ATTEMPTS):
         point, normal = _surface(_direction(generator, axis, ENTRY_HALF_ANGLE_RAD))
         inward = _direction(generator, -normal, TILT_RAD)
@@ -115,12 +120,16 @@ def _draw_targets(
         if np.linalg.norm(spheres - entry, axis=1).min() < ENTRY_CLEARANCE_MM:
             continue
         target = entry + inward * generator.uniform(*DEPTH_RANGE_MM)
+        ends = apply(robot_from_ct, entry), apply(robot_from_ct, target)
+        if not reach.serves([*drawn, ends]):
+            continue
+        drawn.append(ends)
         targets.append(
             Target(identifier=f"T{len(targets) + 1}", entry_ct_mm=_three(entry), target_ct_mm=_three(target))
         )
         if len(targets) == count:
             return tuple(targets)
-    raise BadScene(f"{count} trajectories do not fit between the markers")
+    raise BadScene(f"{count} trajectories do not fit between the markers and within the arm's reach")
 
 
 def _three(vector: Vector) -> Any:
