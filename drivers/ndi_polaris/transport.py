@@ -18,7 +18,7 @@ from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
 WRITE_LIMIT_S = 1.0  # a line that takes no bytes for this long is dead
-BREAK_S = 0.5  # as long as other clients of the vendor's units hold it
+BREAK_MS = 500  # as long as other clients of the vendor's units hold it
 READ_BYTES = 65536
 CLOSED = -1  # no file has this number
 
@@ -142,6 +142,9 @@ class SerialTransport(_Descriptor):
         except (OSError, ValueError) as error:
             raise _unavailable(endpoint, error) from error
         super().__init__(endpoint, self._port.fileno())
+        # A USB adapter holds the end of a reply back for 16 ms, a whole frame, unless it is told not to.
+        with contextlib.suppress(OSError, ValueError, NotImplementedError):
+            self._port.set_low_latency_mode(True)
 
     @property
     def baud(self) -> int | None:
@@ -157,7 +160,7 @@ class SerialTransport(_Descriptor):
         try:
             # Whatever either side still holds belongs to the time before the break.
             termios.tcflush(self._descriptor, termios.TCIOFLUSH)
-            self._port.send_break(BREAK_S)
+            termios.tcsendbreak(self._descriptor, BREAK_MS)
         except (OSError, termios.error) as error:
             raise LinkLost(f"cannot send a break on {self._endpoint}: {_reason(error)}") from error
 

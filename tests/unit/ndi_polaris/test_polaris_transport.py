@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import pty
 import socket
+import termios
 import tty
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
 
 from drivers.ndi_polaris.errors import LinkLost, PortUnavailable
 from drivers.ndi_polaris.transport import SerialTransport, TcpTransport, Transport, open_transport
@@ -108,6 +110,28 @@ def test_the_rate_of_a_serial_line_can_be_changed_and_a_break_sent() -> None:
     finally:
         os.close(unit)
         os.close(terminal)
+
+
+def test_a_break_is_held_as_long_as_the_units_need(monkeypatch: pytest.MonkeyPatch) -> None:
+    unit, terminal = pty.openpty()
+    breaks: list[int] = []
+    monkeypatch.setattr(termios, "tcsendbreak", lambda _file, duration_ms: breaks.append(duration_ms))
+    transport = SerialTransport(parse_endpoint(f"serial://{os.ttyname(terminal)}"))
+    transport.send_break()
+    assert breaks == [500]
+    transport.close()
+    os.close(unit)
+    os.close(terminal)
+
+
+def test_a_usb_adapter_is_told_not_to_hold_replies_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    unit, terminal = pty.openpty()
+    told: list[bool] = []
+    monkeypatch.setattr(serial.Serial, "set_low_latency_mode", lambda _port, wanted: told.append(wanted))
+    SerialTransport(parse_endpoint(f"serial://{os.ttyname(terminal)}")).close()
+    assert told == [True]
+    os.close(unit)
+    os.close(terminal)
 
 
 @pytest.mark.hazard(34)
