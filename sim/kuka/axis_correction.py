@@ -54,14 +54,15 @@ class AxisCorrector:
             else list(inputs_deg)
         )
         self.stat = ACTIVE_BIT
-        for axis, (value, lower, upper) in enumerate(
-            zip(wanted, self._lower_deg, self._upper_deg, strict=True)
+        beyond = None
+        for axis, (value, lower, upper, largest) in enumerate(
+            zip(wanted, self._lower_deg, self._upper_deg, self._largest_deg, strict=True)
         ):
+            taken = value
             if value < lower or value > upper:
-                wanted[axis] = lower if value < lower else upper
+                taken = wanted[axis] = lower if value < lower else upper
                 self.stat |= ACTIVE_BIT << (axis + 1)
+            if (taken > largest or taken < -largest) and beyond is None:
+                beyond = out_of_range("AXISCORRMON", self._axes[axis], taken, largest)
         self.totals_deg = wanted
-        for axis, (value, largest) in enumerate(zip(wanted, self._largest_deg, strict=True)):
-            if value > largest or value < -largest:
-                return out_of_range("AXISCORRMON", self._axes[axis], value, largest)
-        return None
+        return beyond

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import struct
 from ipaddress import IPv4Address
 
 from ronna_hw.endpoints import Endpoint
@@ -11,6 +12,8 @@ from sim.kuka.errors import ClientAddressInvalid
 
 DATAGRAM_BYTES = 65535
 LOOPBACK = "127.0.0.1"
+WAIT_S = 0.001  # host time that `await_datagram` waits at most
+_TIMEVAL = struct.Struct("ll")
 
 
 def resolve(endpoint: Endpoint) -> tuple[str, int]:
@@ -32,15 +35,23 @@ class RsiSocket:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         if IPv4Address(self._host).is_loopback:
             self.socket.bind((LOOPBACK, 0))  # a client on this host is nobody else's business
-        self.socket.setblocking(False)
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(0, round(WAIT_S * 1e6)))
 
     def send(self, telegram: bytes) -> None:
         """Send one telegram; what the network refuses is lost, as on any wire."""
         with contextlib.suppress(OSError):
-            self.socket.sendto(telegram, self._client)
+            self.socket.sendto(telegram, socket.MSG_DONTWAIT, self._client)
 
     def receive(self) -> bytes | None:
         """One waiting datagram from the client's host; None when nothing waits; empty when foreign."""
+        try:
+            data, source = self.socket.recvfrom(DATAGRAM_BYTES, socket.MSG_DONTWAIT)
+        except OSError:
+            return None
+        return data if source[0] == self._host else b""
+
+    def await_datagram(self) -> bytes | None:
+        """The same, but wait a moment for one; the cheapest way to wait for nothing else."""
         try:
             data, source = self.socket.recvfrom(DATAGRAM_BYTES)
         except OSError:

@@ -25,6 +25,9 @@ class EthernetOutputs:
 
     def take(self, values: Sequence[float | None] | None) -> list[float]:
         """Take a reply's values, or None for a cycle without a reply."""
+        if values is not None and None not in values:
+            self.values = list(values)  # type: ignore[arg-type]
+            return self.values
         taken = self._all_missing if values is None else values
         self.values = [
             new if new is not None else (old if hold else 0.0)

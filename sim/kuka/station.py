@@ -32,6 +32,7 @@ from sim.theatre.world import World
 IDLE_WAIT_S = 0.02  # longest wait without looking at the fault script, and whether the process should end
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
 LOOK_S = 0.001  # host time between two looks whether somebody waits for theatre time
+SERVE_S = 0.002  # host time between two looks at the EKI channels while lock-step hurries
 UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
 STALE_LIMIT = 256  # datagrams read in one cycle; a flood must not stop the clock
 
@@ -64,7 +65,8 @@ class Station:
         self._foreign: RsiSocket | None = None
         self._datagram: bytes | None = None
         self._deadline_s = 0.0
-        self._tick_s = 0.0
+        self._tick_s = self._served_s = 0.0
+        controller.arm.publishes_late = True
         self._noticed: tuple[RsiState, bool] | None = None
         self._silent = False
         self._unchanged = 0
@@ -111,6 +113,7 @@ class Station:
             self._rsi.send(telegram)
         else:
             answerable = self._send_with_faults(run, telegram)
+        controller.arm.publish_due()
         lock_step = not self._clock.paced and not run.settings.context.ethernet.only_send
         if not lock_step:
             # An absolute schedule; after a stall of the host it begins anew instead of hurrying.
@@ -121,7 +124,7 @@ class Station:
             self._wait_until(run, self._deadline_s)
         elif answerable:
             limit_s = cycle_s if self._silent else REPLY_WAIT_S
-            reply = self._reply_until(run, began_s + limit_s)
+            reply = self._reply_in_lock_step(run, began_s + limit_s)
             self._silent = reply is None
         else:
             reply = self._datagram = None
@@ -236,6 +239,25 @@ class Station:
             if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
                 return None
 
+    def _reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
+        """As `_reply_until`, waiting on the RSI socket alone; the channels are served now and then."""
+        assert self._rsi is not None
+        budget = STALE_LIMIT
+        self._datagram = None
+        while True:
+            data = self._rsi.await_datagram()
+            now_s = time.monotonic()
+            if now_s - self._served_s > SERVE_S:
+                self._wait_once(0.0, None)
+            if data is not None:
+                budget -= 1
+                reply = run.read(data)
+                if reply is not None:
+                    self._datagram = data
+                    return reply
+            if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
+                return None
+
     def _wait_until(self, run: RsiRun, moment_s: float) -> None:
         """Wait, serving the channels; ends early when the run does."""
         while not self._ending and self._controller.run is run:
@@ -267,7 +289,8 @@ class Station:
             for server in self._servers:
                 server.serve(one)
             self._tick_s = 0.0
-        self._serve_timers(time.monotonic())
+        self._served_s = time.monotonic()
+        self._serve_timers(self._served_s)
         return heard
 
     def _serve_timers(self, now_s: float) -> None:

@@ -154,6 +154,10 @@ class World:
         """Say which step runs now. For the control port only."""
         _step.pack_into(self._memory, STEP_OFFSET, self.clock.now_ns(), name.encode()[:64])
 
+    def fault_version(self) -> int:
+        """Version of the fault script; it changes with every change of the text."""
+        return int(_faults.unpack_from(self._memory, FAULTS_OFFSET)[0])
+
     def fault_script(self) -> tuple[int, str]:
         """Version and text of the fault script; the version changes with every change of the text."""
         version, length = _faults.unpack_from(self._memory, FAULTS_OFFSET)

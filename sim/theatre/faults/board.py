@@ -65,8 +65,8 @@ class FaultBoard:
         return tuple(told)
 
     def _refresh(self) -> None:
-        version, text = self._world.fault_script()
-        if version != self._version:
+        if self._world.fault_version() != self._version:
+            version, text = self._world.fault_script()
             faults = parse_faults(text) if text.strip() else ()
             self._faults = tuple(fault for fault in faults if fault.kind.device == self._device)
             self._version = version

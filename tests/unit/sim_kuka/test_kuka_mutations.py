@@ -62,6 +62,7 @@ def test_mutated_requests_are_cut_and_read_without_an_exception() -> None:
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(3600)
 def test_a_million_mutated_replies_never_raise_and_never_invent_numbers(
     read: Callable[[bytes], Any],
 ) -> None:
@@ -73,6 +74,7 @@ def test_no_mutant_moves_a_resting_arm(bench: Any) -> None:
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(3600)
 def test_a_million_mutants_move_no_resting_arm(bench: Any) -> None:
     _nothing_moves(bench, MANY)
 
