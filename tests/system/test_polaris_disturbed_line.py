@@ -11,6 +11,7 @@ import pytest
 from polaris_mutations import COMMANDS_TO_RECOVER, MUTATIONS, Delivery, whole_binary
 
 from drivers.ndi_polaris import PolarisTracker
+from drivers.ndi_polaris.errors import LinkLost
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -36,11 +37,16 @@ class MutatingLine(DisturbedLine):
         self.mutated = 0
         self.quiet_from_s = 0.0
         self.sent = b""
+        self.breaks_after: int | None = None  # bytes of the next reply
         self._chosen = random.Random(seed)
 
     def _disturbed(self, data: bytes) -> Delivery:
         deliveries: Delivery = [(0.0, data)]
-        if self.left:
+        if self.breaks_after is not None:
+            deliveries = [(0.0, data[: self.breaks_after])]
+            self.breaks_after = None
+            self.cut()
+        elif self.left:
             self.left -= 1
             self.mutated += 1
             shorter = LONGEST_DELAY_S / 6.0  # the million's delays are up to six seconds
@@ -118,9 +124,26 @@ def recover(device: PolarisTracker, line: MutatingLine, place_mm: tuple[float, f
     raise AssertionError(f"not back within {COMMANDS_TO_RECOVER} commands")
 
 
+@pytest.mark.hazard(4)
+def test_a_connection_that_breaks_in_the_middle_of_a_reply_is_lost_and_comes_back() -> None:
+    arguments = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0")
+    with ChildProcess("ronna-sim polaris", arguments) as unit, MutatingLine(unit, 0) as line:
+        device = tracker_at(line.endpoint)
+        for length in (0, 3, 6, 30):
+            device.read_frame()
+            line.breaks_after = length
+            with pytest.raises(LinkLost, match=r"NDI-008.*(closed at the other end|broke).*recover"):
+                device.read_frame()
+            assert device.state is Lifecycle.FAULT
+            device.recover("tester", timeout_s=HANG_S)
+            device.activate()
+            assert device.read_frame().tool(TOOL).position_mm is not None
+        device.close()
+
+
 @pytest.mark.hazard(16)
 def test_disturbed_replies_over_tcp_are_not_believed_and_two_commands_recover() -> None:
-    run(replies=20, seed=1)
+    run(replies=12, seed=1)
 
 
 @pytest.mark.soak
