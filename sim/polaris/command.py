@@ -55,6 +55,8 @@ def polaris(
     behaviour = UnitParameters.with_settings(setting or [])
     kind = PROFILES[profile.value]
     tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
+    if scene == "bench" and profile is ProfileName.VICRA:
+        scene = "bench-near"  # the other one lies behind its volume
     room, control = open_world(world, scene, faults)
     session = Session(Unit(room, kind, behaviour, tools))
     end = EndSignal()

@@ -1,4 +1,4 @@
-"""The built-in scenes: `default`, `mini` and `bench`, each drawn from a seed.
+"""The built-in scenes: `default`, `mini`, `bench` and `bench-near`, each drawn from a seed.
 
 The room: the robot's base is the origin, x forward, z up. The patient half sits, the vertex up and towards
 the robot; the tracker looks at the head from above and the side.
@@ -17,18 +17,19 @@ from sim.theatre.rigid import apply, matrix_from, matrix_of, pose_of, rotation_t
 from sim.theatre.scene import CtProtocol, Scene, TrackerTool, TrackerTruth
 from sim.theatre.stereo_head import draw_cameras, draw_mount
 
-SCENES = ("default", "mini", "bench")
+SCENES = ("default", "mini", "bench", "bench-near")
 MINI_CT = CtProtocol(pixel_mm=1.0, slice_mm=1.5, columns=256, rows=256, slices=134, noise_HU=20.0)
 MINI_AREA_PX = (800, 800)
 # The tracker must see the head and, with the arm at home, the reference frame M half a metre above it.
 MARKER_FROM_HEAD_MM = (-150.0, 0.0, 500.0)
 TRACKER_DIRECTION = (500.0, 900.0, 1300.0)
 TRACKER_DISTANCE_MM = 1900.0  # from the middle between both
-# Four markers whose six distances differ by at least 8 mm, so that the frame has one pose only.
+# Four markers whose six distances differ by at least 4 mm, so that the frame has one pose only.
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
-BENCH_DISTANCE_MM = 1500.0
+# The bench of a tracker: `bench-near` lies within the volume of a Polaris Vicra.
+BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
 
-SceneName = Literal["default", "mini", "bench"]
+SceneName = Literal["default", "mini", "bench", "bench-near"]
 
 
 def built_in_scene(
@@ -55,8 +56,8 @@ def built_in_scene(
         ct=MINI_CT if mini else CtProtocol(),
         arm=draw_arm(generator),
         mount=draw_mount(generator),
-        tracker=_bench_tracker()
-        if name == "bench"
+        tracker=_bench_tracker(BENCH_DISTANCES_MM[name])
+        if name in BENCH_DISTANCES_MM
         else _tracker(apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)),
         left=left,
         right=right,
@@ -79,14 +80,18 @@ def _tracker(head_centre_mm: np.ndarray) -> TrackerTruth:
     return TrackerTruth(robot_from_tracker=pose, tools=(robot_frame(),))
 
 
-def _bench_tracker() -> TrackerTruth:
-    pose = pose_of(matrix_from((BENCH_DISTANCE_MM, 0.0, 0.0), rotation_towards((1, 0, 0), (0, 0, 1))))
+def _bench_tracker(distance_mm: float) -> TrackerTruth:
+    pose = pose_of(matrix_from((distance_mm, 0.0, 0.0), rotation_towards((1, 0, 0), (0, 0, 1))))
     places = tuple(
-        pose_of(matrix_from((x, y, -BENCH_DISTANCE_MM), np.eye(3)))
+        pose_of(matrix_from((x, y, -distance_mm), np.eye(3)))
         for x in (-150.0, 150.0)
         for y in (-300.0, -100.0, 100.0, 300.0)
     )
-    strays = ((0.0, -200.0, -1400.0), (20.0, 0.0, -1600.0), (-20.0, 200.0, -1500.0))
+    strays = (
+        (0.0, -200.0, 100.0 - distance_mm),
+        (20.0, 0.0, -100.0 - distance_mm),
+        (-20.0, 200.0, -distance_mm),
+    )
     return TrackerTruth(
         robot_from_tracker=pose,
         tools=(robot_frame(),),

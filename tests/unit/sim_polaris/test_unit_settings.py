@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from sim.polaris.profile import VICRA
+from sim.theatre.built_in import built_in_scene
 from sim.theatre.scene import TrackerTool
 
 if TYPE_CHECKING:
@@ -135,6 +136,18 @@ def test_a_beep_may_take_its_time(make_bench: Callable[..., Bench]) -> None:
     assert bench.send("BEEP 1") == "0"
     bench.world.clock.sleep(1.0)
     assert bench.send("BEEP 1") == "1"
+
+
+def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
+    bench = make_bench(built_in_scene("bench-near"), profile=VICRA)
+    bench.send("INIT ")
+    for _ in bench.world.scene.tracker.places:
+        bench.enable(pointer)
+    bench.send("TSTART 80")
+    answer = bench.send("TX 1001")
+    assert answer.startswith("08")
+    assert "MISSING" not in answer
+    assert answer.split("\n")[-1].startswith("030")
 
 
 def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
