@@ -164,7 +164,7 @@ def compare(
             ],
         )
     told = "no difference" if not differences else f"{len(differences)} difference(s)"
-    shape = "" if shape_mm is None else f"; distances between markers agree within {shape_mm:.3f} mm"
+    shape = "" if shape_mm is None else f"; distances between markers differ by {shape_mm:.3f} mm at most"
     console.tell(told + shape)
     return EXIT_FAILED if differences else EXIT_DONE
 

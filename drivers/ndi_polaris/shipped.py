@@ -24,13 +24,13 @@ def shipped_definitions() -> dict[str, ToolDefinition]:
 def find_definition(path: Path, folder: Path | None = None) -> Path:
     """The file that a path means: relative paths begin in `folder`, or where the program was started.
 
-    A bare name that is not there means the definition of that name that comes with the driver.
+    A bare name that is not there, with or without `.rom`, means the definition of that name that comes with
+    the driver.
     """
     found = path if folder is None else folder / path
-    shipped = FOLDER / path.name
-    if not found.exists() and path.name == str(path) and shipped.exists():
-        return shipped
-    return found
+    shipped = FOLDER / f"{path.stem}.rom"
+    bare = path.name == str(path) and path.suffix in ("", ".rom")
+    return shipped if bare and not found.exists() and shipped.exists() else found
 
 
 def main() -> None:

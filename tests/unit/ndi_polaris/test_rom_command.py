@@ -171,6 +171,23 @@ def test_tools_that_are_used_together_are_checked_against_each_other(rom: Rom, t
     }
 
 
+def test_a_shipped_definition_is_known_by_its_name_where_no_file_has_it(
+    rom: Rom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert rom("show", "x_frame")[1] == rom("show", "x_frame.rom")[1].replace("x_frame.rom", "x_frame")
+    (tmp_path / "x_frame.rom").write_bytes((FOLDER / "robot_frame.rom").read_bytes())
+    assert "RONNA-M" in rom("show", "x_frame.rom")[1]
+    assert rom("show", "no/x_frame.rom")[0] == 1
+
+
+def test_a_place_that_cannot_be_written_is_told(rom: Rom, tmp_path: Path) -> None:
+    (tmp_path / "p.toml").write_text(POINTER)
+    code, _, messages = rom("make", tmp_path / "p.toml", "--out", tmp_path / "no" / "p.rom")
+    assert code == 1
+    assert messages.startswith("CLI-005")
+
+
 @pytest.mark.parametrize("command", ["show", "check"])
 def test_a_foreign_file_is_refused_by_name(rom: Rom, tmp_path: Path, command: str) -> None:
     (tmp_path / "cat.png").write_bytes(b"PNG" + bytes(749))
