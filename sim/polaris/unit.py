@@ -142,6 +142,7 @@ class Unit:
 
     def diagnostic_frame(self, port: Port) -> Frame:
         """What is seen of one tool, enabled or not, and of everything else, in diagnostic mode."""
+        self.measurer.forget_tools()  # the one before may have looked at another tool
         return self._measured(self.frames.number(), self.alerts.system_status, (port,))
 
     def _measured(self, number: int, status: SystemStatus, ports: tuple[Port, ...]) -> Frame:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from sim.theatre.built_in import robot_frame
 from sim.theatre.scene import TrackerTool
 
 if TYPE_CHECKING:
@@ -54,6 +55,13 @@ def test_3d_tells_every_marker_with_its_line_separation(diagnostic: Bench, point
         assert np.linalg.norm(places - truth, axis=1).min() < 2.0
     assert {record[27:31] for record in records} == {"0005"}
     assert {record[31] for record in records} == {"0"}
+
+
+def test_3d_looks_at_one_tool_after_the_other(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.enable(robot_frame())
+    bench.send("DSTART ")
+    assert [bench.send(f"3D {handle:02}5")[:3] for handle in (1, 2, 1)] == ["007"] * 3
 
 
 @pytest.mark.parametrize(
