@@ -13,6 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.kuka_rsi.errors import LinkUnusable
+from drivers.kuka_rsi.faults import error_of_fault
 from drivers.kuka_rsi.link_state import (
     Command,
     CommandKind,
@@ -21,7 +23,8 @@ from drivers.kuka_rsi.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.losses import Losses
+from drivers.kuka_rsi.losses import WINDOW_CYCLES, Losses
+from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.session import Session
 from drivers.kuka_rsi.set_points import Choice
 from drivers.kuka_rsi.settings import LinkSettings
@@ -343,3 +346,47 @@ def test_what_is_counted_beyond_a_gap_says_that_the_last_reply_was_not_taken() -
         (False, 3),  # three missing, none counted: as if the last one had been taken
         (False, 0),
     ]
+
+
+# Sustained loss
+
+
+@pytest.mark.hazard(18)
+def test_when_half_of_the_replies_are_lost_for_seconds_the_arm_is_stopped_and_told_why() -> None:
+    controller = _moving()
+    for _ in range(2 * WINDOW_CYCLES):
+        controller.lose(["reply", ""])
+        if controller.session.fault:
+            break
+    assert controller.session.fault is Fault.LOSSES
+    controller.lose(["reply", ""] * 100)
+    assert not controller.session.moving
+    assert controller.largest_share <= WORKING_SHARE * ROUNDING
+    state = controller.session.state(real_time=False, locked=False)
+    error = error_of_fault("robot.master", state, KukaOptions())
+    assert isinstance(error, LinkUnusable)
+    assert "late or lost by the controller's count" in str(error)
+
+
+@pytest.mark.parametrize("every", [5, 8])
+def test_up_to_a_fifth_of_all_replies_may_be_lost_for_ever(every: int) -> None:
+    controller = _moving()
+    while controller.session.result is Result.RUNNING:
+        controller.lose(["reply", *[""] * (every - 1)])
+    assert _arrived(controller)
+
+
+def test_one_stall_of_half_a_second_is_no_unusable_link() -> None:
+    losses = Losses(CYCLE_MS)
+    losses.count(0, 0)
+    assert losses.count(CYCLE_MS * 126, 125) == 125
+    for k in range(127, 1000):
+        losses.count(CYCLE_MS * k, 125)
+        assert not losses.unusable
+
+
+def test_lost_cycles_at_rest_are_counted_and_stop_nothing() -> None:
+    controller = HoldingController()
+    controller.lose(["reply", ""] * 600)
+    assert controller.session.fault is Fault.NONE
+    assert controller.session.state(real_time=False, locked=False).late == 600

@@ -1,0 +1,163 @@
+"""What is set up wrongly is refused before motion, with a code, a reason and an action."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from drivers.kuka_rsi.arm import KukaRsiArm
+from drivers.kuka_rsi.errors import (
+    BadOptions,
+    CommandRefused,
+    ContextUnusable,
+    ControllerNotFound,
+    LinkNotStarted,
+    LinkProcessStalled,
+    NoTelegram,
+    WrongController,
+)
+from drivers.kuka_rsi.options import read_options
+from ronna_hw.arm.model import radians6
+from ronna_hw.arm.pose import Pose
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.wire.kuka_context import ContextInvalid, context_hash, load_context
+
+THERE = radians6(10, -85, 85, 5, 65, -10)
+
+
+def _eventually(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def _configured(arm: Any) -> Any:
+    arm.connect()
+    arm.configure()
+    return arm
+
+
+def test_an_address_that_is_not_this_computers_is_told_when_the_port_is_taken(controller: Any) -> None:
+    endpoints = {"rsi": "udp://203.0.113.7:59152", "eki_project": f"tcp://127.0.0.1:{controller.eki_port}"}
+    arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
+    arm.connect()
+    with pytest.raises(LinkNotStarted, match=r"203.0.113.7.*Cannot assign requested address"):
+        arm.configure()
+    arm.close()
+    assert not controller.replies
+
+
+@pytest.mark.hazard(34)
+def test_telegrams_of_another_host_than_the_named_one_open_no_session(controller: Any, make_arm: Any) -> None:
+    arm = _configured(make_arm(controller_host="127.0.0.9"))
+    with pytest.raises(NoTelegram, match=r"came from 127.0.0.1.*awaited telegrams of 127.0.0.9"):
+        arm.activate(timeout_s=1.0)
+    assert arm.state is Lifecycle.FAULT
+    assert not controller.replies
+
+
+def test_the_named_host_is_answered(controller: Any, make_arm: Any) -> None:
+    arm = _configured(make_arm(controller_host="127.0.0.1"))
+    arm.activate()
+    arm.move_joints(THERE)
+    assert controller.replies
+
+
+def test_telegrams_of_another_type_get_no_reply_and_are_named(controller: Any, make_arm: Any) -> None:
+    controller.root_type = "OTHER"
+    arm = _configured(make_arm())
+    with pytest.raises(NoTelegram, match="were of another form or Type"):
+        arm.activate(timeout_s=1.0)
+    assert not controller.replies
+
+
+@pytest.mark.hazard(20)
+def test_twelve_milliseconds_are_driven_when_both_sides_say_so(controller: Any, make_arm: Any) -> None:
+    with pytest.raises(WrongController, match="cycle in ms is 4, not 12"):
+        make_arm(cycle_ms=12).connect()
+    context = load_context()
+    program = context.program.model_copy(update={"cycle_ms": 12})
+    controller.facts.update(Cycle="12", CtxHash=context_hash(context.model_copy(update={"program": program})))
+    controller.cycle_ms = 12
+    arm = _configured(make_arm(cycle_ms=12))
+    arm.activate()
+    reading = arm.move_joints(THERE)
+    assert reading.joints_rad == pytest.approx(THERE, abs=1e-5)
+    assert arm.link_statistics().lost_cycles == 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"variant": "kr6_r900_2"},
+        {"context": "/nowhere/context.toml"},
+    ],
+)
+def test_options_that_do_not_go_with_the_context_are_refused_at_once(make_arm: Any, options: Any) -> None:
+    with pytest.raises((ContextUnusable, ContextInvalid)):
+        make_arm(**options)
+
+
+@pytest.mark.parametrize(
+    "options", [{"cycle_ms": 8}, {"controller_host": "the arm"}, {"speed_fraction": 0.2}, {"unknown": 1}]
+)
+def test_wrong_options_are_named(options: dict[str, Any]) -> None:
+    with pytest.raises(BadOptions, match=next(iter(options))):
+        read_options("robot.master", options)
+
+
+def test_a_second_client_of_the_controller_is_told_that_nobody_answers_it(
+    controller: Any, active_arm: Any, make_arm: Any
+) -> None:
+    with pytest.raises(ControllerNotFound):
+        make_arm().connect(timeout_s=0.5)
+    active_arm.move_joints(THERE)  # the first one is not disturbed
+
+
+@pytest.mark.hazard(4)
+def test_a_real_time_process_that_stands_still_is_latched_though_nobody_asks(
+    controller: Any, make_arm: Any
+) -> None:
+    arm = _configured(make_arm(heartbeat_limit_s=0.5))
+    arm.activate()
+    os.kill(arm._ways.link._process.pid, signal.SIGSTOP)
+
+    def latched() -> bool:
+        controller.tell()  # as it does every 0.1 s, whatever happens on the other link
+        return bool(arm._guard.state is Lifecycle.FAULT)
+
+    _eventually(latched)
+    assert isinstance(arm.fault, LinkProcessStalled)
+    with pytest.raises(LinkProcessStalled):
+        arm.move_joints(THERE)
+    arm.recover("Ana")
+    arm.activate()
+
+
+# Everything that is no motion
+
+
+def test_tool_and_base_are_set_at_rest_only(controller: Any, make_arm: Any) -> None:
+    arm = _configured(make_arm())
+    arm.controller.set_tool(2, Pose.from_kuka(0, 0, 150, 0, 0, 0), mass_kg=1.2)
+    arm.controller.set_base(1, Pose())
+    arm.controller.set_override(50)
+    arm.controller.select_program()
+    arm.controller.cancel_program()
+    assert controller.commands[-5:] == ["SET_TOOL", "SET_BASE", "SET_OV", "SELECT", "CANCEL"]
+    assert arm.controller.state().tool == 2
+    controller.ack_codes["SET_OV"] = 2
+    with pytest.raises(CommandRefused, match="SET_OV"):
+        arm.controller.set_override(500)
+    arm.activate()
+    with pytest.raises(WrongState):
+        arm.controller.set_tool(2, Pose(), mass_kg=1.2)
