@@ -129,16 +129,16 @@ def _described(description: str) -> str:
 
 
 def _serial_port(path: str, description: str) -> Finding:
-    from procedures.cli.line_cause import permission_advice
+    from procedures.cli.line_cause import permission_advice, permissions
     from procedures.cli.line_holders import holders_of
 
     subject = f"serial port {path}"
+    seen = f"{description}; {permissions(path)}"
     if not os.access(path, os.R_OK | os.W_OK):
-        return Finding(subject, False, f"{description}; permission denied", permission_advice(path))
+        return Finding(subject, False, f"{seen}; permission denied", permission_advice(path))
     if holders := holders_of(path):
-        who = " and ".join(str(holder) for holder in holders)
-        return Finding(subject, True, f"{description}; in use by {who}")
-    return Finding(subject, True, description)
+        return Finding(subject, True, f"{seen}; in use by " + " and ".join(map(str, holders)))
+    return Finding(subject, True, seen)
 
 
 def _polaris_lines(tracker: DeviceConfig) -> list[Endpoint]:

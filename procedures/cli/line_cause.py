@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import grp
 import os
+import pwd
 import stat
 from dataclasses import dataclass
 from typing import Any
@@ -83,17 +84,40 @@ def document(probe: Probe) -> dict[str, Any]:
     }
 
 
+def permissions(path: str) -> str:
+    """Mode, owner and group of a port, as `ls -l` shows them."""
+    try:
+        about = os.stat(path)
+    except OSError as error:
+        return str(error.strerror)
+    return f"{stat.filemode(about.st_mode)} {_owner(about.st_uid)} {_group(about.st_gid)}"
+
+
 def permission_advice(path: str) -> str:
     """Who may use a port, and how to become one of them."""
     try:
         about = os.stat(path)
-        group = grp.getgrgid(about.st_gid).gr_name
-    except (OSError, KeyError):
+    except OSError:
         return "Join the group that owns it (often dialout), then log in again."
+    group = _group(about.st_gid)
     mode = stat.filemode(about.st_mode)
     if about.st_mode & stat.S_IRGRP and about.st_mode & stat.S_IWGRP:
         return f"It belongs to group {group} ({mode}): sudo usermod -aG {group} $USER, then log in again."
     return f"Its mode {mode} lets not even its group {group} use it: have its udev rule corrected."
+
+
+def _owner(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return str(number)
+
+
+def _group(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
 
 
 def _not_opened(probe: Probe) -> Verdict:
@@ -133,10 +157,9 @@ def _not_opened(probe: Probe) -> Verdict:
 
 
 def _answered(attempt: Attempt) -> Verdict:
-    if attempt.baud is None:
-        return Verdict(True, f"answered: {attempt.answer}")
-    seen = f"answered at {attempt.baud}: {attempt.answer}"
-    if attempt.baud == DEFAULT_BAUD:
+    rate = "" if attempt.baud is None else f" at {attempt.baud}"
+    seen = f"answered{rate}: {attempt.answer} (last bytes {attempt.heard.hex(' ')})"
+    if attempt.baud in (None, DEFAULT_BAUD):
         return Verdict(True, seen)
     return Verdict(
         True,

@@ -19,7 +19,7 @@ import pytest
 
 from procedures.cli import line_probe
 from procedures.cli.doctor import Report, examine, show
-from procedures.cli.line_cause import document, judge, permission_advice
+from procedures.cli.line_cause import document, judge, permission_advice, permissions
 from procedures.cli.line_holders import holders_of
 from procedures.cli.line_probe import Access, Outcome, probe_line
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
@@ -88,7 +88,8 @@ def unit_at(baud: int, elsewhere: bytes = b"") -> Answer:
 def test_a_unit_at_the_rate_of_power_up_answers(far_end: Callable[[Answer], FarEnd]) -> None:
     probe = probe_line(far_end(unit_at(9600)).endpoint)
     verdict = judge(probe)
-    assert (verdict.well, verdict.seen, verdict.advice) == (True, "answered at 9600: G.001.005", "")
+    assert (verdict.well, verdict.advice) == (True, "")
+    assert verdict.seen == f"answered at 9600: G.001.005 (last bytes {ANSWER.hex(' ')})"
     assert len(probe.attempts) == 1
     assert probe.last_bytes == ANSWER
 
@@ -100,7 +101,7 @@ def test_a_unit_left_at_another_rate_is_found_there(
     probe = probe_line(far_end(unit_at(115200, elsewhere)).endpoint)
     verdict = judge(probe)
     assert verdict.well
-    assert verdict.seen == "answered at 115200: G.001.005"
+    assert verdict.seen.startswith("answered at 115200: G.001.005")
     assert "An earlier program left it at this rate" in verdict.advice
     assert [attempt.baud for attempt in probe.attempts] == [9600, 115200]
 
@@ -215,6 +216,7 @@ def test_the_group_that_may_use_a_port_is_told(tmp_path: Path) -> None:
     port.touch()
     port.chmod(stat.S_IRUSR | stat.S_IWUSR | stat.S_IRGRP | stat.S_IWGRP)
     assert "sudo usermod -aG " in permission_advice(str(port))
+    assert permissions(str(port)).startswith("-rw-rw---- ")
     port.chmod(stat.S_IRUSR)
     assert "udev" in permission_advice(str(port))
     assert "dialout" in permission_advice("/dev/no-such-port")
