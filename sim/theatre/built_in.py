@@ -27,6 +27,7 @@ TRACKER_DISTANCE_MM = 1900.0  # from the middle between both
 # Four markers whose six distances differ by at least 4 mm, so that the frame has one pose only.
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
 # The bench of a tracker: `bench-near` lies within the volume of a Polaris Vicra.
+USUAL_REFLECTIONS = 2  # of a room with lamps and instruments in it
 BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
 
 SceneName = Literal["default", "mini", "bench", "bench-near"]
@@ -58,7 +59,9 @@ def built_in_scene(
         mount=draw_mount(generator),
         tracker=_bench_tracker(BENCH_DISTANCES_MM[name])
         if name in BENCH_DISTANCES_MM
-        else _tracker(apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)),
+        else _tracker(
+            apply(matrix_of(head.robot_from_ct), head.centre_ct_mm), 0 if mini else USUAL_REFLECTIONS
+        ),
         left=left,
         right=right,
         servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
@@ -70,14 +73,14 @@ def robot_frame() -> TrackerTool:
     return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
 
 
-def _tracker(head_centre_mm: np.ndarray) -> TrackerTruth:
+def _tracker(head_centre_mm: np.ndarray, reflections: int) -> TrackerTruth:
     span = np.array(MARKER_FROM_HEAD_MM)
     backwards = np.array(TRACKER_DIRECTION) / np.linalg.norm(TRACKER_DIRECTION)
     position = head_centre_mm + span / 2 + backwards * TRACKER_DISTANCE_MM
     # z points backwards, away from the head; the housing's long axis y lies along head and frame.
     rotation = rotation_towards(backwards, np.cross(span, backwards))
     pose = pose_of(matrix_from(position, rotation))
-    return TrackerTruth(robot_from_tracker=pose, tools=(robot_frame(),))
+    return TrackerTruth(robot_from_tracker=pose, tools=(robot_frame(),), reflections=reflections)
 
 
 def _bench_tracker(distance_mm: float) -> TrackerTruth:
