@@ -19,6 +19,7 @@ PUBLISHED_MM = (
     ("RONNA G3, targets 50-120 mm deep, phantom", 0.88),
 )
 OURS_COLOUR, PREDICTED_COLOUR, PUBLISHED_COLOUR = "#1f6f8b", "#9cc5d3", "#b9b9b9"
+JITTER_COLOUR = "#b3541e"
 DOTS_PER_INCH = 110
 
 
@@ -50,18 +51,26 @@ def target_errors(targets: list[dict[str, Any]], simulated: bool) -> bytes:
 
 
 def cycle_histogram(sessions: list[dict[str, Any]]) -> bytes:
-    """Histogram of the turnaround of the robot link over all its sessions; empty ends are left out."""
+    """Histogram of turnaround and jitter of the robot link over all its sessions; empty ends are left out."""
     figure, axes = _figure(7.6, 2.6)
     edges = np.array(sessions[0]["histogram_edges_us"])
-    counts = np.sum([session["histogram_counts"] for session in sessions], axis=0)
-    filled = np.flatnonzero(counts)
-    first, last = (filled[0], filled[-1] + 1) if len(filled) else (0, len(counts))
-    edges, counts = edges[first : last + 1], counts[first:last]
-    axes.bar(edges[:-1], counts, width=np.diff(edges), align="edge", color=OURS_COLOUR)
+    turnaround = np.sum([session["histogram_counts"] for session in sessions], axis=0)
+    jitter = np.zeros_like(turnaround)
+    for session in sessions:
+        jitter += np.array(session.get("jitter_counts") or np.zeros_like(turnaround))
+    filled = np.flatnonzero(turnaround + jitter)
+    first, last = (filled[0], filled[-1] + 1) if len(filled) else (0, len(turnaround))
+    edges, turnaround, jitter = edges[first : last + 1], turnaround[first:last], jitter[first:last]
+    axes.bar(
+        edges[:-1], turnaround, width=np.diff(edges), align="edge", color=OURS_COLOUR, label="turnaround"
+    )
+    if jitter.any():
+        axes.stairs(jitter, edges, color=JITTER_COLOUR, label="jitter of the telegrams")
+        axes.legend(frameon=False, fontsize=8)
     axes.set_yscale("symlog", linthresh=1)
     if edges[0] > 0:
         axes.set_xscale("log")
-    axes.set_xlabel("turnaround of a telegram, µs of host time")
+    axes.set_xlabel("µs of host time")
     axes.set_ylabel("cycles")
     return _png(figure)
 

@@ -1,0 +1,99 @@
+"""A hundred times the program that leads the arm is killed at a random moment: the arm rests, the controller
+is left clean, and the next program goes on from there without a jump.
+"""
+
+from __future__ import annotations
+
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from math import radians
+from pathlib import Path
+
+import pytest
+
+from drivers.kuka_rsi import KukaRsiArm
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600), pytest.mark.hazard(30)]
+
+KILLS = 100
+LONGEST_LIFE_S = 1.5  # of a program after its arm has begun to move
+STILL_RAD = radians(0.002)
+
+MOVER = """
+import sys
+from drivers.kuka_rsi import KukaRsiArm
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+
+endpoints = {"rsi": sys.argv[1], "eki_project": sys.argv[2]}
+arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
+arm.connect()
+arm.configure()
+arm.activate()
+print(arm._ways.link._process.pid, flush=True)
+away = 0.5
+while True:
+    here = arm.read_state().commanded_rad
+    arm.move_joints((away, *here[1:]))
+    away = -away
+"""
+
+
+@pytest.fixture
+def endpoints() -> Iterator[dict[str, str]]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        rsi = f"udp://127.0.0.1:{probe.getsockname()[1]}"
+    free = "tcp://127.0.0.1:0"
+    arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
+    with ChildProcess("ronna-sim kuka", arguments) as child:
+        yield {"rsi": rsi, "eki_project": child.ready["endpoints"]["eki_project"]}
+        assert child.alive
+
+
+def _eventually(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_killed_at_random_moments_the_arm_rests_and_the_next_program_goes_on(
+    endpoints: dict[str, str],
+) -> None:
+    chance = random.Random(30)
+    for _ in range(KILLS):
+        arguments = [sys.executable, "-P", "-c", MOVER, endpoints["rsi"], endpoints["eki_project"]]
+        with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as program:
+            assert program.stdout is not None
+            link_pid = int(program.stdout.readline())
+            time.sleep(chance.random() * LONGEST_LIFE_S)
+            program.send_signal(signal.SIGKILL)
+            program.wait()
+        _eventually(lambda pid=link_pid: not Path(f"/proc/{pid}").exists())  # type: ignore[misc]
+        _look_after(endpoints)
+
+
+def _look_after(endpoints: dict[str, str]) -> None:
+    """What a person would look at before going on."""
+    arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
+    try:
+        arm.connect()
+        _eventually(lambda: not arm.controller.state().moving)
+        rest = arm.read_state().joints_rad
+        assert arm.controller.state().error == 0  # ended by its STOP object, not by the Timeout
+        arm.configure()
+        arm.activate()
+        there = arm.read_state().joints_rad
+        assert max(abs(a - b) for a, b in zip(rest, there, strict=True)) < STILL_RAD
+        arm.deactivate()
+    finally:
+        arm.close()
