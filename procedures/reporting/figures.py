@@ -19,6 +19,7 @@ PUBLISHED_MM = (
     ("RONNA G3, targets 50-120 mm deep, phantom", 0.88),
 )
 OURS_COLOUR, PREDICTED_COLOUR, PUBLISHED_COLOUR = "#1f6f8b", "#9cc5d3", "#b9b9b9"
+LEAST_SHOWN_US = 1.0  # the first bin begins at zero, which a logarithmic axis does not have
 JITTER_COLOUR = "#b3541e"
 DOTS_PER_INCH = 110
 
@@ -61,6 +62,7 @@ def cycle_histogram(sessions: list[dict[str, Any]]) -> bytes:
     filled = np.flatnonzero(turnaround + jitter)
     first, last = (filled[0], filled[-1] + 1) if len(filled) else (0, len(turnaround))
     edges, turnaround, jitter = edges[first : last + 1], turnaround[first:last], jitter[first:last]
+    edges[0] = max(edges[0], LEAST_SHOWN_US)
     axes.bar(
         edges[:-1], turnaround, width=np.diff(edges), align="edge", color=OURS_COLOUR, label="turnaround"
     )
@@ -68,8 +70,7 @@ def cycle_histogram(sessions: list[dict[str, Any]]) -> bytes:
         axes.stairs(jitter, edges, color=JITTER_COLOUR, label="jitter of the telegrams")
         axes.legend(frameon=False, fontsize=8)
     axes.set_yscale("symlog", linthresh=1)
-    if edges[0] > 0:
-        axes.set_xscale("log")
+    axes.set_xscale("log")
     axes.set_xlabel("µs of host time")
     axes.set_ylabel("cycles")
     return _png(figure)
