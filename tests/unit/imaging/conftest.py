@@ -40,10 +40,11 @@ Inside = Callable[[Array, Array, Array], Array]  # signed depth in mm at (z, y, 
 
 @dataclass(frozen=True)
 class Shape:
-    """Something of one intensity; later shapes cover earlier ones."""
+    """Something of one intensity; later shapes cover earlier ones. `box` is two corners around it, if any."""
 
     hu: float
     inside: Inside
+    box: tuple[Array, Array] | None = None
 
 
 @dataclass
@@ -72,11 +73,17 @@ class Scan:
             count = int(stop[axis] - start[axis] + 2 * margin[axis]) * finer[axis]
             first = (start[axis] - margin[axis] - 0.5) * spacing[axis] + 0.5 * fine_mm[axis]
             axes.append(first + fine_mm[axis] * np.arange(count))
-        z, y, x = axes[0][:, None, None], axes[1][None, :, None], axes[2][None, None, :]
         image = np.full([len(axis) for axis in axes], AIR_HU, dtype=np.float32)
         for shape in self.shapes:
-            cover = np.clip(shape.inside(z, y, x) / fine_mm.mean() + 0.5, 0.0, 1.0).astype(np.float32)
-            image += (np.float32(shape.hu) - image) * cover
+            patch = tuple(slice(None) for _ in axes)
+            if shape.box is not None:  # beyond it nothing is covered, at an edge as wide as a sub-sample
+                edge_mm = 2.0 * fine_mm.mean()
+                corners = zip(axes, shape.box[0] - edge_mm, shape.box[1] + edge_mm, strict=True)
+                patch = tuple(slice(*np.searchsorted(axis, (low, high))) for axis, low, high in corners)
+            z, y, x = (axis[part] for axis, part in zip(axes, patch, strict=True))
+            depth_mm = shape.inside(z[:, None, None], y[None, :, None], x[None, None, :])
+            cover = np.clip(depth_mm / fine_mm.mean() + 0.5, 0.0, 1.0).astype(np.float32)
+            image[patch] += (np.float32(shape.hu) - image[patch]) * cover
         sigma = np.array([SLICE_BLUR_MM, PLANE_BLUR_MM, PLANE_BLUR_MM]) / fine_mm
         image = gaussian_filter(image, sigma, mode="nearest", truncate=4.0)
         blocks = [n for size, f in zip(image.shape, finer, strict=True) for n in (size // f, f)]
@@ -100,11 +107,11 @@ class Scan:
         """A plain ball."""
         c = np.asarray(centre_mm, dtype=float)
         self.focus.append((c, radius_mm + 3.5))
-        self.shapes.append(
-            Shape(
-                hu, lambda z, y, x: radius_mm - np.sqrt((z - c[0]) ** 2 + (y - c[1]) ** 2 + (x - c[2]) ** 2)
-            )
-        )
+
+        def inside(z: Array, y: Array, x: Array) -> Array:
+            return np.asarray(radius_mm - np.sqrt((z - c[0]) ** 2 + (y - c[1]) ** 2 + (x - c[2]) ** 2))
+
+        self.shapes.append(Shape(hu, inside, (c - radius_mm, c + radius_mm)))
 
     def rod(self, start_mm: Array, along: Array, length_mm: float, radius_mm: float, hu: float) -> None:
         """A cylinder with flat ends."""
@@ -117,7 +124,10 @@ class Scan:
             across = np.sqrt(np.maximum(dz**2 + dy**2 + dx**2 - height**2, 0.0))
             return np.minimum(radius_mm - across, np.minimum(height, length_mm - height))
 
-        self.shapes.append(Shape(hu, inside))
+        end = a + length_mm * d
+        self.shapes.append(
+            Shape(hu, inside, (np.minimum(a, end) - radius_mm, np.maximum(a, end) + radius_mm))
+        )
 
     def half_space(self, point_mm: Array, outward: Array, hu: float) -> None:
         """Everything behind a plane, within the scan."""
