@@ -26,6 +26,9 @@ from sim.polaris.session import Session
 FULL_PATIENCE_S = 0.5  # a serial line waits for nobody: what the host does not take in this time is lost
 THROTTLE_STEP_S = 0.01  # a throttled reply trickles in steps as long as this
 SLOW_ANSWER_S = 0.02  # a host may lose its patience meanwhile
+UNNOTICED_S = (
+    0.005  # waking up late costs a throttled line nothing: a unit takes some ms for its answer anyway
+)
 FLUSH_GAP_S = 0.005  # a flush of both directions may be told in two pieces
 SEVEN_BITS = bytes(byte & 0x7F for byte in range(256))
 UNREADABLE = bytes((byte * 0x9D + 0x37) & 0xFF | 0x80 for byte in range(256))  # what another rate makes of it
@@ -57,6 +60,7 @@ class PseudoTerminal:
         self._controls.register(self._master, select.POLLIN | select.POLLPRI)
         self._spoken_to = False  # since the line was opened
         self._opened_s = self._heard_s = 0.0
+        self._arrived_s = 0.0  # when the last byte of a command came over a throttled line
         self._flushed_input_s = 0.0
         if self._behaviour.power_up_reset:
             self._write(ascii_reply(REPLY_RESET))  # whoever opens the line and does not flush it reads this
@@ -91,7 +95,8 @@ class PseudoTerminal:
 
     def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
         if self._throttle:
-            time.sleep(received_bytes * line.seconds_per_byte)
+            self._arrived_s = max(self._heard_s, self._arrived_s) + received_bytes * line.seconds_per_byte
+            time.sleep(max(0.0, self._arrived_s - time.monotonic()))
 
     def send(self, data: bytes, line: LineSettings) -> None:
         if time.monotonic() - self._heard_s > SLOW_ANSWER_S and self._broken_meanwhile():
@@ -102,6 +107,8 @@ class PseudoTerminal:
             self._write(data)
             return
         moment_s = time.monotonic()
+        if moment_s - self._arrived_s < UNNOTICED_S:
+            moment_s = self._arrived_s
         step = max(1, int(THROTTLE_STEP_S / line.seconds_per_byte))
         for start in range(0, len(data), step):
             piece = data[start : start + step]
