@@ -14,6 +14,8 @@ UNUSABLE_SHARE = 0.35  # of two windows in a row: far above 20 %, which is worke
 UNUSABLE_WINDOWS = 2  # one stall of the host, or one burst, fills no two
 RECOVERED_CYCLES = 1000  # without a loss for so long, full working speed is allowed again
 IPOC_WRAP = 2**32
+STALE_CYCLES = 25  # a telegram so far back was overtaken on the way; further back it is another run's
+STALE_IN_A_ROW = 3  # more are no accident of the network
 RESTART_MS = 10_000  # a jump of the time stamp beyond this is another run, not a gap
 
 
@@ -26,6 +28,7 @@ class Losses:
         self._last_delay = 0
         self._stretch = 0
         self._clean = 0
+        self._stale = 0  # in a row
         self._window = (0, 0)  # cycles and losses of the present one
         self._bad_windows = 0  # in a row
         self.told = -1  # the controller's own count in the last telegram, -1 when it sends none
@@ -36,18 +39,19 @@ class Losses:
         self.standing = 0  # cycles in a row up to now in which no reply acted
 
     def count(self, ipoc: int, delay: int) -> int | None:
-        """Cycles missing before this telegram; -1 for a repeated one, None when another run began."""
+        """Cycles missing before this telegram; -1 for a repeated or overtaken one, None for another run's."""
         if self._last_ipoc is None:
             self._last_ipoc, self._last_delay, self.told = ipoc, max(delay, 0), delay
             return 0
         step = ipoc - self._last_ipoc
         if step < -IPOC_WRAP // 2:
             step += IPOC_WRAP
-        if step == 0:
-            return -1
+        if -STALE_CYCLES * self._cycle_ms <= step <= 0:
+            self._stale += 1
+            return -1 if self._stale <= STALE_IN_A_ROW else None
         if not 0 < step < RESTART_MS:
             return None
-        self._last_ipoc = ipoc
+        self._last_ipoc, self._stale = ipoc, 0
         missing = max(round(step / self._cycle_ms) - 1, 0)
         late = 0
         if delay >= 0:

@@ -414,8 +414,40 @@ def test_the_time_stamp_may_wrap_and_may_repeat_but_not_run_back() -> None:
     assert losses.count(0, -1) == 0
     assert losses.count(0, -1) == -1
     assert losses.count(8, -1) == 1
-    assert losses.count(4, -1) is None
+    assert losses.count(4, -1) == -1  # overtaken on the way
+    assert losses.count(12, -1) == 0
     assert losses.count(60_000, -1) is None
+    assert losses.count(2**32 - 4000, -1) is None
+    for stale in (8, 4, 8):
+        assert losses.count(stale, -1) == -1
+    assert losses.count(8, -1) is None  # and again and again: that is no accident
+
+
+@pytest.mark.hazard(18)
+def test_overtaken_and_repeated_telegrams_get_no_reply_and_disturb_no_motion() -> None:
+    cell = _moving()
+    for back in (4, 8, 12):
+        cell.ipoc -= back
+        assert not cell.cycle()
+        cell.ipoc += back - 4
+        assert cell.cycle()
+    cell.run()
+    assert cell.session.result is Result.DONE
+    assert cell.session.fault is Fault.NONE
+    assert cell.smooth()
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize("stall_ms", [8, 20, 50, 100, 250, 400, 500])
+def test_after_a_stall_of_the_host_the_motion_goes_on_smoothly_and_arrives(stall_ms: int) -> None:
+    cell = _moving()
+    assert cell.cycle(lost=stall_ms // 4)
+    cell.run()
+    assert cell.session.result is Result.DONE
+    assert cell.session.fault is Fault.NONE
+    assert cell.smooth()
+    state = cell.session.state(real_time=False, locked=False)
+    assert state.lost == stall_ms // 4
 
 
 def test_a_repeated_telegram_gets_no_second_reply() -> None:
