@@ -132,6 +132,20 @@ def test_a_step_that_fails_stops_the_arm_and_leaves_the_chart_in_fault(make: Any
     assert _entries(tmp_path)[-1] == ("failed", "ct_import")
 
 
+def test_evidence_that_comes_with_an_error_is_kept_in_the_run_folder(make: Any, tmp_path: Path) -> None:
+    def fail(_context: StepContext) -> Outcome:
+        error = LinkTimeout("telegrams ceased")
+        error.attachments["flight-record-robot.master.txt"] = "cycle  IPOC\n"
+        raise error
+
+    engine = make({**STEPS, "ct_import": StepSpec("ct_import", "", (), fail)})
+    with pytest.raises(LinkTimeout):
+        engine.run_step(engine.find("ct_import"))
+    assert (tmp_path / "flight-record-robot.master.txt").read_text() == "cycle  IPOC\n"
+    last = list(read_journal(tmp_path / JOURNAL_FILE))[-1]
+    assert last["files"] == ["flight-record-robot.master.txt"]
+
+
 def test_an_interrupted_step_stops_the_arm_and_is_journalled(make: Any, tmp_path: Path) -> None:
     def interrupt(_context: StepContext) -> Outcome:
         raise KeyboardInterrupt
