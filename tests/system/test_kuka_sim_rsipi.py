@@ -10,16 +10,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
 from ronna_hw.child_process import ChildProcess, command
 
 CLIENT = """
-import json, sys
+import json, sys, time
 from RSIPI import RSIAPI
+from RSIPI.fault_injection import suspended
 
-config, mode = sys.argv[1:3]
+config, mode, stall_s = sys.argv[1:4]
 with RSIAPI(config, rsi_mode=mode) as api:
     api.start()
     assert api.wait_for_connection(10)
@@ -33,10 +35,13 @@ with RSIAPI(config, rsi_mode=mode) as api:
 
     def axis(offset):
         sequence = api.client.publish_corrections({"AKorr": {"A1": offset, "A6": -offset}})
-        assert api.client.wait_correction_applied(sequence)
+        assert api.client.wait_correction_applied(sequence, timeout=2.0)
 
     cycles(10)
     for n in range(1, 101):
+        if n == 50 and float(stall_s):
+            with suspended(api.client.network_process.pid):
+                time.sleep(float(stall_s))
         axis(0.03 * n if mode == "absolute" else 0.03)
     if mode == "relative":
         axis(0.0)
@@ -68,16 +73,18 @@ def config(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def simulator(config: Path, mode: str) -> Iterator[ChildProcess]:
+def simulator(config: Path, mode: str, *options: str) -> Iterator[ChildProcess]:
     free = "tcp://127.0.0.1:0"
-    arguments = ("--rsi-config", str(config), "--corrections", mode, "--eki", free, "--eki-project", free)
-    with ChildProcess("ronna-sim kuka", command("sim.cli", "kuka", *arguments, "--autostart")) as child:
+    more = ("--corrections", mode, "--eki", free, "--eki-project", free, "--autostart", *options)
+    with ChildProcess(
+        "ronna-sim kuka", command("sim.cli", "kuka", "--rsi-config", str(config), *more)
+    ) as child:
         yield child
 
 
-def run_client(config: Path, mode: str) -> dict[str, Any]:
+def run_client(config: Path, mode: str, stall_s: float = 0.0) -> dict[str, Any]:
     done = subprocess.run(
-        [sys.executable, "-P", "-W", "ignore", "-c", CLIENT, str(config), mode],
+        [sys.executable, "-P", "-W", "ignore", "-c", CLIENT, str(config), mode, str(stall_s)],
         capture_output=True,
         text=True,
         timeout=40,
@@ -101,6 +108,32 @@ def test_rsipi_moves_the_arm(config: Path, mode: str) -> None:
     assert moved["A2"] == moved["A3"] == moved["A4"] == moved["A5"] == 0.0
     assert seen["set"] == seen["first"]
     assert seen["moved"]["Y"] != seen["pose"]["Y"]
+
+
+def test_with_replies_lost_and_a_client_that_stalls_an_absolute_correction_still_arrives(
+    config: Path, tmp_path: Path
+) -> None:
+    faults = tmp_path / "faults"
+    faults.write_text("at 0 s: robot drop 20 %\nat 0 s: robot duplicate 20 %\n")
+    with simulator(config, "absolute", "--faults", str(faults)):
+        seen = run_client(config, "absolute", stall_s=0.15)
+    assert seen["last"]["A1"] - seen["first"]["A1"] == pytest.approx(3.0, abs=1e-3)
+    assert seen["late"] > 20
+
+
+@pytest.mark.parametrize("name", ["Basic", "Full", "Joints", "Max", "OnlySend", "Stop"])
+def test_every_context_that_rsipi_ships_is_understood(name: str) -> None:
+    from RSIPI import context
+
+    from sim.kuka.ethernet_file import read_ethernet_file
+    from sim.kuka.telegram import TelegramWriter
+
+    path = Path(context("joints")).with_name(f"RSI_EthernetConfig_{name}.xml")
+    told = read_ethernet_file(path, None)
+    telegram = TelegramWriter(told.send, 4, (0.0,) * 6, (0.0,) * 6).write((1.0,) * 6, (2.0,) * 6, 3, 4)
+    tags = {element.tag.removeprefix("DEF_").partition(".")[0] for element in told.send} - {"FREE"}
+    assert {child.tag for child in ElementTree.fromstring(telegram)} == {*tags, "IPOC"}
+    assert told.ethernet.only_send is (name == "OnlySend")
 
 
 def test_the_next_client_is_served_after_one_was_killed(config: Path) -> None:
