@@ -36,11 +36,16 @@ class HandleSeen:
 
 @dataclass(frozen=True)
 class Seen:
-    """One whole reply; `strays_at` is where in the body their first position begins."""
+    """One whole reply; `strays_at` is where in the body their first position begins.
+
+    `strays_outside` holds the flags with the low bit of the first byte first, as most clients read them;
+    `strays_outside_mirrored` with the high bit of each byte first: no paper tells.
+    """
 
     handles: tuple[HandleSeen, ...]
     strays_mm: tuple[Vector3, ...]
     strays_outside: tuple[bool, ...]
+    strays_outside_mirrored: tuple[bool, ...]
     strays_at: int
     system_status: int
 
@@ -68,12 +73,14 @@ def read_body(body: bytes, options: int) -> Seen:
         at += 8 + (TOOL_INFORMATION_BYTES if options & OPTION_TOOL_INFORMATION else 0)
         handles.append(HandleSeen(handle, HandleStatus(status), pose, port_status, frame))
     strays: list[Vector3] = []
-    outside: list[bool] = []
+    outside: tuple[bool, ...] = ()
+    mirrored: tuple[bool, ...] = ()
     strays_at = at
     if options & OPTION_STRAYS:
         count = body[at]
         bits = body[at + 1 : at + 1 + (count + 7) // 8]
-        outside = [bool(bits[index // 8] & 1 << index % 8) for index in range(count)]
+        outside = tuple(bool(bits[index // 8] & 1 << index % 8) for index in range(count))
+        mirrored = tuple(bool(bits[index // 8] & 0x80 >> index % 8) for index in range(count))
         strays_at = at = at + 1 + len(bits)
         told = count if options & OPTION_OUT_OF_VOLUME else outside.count(False)
         for _ in range(told):
@@ -82,7 +89,7 @@ def read_body(body: bytes, options: int) -> Seen:
             at += POSITION_BYTES
     check(len(body) == at + 2, f"{at + 2} bytes in the body", len(body))
     (system_status,) = struct.unpack_from("<H", body, at)
-    return Seen(tuple(handles), tuple(strays), tuple(outside), strays_at, system_status)
+    return Seen(tuple(handles), tuple(strays), outside, mirrored, strays_at, system_status)
 
 
 def placed(markers_mm: tuple[Vector3, ...], pose: tuple[float, ...]) -> list[Vector3]:

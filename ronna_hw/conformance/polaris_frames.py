@@ -250,7 +250,7 @@ def diagnostic_mode(bench: Bench) -> None:
             raise NotShown(f"this unit has no diagnostic mode: {reply}")
         check(reply == "OKAY", "OKAY to DSTART", reply)
         try:
-            for command in ("DSTART:", "TSTART:80", "TX:0001", "BX:0001", "TSTOP:", "PHSR:00"):
+            for command in ("DSTART:", "TSTART:80", "TX:0001", "BX:0001", "TSTOP:"):
                 unit.refused(command, 0x0C)
         finally:
             unit.okay("DSTOP:")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, check
 from ronna_hw.conformance.polaris_bodies import Vector3, placed
-from ronna_hw.conformance.polaris_cases import NEEDS, WITH_TOOL, case, definition, seen
+from ronna_hw.conformance.polaris_cases import LOOKS, NEEDS, WITH_TOOL, case, definition, seen
 from ronna_hw.conformance.polaris_definitions import markers_of, shifted
 from ronna_hw.conformance.polaris_link import PolarisLink, idle_unit
 from ronna_hw.conformance.polaris_volumes import (
@@ -21,7 +21,8 @@ from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus, PortStatus
 
 BEYOND_MM = 130.0  # beyond the volume's side, still before the unit's eyes; more than half a tool
 EDGE_MM = 3.0  # nearer to a face than this, noise decides
-LOOKS_FOR_STRAYS = 20
+MORE_STRAYS = 4
+PHANTOMS_MM = 60
 READ_ONLY = "Features.Firmware.Version=0"
 
 
@@ -52,18 +53,26 @@ def strays_need_illuminators(bench: Bench) -> None:
         volume = volume_in_use(unit)
         unit.load(block)
         unit.okay("TSTART:80")
-        strays = 0
-        for _ in range(LOOKS_FOR_STRAYS):
-            frame = seen(unit, 0x1801)
-            strays += len(frame.strays_mm)
-            check(len(frame.strays_outside) <= MAXIMUM_STRAYS, "at most 50 strays", len(frame.strays_outside))
-            for position, outside in zip(frame.strays_mm, frame.strays_outside, strict=True):
-                clearance_mm = volume.clearance_mm(position)
-                if abs(clearance_mm) > EDGE_MM:
-                    check(outside == (clearance_mm < 0), f"the right bit for {position}", outside)
-            bench.clock.sleep(1 / 60)
-        if not strays:
-            raise NotShown("no stray marker is in sight")
+        flags = _judged_strays(bench, unit, volume)
+    if not flags:
+        raise NotShown("no stray marker is in sight")
+
+
+@case("P36b", "strays inside and outside at once have the right flags", needs=(*WITH_TOOL, "live faults"))
+def strays_in_and_out(bench: Bench) -> None:
+    block = definition(bench)
+    with idle_unit(bench) as unit:
+        volume = volume_in_use(unit)
+        unit.load(block)
+        unit.okay("TSTART:80")
+        try:
+            bench.fault(f"now: tracker strays {MORE_STRAYS}")
+            bench.fault(f"now: tracker phantoms {PHANTOMS_MM} mm")
+            flags = _judged_strays(bench, unit, volume)
+        finally:
+            bench.clear_faults()
+    if len(flags) < 2:
+        raise NotShown("all strays lie on one side of the volume's faces")
 
 
 @case("P44", "GET of an unknown parameter is answered ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
@@ -117,6 +126,23 @@ def volume_formulas(bench: Bench) -> None:
             judged.add(wanted)
         if not judged:
             raise NotShown("the tool is not in sight, or too near to a face of the volume")
+
+
+def _judged_strays(bench: Bench, unit: PolarisLink, volume: ToldVolume) -> set[bool]:
+    """The flags that strays had; each must agree with the volume, in one order of bits or the other."""
+    orders = {"low bit first", "high bit first"}
+    found: set[bool] = set()
+    for _ in range(LOOKS):
+        frame = seen(unit, 0x1801)
+        check(len(frame.strays_outside) <= MAXIMUM_STRAYS, "at most 50 strays", len(frame.strays_outside))
+        clearances = [volume.clearance_mm(position) for position in frame.strays_mm]
+        clear = [index for index, clearance_mm in enumerate(clearances) if abs(clearance_mm) > EDGE_MM]
+        found |= {clearances[index] < 0 for index in clear}
+        told = {"low bit first": frame.strays_outside, "high bit first": frame.strays_outside_mirrored}
+        orders &= {name for name, bits in told.items() if all(bits[k] == (clearances[k] < 0) for k in clear)}
+        check(bool(orders), "right flags in one order of bits", frame)
+        bench.clock.sleep(1 / 60)
+    return found
 
 
 def _places(volume: ToldVolume) -> list[Vector3]:
