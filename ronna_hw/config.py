@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from ronna_hw.calibration import StereoHeadCalibration, Strict, ToolTipCalibration, TrackerFrameCalibration
+from ronna_hw.cell import CellConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
 
@@ -99,6 +100,7 @@ class TheatreFile(Strict):
     robot: dict[str, DeviceConfig] = Field(default_factory=dict)
     stereo: DeviceConfig | None = None
     calibration: Calibrations | None = None
+    cell: CellConfig = CellConfig()
     procedure: ProcedureSettings = ProcedureSettings()
 
 

@@ -13,6 +13,7 @@
     NotIntoHead           PLAN-011  a way does not lead from the air outside to a target inside the head
     UnknownTool           PLAN-012  the plan names a tool that is not known; the known ones are given
     FiducialsNotYet       PLAN-013  the plan asks for a kind of fiducials that is not supported yet
+    NoHeadInCt            PLAN-014  the CT shows nothing that could be a head
 
 All but PLAN-007, -001, -010 and -013 mean that the plan is wrong. Several findings of one check are raised
 as one error; when they are of one kind it has that kind's code, else PLAN-002.
@@ -118,6 +119,13 @@ class FiducialsNotYet(ConfigurationError):
 
     code = "PLAN-013"
     action = 'Use single spheres on screws and plan with fiducials = "free".'
+
+
+class NoHeadInCt(PlanError):
+    """The CT shows nothing that could be a head, so nothing can be kept clear of it."""
+
+    code = "PLAN-014"
+    action = "Check that this is the CT of the head, in Hounsfield units."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

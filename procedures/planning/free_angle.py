@@ -103,7 +103,7 @@ def _in_branch(
         chosen.append(first)
     while True:
         turned = tuple(_turned(one, turn) for one, turn in zip(trajectories, chosen, strict=True))
-        check = drive(setting, visits_of(setting, turned, fiducials_mm), branch)
+        check = drive(setting, visits_of(setting, turned, fiducials_mm), branch, turned)
         if check.passed:
             return TurnedPaths(check, turned, tuple(chosen))
         # Each passes alone, but here it comes from another place: whole turns of an axis may differ.
@@ -126,7 +126,8 @@ def _ranked(
     """The turns this branch drives: those with a good wrist from near to far, then the others, best first."""
     others: list[tuple[float, float]] = []
     for turn in turns:
-        check = drive(setting, visits_of(setting, (_turned(trajectory, turn),), fiducials_mm), branch)
+        turned = (_turned(trajectory, turn),)
+        check = drive(setting, visits_of(setting, turned, fiducials_mm), branch, turned, first_only=True)
         if not check.passed:
             continue
         wrist = WristState.of(check)

@@ -7,9 +7,9 @@ trajectory, then every target. Each pose is approached and left along the tool a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,9 @@ from ronna_hw.arm.model import ArmModel
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
+
+if TYPE_CHECKING:
+    from procedures.planning.clear_ways import Room
 
 APPROACH_MM = 60.0  # outside the head, before the fiducial or the entry
 
@@ -147,7 +150,8 @@ class ArmSetting:
     """The arm as the check needs it: where the CT is thought to be, what hangs on the flange, the start.
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
-    head's tool centre point (by design the same; None takes the guide's).
+    head's tool centre point (by design the same; None takes the guide's). With a `room`, every way must also
+    be clear of what is in it.
     """
 
     model: ArmModel
@@ -158,6 +162,7 @@ class ArmSetting:
     start_rad: JointVector = START_RAD
     limits: MotionLimits | None = None
     approach_mm: float = APPROACH_MM
+    room: Room | None = None
 
     def __post_init__(self) -> None:
         """Raises FRM-001 when a transform maps between other frames."""
@@ -211,7 +216,7 @@ def check_paths(
     visits = visits_of(setting, trajectories, fiducials_mm)
     best: PathCheck | None = None
     for branch in branches_for(setting, visits):
-        checked = drive(setting, visits, branch)
+        checked = drive(setting, visits, branch, trajectories)
         if checked.passed:
             return checked
         if best is None or len(checked.unmet) < len(best.unmet):
@@ -236,8 +241,19 @@ class _Journey:
     unmet: list[Unmet] = field(default_factory=list)
 
 
-def drive(setting: ArmSetting, visits: Sequence[Visit], branch: Branch) -> PathCheck:
-    """Joints for these visits, one after the other, in this branch, and what is unmet in it."""
+def drive(
+    setting: ArmSetting,
+    visits: Sequence[Visit],
+    branch: Branch,
+    trajectories: Sequence[Trajectory],
+    *,
+    first_only: bool = False,
+) -> PathCheck:
+    """Joints for these visits, one after the other, in this branch, and what is unmet in it.
+
+    Whether the ways between them are clear is asked last, when all poses are reached; with `first_only` no
+    further than to the first that is not.
+    """
     limits = setting.limits or working_limits(setting.model)
     journey = _Journey(setting.start_rad)
     for visit in visits:
@@ -249,7 +265,12 @@ def drive(setting: ArmSetting, visits: Sequence[Visit], branch: Branch) -> PathC
             journey.unmet.append(Unmet(visit.identifier, f"{reason} [{error.code}]"))
             continue
         _note(journey, visit, posture)
-    return PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
+    check = PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
+    if setting.room is None or not check.passed:
+        return check
+    from procedures.planning.clear_ways import unclear  # which looks at what is found here
+
+    return replace(check, unmet=unclear(setting, setting.room, check, trajectories, first_only=first_only))
 
 
 def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:

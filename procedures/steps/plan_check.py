@@ -7,6 +7,7 @@ import json
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.imaging.series import read_series
 from procedures.planning.check import check_plan
+from procedures.planning.head_shape import head_shape
 from procedures.planning.plan import Plan, PlannedTrajectory
 from procedures.planning.plan_file import read_plan
 from procedures.steps.ct_import import VOLUME
@@ -21,11 +22,13 @@ def run(context: StepContext) -> Outcome:
     centres = points_from([marker["centre_mm"] for marker in localization.payload["markers"]])
     check = check_plan(plan, volume, fiducials_mm=centres)
     check.require()
+    head = head_shape(volume)
     context.workspace.pop(VOLUME, None)  # the largest input is not needed after this
     return Outcome(
         payload={
             "plan": plan.model_dump(mode="json", by_alias=True),
             "implanted": plan.implanted,
+            "head": head.as_payload(),
             "warnings": list(check.warnings),
         },
         parents=(context.case.get("ct_import"), localization),

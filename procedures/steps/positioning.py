@@ -7,6 +7,7 @@ from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.steps.arm_frames import model_of
 from procedures.steps.guide_path import flange_of, standoff_pose, target_pose
 from procedures.steps.payloads import pose_payload
+from procedures.steps.room import move_clear, surround_guide
 from ronna_hw.arm.inverse import branch_of, solve_branch
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
@@ -26,13 +27,14 @@ def run(context: StepContext) -> Outcome:
         f"move to {context.key.trajectory}",
         f"tool {mounted}, {context.theatre.procedure.standoff_mm:g} mm over the entry, then along the axis",
     )
+    surround_guide(context)
     if arm.state is Lifecycle.CONFIGURED:
         arm.activate()
     path = context.case.get("path_check").payload["targets"][str(context.key.trajectory)]
     near: JointVector = tuple(path["standoff_rad"])
     model = model_of(context)
     context.progress(0.0, f"moving over {context.key.trajectory}")
-    arm.move_joints(solve_branch(model, flange_of(context, standoff), branch_of(model, near), near))
+    move_clear(context, solve_branch(model, flange_of(context, standoff), branch_of(model, near), near))
     context.progress(0.5, f"moving along {context.key.trajectory}")
     reached = arm.move_linear(
         flange_of(context, target),

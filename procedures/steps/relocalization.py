@@ -23,6 +23,7 @@ from procedures.relocalization import ServoState, recorded_point, search_pose
 from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.arm_frames import model_of, stereo_tool_in_flange, tool_pose
 from procedures.steps.payloads import points_payload, pose_from
+from procedures.steps.room import move_clear, surround_stereo_head
 from procedures.steps.stereo_look import Look, area_around_tool, look, whole_sensor
 from procedures.steps.stereo_picture import keep_picture
 from procedures.strategies.orientation import back_along_axis
@@ -55,6 +56,7 @@ def run(context: StepContext) -> Outcome:
     """Re-localize all matched spheres for one trajectory; raises PRO-008 for a sphere that is not there."""
     path_check = context.case.get("path_check")
     planned = path_check.payload["localizations"][str(context.key.trajectory)]
+    surround_stereo_head(context)
     _activate(context)
     offset_mm = np.zeros(3)
     found: list[FoundSphere] = []
@@ -144,7 +146,7 @@ def _first_look(context: StepContext, expected: Transform) -> tuple[Look, int]:
 
 
 def _move_joints(context: StepContext, pose: Transform, near: JointVector) -> None:
-    context.devices.arm.move_joints(_joints(context, pose, near))
+    move_clear(context, _joints(context, pose, near))
 
 
 def _settle_onto(context: StepContext, pose: Transform) -> None:

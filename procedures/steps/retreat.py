@@ -6,6 +6,7 @@ from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.steps.guide_path import flange_of, standoff_pose
 from procedures.steps.link_health import link_payload
 from procedures.steps.payloads import pose_from
+from procedures.steps.room import surround_guide
 from ronna_hw.devices.readings import JointVector
 
 
@@ -13,6 +14,7 @@ def run(context: StepContext) -> Outcome:
     """Back out along the trajectory; after the last one to the pose where the case began."""
     arm = context.devices.arm
     positioning = context.result("positioning")
+    surround_guide(context)
     target = pose_from(positioning.payload["tool_pose"])
     reached = arm.move_linear(
         flange_of(context, standoff_pose(context, target)),

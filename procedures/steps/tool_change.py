@@ -5,6 +5,7 @@ from __future__ import annotations
 from procedures.engine.errors import WrongTool
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.steps.link_health import link_payload
+from procedures.steps.room import surround_stereo_head
 from ronna_hw.devices.readings import JointVector
 
 
@@ -13,6 +14,7 @@ def run(context: StepContext) -> Outcome:
     devices, calibration = context.devices, context.calibrations.tool_tip
     set_up = context.case.get("set_up")
     home: JointVector = tuple(set_up.payload["home_rad"])
+    surround_stereo_head(context)
     devices.arm.move_joints(home)
     link = link_payload(context)
     devices.arm.deactivate()

@@ -91,8 +91,14 @@ def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
     return np.asarray(np.minimum(surroundings.margin_mm, at_start_mm - LEAVING_MM))
 
 
-def sweep_path(model: ArmModel, plan: MotionPlan, surroundings: Surroundings) -> SweptPath:
-    """Follow a planned path with all bodies. Raises ARM-001 to ARM-004 where the path has no solution."""
+def sweep_path(
+    model: ArmModel, plan: MotionPlan, surroundings: Surroundings, *, to_the_worst: bool = True
+) -> SweptPath:
+    """Follow a planned path with all bodies. Raises ARM-001 to ARM-004 where the path has no solution.
+
+    A path that is not clear is followed to where it is worst, which people want to know; without
+    `to_the_worst` only until that is certain.
+    """
     path = plan.path(model)
     parameters = np.linspace(0.0, 1.0, FIRST_SAMPLES)
     joints = _joints(path, plan.start_rad, parameters)
@@ -108,7 +114,8 @@ def sweep_path(model: ArmModel, plan: MotionPlan, surroundings: Surroundings) ->
         found = sweep(model, surroundings, joints)
     floors = floors_mm(surroundings, found.gaps_mm[0])
     while True:
-        # A pair that is too near already is followed to where it is worst: that is what people want to know.
+        if not to_the_worst and (found.gaps_mm < floors).any():
+            break
         wanted = np.minimum(floors, found.gaps_mm.min(axis=0))
         open_rows = np.flatnonzero(_unsettled(surroundings, found, wanted))
         if not len(open_rows):

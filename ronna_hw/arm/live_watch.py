@@ -17,7 +17,7 @@ from ronna_hw.arm.surroundings import FOREARM_SHARE, Surroundings
 from ronna_hw.devices.readings import JointVector, Vector3
 
 SPEED_MARGIN = 1.05  # over the cap: planning keeps below it, rounding is no violation
-LEAVING_MM = 0.05  # a body that stands too near may stay or leave; this much is no approach
+LEAVING_MM = 0.5  # a body that stands too near may stay or leave; planning leaves open less than this
 
 Segment = tuple[Vector3, Vector3]
 

@@ -160,15 +160,16 @@ def _slowed_for_joints(
     v, a, j = asked
     slower = 1.0
     for axis in range(AXES):
-        first = [y - x for x, y in pairwise(point[axis] for point in points)]
-        second = [y - x for x, y in pairwise(first)]
-        third = [y - x for x, y in pairwise(second)]
-        q1, q2, q3 = (
-            max(map(abs, differences)) * count**order
-            for order, differences in enumerate((first, second, third), start=1)
-        )
-        speed = q1 * v / limits.speed_rad_s[axis]
-        acceleration = (q1 * a + q2 * v * v) / limits.acceleration_rad_s2[axis]
-        jerk = (q1 * j + 3.0 * q2 * v * a + q3 * v**3) / limits.jerk_rad_s3[axis]
-        slower = max(slower, speed, sqrt(acceleration), cbrt(jerk))
+        angles = [point[axis] for point in points]
+        first = [(y - x) * count for x, y in pairwise(angles)]
+        second = [(y - x) * count for x, y in pairwise(first)]
+        third = [(y - x) * count for x, y in pairwise(second)]
+        for k, q3 in enumerate(third):
+            # The largest of each derivative beside this place, so that nothing falls between two samples.
+            q1 = max(abs(first[k]), abs(first[k + 1]), abs(first[k + 2]))
+            q2 = max(abs(second[k]), abs(second[k + 1]))
+            speed = q1 * v / limits.speed_rad_s[axis]
+            acceleration = (q1 * a + q2 * v * v) / limits.acceleration_rad_s2[axis]
+            jerk = (q1 * j + 3.0 * q2 * v * a + abs(q3) * v**3) / limits.jerk_rad_s3[axis]
+            slower = max(slower, speed, sqrt(acceleration), cbrt(jerk))
     return PathLimits(v / slower, a / slower**2, j / slower**3)

@@ -1,0 +1,77 @@
+"""The head as one ellipsoid, from its CT: what the arm must not touch.
+
+Everything denser than air that is thick enough belongs to it. Thin things (posts and cables, the shell of a
+headrest, the tips of ears) are taken away first, so that they do not blow up the ellipsoid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.planning.errors import NoHeadInCt
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+
+AIR_BELOW_HU = -300.0  # fat is about -100, foam of a headrest about -930, air -1000
+GRID_MM = 4.0  # a head is large: every so many millimetres is enough
+THIN_MM = 18.0  # what is thinner in any direction is no head
+LEAST_VOXELS = 500  # 32 ml: less is not a head
+
+
+@dataclass(frozen=True)
+class HeadShape:
+    """Middle in CT coordinates (LPS mm) and semi-axes along L, P, S, mm."""
+
+    centre_mm: tuple[float, float, float]
+    semi_axes_mm: tuple[float, float, float]
+
+    def as_payload(self) -> dict[str, Any]:
+        """Plain numbers for a record."""
+        return {"centre_mm": list(self.centre_mm), "semi_axes_mm": list(self.semi_axes_mm)}
+
+    @classmethod
+    def from_payload(cls, payload: dict[str, Any]) -> HeadShape:
+        """The inverse."""
+        return cls(_three(payload["centre_mm"]), _three(payload["semi_axes_mm"]))
+
+
+def head_shape(volume: Volume) -> HeadShape:
+    """The least ellipsoid of the head's own proportions that holds all of it. Raises PLAN-014.
+
+    A head that the CT cuts is taken as far as the CT shows it.
+    """
+    from scipy import ndimage
+
+    strides = np.maximum(1, np.rint(GRID_MM / volume.geometry.spacing_mm)).astype(int)
+    thinned = volume.voxels[tuple(slice(None, None, int(stride)) for stride in strides)]
+    spacing_mm = volume.geometry.spacing_mm * strides
+    solid = thinned > AIR_BELOW_HU
+    rounds = max(1, round(THIN_MM / 2.0 / float(spacing_mm.mean())))
+    # Filled first: air in sinuses and throat must not hollow it out.
+    solid = ndimage.binary_fill_holes(solid)
+    # The border counts as solid, so that a head that the CT cuts keeps its cut face.
+    kept = ndimage.binary_erosion(solid, iterations=rounds, border_value=1)
+    labels, count = ndimage.label(kept)
+    sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
+    if sizes.max() < LEAST_VOXELS:
+        raise NoHeadInCt("the CT shows nothing of the size of a head", last=f"{sizes.max()} solid places")
+    largest = labels == 1 + int(sizes.argmax())
+    largest = ndimage.binary_dilation(largest, iterations=rounds)
+    points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre = (low + high) / 2.0
+    semi = (high - low) / 2.0 + float(spacing_mm.max())  # the grid's step, and what opening rounds off
+    beyond = np.sqrt((((points - centre) / semi) ** 2).sum(axis=1).max())
+    return HeadShape(_three(centre), _three(semi * max(1.0, float(beyond))))
+
+
+def _three(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)

@@ -1,0 +1,126 @@
+"""Every way of the procedure is clear of head, clamp and table, or is refused with pair and place."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.planning.clear_ways import HOME, Room, previews_of, ways_of
+from procedures.planning.errors import NotReachable
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.head_shape import HeadShape
+from procedures.planning.reach import ArmSetting, check_paths
+from procedures.planning.sight import StereoSight
+from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.cell import BodyFrame, CellConfig, RoomBody
+from ronna_hw.frames import Frame, Transform
+
+CASE_HOME = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
+HEAD = HeadShape((3.2, -41.7, 812.4), (78.0, 98.0, 93.0))
+FIDUCIALS = ((-20.0, -110.0, 880.0), (64.0, -75.0, 880.0), (5.0, -60.0, 915.0))
+TRAJECTORIES = (
+    Trajectory("T1", (10.0, -112.0, 872.0), (5.0, -70.0, 838.0)),
+    Trajectory("T2", (30.0, -100.0, 880.0), (18.0, -62.0, 845.0)),
+)
+
+
+# Left towards robot y, the vertex up and towards the robot, the face up: as in a half sitting position.
+RECLINE_RAD = math.radians(60.0)
+SUPERIOR = np.array([-math.cos(RECLINE_RAD), 0.0, math.sin(RECLINE_RAD)])
+LEFT = np.array([0.0, 1.0, 0.0])
+AXES = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT), SUPERIOR]))
+MIDDLE_MM = np.array([760.0, 0.0, 200.0])
+
+
+def _setting(cell: CellConfig | None = None) -> ArmSetting:
+    origin_mm = MIDDLE_MM - AXES.apply(HEAD.centre_mm)
+    return ArmSetting(
+        model=arm_model("kr6_r900_sixx"),
+        robot_from_ct=Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(origin_mm, AXES)),
+        flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
+        strategy=strategy_named("ocs"),
+        start_rad=CASE_HOME,
+        room=None if cell is None else Room(cell, HEAD, FIDUCIALS),
+    )
+
+
+def _with_body(name: str, place_mm: tuple[float, float, float], radius_mm: float) -> CellConfig:
+    """The default cell and a ball in the robot frame."""
+    ball = RoomBody(name=name, start_mm=place_mm, end_mm=place_mm, radius_mm=radius_mm, frame=BodyFrame.ROBOT)
+    return CellConfig(bodies=(*CellConfig().bodies, ball))
+
+
+def test_the_ways_lead_from_home_through_all_visits_and_back_home() -> None:
+    setting = _setting(CellConfig())
+    assert setting.room is not None
+    check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
+    assert check.passed, check.unmet
+    ways = list(ways_of(setting, setting.room, check, TRAJECTORIES))
+    assert ways[0].start == ways[-1].end == HOME
+    for before, after in pairwise(ways):
+        # A line ends where it will be left: at its approach point.
+        assert after.start == before.end
+    exchanged = [way for way in ways[:-1] if way.end == HOME]
+    assert len(exchanged) >= 1
+    assert {part.name for part in ways[0].around.tool} != {part.name for part in ways[-1].around.tool}
+    assert [way.kind for way in ways].count("line") == len(check.reached)
+
+
+def test_every_way_has_a_preview_that_a_record_can_hold() -> None:
+    setting = _setting(CellConfig())
+    assert setting.room is not None
+    check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
+    previews = previews_of(setting, setting.room, check, TRAJECTORIES)
+    payload = json.loads(json.dumps([one.as_payload() for one in previews], allow_nan=False))
+    assert all(way["clear"] for way in payload)
+    assert all(way["closest"]["distance_mm"] >= 10.0 - 0.5 for way in payload)
+    into = [way for way in payload if way["kind"] == "line" and way["to"].endswith("target")]
+    assert len(into) == 2
+    assert all(way["nearest_to_head_mm"] == 0.0 for way in into)
+
+
+@pytest.mark.hazard(24)
+@pytest.mark.hazard(5)
+def test_a_clamp_in_the_way_is_named_with_the_pose_the_distance_and_the_place() -> None:
+    free = check_paths(_setting(CellConfig()), TRAJECTORIES, FIDUCIALS)
+    x, y, z = free.at("T2/target").visit.approach.translation_mm.tolist()
+    setting = _setting(_with_body("arm of the clamp", (x, y, z), 20.0))
+    check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
+    assert not check.passed
+    assert "T2/target" in {one.pose for one in check.unmet}
+    with pytest.raises(
+        NotReachable, match=r"PLAN-007: .*T2/target: .* mm of the arm of the clamp, .*ARM-007"
+    ):
+        check.require()
+
+
+@pytest.mark.hazard(24)
+def test_another_angle_about_the_axis_is_taken_when_the_own_one_is_not_clear() -> None:
+    free = _setting(CellConfig())
+    own = check_paths(free, TRAJECTORIES[:1], FIDUCIALS)
+    # A drip stand where the mount would be, beside the tool.
+    place = own.at("T1/target").visit.pose.apply([-130.0, 0.0, -120.0]).tolist()
+    setting = _setting(_with_body("drip stand", (place[0], place[1], place[2]), 15.0))
+    assert not check_paths(setting, TRAJECTORIES[:1], FIDUCIALS).passed
+    far_aside = StereoSight(np.array([0.0, -115.0, -222.0]), np.array([0.0, 115.0, -222.0]))
+    turned = choose_free_angles(setting, TRAJECTORIES[:1], FIDUCIALS, far_aside)
+    assert turned.check.passed, turned.check.unmet
+    assert turned.turns_rad[0] != 0.0
+
+
+def test_a_body_at_home_is_told_by_the_pose_that_the_way_leads_from() -> None:
+    """The search for angles drops the poses that are named; home is none of them."""
+    above = forward(arm_model("kr6_r900_sixx"), CASE_HOME).apply((220.0, 60.0, 60.0))
+    setting = _setting(_with_body("lamp", above, 40.0))
+    check = check_paths(setting, TRAJECTORIES[:1], FIDUCIALS[:1])
+    assert not check.passed
+    assert {one.pose for one in check.unmet} <= {"T1/fiducial 0", "T1/target"}
+    assert any("lamp" in one.reason for one in check.unmet)

@@ -1,0 +1,82 @@
+"""The head is found in the CT as one ellipsoid, whatever thin things stand beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.planning.errors import NoHeadInCt
+from procedures.planning.head_shape import HeadShape, head_shape
+
+CENTRE_MM = np.array([3.0, -40.0, 810.0])
+SEMI_AXES_MM = np.array([75.0, 95.0, 90.0])
+SHAPE = (105, 120, 110)
+SPACING_MM = np.array([2.0, 2.0, 2.0])
+
+
+def _volume(solid: np.ndarray) -> Volume:
+    voxels = np.where(solid, 40, -1000).astype(np.int16)
+    axes = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    origin = CENTRE_MM - np.array([SHAPE[2], SHAPE[1], SHAPE[0]]) * 2.0 / 2.0
+    return Volume(voxels, VoxelGeometry(SHAPE, origin, axes, SPACING_MM), "1.2.3", "1.2.4")
+
+
+def _points() -> np.ndarray:
+    """Positions of all voxels from the middle of the head, LPS mm, (slices, rows, columns, 3)."""
+    slices, rows, columns = np.indices(SHAPE)
+    steps = np.stack([columns, rows, slices], axis=-1) * 2.0
+    return np.asarray(steps - np.array([SHAPE[2], SHAPE[1], SHAPE[0]]))
+
+
+def _head(points: np.ndarray) -> np.ndarray:
+    return np.asarray(((points / SEMI_AXES_MM) ** 2).sum(axis=-1) <= 1.0)
+
+
+def _fits(shape: HeadShape, tolerance_mm: float = 8.0) -> None:
+    assert np.allclose(shape.centre_mm, CENTRE_MM, atol=3.0)
+    assert np.all(np.array(shape.semi_axes_mm) >= SEMI_AXES_MM)
+    assert np.all(np.array(shape.semi_axes_mm) <= SEMI_AXES_MM + tolerance_mm)
+
+
+def test_an_ellipsoid_is_found_and_held() -> None:
+    _fits(head_shape(_volume(_head(_points()))))
+
+
+def test_posts_a_cable_and_the_shell_of_a_headrest_do_not_count() -> None:
+    points = _points()
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    post = (np.hypot(x - 10, y + 20) < 6) & (z > 60)
+    cable = np.hypot(x + 90, z) < 4
+    shell = (y > 100) & (y < 106)
+    _fits(head_shape(_volume(_head(points) | post | cable | shell)))
+
+
+def test_hollows_do_not_count() -> None:
+    points = _points()
+    sinus = np.linalg.norm(points - np.array([0.0, -60.0, 0.0]), axis=-1) < 22
+    _fits(head_shape(_volume(_head(points) & ~sinus)))
+
+
+def test_a_corner_of_the_head_lies_within() -> None:
+    points = _points()
+    chin = np.all(np.abs(points - np.array([0.0, -75.0, -65.0])) < 25, axis=-1)
+    solid = _head(points) | chin
+    found = head_shape(_volume(solid))
+    ways = (np.argwhere(chin) @ np.array([[0, 0, 2.0], [0, 2.0, 0], [2.0, 0, 0]])) - np.array(
+        [SHAPE[2], SHAPE[1], SHAPE[0]]
+    )
+    middle = np.array(found.centre_mm) - CENTRE_MM
+    inside = (((ways - middle) / np.array(found.semi_axes_mm)) ** 2).sum(axis=1)
+    assert np.quantile(inside, 0.99) <= 1.1  # the very edges are rounded off
+
+
+def test_air_is_no_head() -> None:
+    with pytest.raises(NoHeadInCt) as caught:
+        head_shape(_volume(np.zeros(SHAPE, dtype=bool)))
+    assert caught.value.code == "PLAN-014"
+
+
+def test_a_shape_travels_as_plain_numbers() -> None:
+    shape = HeadShape((1.0, 2.0, 3.0), (75.0, 95.0, 90.0))
+    assert HeadShape.from_payload(shape.as_payload()) == shape
