@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import pydicom
 import pytest
 from user_commands import Commands, one_error
 
@@ -42,11 +43,13 @@ def test_an_empty_series(commands: Commands, tmp_path: Path) -> None:
 def test_a_mixed_series(commands: Commands, patient: Path, tmp_path: Path) -> None:
     mixed = tmp_path / "mixed"
     shutil.copytree(patient / "ct", mixed)
-    other = tmp_path / "other"
-    made = commands.run("ronna-sim", "phantom", "--scene", "mini", "--seed", "2", "--out", str(other))
-    assert made.returncode == 0
-    for number, path in enumerate(sorted((other / "ct").iterdir())[:3]):
-        shutil.copy(path, mixed / f"stranger{number}.dcm")
+    for number, path in enumerate(sorted(mixed.iterdir())[:3]):
+        stranger = pydicom.dcmread(path)
+        stranger.SeriesInstanceUID += ".1"
+        stranger.SOPInstanceUID = stranger.file_meta.MediaStorageSOPInstanceUID = (
+            f"{stranger.SOPInstanceUID}.1"
+        )
+        stranger.save_as(mixed / f"stranger{number}.dcm")
     _refused(commands.run("ronna-ct", "localize", str(mixed)), "CT-", EXIT_FAILED)
 
 
