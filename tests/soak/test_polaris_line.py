@@ -122,8 +122,9 @@ def test_at_230400_baud_no_frame_is_missed(
     with capsys.disabled():
         print(
             f"\n{frames} frames, {statistics.frames} readings, {statistics.repeated} repeated, "
-            f"missed {ours}, and {machines} while the machine held something up; beside work and wire a reading "
-            f"took {typical_s * 1e3:.2f} ms{'' if preferred else '; without real-time priority'}"
+            f"missed {ours}, and {machines} while the machine held something up; "
+            f"beside work and wire a reading took {typical_s * 1e3:.2f} ms"
+            f"{'' if preferred else '; without real-time priority'}"
         )
     assert frames >= 0.99 * minutes * 60.0 * FRAME_RATE_HZ
     assert ours == 0
