@@ -200,8 +200,6 @@ def test_an_address_in_use_is_one_message_with_its_code() -> None:
         (("--scene", "/nowhere/scene.toml"), "SIM-001"),
         (("--world", "shm:///proc/1/fd/999"), "SIM-002"),
         (("--set", "weak_dog=reset"), "PSU-001"),
-        (("--profile", "vicra", "--wired", "/nowhere.rom"), "PSU-002"),
-        (("--profile", "vega"), "CLI-001"),
     ],
 )
 def test_a_wrong_option_is_one_message_with_its_code(arguments: tuple[str, ...], code: str) -> None:
