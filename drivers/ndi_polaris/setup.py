@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from drivers.ndi_polaris.codec import warning_meaning
-from drivers.ndi_polaris.discovery import answers
+from drivers.ndi_polaris.discovery import answers, find_unit, initialise
 from drivers.ndi_polaris.errors import (
     BadReplyCrc,
     HandleRefused,
@@ -68,19 +68,23 @@ def raise_baud(
 ) -> int | None:
     """Go to the fastest rate that both ends can do, and prove it by a command; None over TCP.
 
-    Raises NDI-008 when the unit is lost on the way.
+    A unit that is lost at a rate which the cable does not carry is looked for again, if need be by a break,
+    and a slower rate tried. Raises NDI-002 or NDI-003 when it is not found any more.
     """
-    present = session.transport.baud
-    if present is None:
+    if session.transport.baud is None:
         return None
     for code, baud in sorted(COMM_BAUD_CODES.items(), key=lambda item: -item[1]):
         if baud > maximum:
             continue
-        if baud <= present:
+        if baud <= session.transport.baud:
             break
-        if _switch(session, code, baud, present, deadline_s, pause):
-            return baud
-    return present
+        try:
+            if _switch(session, code, baud, session.transport.baud, deadline_s, pause):
+                break
+        except LinkLost:
+            find_unit(session, deadline_s)
+            initialise(session, deadline_s)
+    return session.transport.baud
 
 
 def _switch(

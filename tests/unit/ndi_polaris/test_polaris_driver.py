@@ -101,6 +101,20 @@ def test_a_rate_at_which_the_unit_does_not_answer_is_left_again(make_tracker: Ma
     assert unit.baud == unit.unit_baud == 115200
 
 
+def test_a_rate_that_the_cable_does_not_carry_is_left_by_a_break_for_a_slower_one(
+    make_tracker: Make, unit: Any
+) -> None:
+    unit.known_bauds["6"] = 921600
+    unit.deliver = lambda name, reply: [(0.001, reply if unit.unit_baud < 921600 else b"\xff\x80" * 9)]
+    device = make_tracker()
+    device.connect()
+    device.configure(30.0)
+    assert unit.breaks == 1
+    assert device.baud == unit.unit_baud == 115200
+    device.activate()
+    assert device.read_frame().tool("robot_frame").position_mm
+
+
 def test_an_answer_to_comm_that_is_lost_does_not_lose_the_unit(make_tracker: Make, unit: Any) -> None:
     unit.known_bauds = {"0": 9600, "6": 921600}
     unit.deliver = lambda name, reply: [] if name == "COMM" else [(0.001, reply)]
