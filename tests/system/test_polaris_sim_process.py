@@ -20,6 +20,7 @@ from ronna_hw.child_process import STOP_TIMEOUT_S, ChildProcess, command
 from ronna_hw.wire.polaris import crc16
 from sim.polaris.definition import write_definition
 from sim.theatre.built_in import robot_frame
+from sim.theatre.door import ask_room
 
 ANSWER_LIMIT_S = 5.0
 ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
@@ -228,6 +229,22 @@ def test_wired_tools_are_plugged_in_at_the_start(start: Callable[..., ChildProce
     assert host.ask("PHSR 02").startswith(b"0201001" + b"02001")
     assert host.ask("PINIT 01").startswith(b"OKAY")
     host.close()
+
+
+def test_a_stranger_who_loses_patience_gets_through_by_a_break(start: Callable[..., ChildProcess]) -> None:
+    ndicapy = pytest.importorskip("ndicapy")
+    ready = start().ready
+    # It gives INIT 0.2 s, then sends a break and waits for RESET.
+    ask_room(ready["control"], {"do": "fault", "line": "now: tracker slow INIT 0.6 s for 0.3 s"})
+    path = ready["endpoint"].removeprefix("serial://")
+    assert ndicapy.ndiProbe(path) == ndicapy.NDI_OKAY
+    device = ndicapy.ndiOpen(path)
+    assert ndicapy.ndiCommand(device, "INIT:") == "OKAY"
+    assert ndicapy.ndiCommand(device, "COMM:50000") == "OKAY"
+    assert ndicapy.ndiRESET(device) == "RESET"
+    with pytest.raises(OSError, match="0x10"):  # at 9600 baud again, and not initialised
+        ndicapy.ndiCommand(device, "PHSR:00")
+    ndicapy.ndiClose(device)
 
 
 def test_the_unconfirmed_behaviours_can_be_listed() -> None:
