@@ -1,0 +1,139 @@
+"""The driver checks every motion against what is around: before it begins, and in the real-time process."""
+
+from __future__ import annotations
+
+from math import radians
+from typing import Any
+
+import pytest
+
+from drivers.kuka_rsi.errors import MotionTripped
+from drivers.kuka_rsi.faults import error_of_fault
+from drivers.kuka_rsi.link_state import NO_STATE, Command, CommandKind, Fault
+from drivers.kuka_rsi.mailbox import LONGEST_SURROUNDINGS, Mailbox
+from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.set_points import Choice, SetPoints
+from ronna_hw.arm.capsule import Capsule
+from ronna_hw.arm.errors import NotClear, Singular, SurroundingsTooLarge, Unreachable
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
+from ronna_hw.arm.planning import plan_joint_move
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.progress import MOST_STEPS, SpeedStep
+from ronna_hw.arm.surroundings import Obstacle, Surroundings
+from ronna_hw.devices import Lifecycle
+
+MODEL = arm_model("kr6_r900_sixx")
+START = radians6(0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
+ASIDE = radians6(20.0, -90.0, 90.0, 0.0, 60.0, 0.0)
+CYCLE_S = 0.004
+
+
+def _post_beside(angle_deg: float) -> Surroundings:
+    """A ball where the flange comes past when A1 stands at that angle."""
+    place = forward(MODEL, radians6(angle_deg, -90.0, 90.0, 0.0, 60.0, 0.0)).position_mm
+    return Surroundings(obstacles=(Obstacle("drip stand", Capsule(place, place, 20.0)),))
+
+
+@pytest.mark.hazard(24)
+def test_a_goal_with_something_in_the_way_is_refused_before_motion(controller: Any, active_arm: Any) -> None:
+    active_arm.surround(_post_beside(15.0))
+    sent = controller.replies[-1][1]
+    with pytest.raises(NotClear, match=r"ARM-007: .*hand would come too near to the drip stand") as caught:
+        active_arm.move_joints(ASIDE)
+    assert "\n" not in str(caught.value)
+    assert active_arm.state is Lifecycle.ACTIVE
+    assert controller.replies[-1][1] == sent
+    active_arm.surround(Surroundings())
+    assert active_arm.move_joints(ASIDE).joints_rad[0] == pytest.approx(radians(20.0), abs=1e-4)
+
+
+@pytest.mark.hazard(22)
+@pytest.mark.hazard(23)
+def test_unreachable_and_singular_goals_are_refused_before_motion(controller: Any, active_arm: Any) -> None:
+    sent = controller.replies[-1][1]
+    far = forward(MODEL, START)
+    with pytest.raises(Unreachable, match="ARM-001"):
+        active_arm.move_linear(Pose((2000.0, 0.0, 500.0), far.rotation))
+    with pytest.raises(Singular, match="ARM-002"):
+        active_arm.move_linear(forward(MODEL, radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0)))
+    assert active_arm.state is Lifecycle.ACTIVE
+    assert controller.replies[-1][1] == sent
+
+
+@pytest.mark.hazard(24)
+def test_the_real_time_process_watches_what_planning_passed() -> None:
+    """Planned without the post, driven with it: as if planning were wrong."""
+    limits = working_limits(MODEL)
+    points = SetPoints(MODEL, limits, CYCLE_S, START)
+    points.start(plan_joint_move(MODEL, START, ASIDE, limits), 1.0, _post_beside(15.0))
+    points.prepare()
+    while points.moving and points.violation is None:
+        points.commit(Choice.GO)
+        points.prepare()
+    assert points.violation is not None
+    assert points.violation.kind == CLEARANCE
+    before = points.last_rad[0]
+    while points.moving:
+        points.commit(Choice.STOP)
+        points.prepare()
+    assert radians(1.0) < before <= points.last_rad[0] < radians(15.0)
+
+
+def _fault(kind: str, pair: int, value: float, limit: float) -> Any:
+    state = NO_STATE._replace(
+        fault=Fault.MONITOR,
+        violation_kind=kind,
+        violation_axis=pair,
+        violation_value=value,
+        violation_limit=limit,
+    )
+    return error_of_fault("master", state, KukaOptions(), surroundings=_post_beside(15.0))
+
+
+def test_a_trip_names_the_two_bodies_and_the_distance() -> None:
+    around = _post_beside(15.0)
+    pair = next(k for k, one in enumerate(around.pairs) if around.names(one) == ("hand", "drip stand"))
+    error = _fault(CLEARANCE, pair, 4.2, 5.0)
+    assert isinstance(error, MotionTripped)
+    assert "clearance of hand and drip stand" in str(error)
+    assert (error.limit, error.last) == ("5.0 mm", "4.2 mm")
+    assert _fault(ZONE_SPEED, pair, 80.0, 60.0).last == "80.0 mm/s"
+    assert "its bodies" in str(_fault(CLEARANCE, 255, 4.2, 5.0))
+
+
+@pytest.fixture
+def mailboxes() -> Any:
+    import os
+
+    fd = os.memfd_create("test")
+    Mailbox.initialise(fd)
+    sides = (Mailbox(fd), Mailbox(fd))
+    yield sides
+    for side in sides:
+        side.close()
+    os.close(fd)
+
+
+def test_speed_steps_and_surroundings_reach_the_other_side(mailboxes: Any) -> None:
+    ours, theirs = mailboxes
+    plan = plan_joint_move(MODEL, START, ASIDE, working_limits(MODEL))
+    for steps in ((), (SpeedStep(0.0, 0.5), SpeedStep(0.25, 0.1)), (SpeedStep(0.5, 0.2),) * MOST_STEPS):
+        around = _post_beside(3.0 * len(steps))
+        sent = type(plan)(**{**vars(plan), "speed_steps": steps})
+        ours.write_command(Command(len(steps), CommandKind.MOVE, sent, 0, around))
+        found = theirs.read_command()
+        assert found is not None
+        assert found.plan == sent
+        assert found.surroundings == around
+    assert theirs.read_command().surroundings is theirs.read_command().surroundings  # read once
+
+
+def test_more_bodies_than_fit_are_told(mailboxes: Any) -> None:
+    plan = plan_joint_move(MODEL, START, ASIDE, working_limits(MODEL))
+    ball = Obstacle("x" * 100, Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0))
+    many = Surroundings(obstacles=(ball,) * (LONGEST_SURROUNDINGS // 100))
+    with pytest.raises(SurroundingsTooLarge, match="ARM-008"):
+        mailboxes[0].write_command(Command(1, CommandKind.MOVE, plan, 0, many))
