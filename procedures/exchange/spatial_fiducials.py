@@ -1,0 +1,47 @@
+"""The spheres of a CT as a DICOM Spatial Fiducials object: centres in patient coordinates (LPS, mm)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pydicom.dataset import Dataset
+from pydicom.uid import SpatialFiducialsStorage
+
+from procedures.exchange.dicom_object import Origin, decimals, new_object, uid
+
+
+@dataclass(frozen=True)
+class Fiducial:
+    """A sphere: its name, its centre (LPS, mm) and the radius of its uncertainty (3-D rms, mm)."""
+
+    name: str
+    centre_mm: tuple[float, float, float]
+    uncertainty_mm: float
+
+
+def fiducial_uid(origin: Origin, fiducial: Fiducial) -> str:
+    """The identifier under which a sphere is found in the object, and by a registration that used it."""
+    return str(uid(origin, "fiducial", fiducial.name))
+
+
+def spatial_fiducials(fiducials: Sequence[Fiducial], origin: Origin, *, label: str = "MARKERS") -> Dataset:
+    """The object for the spheres of one CT series."""
+    made = new_object(origin, SpatialFiducialsStorage, "FID", label, "centres of marker spheres")
+    group = Dataset()
+    group.FrameOfReferenceUID = origin.frame_of_reference_uid
+    group.FiducialSequence = [_item(fiducial, origin) for fiducial in fiducials]
+    made.FiducialSetSequence = [group]
+    return made
+
+
+def _item(fiducial: Fiducial, origin: Origin) -> Dataset:
+    item = Dataset()
+    item.FiducialIdentifier = fiducial.name
+    item.FiducialDescription = "marker sphere"
+    item.FiducialUID = fiducial_uid(origin, fiducial)
+    item.ShapeType = "POINT"
+    item.NumberOfContourPoints = 1
+    item.ContourData = decimals(fiducial.centre_mm)
+    item.ContourUncertaintyRadius = fiducial.uncertainty_mm
+    return item

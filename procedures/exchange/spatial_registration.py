@@ -1,0 +1,60 @@
+"""A rigid registration as a DICOM Spatial Registration object: from CT to robot coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset
+from pydicom.uid import SpatialFiducialsStorage, SpatialRegistrationStorage
+
+from procedures.exchange.dicom_object import Origin, code, decimals, instance_uid, new_object, uid
+
+FIDUCIAL_ALIGNMENT = ("125022", "DCM", "Fiducial Alignment")
+
+
+def spatial_registration(
+    robot_from_ct: NDArray[np.float64],
+    origin: Origin,
+    *,
+    label: str = "CT_TO_ROBOT",
+    description: str = "",
+    fiducial_uids: Sequence[str] = (),
+) -> Dataset:
+    """The object for a homogeneous matrix (4, 4) robot <- CT, mm.
+
+    Its own frame of reference is the robot's; the CT's maps into it by the matrix. `fiducial_uids` name the
+    spheres of the fiducials object that the fit used.
+    """
+    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
+    made.FrameOfReferenceUID = uid(origin, "robot frame")
+    made.PositionReferenceIndicator = ""
+    made.RegistrationSequence = [
+        _item(made.FrameOfReferenceUID, np.eye(4)),
+        _item(origin.frame_of_reference_uid, np.asarray(robot_from_ct, dtype=float)),
+    ]
+    if fiducial_uids:
+        made.RegistrationSequence[1].UsedFiducialsSequence = [_used(one, origin) for one in fiducial_uids]
+    return made
+
+
+def _item(frame_of_reference_uid: str, matrix: NDArray[np.float64]) -> Dataset:
+    step = Dataset()
+    step.FrameOfReferenceTransformationMatrixType = "RIGID"
+    step.FrameOfReferenceTransformationMatrix = decimals(matrix.ravel().tolist())
+    transform = Dataset()
+    transform.RegistrationTypeCodeSequence = [code(*FIDUCIAL_ALIGNMENT)]
+    transform.MatrixSequence = [step]
+    item = Dataset()
+    item.FrameOfReferenceUID = frame_of_reference_uid
+    item.MatrixRegistrationSequence = [transform]
+    return item
+
+
+def _used(fiducial_uid: str, origin: Origin) -> Dataset:
+    item = Dataset()
+    item.ReferencedSOPClassUID = SpatialFiducialsStorage
+    item.ReferencedSOPInstanceUID = instance_uid(origin, "FID")
+    item.FiducialUID = fiducial_uid
+    return item

@@ -1,0 +1,109 @@
+"""Registration and fiducials as DICOM: read back by programs that we did not write.
+
+`dciodvfy` (Debian's dicom3tools) judges an object against the standard, `dcmdump` (dcmtk) reads it. Without
+them those tests are left out and say so.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.exchange.dicom_object import Origin, decimals, write
+from procedures.exchange.errors import NotWritable
+from procedures.exchange.plain_files import slicer_markups, table
+from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
+from procedures.exchange.spatial_registration import spatial_registration
+
+ORIGIN = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", datetime(2026, 11, 20, 9, 30, tzinfo=UTC), "a hash")
+SPHERES = (Fiducial("M1", (12.345678, -1e-3, 100.0), 0.0123), Fiducial("M2", (-80.0, 33.3, 7.25), 0.02))
+POSE = RigidTransform.from_components([700.1, -20.2, 300.3], Rotation.from_rotvec([0.1, 2.0, -0.7]))
+
+
+def needs(program: str) -> pytest.MarkDecorator:
+    missing = shutil.which(program) is None
+    return pytest.mark.skipif(
+        missing, reason=f"proof by {program} not made: install Debian's dicom3tools, dcmtk"
+    )
+
+
+def registration():
+    used = [fiducial_uid(ORIGIN, sphere) for sphere in SPHERES]
+    return spatial_registration(POSE.as_matrix(), ORIGIN, description="trajectory T1", fiducial_uids=used)
+
+
+OBJECTS = {"registration": registration, "fiducials": lambda: spatial_fiducials(SPHERES, ORIGIN)}
+
+
+def dump(path: Path) -> str:
+    return subprocess.run(["dcmdump", "+L", str(path)], capture_output=True, text=True, check=True).stdout
+
+
+@needs("dciodvfy")
+@pytest.mark.parametrize("kind", OBJECTS)
+def test_a_validator_of_the_standard_finds_no_error(kind: str, tmp_path: Path) -> None:
+    path = write(OBJECTS[kind](), tmp_path / "object.dcm")
+    told = subprocess.run(["dciodvfy", "-new", str(path)], capture_output=True, text=True).stderr
+    assert f"Spatial{kind.capitalize()}" in told
+    assert "Error" not in told, told
+
+
+@needs("dcmdump")
+def test_another_toolkit_reads_the_same_matrix(tmp_path: Path) -> None:
+    told = dump(write(registration(), tmp_path / "reg.dcm"))
+    matrices = re.findall(r"\(3006,00c6\) DS \[([^\]]*)\]", told)
+    read = [np.array([float(x) for x in text.split("\\")]).reshape(4, 4) for text in matrices]
+    assert np.array_equal(read[0], np.eye(4))
+    points = np.array([sphere.centre_mm for sphere in SPHERES])
+    mapped = points @ read[1][:3, :3].T + read[1][:3, 3]
+    assert np.abs(mapped - POSE.apply(points)).max() < 1e-9
+    assert ORIGIN.frame_of_reference_uid in told
+
+
+@needs("dcmdump")
+def test_another_toolkit_reads_the_same_spheres(tmp_path: Path) -> None:
+    told = dump(write(spatial_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
+    centres = re.findall(r"\(3006,0050\) DS \[([^\]]*)\]", told)
+    assert [tuple(float(x) for x in text.split("\\")) for text in centres] == [s.centre_mm for s in SPHERES]
+    assert re.findall(r"\(0070,0312\) FD ([\d.]+)", told) == ["0.0123", "0.02"]
+    assert all(fiducial_uid(ORIGIN, sphere) in told for sphere in SPHERES)
+
+
+@pytest.mark.hazard(35)
+def test_no_object_carries_a_patient() -> None:
+    for make in OBJECTS.values():
+        made = make()
+        assert not any(str(made.get(name)) for name in ("PatientName", "PatientID", "PatientBirthDate"))
+
+
+def test_the_same_result_gives_the_same_object_and_another_one_another() -> None:
+    again = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", ORIGIN.made, "another hash")
+    assert registration() == registration()
+    assert (
+        spatial_fiducials(SPHERES, again).SOPInstanceUID != spatial_fiducials(SPHERES, ORIGIN).SOPInstanceUID
+    )
+
+
+@pytest.mark.parametrize("value", [0.1234567890123456789, -1e-17, 123456.78901234567, -1.0, 3e-300, 0.0])
+def test_a_number_keeps_what_sixteen_characters_hold(value: float) -> None:
+    (text,) = decimals([value])
+    assert len(text) <= 16
+    assert float(text) == pytest.approx(value, rel=1e-9, abs=1e-12)
+
+
+def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    with pytest.raises(NotWritable, match="EXC-002"):
+        write(registration(), tmp_path / "no" / "such.dcm")
+
+
+def test_plain_files_hold_names_centres_and_uncertainty() -> None:
+    assert table(SPHERES).splitlines()[1] == "M1,12.345678,-0.001,100.0,0.0123"
+    assert '"coordinateSystem": "LPS"' in slicer_markups(SPHERES)
+    assert "-80.0" in slicer_markups(SPHERES)
