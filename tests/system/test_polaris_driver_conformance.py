@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import time
@@ -19,20 +20,18 @@ def cases(report: dict[str, Any], outcome: str) -> set[str]:
     return {case["number"] for case in report["cases"] if case["outcome"] == outcome}
 
 
-LINE_AND_VOLUME = ("--only", "P0", "--only", "P4")
+LINE_AND_MODES = ("--only", "P0", "--only", "P24", "--only", "P25", "--only", "P49")
 
 
-def test_the_simulated_unit_passes_the_cases_about_its_line_and_its_volume(
+def test_the_simulated_unit_passes_the_cases_about_its_line_and_its_modes(
     commands: Any, tmp_path: Path
 ) -> None:
     report_file = tmp_path / "report.json"
-    run = commands.run(
-        "ronna-conformance", "tracker", "--sim", *LINE_AND_VOLUME, "--report", str(report_file)
-    )
+    run = commands.run("ronna-conformance", "tracker", "--sim", *LINE_AND_MODES, "--report", str(report_file))
     assert run.returncode == 0, run.stdout + run.stderr
     report = json.loads(report_file.read_text())
     assert cases(report, "FAIL") == cases(report, "SKIP") == set()
-    assert len(cases(report, "PASS")) >= 15
+    assert len(cases(report, "PASS")) == 13
     assert run.stdout.count("PASS") == len(report["cases"])
     assert (
         run.stderr.strip()
@@ -122,33 +121,34 @@ def test_a_wrong_command_line_is_one_message_and_exit_code_2(
 
 
 def test_a_report_that_cannot_be_written_is_told_before_the_work(commands: Any, tmp_path: Path) -> None:
-    began_s = time.monotonic()
     run = commands.run(
-        "ronna-conformance", "tracker", "--sim", "--report", str(tmp_path / "no" / "report.json")
-    )
+        "ronna-conformance", "tracker", "--endpoint", "tcp://127.0.0.1:1",
+        "--report", str(tmp_path / "no" / "report.json"),
+    )  # fmt: skip
     assert run.returncode == 1
-    assert run.stderr.startswith("CLI-005")
-    assert time.monotonic() - began_s < 5.0
+    assert run.stderr.startswith("CLI-005")  # before anybody noticed that nobody is there
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_ends_its_simulator(commands: Any, number: int) -> None:
     run = commands.start("ronna-conformance", "tracker", "--sim")
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + 30.0
     while len(commands.survivors()) < 2 and time.monotonic() < deadline:
         time.sleep(0.02)
     os.kill(run.pid, number)
-    _, messages = run.communicate(timeout=10)
+    _, messages = run.communicate(timeout=30)
     assert run.returncode == 130
     assert "Traceback" not in messages
 
 
 def test_help_answers_at_once(commands: Any) -> None:
-    best_s = min(timed_help(commands) for _ in range(3))
+    best_s = min(processor_time_s(commands) for _ in range(3))
     assert best_s < 0.4
 
 
-def timed_help(commands: Any) -> float:
-    began_s = time.monotonic()
+def processor_time_s(commands: Any) -> float:
+    """What the command itself takes, however busy the computer is."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(commands.line("ronna-conformance", "--help"), capture_output=True, check=True)
-    return time.monotonic() - began_s
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
