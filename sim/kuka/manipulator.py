@@ -45,8 +45,6 @@ class Manipulator:
         self._shown: list[float] | None = None
         self._frame: list[float] = []
         self._published: tuple[int, bool] | None = None
-        # A moving arm may be told to the world a moment later: when the next telegram is on its way.
-        self.publishes_late = False
         self.publish()
 
     @property
@@ -128,18 +126,12 @@ class Manipulator:
     def follow(self, command_deg: list[float], *, heard: bool) -> None:
         """One cycle towards a command."""
         self.drives.step(command_deg, heard=heard)
-        if self.drives.at_rest or not self.publishes_late:
-            self.publish()
+        self.publish()
 
     def settle(self) -> None:
         """One cycle of coming to rest without a command."""
         self.drives.settle()
         self.publish()
-
-    def publish_due(self) -> None:
-        """Tell the world what `follow` has put off."""
-        if not self.drives.at_rest:
-            self.publish()
 
     def publish(self) -> None:
         """Tell the world where the flange is; nothing to tell while nothing has changed."""

@@ -26,6 +26,7 @@ class ControllerParameters:
     acceleration_window_s: float = 0.040
     acceleration_share: float = 1.5
     acceleration_cycles: int = 3
+    held_cycles: int = 3  # values held over so many lost replies do not break a motion in two
     movecorr_after_cycles: int = 3  # telegrams between RSI_ON and the moment corrections act
     timeout_counting: Literal["consecutive", "total"] = "consecutive"
     streams_after_stop: bool = True  # a stopped but not cancelled program keeps sending

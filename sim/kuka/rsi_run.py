@@ -170,7 +170,7 @@ class RsiRun:
         if self._flow.stop_rises(values) and not self._stop_asked():
             return
         if self.state is RsiState.MOVECORR:
-            self._correct(values)
+            self._correct(values, heard=reply is not None)
         elif not self._held and self._confirmed and self._cycles >= self._parameters.movecorr_after_cycles:
             self.state = RsiState.MOVECORR
 
@@ -193,9 +193,11 @@ class RsiRun:
         """True after `hold`."""
         return self._held
 
-    def _correct(self, values: list[float]) -> None:
+    def _correct(self, values: list[float], *, heard: bool) -> None:
         before = self._flow.command_deg
-        message = self._flow.correct(values) or self._supervision.judge(self._flow.command_deg, before)
+        message = self._flow.correct(values) or self._supervision.judge(
+            self._flow.command_deg, before, heard=heard
+        )
         if message is not None:
             self._flow.command_deg = before
             self._end(message)

@@ -66,7 +66,6 @@ class Station:
         self._datagram: bytes | None = None
         self._deadline_s = 0.0
         self._tick_s = self._served_s = 0.0
-        controller.arm.publishes_late = True
         self._noticed: tuple[RsiState, bool] | None = None
         self._silent = False
         self._unchanged = 0
@@ -113,7 +112,6 @@ class Station:
             self._rsi.send(telegram)
         else:
             answerable = self._send_with_faults(run, telegram)
-        controller.arm.publish_due()
         lock_step = not self._clock.paced and not run.settings.context.ethernet.only_send
         if not lock_step:
             # An absolute schedule; after a stall of the host it begins anew instead of hurrying.

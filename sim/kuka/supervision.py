@@ -29,7 +29,7 @@ class Supervision:
         self._upper_deg = [joint.upper_deg + ROUNDING_DEG for joint in arm.joints]
         self._fast_cycles = 0
         self._hard_cycles = 0
-        self._still_cycles = 0
+        self._still_cycles = self._held_cycles = 0
         window = max(SHORTEST_WINDOW_CYCLES, round(parameters.acceleration_window_s / cycle_s))
         self._window_s = window * cycle_s
         # Of the second difference of three commands that are a window apart.
@@ -40,17 +40,27 @@ class Supervision:
         self._window = window
         self._past: deque[list[float]] = deque(maxlen=2 * window)  # commands, oldest first
 
-    def judge(self, command_deg: list[float], before_deg: list[float]) -> Message | None:
-        """None when the arm can follow, else why it stops."""
+    def judge(self, command_deg: list[float], before_deg: list[float], *, heard: bool) -> Message | None:
+        """None when the arm can follow, else why it stops.
+
+        Acceleration is what replies ask for: values held where none came (`heard` is false) are not judged
+        by it, and after a few of them what comes begins from rest.
+        """
         past, window = self._past, self._window
         if command_deg is before_deg:
             self._fast_cycles = 0
+            if not heard:
+                self._held_cycles += 1
+                if self._held_cycles > self._parameters.held_cycles:
+                    past.clear()
+                return None
+            self._held_cycles = 0
             self._still_cycles += 1
             if self._still_cycles > window:
                 past.clear()  # a window at rest: what came before is over
                 return None
         else:
-            self._still_cycles = 0
+            self._still_cycles = self._held_cycles = 0
         while len(past) < 2 * window:
             past.append(before_deg)
         oldest, middle = past[0], past[window]

@@ -220,6 +220,33 @@ def test_one_held_value_at_the_working_speed_passes_and_no_acceleration_is_read_
     assert bench.controller.message is None
 
 
+@pytest.mark.parametrize("lost", [3, 25])
+def test_a_motion_frozen_by_lost_replies_goes_on_at_speed_after_few_and_from_rest_after_many(
+    make_bench: Callable[..., Any], lost: int
+) -> None:
+    bench = make_bench(parameters=ControllerParameters(step_share=1.0))
+    bench.enter_movecorr()
+
+    def on_a2(value: float) -> tuple[float, ...]:
+        return (0.0, value, 0.0, 0.0, 0.0, 0.0)
+
+    place, speed = 0.0, 0.0
+    for _ in range(200):
+        speed = min(0.15, speed + 0.0013)  # an eighth of full speed, at a fifth of the acceleration
+        place -= speed
+        bench.answer(on_a2(place))
+    bench.miss(lost)
+    if lost <= 3:
+        for _ in range(100):
+            place -= speed
+            bench.answer(on_a2(place))
+        assert bench.controller.message is None
+    else:
+        with pytest.raises(AssertionError):
+            bench.ramp(on_a2(place - 100 * speed), on_a2(place), steps=100)
+        assert message_of(bench) == 1074
+
+
 def test_acceleration_that_lasts_is_a_fault_though_no_step_is_too_large(bench: Any) -> None:
     bench.enter_movecorr()
     A2_step_deg = 0.24 * 300.0 * 0.004
