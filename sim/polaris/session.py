@@ -40,6 +40,7 @@ class Session:
         """The bytes that the unit sends back for one command line (without its CR)."""
         if self._watch_dog_ns:
             self._watch()
+            self._heard_ns = self.unit.clock.now_ns()
         if self._faults.concerned and not self._works():
             return b""
         kept = self._replies.get(line)
@@ -63,6 +64,7 @@ class Session:
         """A break, or the power came back: settings as saved; RESET is said a while later."""
         self.unit.reset()
         self._forget()
+        self._watch_dog_ns = 0
         self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
 
     def suspect_break(self) -> None:
@@ -85,6 +87,8 @@ class Session:
 
     def unasked(self) -> bytes:
         """What the unit says of itself now: RESET, once it has started again."""
+        if self._watch_dog_ns:
+            self._watch()
         if self._faults.concerned:
             self._works()
         if self._break_s is not None and time.monotonic() >= self._break_s:
@@ -135,18 +139,14 @@ class Session:
         self._heard_ns = self.unit.clock.now_ns()
 
     def _watch(self) -> None:
-        """The watch dog bites when the host has been silent for too long: seen at its next command."""
-        now_ns = self.unit.clock.now_ns()
-        silent_ns = now_ns - self._heard_ns
-        self._heard_ns = now_ns
-        if silent_ns > self._watch_dog_ns:
+        """The watch dog bites when the host has been silent for too long."""
+        if self.unit.clock.now_ns() - self._heard_ns > self._watch_dog_ns:
             self._bite()
 
     def _bite(self) -> None:
         """What the watch dog does."""
         self._forget()
         if self.unit.behaviour.watch_dog == "reset":
-            self._watch_dog_ns = 0
             self.restart()
         elif self.unit.mode is Mode.TRACKING:
             self.unit.stop_tracking()

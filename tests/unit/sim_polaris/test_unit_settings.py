@@ -117,10 +117,13 @@ def test_the_watch_dog_may_reset_the_unit(make_bench: Callable[..., Bench]) -> N
     bench = make_bench(watch_dog="reset", reset_s=0.0)
     bench.send("INIT ")
     bench.send("HCWDOG 2")
-    bench.world.clock.sleep(3.0)
-    assert bench.raw("PHSR 00") == b""
+    bench.world.clock.sleep(1.0)
+    assert bench.session.unasked() == b""
+    bench.world.clock.sleep(2.0)
     assert bench.session.unasked() == b"RESETBE6F\r"
     assert bench.send("PHSR 00") == "ERROR10"
+    bench.world.clock.sleep(10.0)
+    assert bench.session.unasked() == b""  # it was reset too
 
 
 @pytest.mark.parametrize(
