@@ -45,6 +45,12 @@ def localize(
         Path | None,
         typer.Option("--pictures", metavar="DIR", help="Write a picture of each marker into this folder."),
     ] = None,
+    write: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--write", metavar="FILE", help="Write the spheres: .dcm (Spatial Fiducials), .mrk.json or .csv."
+        ),
+    ] = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
 ) -> None:
@@ -57,7 +63,9 @@ def localize(
     """
     console.set_up_logging(verbose)
     import procedures.imaging as imaging
+    from procedures.exchange.sphere_files import check_names, write_spheres
 
+    check_names(write or ())
     with console.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
         began_s = time.perf_counter()
@@ -72,6 +80,7 @@ def localize(
         console.tell(f"warning: {sentence}")
     if pictures is not None:
         _write_pictures(pictures, volume, result)
+    write_spheres(result, write or ())
     if as_json:
         console.print_json(_document(result, elapsed_s))
     else:

@@ -178,6 +178,26 @@ def graph_command() -> None:
     sys.stdout.write(mermaid())
 
 
+@app.command("export")
+def export_command(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to [RUN/export].")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON; no identity in them."""
+    from procedures.exchange.run_export import export_run
+    from ronna_hw.command_line.console import print_json, tell
+
+    written = export_run(run_folder, out or run_folder / "export")
+    if as_json:
+        print_json({"files": [str(path) for path in written]})
+        return
+    for path in written:
+        tell(str(path))
+
+
 @app.command("doctor")
 def doctor_command(
     config: ConfigOption = None,
@@ -193,8 +213,11 @@ def doctor_command(
     else holds the port, and what that means. Exit codes: 0 all answer, 4 a device or a line does not.
     """
     from procedures.cli.doctor import examine, show
+    from ronna_hw.command_line.console import progress_bar
 
-    show(examine(config, endpoint or ()), as_json=as_json)
+    with progress_bar("asking the devices") as progress:
+        report = examine(config, endpoint or (), progress)
+    show(report, as_json=as_json)
 
 
 def _request(

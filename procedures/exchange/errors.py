@@ -9,7 +9,7 @@ class UnknownForm(ConfigurationError):
     """No form of exchange has this file ending."""
 
     code = "EXC-001"
-    action = "End the name with .dcm, .mrk.json, .csv or .json."
+    action = "End the name with .dcm, .mrk.json or .csv."
 
 
 class NotWritable(DataError):
@@ -23,4 +23,4 @@ class NothingToExport(DataError):
     """The run holds no result of the kind that was asked for."""
 
     code = "EXC-003"
-    action = "Export a run that reached a registration; `ronna-procedure show RUN` lists its results."
+    action = "Give the folder of a run that reached a registration, such as runs/<run id>."

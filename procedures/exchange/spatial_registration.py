@@ -18,6 +18,7 @@ def spatial_registration(
     robot_from_ct: NDArray[np.float64],
     origin: Origin,
     *,
+    spheres: Origin | None = None,
     label: str = "CT_TO_ROBOT",
     description: str = "",
     fiducial_uids: Sequence[str] = (),
@@ -25,17 +26,19 @@ def spatial_registration(
     """The object for a homogeneous matrix (4, 4) robot <- CT, mm.
 
     Its own frame of reference is the robot's; the CT's maps into it by the matrix. `fiducial_uids` name the
-    spheres of the fiducials object that the fit used.
+    spheres that the fit used, in the fiducials object of the origin `spheres` (by default the same). All
+    registrations made from the same spheres share the robot's frame.
     """
+    spheres = spheres or origin
     made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
-    made.FrameOfReferenceUID = uid(origin, "robot frame")
+    made.FrameOfReferenceUID = uid(spheres, "robot frame")
     made.PositionReferenceIndicator = ""
     made.RegistrationSequence = [
         _item(made.FrameOfReferenceUID, np.eye(4)),
         _item(origin.frame_of_reference_uid, np.asarray(robot_from_ct, dtype=float)),
     ]
     if fiducial_uids:
-        made.RegistrationSequence[1].UsedFiducialsSequence = [_used(one, origin) for one in fiducial_uids]
+        made.RegistrationSequence[1].UsedFiducialsSequence = [_used(one, spheres) for one in fiducial_uids]
     return made
 
 

@@ -1,0 +1,52 @@
+"""The spheres of one localization as files, in the form that each file's name asks for."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.exchange.errors import NotWritable, UnknownForm
+from ronna_hw.records import canonical_json, write_whole
+
+if TYPE_CHECKING:
+    from procedures.imaging import Localization
+
+MARKUPS, CSV, DICOM = ".mrk.json", ".csv", ".dcm"
+
+
+def check_names(paths: Sequence[Path]) -> None:
+    """Raise EXC-001 for a name whose ending is no known form; cheap, for before the work."""
+    for path in paths:
+        if not path.name.endswith((MARKUPS, CSV, DICOM)):
+            raise UnknownForm(f"cannot tell the form of {path.name}")
+
+
+def write_spheres(found: Localization, paths: Sequence[Path]) -> None:
+    """Write the spheres into each of the files. Raises EXC-001, EXC-002."""
+    check_names(paths)
+    if not paths:
+        return
+    from procedures.exchange.dicom_object import Origin, write
+    from procedures.exchange.plain_files import slicer_markups, table
+    from procedures.exchange.run_export import fiducials
+    from procedures.exchange.spatial_fiducials import spatial_fiducials
+
+    markers = [
+        {"centre_mm": marker.centre_mm.tolist(), "covariance_mm2": marker.covariance_mm2.tolist()}
+        for marker in found.markers
+    ]
+    spheres = fiducials(markers)
+    for path in paths:
+        if path.name.endswith(DICOM):
+            key = hashlib.sha256(canonical_json(markers)).hexdigest()
+            origin = Origin(found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key)
+            write(spatial_fiducials(spheres, origin), path)
+            continue
+        text = slicer_markups(spheres) if path.name.endswith(MARKUPS) else table(spheres)
+        try:
+            write_whole(path, text.encode())
+        except OSError as error:
+            raise NotWritable(f"cannot write {path}: {error.strerror}") from error
