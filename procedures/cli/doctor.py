@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ronna_hw.command_line.console import print_json, print_table
+from ronna_hw.command_line.console import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
@@ -45,18 +45,25 @@ class Report:
     lines: tuple[dict[str, Any], ...] = ()
 
 
-def examine(config: Path | None, endpoints: Sequence[str] = ()) -> Report:
+def examine(
+    config: Path | None, endpoints: Sequence[str] = (), progress: Progress = lambda share: None
+) -> Report:
     """Look at the computer, at a tracker's line at each endpoint, and at every device of a theatre file."""
     trackers = [parse_endpoint(text).require("serial", "tcp") for text in endpoints]
     theatre = None if config is None else read_theatre_file(config)
     findings = [_python(), _foreign_packages(), _receive_buffer(), _real_time(), *_serial_ports()]
     if theatre is not None and theatre.tracker is not None:
         trackers += _polaris_lines(theatre.tracker)
-    probes = [_probed(endpoint) for endpoint in trackers]
+    devices = [] if theatre is None else _devices(theatre)
+    probes = []
+    for endpoint in trackers:
+        probes.append(_probed(endpoint))
+        progress(len(probes) / (len(trackers) + len(devices)))
     findings += [_line(probe) for probe in probes]
-    if theatre is not None:
-        causes = {str(probe.endpoint): _judged(probe).advice for probe in probes if not _judged(probe).well}
-        findings += [_device(name, device, causes) for name, device in _devices(theatre)]
+    causes = {str(probe.endpoint): _judged(probe).advice for probe in probes if not _judged(probe).well}
+    for number, (name, device) in enumerate(devices, start=1):
+        findings.append(_device(name, device, causes))
+        progress((len(trackers) + number) / (len(trackers) + len(devices)))
     return Report(tuple(findings), tuple(_documented(probe) for probe in probes))
 
 

@@ -321,7 +321,9 @@ def test_the_tracker_of_a_theatre_file_is_probed_and_its_cause_is_told(
     path.write_text(
         'schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\nendpoint = "serial:///dev/no-such-port"\n'
     )
-    report: Report = examine(path)
+    shares: list[float] = []
+    report: Report = examine(path, (), shares.append)
+    assert shares == [0.5, 1.0]
     line, device = report.findings[-2:]
     assert line.subject == "line serial:///dev/no-such-port"
     assert device.subject == "device tracker"
