@@ -1,17 +1,26 @@
-"""What one set-point costs, prepared and judged for go and stop, beside a bare step of the generator."""
+"""What one set-point costs, prepared and judged for go and stop, beside a bare step of the generator.
+
+Watched: with a head, clamp, table and spheres around, the guide on the flange and the speed zone in force.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from ruckig import InputParameter, OutputParameter, Result, Ruckig
 
 from benchmarks.contest import contest, cpu_of
 from benchmarks.figures import Figure, compared
 from drivers.kuka_rsi.set_points import Choice, SetPoints
+from ronna_hw.arm.clearance import sweep_path
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import ArmVariant, arm_model, radians6
 from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.speed_zones import with_speed_steps
+from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.cell import CellConfig
 
 CYCLE_S = 0.004
 ROUNDS = 20
@@ -20,6 +29,10 @@ START = radians6(0, -90, 90, 0, 60, 0)
 AWAY = radians6(40, -70, 70, 20, 40, 30)
 LINE_MM = 150.0
 TOOL_MM = (0.0, 0.0, 150.0)
+GOAL_US = 100.0  # generator, inverse kinematics, monitor and distances together
+HEAD_BELOW_MM = 180.0
+HEAD_SEMI_AXES_MM = (75.0, 95.0, 90.0)
+SPHERES_MM = ((-40.0, -30.0), (40.0, -30.0), (0.0, 40.0), (-50.0, 20.0), (50.0, 20.0))
 BARE = "bare 6-axis step of ruckig"
 
 
@@ -30,23 +43,45 @@ def measure() -> list[Figure]:
     here = forward(model, START)
     x, y, z = here.position_mm
     line = plan_line(model, START, Pose((x, y + LINE_MM, z), here.rotation), limits, TOOL_MM)
+    move = plan_joint_move(model, START, AWAY, limits)
+    around = _surroundings(here)
     samples = contest(
         {
-            "joint move": lambda: _per_cycle(plan_joint_move(model, START, AWAY, limits)),
+            "joint move": lambda: _per_cycle(move),
             "straight line": lambda: _per_cycle(line),
+            "joint move, watched": lambda: _per_cycle(_slowed(move, around), around),
+            "straight line, watched": lambda: _per_cycle(_slowed(line, around), around),
             "at rest": lambda: _per_cycle(None),
             BARE: _bare,
         },
         ROUNDS,
     )
-    return compared("CPU per set-point, go and stop judged", "µs", samples, BARE, scale=1e6)
+    figures = compared("CPU per set-point, go and stop judged", "µs", samples, BARE, scale=1e6)
+    return [_with_goal(figure) if figure.who.endswith("watched") else figure for figure in figures]
 
 
-def _per_cycle(plan: MotionPlan | None) -> float:
+def _with_goal(figure: Figure) -> Figure:
+    return replace(figure, goal=f"value ≤ {GOAL_US:.0f}", met=figure.value <= GOAL_US)
+
+
+def _surroundings(flange: Pose) -> Surroundings:
+    """A head a hand's breadth below the needle, with all that the theatre file puts around it by default."""
+    cell = CellConfig()
+    tip = flange.apply(TOOL_MM)
+    head = Pose.from_kuka(tip[0], tip[1], tip[2] - HEAD_BELOW_MM, 90.0, 0.0, 30.0)
+    spheres = tuple((tip[0] + x, tip[1] + y, tip[2] - HEAD_BELOW_MM + 105.0) for x, y in SPHERES_MM)
+    return cell.surroundings(cell.guide, Pose(TOOL_MM), head, HEAD_SEMI_AXES_MM, spheres)
+
+
+def _slowed(plan: MotionPlan, around: Surroundings) -> MotionPlan:
+    return with_speed_steps(plan, sweep_path(arm_model(ArmVariant.SIXX), plan, around))
+
+
+def _per_cycle(plan: MotionPlan | None, around: Surroundings | None = None) -> float:
     model = arm_model(ArmVariant.SIXX)
     points = SetPoints(model, working_limits(model), CYCLE_S, START)
     if plan is not None:
-        points.start(plan, 1.0)
+        points.start(plan, 1.0, around)
     points.prepare()
 
     def cycle() -> None:

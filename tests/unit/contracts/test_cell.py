@@ -1,0 +1,51 @@
+"""The cell in the theatre file: strict, with defaults, and the example of the how-to is right."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ronna_hw.cell import AROUND_THE_PATIENT, BodyFrame, CellConfig
+from ronna_hw.config import BadTheatreFile, parse_theatre
+
+HOW_TO = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "describe-the-cell.md"
+BODY = {"name": "stand", "start_mm": [0.0, 0.0, 0.0], "end_mm": [0.0, 0.0, 9.0], "radius_mm": 5.0}
+
+
+def _cell(**keys: Any) -> CellConfig:
+    return parse_theatre({"theatre": "lab", "cell": keys}).cell
+
+
+def test_without_a_cell_the_defaults_hold() -> None:
+    cell = parse_theatre({"theatre": "lab"}).cell
+    assert cell == CellConfig()
+    assert cell.bodies == AROUND_THE_PATIENT
+    assert cell.live_margin_mm < cell.margin_mm
+    assert [body.name for body in cell.guide if body.enters_head] == ["needle"]
+    assert not any(body.enters_head for body in cell.stereo_head)
+
+
+def test_the_example_of_the_how_to_is_a_cell() -> None:
+    example = re.search(r"```toml\n(.*?)```", HOW_TO.read_text(encoding="utf-8"), re.DOTALL)
+    assert example is not None
+    cell = parse_theatre({"theatre": "lab", **tomllib.loads(example[1])}).cell
+    assert cell.bodies[0].frame is BodyFrame.ROBOT
+    assert cell.guide[0].enters_head
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"margin_mm": 3.0}, "live_margin_mm must be less than margin_mm"),
+        ({"zone": {"near_mm": 500.0}}, "far must be farther than near"),
+        ({"bodies": [{**BODY, "radius_mm": 0.0}]}, "cell.bodies.0.radius_mm"),
+        ({"bodies": [{**BODY, "frame": "table"}]}, "'head' or 'robot'"),
+        ({"bodies": [{**BODY, "colour": "red"}]}, "cell.bodies.0.colour"),
+        ({"guide": [{**BODY, "end_mm": [0.0, 0.0]}]}, "cell.guide.0.end_mm"),
+    ],
+)
+def test_a_mistake_is_named_with_its_place(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadTheatreFile, match=re.escape(said)):
+        _cell(**keys)
