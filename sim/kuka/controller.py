@@ -89,6 +89,8 @@ class Controller:
         """Whether a program may begin to move the arm now, and if not why."""
         if self.run is not None:
             return Answer(AckCode.BUSY, "RSI is running")
+        if self.motion is not None:
+            return Answer(AckCode.BUSY, "a motion is under way")
         forbidden = self.cell.forbids_program
         if forbidden:
             return Answer(AckCode.REFUSED, forbidden)

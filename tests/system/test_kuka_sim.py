@@ -406,3 +406,49 @@ def test_the_true_pose_after_a_motion_is_the_same_bit_for_bit(cell: Callable[...
     assert found[0].motion_number == found[1].motion_number == 1
     assert found[0].joints_rad == found[1].joints_rad
     assert (found[0].robot_from_flange == found[1].robot_from_flange).all()
+
+
+def test_a_motion_by_eki_is_answered_twice_and_takes_theatre_time(
+    cell: Callable[..., Cell], lock_step_world: World
+) -> None:
+    eki = cell(world=lock_step_world).project()
+    assert eki.command("DRIVES", On=1) == 0
+    axes = eki.state(Id="8").find("Axis")
+    assert axes is not None
+    here = {name: float(value) for name, value in axes.attrib.items()}
+    before_s = lock_step_world.clock.now_s()
+    eki.socket.sendall(_ptp(21, {**here, "A1": here["A1"] + 20.0}, 10))
+    answers = [eki.until(lambda element: element.get("Id") == "21").attrib for _ in range(2)]
+    assert [(a["Cmd"], a["Code"], a["Text"]) for a in answers] == [
+        ("PTP_AXIS", "0", "accepted"),
+        ("PTP_AXIS", "0", ""),
+    ]
+    moved = eki.state(Moving="0", ProState="P_END").find("Axis")
+    assert moved is not None
+    assert float(moved.get("A1", "")) == pytest.approx(here["A1"] + 20.0, abs=1e-4)
+    assert lock_step_world.clock.now_s() - before_s > 20.0 / 36.0
+    assert lock_step_world.arm().at_rest
+    assert not lock_step_world.clock.streaming()
+
+
+def test_a_motion_by_eki_is_stopped_on_its_way(cell: Callable[..., Cell]) -> None:
+    eki = cell().project()
+    assert eki.command("DRIVES", On=1) == 0
+    axes = eki.state(Id="8").find("Axis")
+    assert axes is not None
+    here = {name: float(value) for name, value in axes.attrib.items()}
+    eki.socket.sendall(_ptp(22, {**here, "A1": here["A1"] + 150.0}, 5))
+    eki.state(Moving="1", ProState="P_ACTIVE")
+    assert eki.command("RSI_START") == 4
+    eki.socket.sendall(b'<Cmd Id="23" Name="STOP" Kind="FAST"></Cmd>')
+    aborted = eki.until(lambda element: element.get("Id") == "22" and element.get("Code") != "0")
+    assert aborted.get("Code") == "7"
+    assert eki.until(lambda element: element.get("Id") == "23").get("Code") == "0"
+    stopped = eki.state(Moving="0").find("Axis")
+    assert stopped is not None
+    assert here["A1"] <= float(stopped.get("A1", "")) < here["A1"] + 149.0
+
+
+def _ptp(identifier: int, axes_deg: dict[str, float], speed_percent: int) -> bytes:
+    attributes = " ".join(f'{name}="{angle:.4f}"' for name, angle in axes_deg.items())
+    return f'<Cmd Id="{identifier}" Name="PTP_AXIS" {attributes} Vel="{speed_percent}"></Cmd>'.encode()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import radians
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,6 +75,19 @@ def test_writing_and_reading_a_frame_is_the_identity_even_at_gimbal_lock() -> No
         B = generator.choice([B, 90.0, -90.0])
         pose = pose_of_frame((1.0, 2.0, 3.0, A, B, C))
         assert np.allclose(pose_of_frame(frame_of(pose)), pose, atol=1e-9)
+
+
+def test_the_pose_that_is_told_is_that_of_the_axes_with_tool_and_base(make_bench: Callable[..., Any]) -> None:
+    generator = np.random.default_rng(12)
+    controller = make_bench(start=False).controller
+    for number in range(1, 17):
+        tool, base = (generator.uniform(-150.0, 150.0, 6) for _ in range(2))
+        tool[4], base[4] = tool[4] / 2, base[4] / 2
+        controller.set_tool(number, tool)
+        controller.set_base(number, base)
+        flange = Chain(controller.arm.description).flange(in_radians(tuple(controller.arm.axes_deg)))
+        expected = np.linalg.inv(pose_of_frame(base)) @ flange @ pose_of_frame(tool)
+        assert np.abs(pose_of_frame(controller.arm.frame) - expected).max() < 1e-9
 
 
 def test_inverse_kinematics_finds_the_joints_of_a_pose_near_by() -> None:

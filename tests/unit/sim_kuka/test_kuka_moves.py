@@ -109,7 +109,7 @@ def test_a_ptp_arrives_exactly_and_says_so_twice(program: Program) -> None:
     assert program.ptp(Vel=50, Acc=50) == Answer(AckCode.OK, "accepted")
     assert program.controller.program_state is ProState.ACTIVE
     assert not program.ends
-    assert program.ptp().code is AckCode.REFUSED  # while the first one runs
+    assert program.ptp().code is AckCode.BUSY  # while the first one runs
     assert program.finish() is AckCode.OK
     assert program.controller.arm.axes_deg == list(GOAL_DEG)
     assert len(program.ends) == 1

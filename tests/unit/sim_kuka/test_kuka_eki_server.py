@@ -1,0 +1,147 @@
+"""The EKI channel's loop: one telegram read and one written per loop, and a memory that can overflow."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from xml.etree import ElementTree
+
+import pytest
+
+from ronna_hw.endpoints import Endpoint
+from sim.kuka import eki_server
+from sim.kuka.eki_server import UNREAD_LIMIT, EkiServer
+
+LOOP_S = 0.012
+
+
+class Time:
+    """A clock that stands until it is moved."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+class Program:
+    """Keeps what it has read."""
+
+    def __init__(self) -> None:
+        self.read: list[str] = []
+        self.gone = False
+
+    def opened(self) -> None:
+        self.read.clear()
+
+    def request(self, element: ElementTree.Element) -> None:
+        self.read.append(element.get("Id", ""))
+
+    def closed(self) -> None:
+        self.gone = True
+
+
+class Line:
+    """A server in loops of 12 ms, its program, and a client."""
+
+    def __init__(self, time: Time) -> None:
+        self.time = time
+        self.program = Program()
+        self.server = EkiServer(Endpoint("tcp", "127.0.0.1", 0), LOOP_S)
+        self.server.attach(self.program)
+        host, port = self.server.endpoint.removeprefix("tcp://").split(":")
+        self.client = socket.create_connection((host, int(port)), timeout=10.0)
+        self.serve()
+        self.client.setblocking(False)
+
+    def serve(self) -> None:
+        for ready in self.server.sockets:
+            self.server.serve(ready)
+
+    def say(self, *identifiers: int) -> None:
+        self.client.setblocking(True)
+        self.client.sendall(b"".join(b'<Cmd Id="%d"/>' % n for n in identifiers))
+        self.client.setblocking(False)
+        self.serve()
+
+    def loop(self) -> None:
+        self.time.now_s += LOOP_S
+        self.server.flush()
+
+    def heard(self) -> bytes:
+        try:
+            return self.client.recv(65536)
+        except BlockingIOError:
+            return b""
+
+
+@pytest.fixture
+def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[Line]:
+    time = Time()
+    monkeypatch.setattr(eki_server, "time", time)
+    line = Line(time)
+    yield line
+    line.client.close()
+    line.server.close()
+
+
+def test_one_telegram_is_written_per_loop_and_never_two_in_one_segment(line: Line) -> None:
+    for number in range(3):
+        line.server.send(f"<Robot>{number}</Robot>")
+    assert line.heard() == b""
+    for number in range(3):
+        line.loop()
+        assert line.heard() == b"<Robot>%d</Robot>" % number
+    line.loop()
+    assert line.heard() == b""
+
+
+def test_one_request_is_read_per_loop_and_the_others_wait(line: Line) -> None:
+    line.say(1, 2, 3)
+    assert line.program.read == ["1"]
+    assert line.server.due_s == pytest.approx(line.time.now_s + LOOP_S)
+    line.loop()
+    assert line.program.read == ["1", "2"]
+    line.loop()
+    assert line.program.read == ["1", "2", "3"]
+    assert line.server.due_s is None
+
+
+def test_a_memory_of_512_unread_requests_overflows_and_ends_the_connection(line: Line) -> None:
+    line.server.silent = True
+    line.say(*range(UNREAD_LIMIT))
+    assert line.server.connected
+    line.say(9999)
+    assert not line.server.connected
+    assert line.program.gone
+    assert line.program.read == []
+    assert line.heard() == b""  # an orderly end
+
+
+def test_a_silent_program_keeps_what_was_said_to_it(line: Line) -> None:
+    line.server.silent = True
+    line.say(1, 2)
+    line.server.send("<Robot>unheard</Robot>")
+    line.loop()
+    assert (line.program.read, line.heard()) == ([], b"")
+    line.server.silent = False
+    line.loop()
+    line.loop()
+    assert line.program.read == ["1", "2"]
+
+
+def test_half_a_telegram_is_written_once(line: Line) -> None:
+    line.server.cut_next()
+    for _ in range(2):
+        line.server.send("<Robot></Robot>")
+        line.loop()
+    assert line.heard() == b"<Robot><Robot></Robot>"
+
+
+def test_a_full_memory_has_no_room_for_the_next_request(line: Line) -> None:
+    line.server.overflow()
+    assert line.server.connected
+    line.say(1)
+    assert not line.server.connected
+    assert line.program.read == []
