@@ -23,13 +23,15 @@ def polaris(
         str, typer.Option(help="serial-pty for a pseudo-terminal, or tcp://host:port.")
     ] = SERIAL_PTY,
     profile: Annotated[ProfileName, typer.Option(help="Kind of unit.")] = ProfileName.SPECTRA,
-    scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
+    scene: Annotated[str, typer.Option(help="bench, bench-near, default, mini, or a file.")] = "bench",
     throttle: Annotated[bool, typer.Option(help="Keep a serial line to its baud rate.")] = False,
     wired: Annotated[
-        list[Path] | None, typer.Option(help="Definition of a wired tool that is plugged in; repeatable.")
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Definition of a wired tool that is plugged in; repeatable."),
     ] = None,
     setting: Annotated[
-        list[str] | None, typer.Option("--set", help="NAME=VALUE of an unconfirmed behaviour; repeatable.")
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
     ] = None,
     list_parameters: Annotated[
         bool, typer.Option("--list-parameters", help="Tell all that --set can change, and end.")
