@@ -71,6 +71,10 @@ class ControllerProbe:
         self.turnarounds_s += found
         return found
 
+    def share(self, share: float) -> float:
+        """Turnaround in seconds below which `share` (0..1) of the telegrams lie."""
+        return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
+
     def close(self) -> None:
         """Give the socket back."""
         self._link.close()

@@ -1,9 +1,14 @@
-"""The robot link: cycles per second in lock-step beside a bare exchange, and turnaround beside its peers."""
+"""The robot link beside bare exchanges and peers, idle and with the machine's other processor at work.
+
+Lock-step: cycles per second through simulator and driver. Turnaround: telegram sent to matching reply read,
+as a controller sees it, 1 ms and 4 ms apart. Goals are held against an echo of the same minutes.
+"""
 
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,20 +24,43 @@ ETHERNET_FILE = (
     Path(__file__).parents[1] / "drivers" / "kuka_rsi" / "controller" / "files" / "ronna_rsi_eth.xml"
 )
 LOCK_STEP_ROUNDS = 20
+LOADED_ROUNDS = 8
 SWING_RAD = 0.6
 BARE_EXCHANGES = 1000
-TURNAROUND_ROUNDS = 10
 TELEGRAMS_PER_BLOCK = 500
-PACE_S = 0.001
+FAST_S, FAST_TELEGRAMS = 0.001, 20_000
+CYCLE_S, CYCLE_TELEGRAMS = 0.004, 2_500
+LOADED_TELEGRAMS = 5_000
+LOCK_STEP_GOAL_HZ, LOADED_LOCK_STEP_GOAL_HZ = 8_000.0, 4_000.0
+MEDIAN_ABOVE_ECHO_GOAL_S = 15e-6
+P99_OVER_ECHO_GOAL = 3.0
 ECHO, LINK_AT_REST, LINK_MOVING, RSIPI = "bare UDP echo", "driver at rest", "driver moving", "RSIPI"
+BUSY_PARENT = "driver moving, its program busy"
 
 
 def measure() -> list[Figure]:
-    """Both measurements."""
-    return [*_lock_step(), *_turnaround()]
+    """All of them."""
+    figures = [*_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
+    figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
+    figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
+    with _image_load():
+        name = "lock-step cycles per second beside an image load"
+        figures += _lock_step(name, LOADED_ROUNDS, LOADED_LOCK_STEP_GOAL_HZ)
+        name = "turnaround at 1 ms beside an image load"
+        figures += _turnaround(name, FAST_S, LOADED_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, BUSY_PARENT))
+        name = "turnaround at 4 ms beside an image load"
+        figures += _turnaround(name, CYCLE_S, CYCLE_TELEGRAMS, (LINK_MOVING, BUSY_PARENT))
+    return figures
 
 
-def _lock_step() -> list[Figure]:
+@contextmanager
+def _image_load() -> Iterator[None]:
+    """Another process decodes images as fast as it can."""
+    with peer("image_load"):
+        yield
+
+
+def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
     with RobotCell() as cell, peer("udp_echo") as echo:
         home = cell.arm.read_state().joints_rad
         away: JointVector = (home[0] + SWING_RAD, *home[1:])
@@ -64,23 +92,26 @@ def _lock_step() -> list[Figure]:
             return BARE_EXCHANGES / (time.perf_counter() - began)
 
         baseline = "bare UDP exchange"
-        samples = contest({"simulator and driver": move, baseline: exchange}, LOCK_STEP_ROUNDS)
+        samples = contest({"simulator and driver": move, baseline: exchange}, rounds)
         probe.close()
-        figures = compared("lock-step cycles per second", "1/s", samples, baseline)
+        figures = compared(measure, "1/s", samples, baseline)
+        figures[0] = figures[0].with_goal(at_least=goal_hz)
         for name, cpu_s in spent.items():
-            figures.append(Figure("CPU per lock-step cycle", name, cpu_s / cycles_seen * 1e6, "µs"))
+            figures.append(Figure(f"CPU per cycle of {measure}", name, cpu_s / cycles_seen * 1e6, "µs"))
         return figures
 
 
-def _turnaround() -> list[Figure]:
-    """5,000 telegrams each, 1 ms apart, as a controller sees it: telegram sent to matching reply read."""
+def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[str, ...]) -> list[Figure]:
+    """So many telegrams to each contestant and to an echo, in blocks, turn by turn."""
+    arguments = {
+        ECHO: ("udp_echo",),
+        LINK_AT_REST: ("rsi_link", "rest"),
+        LINK_MOVING: ("rsi_link", "move"),
+        BUSY_PARENT: ("rsi_link", "move", "busy"),
+        RSIPI: ("rsipi_client", str(ETHERNET_FILE)),
+    }
     with ExitStack() as stack:
-        peers = {
-            ECHO: stack.enter_context(peer("udp_echo")),
-            LINK_AT_REST: stack.enter_context(peer("rsi_link", "rest")),
-            LINK_MOVING: stack.enter_context(peer("rsi_link", "move")),
-            RSIPI: stack.enter_context(peer("rsipi_client", str(ETHERNET_FILE))),
-        }
+        peers = {name: stack.enter_context(peer(*arguments[name])) for name in (ECHO, *contestants)}
         probes = {
             name: stack.enter_context(ControllerProbe(int(child.ready["port"])))
             for name, child in peers.items()
@@ -90,27 +121,52 @@ def _turnaround() -> list[Figure]:
         def block(name: str) -> float:
             pid = peers[name].process.pid
             before_s = family_cpu_s(pid)
-            found = median(probes[name].block(TELEGRAMS_PER_BLOCK, PACE_S))
+            found = median(probes[name].block(TELEGRAMS_PER_BLOCK, pace_s))
             cpu_s[name] += family_cpu_s(pid) - before_s
             return found
 
-        samples = contest({name: partial(block, name) for name in peers}, TURNAROUND_ROUNDS)
-        figures = compared("turnaround at 1 ms", "µs", samples, ECHO, scale=1e6)
+        rounds = telegrams // TELEGRAMS_PER_BLOCK
+        samples = contest({name: partial(block, name) for name in peers}, rounds)
+        figures = compared(measure, "µs", samples, ECHO, scale=1e6)
         per_telegram = {name: [cpu_s[name] / len(probes[name].turnarounds_s)] for name in peers}
+        figures = [_with_tail(figure, probes[figure.who]) for figure in figures]
         return [
-            *(_with_tail(figure, probes[figure.who]) for figure in figures),
-            *compared("CPU per telegram, all processes", "µs", per_telegram, ECHO, scale=1e6),
+            *figures,
+            *_held_against_echo(measure, probes),
+            *compared(f"CPU per telegram, {measure}", "µs", per_telegram, ECHO, scale=1e6),
         ]
 
 
+def _held_against_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iterator[Figure]:
+    """Median and tail over all telegrams, missed cycles and lost replies of each contestant."""
+    echo = probes[ECHO]
+    echo_median_s, echo_p99_s = echo.share(0.5), echo.share(0.99)
+    for who, probe in probes.items():
+        above_s, p99_s = probe.share(0.5) - echo_median_s, probe.share(0.99)
+        ours = who not in (ECHO, RSIPI)
+        median_met = above_s <= MEDIAN_ABOVE_ECHO_GOAL_S if ours else None
+        tail_met = p99_s <= P99_OVER_ECHO_GOAL * echo_p99_s if ours else None
+        if who != ECHO:
+            goal = "value ≤ 15" if ours else ""
+            yield Figure(f"median above echo, {measure}", who, above_s * 1e6, "µs", goal=goal, met=median_met)
+        goal = "ratio ≤ 3" if ours else ""
+        ratio, base = (None, "") if who == ECHO else (p99_s / echo_p99_s, ECHO)
+        yield Figure(
+            f"99th percentile, {measure}", who, p99_s * 1e6, "µs", ratio, base, goal=goal, met=tail_met
+        )
+        missed = sum(turnaround > CYCLE_S for turnaround in probe.turnarounds_s)
+        yield Figure(f"longer than a cycle of 4 ms, {measure}", who, float(missed), "")
+        goal, met = ("value = 0", probe.unanswered == 0) if ours else ("", None)
+        yield Figure(f"replies lost, {measure}", who, float(probe.unanswered), "", goal=goal, met=met)
+
+
 def _with_tail(figure: Figure, probe: ControllerProbe) -> Figure:
-    """The tail goes into the JSON, to look at and not to judge by: it belongs to the machine."""
-    ordered = sorted(probe.turnarounds_s)
+    """More of the distribution for the JSON: the far tail belongs to the machine."""
     tail = {
-        "p90_us": ordered[int(0.90 * len(ordered))] * 1e6,
-        "p99_us": ordered[int(0.99 * len(ordered))] * 1e6,
-        "telegrams": float(len(ordered)),
-        "unanswered": float(probe.unanswered),
+        "median_us": probe.share(0.5) * 1e6,
+        "p90_us": probe.share(0.9) * 1e6,
+        "p99_us": probe.share(0.99) * 1e6,
+        "telegrams": float(len(probe.turnarounds_s)),
         "moved_deg": probe.moved_deg,
     }
     return replace(figure, more=tail)

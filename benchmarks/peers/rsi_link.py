@@ -1,4 +1,7 @@
-"""The driver's real-time process with its session open. Argument: rest, or move for always in motion."""
+"""The driver's real-time process with its session open.
+
+Arguments: rest, or move for always in motion; busy for a main thread that never rests.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import json
 import os
 import socket
 import sys
+import threading
 
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.link_state import CommandKind, Phase, Result
@@ -37,11 +41,19 @@ def main() -> None:
         print("READY " + json.dumps({"port": port, "pid": link._process.pid}), flush=True)
         link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
         if sys.argv[1] == "move":
+            if "busy" in sys.argv:
+                threading.Thread(target=_swing, args=(link, options), daemon=True).start()
+                _never_rest()
             _swing(link, options)
         while link.alive:
             link.wait(lambda state: state.phase is not Phase.RUNNING, PATIENCE_S)
     finally:
         link.close()
+
+
+def _never_rest() -> None:
+    while True:
+        sum(range(1000))
 
 
 def _swing(link: LinkClient, options: KukaOptions) -> None:

@@ -97,6 +97,15 @@ def require_ready(
     state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
 ) -> None:
     """Raise EKI-007 listing everything that forbids motion; `drives`: they must be on already."""
+    unmet = what_forbids_motion(state, drives=drives, modes=modes)
+    if unmet:
+        raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
+
+
+def what_forbids_motion(
+    state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...]
+) -> list[str]:
+    """Everything at once, in words."""
     unmet = []
     if state.mode not in modes:
         unmet.append(f"operating mode is {state.mode}, not {' or '.join(modes)}")
@@ -108,8 +117,7 @@ def require_ready(
         unmet.append(f"message {state.error} is not acknowledged")
     if drives and not state.drives:
         unmet.append("drives are off")
-    if unmet:
-        raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
+    return unmet
 
 
 def _bool(element: ElementTree.Element, attribute: StateAttribute) -> bool:

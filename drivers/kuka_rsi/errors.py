@@ -29,6 +29,7 @@ EKI-006 Unverified          the controller cannot say what it runs
 EKI-007 ControllerNotReady  mode, drives, emergency stop, guard or a message forbid motion
 EKI-008 CommandRefused      the controller refused a command
 EKI-009 DrivesOff           the drives were switched off on request
+EKI-010 ControllerStopped   the controller forbids motion, or stopped it, while the arm was active
 """
 
 from __future__ import annotations
@@ -274,3 +275,13 @@ class DrivesOff(StateError):
 
     code = "EKI-009"
     action = "Find out why, then recover the arm."
+
+
+class ControllerStopped(LimitError):
+    """Emergency stop, guard, mode, drives or a message ended a running stream; the arm was stopped."""
+
+    code = "EKI-010"
+    action = (
+        "Look at the cell first. When the cause is gone, call the arm's recover(acknowledged_by), which "
+        "acknowledges messages (ACK_ERRORS) and moves nothing, and activate it again."
+    )

@@ -7,8 +7,8 @@ mode, drives, a message, or that the channel broke) is noticed here as soon as i
 from __future__ import annotations
 
 from drivers.kuka_rsi.connections import Connections
-from drivers.kuka_rsi.eki_state import ControllerState, require_ready
-from drivers.kuka_rsi.errors import LinkProcessStalled, NoAnswer
+from drivers.kuka_rsi.eki_state import ControllerState, what_forbids_motion
+from drivers.kuka_rsi.errors import ControllerStopped, LinkProcessStalled, NoAnswer
 from drivers.kuka_rsi.faults import error_of_fault
 from drivers.kuka_rsi.flight_record import attach_flight_record
 from drivers.kuka_rsi.link_client import LinkClient
@@ -94,10 +94,9 @@ class FaultWatch:
         if self._guard.state not in STREAMING:
             return
         self.notice()
-        try:
-            require_ready(state, drives=True, modes=(self.mode,))
-        except RonnaError as error:
-            self._stop_for(error)
+        causes = what_forbids_motion(state, drives=True, modes=(self.mode,))
+        if causes:
+            self._stop_for(ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}"))
 
     def controller_lost(self, failure: RonnaError) -> None:
         """From the EKI reader: the channel broke. Nobody tells of an emergency stop any more."""

@@ -34,7 +34,7 @@ GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
 AT_ONCE_NS = 30_000  # waited less for a telegram: it was in the queue already
 LATE_CYCLES = 1.5  # waited so many for a telegram: the host, or the network, was held up
-PACED_WAIT_NS = 300_000  # waited so long for a telegram: the controller keeps a pace, and there is time
+PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
 _TIMEVAL = struct.Struct("ll")
 
 Address = tuple[str, int]
@@ -76,6 +76,8 @@ class LinkLoop:
         self._received_ns = 0  # when the last telegram was there
         self._waited_ns = 0  # for it
         self._late_ns = round(LATE_CYCLES * settings.cycle_ms * 1e6)
+        self._answered_ns = 0  # when the last telegram that was answered was there
+        self._paced_ns = round(PACED_SHARE * settings.cycle_ms * 1e6)
         self._turnaround_us = 0.0  # until its reply was out
         self._peer: Address | None = None
         self._command_number = 0
@@ -102,7 +104,8 @@ class LinkLoop:
             return None
         self._received_ns = received_ns = time.monotonic_ns()
         self._waited_ns = waited_ns = received_ns - begun_ns
-        newest = None if self._is_foreign(received[1]) else received
+        # The usual sender first: a call costs as much as the reading of a telegram.
+        newest = None if received[1] != self._peer and self._is_foreign(received[1]) else received
         # One that was there at once, or came late, may have others behind it.
         if not AT_ONCE_NS < waited_ns < self._late_ns:
             newest = self._drain(newest)
@@ -167,8 +170,9 @@ class LinkLoop:
         except OSError:
             self.session.rejected += 1
         self._turnaround_us = (time.monotonic_ns() - self._received_ns) / 1000.0
-        if self._waited_ns > PACED_WAIT_NS:
+        if self._received_ns - self._answered_ns > self._paced_ns:
             time.sleep(GIVEN_AWAY_S)
+        self._answered_ns = self._received_ns
 
     def _after_reply(self, ipoc: bytes, orders: Orders) -> None:
         """Prepare the next reply, and keep account of this one."""

@@ -9,7 +9,14 @@ from math import degrees
 
 from drivers.kuka_rsi.eki_client import EkiClient
 from drivers.kuka_rsi.eki_state import require_ours, require_ready
-from drivers.kuka_rsi.errors import ControllerLost, ControllerNotFound, NoTelegram, PoseDisagrees, Unverified
+from drivers.kuka_rsi.errors import (
+    CommandRefused,
+    ControllerLost,
+    ControllerNotFound,
+    NoTelegram,
+    PoseDisagrees,
+    Unverified,
+)
 from drivers.kuka_rsi.faults import error_of_fault
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.link_state import CommandKind, Fault, Phase
@@ -19,7 +26,7 @@ from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import RsiContext
-from ronna_hw.wire.kuka_eki import CommandName, Correction, OperationMode, Reference, RsiState
+from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMode, Reference, RsiState
 
 AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at different moments of rest
 FIRST_PAUSE_S = 0.1  # between two attempts to open the EKI session again; each is twice the one before
@@ -132,7 +139,14 @@ def start_stream(
     require_ready(state, drives=False, modes=modes)
     if not state.drives:
         if state.mode is OperationMode.EXT:
-            eki.require(CommandName.DRIVES, rest_of(deadline), On=1)
+            answer = eki.command(CommandName.DRIVES, rest_of(deadline), On=1)
+            if answer.code is not AckCode.OK:
+                # What has come up since the state was read says more than the refusal.
+                require_ready(eki.status(max(rest_of(deadline), LEAST_TRY_S)), drives=False, modes=modes)
+                raise CommandRefused(
+                    f"the controller refused {CommandName.DRIVES}",
+                    last=f"{answer.code.name} {answer.text}".strip(),
+                )
         eki.await_state(lambda s: s.drives, rest_of(deadline))
         state = eki.status(max(rest_of(deadline), LEAST_TRY_S))
     require_ready(state, drives=True, modes=modes)

@@ -36,7 +36,6 @@ REPLY_TAIL = b"</IPOC></Sen>"
 ROOT, ROOT_TYPE = "Rob", "KUKA"
 LONGEST_TELEGRAM = 8192  # one datagram; the common ones are below 1000 bytes
 
-_ANYTHING = rb'[^"<]{1,32}'
 _DECIMAL = rb"[-+]?\d{1,15}(?:\.\d{0,15})?"  # what float() reads for certain
 _INTEGER = rb"\d{1,15}"
 
@@ -90,10 +89,12 @@ class TelegramReader:
                 pattern.append(rb">[^<]{0,80}</" + re.escape(name.encode()) + b">")
                 continue
             captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
+            if captured is None:
+                pattern.append(rb" [^<>]*/>")  # not looked at any further
+                continue
             for attribute in attributes:
                 tag = attribute.encode()
-                value = b"(?P<%b>%b)" % (tag, captured) if captured else _ANYTHING
-                pattern.append(b' %b="%b"' % (re.escape(tag), value))
+                pattern.append(b' %b="(?P<%b>%b)"' % (tag, tag, captured))
             pattern.append(b"/>")
         # A context without Delay has an empty group in its place.
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")

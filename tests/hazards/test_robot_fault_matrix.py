@@ -45,14 +45,14 @@ WORKED_THROUGH = (
 )
 STOPPED = (
     Case("robot drop 50 % for 60 s", ("RSI-019",), "too few replies were taken"),
-    Case("robot network cut for 60 s", ("RSI-003", "EKI-007"), ""),
-    Case("robot emergency stop for 1 s", ("EKI-007",), "emergency stop is active"),
-    Case("robot guard open for 1 s", ("EKI-007",), "guard is open"),
-    Case("robot mode T1 for 1 s", ("EKI-007",), "operating mode is T1"),
-    Case("robot drives off", ("EKI-007",), "drives are off"),
-    Case("robot collision", ("EKI-007",), "message"),
+    Case("robot network cut for 60 s", ("RSI-003", "EKI-010"), ""),
+    Case("robot emergency stop for 1 s", ("EKI-010",), "emergency stop is active"),
+    Case("robot guard open for 1 s", ("EKI-010",), "guard is open"),
+    Case("robot mode T1 for 1 s", ("EKI-010",), "operating mode is T1"),
+    Case("robot drives off", ("EKI-010",), "drives are off"),
+    Case("robot collision", ("EKI-010",), "message"),
     Case("robot overload", ("RSI-005",), "following error"),
-    Case("robot program restart", ("RSI-008", "RSI-003", "EKI-007"), ""),
+    Case("robot program restart", ("RSI-008", "RSI-003", "EKI-010"), ""),
     Case("robot eki cut", ("EKI-002",), "closed the connection"),
     Case("robot eki silence for 60 s", ("EKI-003",), "says nothing", speed_fraction=0.1),
 )
@@ -151,7 +151,7 @@ def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(
     error = _moved_through(cell, arm, lambda: os.kill(process.pid, signal.SIGSTOP), awaited)
     assert error is not None
     # Whoever is first: the controller that gets no replies, or the driver that sees its process stand.
-    assert error.code in ("RSI-020", "EKI-007"), error
+    assert error.code in ("RSI-020", "EKI-010"), error
     assert arm.state is Lifecycle.FAULT
     awaited(lambda: cell.world.arm().at_rest)
     assert abs(cell.true_joints_rad()[0] - start[0]) < AWAY_RAD - 0.01

@@ -27,6 +27,7 @@ STOP = re.compile(rb"<Stop>(\d)</Stop>")
 COMMAND = re.compile(rb'<Cmd Id="(\d+)" Name="(\w+)"[^>]*></Cmd>')
 REPLY_WAIT_S = 0.1
 DEAD_CYCLES = 2
+STATE_PERIOD_S = 0.1  # between two states that nobody asked for
 
 
 class FakeController:
@@ -129,9 +130,14 @@ class FakeController:
             self._client = client
             with client:
                 buffer = b""
+                client.settimeout(STATE_PERIOD_S)
                 while True:
                     try:
                         data = client.recv(4096)
+                    except TimeoutError:
+                        with contextlib.suppress(OSError):
+                            client.sendall(self.state())
+                        continue
                     except OSError:
                         break
                     if not data:
@@ -285,7 +291,8 @@ def make_arm(controller: FakeController) -> Iterator[MakeArm]:
 
 @pytest.fixture
 def active_arm(make_arm: MakeArm) -> KukaRsiArm:
-    arm = make_arm()
+    # Generous limits: these machines stall for tens of milliseconds, and longer.
+    arm = make_arm(silence_limit_s=1.0, heartbeat_limit_s=5.0)
     arm.connect()
     arm.configure()
     arm.activate()

@@ -11,7 +11,13 @@ from typing import Any
 
 import pytest
 
-from drivers.kuka_rsi.errors import ControllerLost, ControllerNotReady, HandshakeFailed, Unverified
+from drivers.kuka_rsi.errors import (
+    ControllerLost,
+    ControllerNotReady,
+    ControllerStopped,
+    HandshakeFailed,
+    Unverified,
+)
 from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
@@ -64,13 +70,13 @@ def test_what_forbids_motion_stops_the_arm_on_its_way_and_is_named(
 ) -> None:
     before = dict(controller.facts)
     error = _interrupted(active_arm, controller, lambda: controller.tell(**change))
-    assert isinstance(error, ControllerNotReady)
+    assert isinstance(error, ControllerStopped)
     assert cause in str(error)
     assert "flight-record-robot.master.txt" in error.attachments
     assert active_arm.state is Lifecycle.FAULT
     rest = controller.replies[-1][1]
     assert rest[0] < 59.0
-    with pytest.raises(WrongState, match="EKI-007"):
+    with pytest.raises(WrongState, match="EKI-010"):
         active_arm.move_joints(THERE)
     controller.tell(**before)
     active_arm.recover("Ana")
