@@ -22,7 +22,7 @@ from ronna_hw.arm.planning import MotionPlan, plan_along_tool, plan_joint_move, 
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.speed_zones import with_speed_steps
 from ronna_hw.arm.surroundings import Surroundings
-from ronna_hw.arm.swept import sweep
+from ronna_hw.arm.swept import moving_ends, sweep
 from ronna_hw.cell import CellConfig
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
@@ -158,8 +158,11 @@ def _beside(rng: random.Random, start: JointVector) -> JointVector:
     return (A1, A2, A3, A4, A5, A6)
 
 
-def faults_of(driven: Driven) -> list[str]:
-    """Everything that is wrong with what would have been sent; empty when nothing is."""
+def faults_of(driven: Driven, every: int = 1) -> list[str]:
+    """Everything that is wrong with what would have been sent; empty when nothing is.
+
+    `every` so many set-points the distances are measured, which is what takes the time.
+    """
     limits, surroundings, plan = driven.limits, driven.surroundings, driven.plan
     assert limits is not None
     assert surroundings is not None
@@ -181,7 +184,7 @@ def faults_of(driven: Driven) -> list[str]:
         share = float((np.abs(values) / CYCLE_S**order / np.array(most)).max())
         if share > tolerance:
             found.append(f"{name} {share:.4f}")
-    return found + _stop_faults(driven) + _room_faults(driven, points)
+    return found + _stop_faults(driven) + _room_faults(driven, points, every)
 
 
 def _stop_faults(driven: Driven) -> list[str]:
@@ -196,10 +199,11 @@ def _stop_faults(driven: Driven) -> list[str]:
     return found
 
 
-def _room_faults(driven: Driven, points: np.ndarray) -> list[str]:
+def _room_faults(driven: Driven, points: np.ndarray, every: int) -> list[str]:
     surroundings = driven.surroundings
     assert surroundings is not None
-    swept = sweep(MODEL, surroundings, points)
+    looked_at = np.unique(np.append(np.arange(0, len(points), every), len(points) - 1))
+    swept = sweep(MODEL, surroundings, points[looked_at])
     found = []
     floors = np.minimum(surroundings.margin_mm, swept.gaps_mm[0] - 0.05)
     lacking = float((floors - swept.gaps_mm).max())
@@ -207,12 +211,13 @@ def _room_faults(driven: Driven, points: np.ndarray) -> list[str]:
     if lacking > allowed:
         found.append(f"clearance lacks {lacking:.2f} mm")
     if len(points) > 1:
-        moved = np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3).max(axis=(1, 2)) / CYCLE_S
-        nearest = np.minimum(swept.to_head_mm[:-1], swept.to_head_mm[1:])
-        caps = np.array([surroundings.cap_mm_s(distance) for distance in nearest.tolist()])
-        shares = moved / caps
-        stopped = len(shares) - (0 if driven.trusted_path else driven.stop_cycles)
-        worst = float(shares[:stopped].max(initial=0.0))
+        ends = moving_ends(MODEL, surroundings, points)
+        moved = np.linalg.norm(np.diff(ends, axis=0), axis=3).max(axis=(1, 2)) / CYCLE_S
+        caps = np.array([surroundings.cap_mm_s(distance) for distance in swept.to_head_mm.tolist()])
+        # The step into each place that was looked at, and the one out of it.
+        shares = np.maximum(np.append(0.0, moved)[looked_at] / caps, np.append(moved, 0.0)[looked_at] / caps)
+        by_path = looked_at < len(points) - (0 if driven.trusted_path else driven.stop_cycles)
+        worst = float(shares[by_path].max(initial=0.0))
         if worst > ZONE_TOLERANCE or float(shares.max()) > JOINT_STOP_TOLERANCE:
             found.append(f"zone speed {worst:.4f}, stopping {float(shares.max()):.4f}")
     return found

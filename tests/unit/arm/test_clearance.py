@@ -2,6 +2,7 @@
 
 import json
 import math
+import random
 
 import pytest
 
@@ -20,6 +21,7 @@ from ronna_hw.arm.preview import preview
 from ronna_hw.arm.progress import MOST_STEPS
 from ronna_hw.arm.speed_zones import with_speed_steps
 from ronna_hw.arm.surroundings import Corridor, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.arm.swept import sweep
 from ronna_hw.wire.kuka_eki import OperationMode
 
 MODEL = arm_model(ArmVariant.SIXX)
@@ -204,6 +206,28 @@ def test_approach_and_retreat_lie_on_the_tool_axis() -> None:
         assert end.angle_rad(begin) < 1e-9
         half = forward(MODEL, plan.path(MODEL).joints(0.5, START)).apply(TOOL.position_mm)
         assert half == pytest.approx(begin.apply((0.0, 0.0, distance / 2)), abs=1e-6)
+
+
+@pytest.mark.hazard(5)
+def test_after_a_stop_anywhere_the_way_on_is_checked_anew_and_never_leads_through() -> None:
+    """The detour over a high post; from wherever it was stopped, straight on to the goal."""
+    around = _around(_post(23.0, -60.0))
+    high_start, high_end = radians6(0, -95, 99, 0, 66, 180), radians6(50, -95, 99, 0, 66, 180)
+    rng = random.Random(6)
+    outcomes = {True: 0, False: 0}
+    for _ in range(24):
+        leg = rng.choice(((START, high_start), (high_start, high_end), (high_end, ASIDE)))
+        plan = plan_joint_move(MODEL, *leg, LIMITS)
+        sweep_path(MODEL, plan, around).require()
+        stopped_at = plan.path(MODEL).joints(rng.random(), START)
+        onwards = plan_joint_move(MODEL, stopped_at, ASIDE, LIMITS)
+        clear = sweep_path(MODEL, onwards, around).refused is None
+        densely = [onwards.path(MODEL).joints(k / 150, stopped_at) for k in range(151)]
+        gaps = sweep(MODEL, around, densely).gaps_mm
+        assert clear == bool((gaps.min(axis=0) >= around.margin_mm - 0.3).all())
+        outcomes[clear] += 1
+    assert outcomes[True] >= 3
+    assert outcomes[False] >= 3
 
 
 def test_nothing_around_is_nothing_to_come_near_to() -> None:

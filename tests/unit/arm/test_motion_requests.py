@@ -12,14 +12,14 @@ from ronna_hw.arm.motion import PathMotion
 BATCH = 100
 
 
-def _judge(seeds: range) -> Counter[str]:
+def _judge(seeds: range, every: int = 1) -> Counter[str]:
     """Drive all; every accepted one is without fault."""
     outcomes: Counter[str] = Counter()
     for seed in seeds:
         driven = drive(seed)
         outcomes[driven.refused or "driven"] += 1
         if not driven.refused:
-            assert faults_of(driven) == [], f"request {seed}"
+            assert faults_of(driven, every) == [], f"request {seed}"
             outcomes["stopped"] += driven.rest_predicted_rad is not None
             outcomes["slowed near the head"] += bool(driven.plan and driven.plan.speed_steps)
     return outcomes
@@ -29,7 +29,7 @@ def _judge(seeds: range) -> Counter[str]:
 @pytest.mark.hazard(24)
 @pytest.mark.parametrize("batch", range(5))
 def test_random_requests_break_no_limit_do_not_jump_and_stop_as_predicted(batch: int) -> None:
-    outcomes = _judge(range(batch * BATCH, (batch + 1) * BATCH))
+    outcomes = _judge(range(batch * BATCH, (batch + 1) * BATCH), every=8)
     # The requests are worth something only when all of this happens.
     assert outcomes["driven"] > BATCH // 2
     for kind in ("stopped", "slowed near the head", "ARM-007"):
@@ -39,7 +39,7 @@ def test_random_requests_break_no_limit_do_not_jump_and_stop_as_predicted(batch:
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 def test_ten_thousand_requests() -> None:
-    _judge(range(500, 10_000))
+    _judge(range(10_000))
 
 
 def test_the_first_set_point_is_where_the_arm_stands() -> None:
