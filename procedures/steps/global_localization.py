@@ -12,6 +12,7 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.steps.arm_frames import stereo_tool_in_flange, tool_pose
 from procedures.steps.payloads import points_payload, pose_payload
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
@@ -30,7 +31,8 @@ def run(context: StepContext) -> Outcome:
     try:
         frames = _fresh_frames(context)
     finally:
-        tracker.deactivate()
+        if tracker.state is not Lifecycle.FAULT:  # a fault has ended the tracking, and is what must be told
+            tracker.deactivate()
     calibration = context.calibrations.tracker_frame
     tracker_from_marker = _average_pose(frames, calibration.tool)
     strays = average_strays(frames)
