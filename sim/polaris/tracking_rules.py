@@ -25,6 +25,7 @@ Vectors = NDArray[np.float64]
 DROPPED_OUT_OF_VOLUME = 4  # marker digits of newer firmware; older papers do not tell
 USED_OUT_OF_VOLUME = 5
 FACE_BITS = 4  # position of the face number in the tool information
+FACE_MASK = 0x07 << FACE_BITS
 INFRARED_COPY = 0x04  # of the interference bit, in the tool information; its position is not public
 OUTSIDE = PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME
 
@@ -89,7 +90,7 @@ def as_asked(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tra
     digits = tuple(
         DROPPED_OUT_OF_VOLUME if digit == USED_OUT_OF_VOLUME else digit for digit in tracked.marker_digits
     )
-    information = tracked.information | ToolInformation.TOO_FEW_MARKERS
+    information = tracked.information & ~FACE_MASK | ToolInformation.TOO_FEW_MARKERS  # no face is used
     return replace(tracked, pose=None, information=int(information), marker_digits=digits)
 
 

@@ -122,7 +122,7 @@ def test_a_tool_moved_out_of_the_volume_is_told_only_on_demand(tracked: Bench) -
     unasked = tell(tracked, "1003")
     assert unasked.missing
     assert unasked.status == 0x31 | PortStatus.OUT_OF_VOLUME
-    assert (unasked.information, unasked.digits) == (0x12, "4444")
+    assert (unasked.information, unasked.digits) == (0x02, "4444")
     asked = tell(tracked)
     assert asked.position_mm == pytest.approx((-150.0, -300.0, -2500.0), abs=2.5)
     assert asked.status == 0x31 | PortStatus.OUT_OF_VOLUME
