@@ -7,10 +7,10 @@ from sim.kuka.parameters import AUTOSTART_PAUSE_S
 
 
 class Autostart:
-    """Starts the program, and again a while after a run has ended.
+    """Starts the program, and again a while after a run has ended or was stopped.
 
     A client that went away, asked for the end or commanded what the arm cannot do is followed by the next
-    run: without EKI nobody else could acknowledge the message.
+    run, and so is an emergency stop that was released: without EKI nobody else could acknowledge the message.
     """
 
     def __init__(self, controller: Controller, *, wanted: bool) -> None:
@@ -31,7 +31,7 @@ class Autostart:
             self._controller.start(counts_from_first_reply=True)
 
     def tick(self, now_s: float) -> None:
-        """Start again when it is time; called while no run is active and the arm rests."""
+        """Start again when it is time; called while the program is stopped or over, and the arm rests."""
         controller = self._controller
         if not self._armed:
             return

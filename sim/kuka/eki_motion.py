@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sim.kuka.answer import Answer
 from sim.kuka.chain import rotation_vector
 from sim.kuka.description import Description
-from sim.kuka.messages import Message, end_switch, no_inverse, too_fast
+from sim.kuka.messages import Message, end_switch, near_singularity, too_fast
 from sim.kuka.parameters import ControllerParameters
 from sim.theatre.rigid import rotation_from_vector
 
@@ -118,7 +118,7 @@ def line(
         pose[:3, 3] = start[:3, 3] + share * (goal[:3, 3] - start[:3, 3])
         axes = inverse(pose, before)
         if axes is None:
-            yield no_inverse()
+            yield near_singularity()
             return
         mistake = _judge(arm, axes, before, parameters, cycle_s)
         if mistake is not None:

@@ -73,7 +73,7 @@ def end_switch(number: int, axis: str, angle_deg: float) -> Message:
     return Message(number, f"software end switch {sign}{axis} at {angle_deg:.4f} deg", False)
 
 
-def no_inverse() -> Message:
+def near_singularity() -> Message:
     """A Cartesian correction or path leads where the joints cannot follow."""
     return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
 

@@ -15,7 +15,7 @@ from ronna_hw.wire.kuka_context import (
     PositionMonitor,
 )
 from sim.kuka.angles import pose_of_frame
-from sim.kuka.messages import Message, no_inverse, out_of_range
+from sim.kuka.messages import Message, near_singularity, out_of_range
 from sim.theatre.rigid import rotation_from_vector
 
 Matrix = NDArray[np.float64]
@@ -82,7 +82,7 @@ class PositionCorrector:
         goal[:3, :3] = self._reference @ self._turn @ self._reference.T @ goal[:3, :3]
         joints = self._inverse(goal, self.joints_deg)
         if joints is None:
-            return no_inverse()
+            return near_singularity()
         self.joints_deg = joints
         return None
 

@@ -93,10 +93,13 @@ class RsiRun:
         )
         self._reader = ReplyReader(context.receive, context.ethernet.sentype)
         self._outputs = EthernetOutputs(context)
-        self._supervision = Supervision(arm, settings.cycle_ms / 1000.0, parameters)
+        inputs = inputs_of(context)
+        self._supervision = Supervision(
+            arm, settings.cycle_ms / 1000.0, parameters, cartesian=inputs.frame is not None
+        )
         relative = settings.relative
         self._flow = SignalFlow(
-            inputs_of(context),
+            inputs,
             start.axes_deg,
             lambda: AxisCorrector(
                 arm, start.axes_deg, context.axis_correction, context.axis_monitor, relative=relative

@@ -133,6 +133,8 @@ class Station:
             return  # ended by a request while it waited
         self.cycles += 1
         controller.finish_cycle(reply)
+        if run.held and not controller.moving:
+            self._autostart.tick(time.monotonic())
         self._notice_change()
         if not self._clock.paced:
             self._clock.advance_cycle(run.settings.cycle_ms * 1_000_000)

@@ -9,18 +9,30 @@ from __future__ import annotations
 from collections import deque
 
 from sim.kuka.description import Description
-from sim.kuka.messages import Message, end_switch, step_too_large, too_fast, too_much_acceleration
+from sim.kuka.messages import (
+    Message,
+    end_switch,
+    near_singularity,
+    step_too_large,
+    too_fast,
+    too_much_acceleration,
+)
 from sim.kuka.parameters import ControllerParameters
 
 ROUNDING_DEG = 1e-6  # six decimals travel on the wire
 SHORTEST_WINDOW_CYCLES = 3
+TURNING_AXES = (3, 5)  # A4 and A6 turn fast where the wrist is nearly straight
 
 
 class Supervision:
     """Judges every new command against those before; one object per run."""
 
-    def __init__(self, arm: Description, cycle_s: float, parameters: ControllerParameters) -> None:
+    def __init__(
+        self, arm: Description, cycle_s: float, parameters: ControllerParameters, *, cartesian: bool = False
+    ) -> None:
+        """`cartesian`: a pose is corrected, and a wrist axis that cannot follow means a singularity."""
         self._arm = arm
+        self._turning_axes = TURNING_AXES if cartesian else ()
         self._cycle_s = cycle_s
         self._parameters = parameters
         self._full_step_deg = [joint.full_speed_deg_s * cycle_s for joint in arm.joints]
@@ -83,6 +95,8 @@ class Supervision:
         ):
             step = new - old
             if step > largest or step < -largest:
+                if axis in self._turning_axes:
+                    return near_singularity()
                 return step_too_large(self._arm.joints[axis].name, step, largest)
             if step > full or step < -full:
                 fast_axis = axis

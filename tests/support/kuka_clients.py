@@ -100,7 +100,8 @@ class RsiClient:
             return False
         finally:
             self.socket.settimeout(LIMIT_S)
-        self.answer(axes_deg)
+        if _IPOC.search(self.last):
+            self.answer(axes_deg)
         return True
 
     def until_other_source(self, source: tuple[str, int]) -> None:

@@ -142,6 +142,25 @@ def test_autostart_waits_for_its_client_and_serves_the_next_one(make_bench: Call
     assert controller.message is None
 
 
+def test_autostart_begins_again_when_an_emergency_stop_is_over(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(start=False)
+    controller = bench.controller
+    autostart = Autostart(controller, wanted=True)
+    autostart.begin()
+    bench.enter_movecorr()
+    controller.press_emergency_stop(True)
+    stopped = controller.run
+    for now_s in (10.0, 10.0 + AUTOSTART_PAUSE_S):
+        autostart.tick(now_s)
+    assert controller.run is stopped  # it is still pressed
+    controller.press_emergency_stop(False)
+    for now_s in (20.0, 20.0 + AUTOSTART_PAUSE_S):
+        autostart.tick(now_s)
+    assert controller.run is not stopped
+    bench.enter_movecorr()
+    assert controller.rsi_state is RsiState.MOVECORR
+
+
 def test_requests_are_cut_from_padding_fragments_and_merged_reads() -> None:
     one = b'<External REQTYPE="0" CycleTime="0" ControlMode="0"></External>'
     two = b'<Cmd Id="1" Name="STATUS"/>'
