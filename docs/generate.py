@@ -16,6 +16,7 @@ import drivers
 import procedures
 import ronna_hw
 import sim
+from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
 from ronna_hw.config import TheatreFile
@@ -41,6 +42,7 @@ def pages() -> dict[str, str]:
         "polaris-checklist.md": NOTE + checklist_page(),
         "state-chart.md": NOTE + f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
         "theatre-file.md": NOTE + _theatre_keys(),
+        "robot-options.md": NOTE + _robot_options(),
         "tracker-options.md": NOTE + _tracker_options(),
         "tracker-parameters.md": NOTE + _tracker_parameters(),
     }
@@ -104,6 +106,20 @@ def _tracker_options() -> str:
             )
         lines.append("")
     return "\n".join(lines)
+
+
+def _robot_options() -> str:
+    lines = [
+        "# Options of the driver `kuka_rsi`\n",
+        "They stand in `[robot.NAME.options]` of the theatre file. Unknown ones are errors.",
+        "Times are the host's; a fraction is of the full axis speed.\n",
+        "| key | default | meaning |",
+        "|---|---|---|",
+    ]
+    for key, field in KukaOptions.model_fields.items():
+        default = "none" if field.default is None else str(field.default) or "empty"
+        lines.append(f"| `{key}` | {default} | {field.description} |")
+    return "\n".join(lines) + "\n"
 
 
 def _theatre_keys() -> str:

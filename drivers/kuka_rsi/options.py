@@ -31,17 +31,35 @@ class KukaOptions(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    variant: ArmVariant = ArmVariant.SIXX
-    context: Path | None = None  # another description than our own, in the same form
-    cycle_ms: Literal[4, 12] | None = None  # another cycle than the description's
-    accept_unverified: bool = False  # of a controller that does not say what it runs
-    controller_host: ControllerHost = ""  # who may open a session by RSI; "" for whoever sends
-    silence_limit_s: Annotated[float, Field(gt=0.02, le=60.0)] = SILENCE_LIMIT_S
-    heartbeat_limit_s: Annotated[float, Field(ge=0.1, le=60.0)] = HEARTBEAT_LIMIT_S
-    settle_tolerance_deg: Annotated[float, Field(ge=0.0001, le=1.0)] = SETTLE_TOLERANCE_DEG
-    speed_fraction: Annotated[float, Field(gt=0.0, lt=LARGEST_SPEED_FRACTION)] = WORKING_SPEED_FRACTION
-    line_speed_mm_s: Annotated[float, Field(gt=0.0, le=250.0)] | None = None
-    real_time_priority: Annotated[int, Field(ge=0, le=98)] = FOREMOST_PRIORITY  # 0: do not ask for it
+    variant: ArmVariant = Field(ArmVariant.SIXX, description="Which arm stands there; read its plate.")
+    context: Path | None = Field(
+        None, description="Another description of the RSI context than our own, in the same form."
+    )
+    cycle_ms: Literal[4, 12] | None = Field(None, description="Another cycle than the description's.")
+    accept_unverified: bool = Field(
+        False, description="Connect to a controller that does not say what it runs; it must show it then."
+    )
+    controller_host: ControllerHost = Field(
+        "", description="The only address that may open a session by RSI; empty for whoever sends first."
+    )
+    silence_limit_s: float = Field(
+        SILENCE_LIMIT_S, gt=0.02, le=60.0, description="Without a telegram for so long the arm is in fault."
+    )
+    heartbeat_limit_s: float = Field(
+        HEARTBEAT_LIMIT_S, ge=0.1, le=60.0, description="A program held up for longer has its arm stopped."
+    )
+    settle_tolerance_deg: float = Field(
+        SETTLE_TOLERANCE_DEG, ge=0.0001, le=1.0, description="A motion has ended when all axes are so near."
+    )
+    speed_fraction: float = Field(
+        WORKING_SPEED_FRACTION, gt=0.0, lt=LARGEST_SPEED_FRACTION, description="Working speed of the axes."
+    )
+    line_speed_mm_s: float | None = Field(
+        None, gt=0.0, le=250.0, description="Largest speed on straight lines, instead of the usual one."
+    )
+    real_time_priority: int = Field(
+        FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 asks for none."
+    )
 
 
 def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
