@@ -156,6 +156,16 @@ def test_a_controller_in_another_mode_or_cycle_is_refused_before_anything_moves(
     assert (cell.true_joints_rad() == before).all()
 
 
+@pytest.mark.hazard(20)
+def test_in_a_cycle_of_twelve_milliseconds_the_arm_arrives_as_well(robot_cell: Any) -> None:
+    cell = robot_cell("--cycle-ms", "12")
+    arm = cell.active_arm(cycle_ms=12, silence_limit_s=GENEROUS_S)
+    target = _away(arm.read_state().joints_rad, 0.1)
+    arm.move_joints(target)
+    assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
+    assert arm.link_statistics().lost_cycles == 0
+
+
 @pytest.mark.hazard(4)
 def test_a_controller_that_dies_on_the_way_latches_a_fault_and_gives_no_more_poses(robot_cell: Any) -> None:
     cell = robot_cell(paced=True)
