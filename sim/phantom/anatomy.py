@@ -10,6 +10,7 @@ import numpy as np
 from sim.errors import BadScene
 from sim.phantom.layers import AIR_HU, SCALP_MM
 from sim.phantom.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough
+from sim.phantom.streaks import Streak
 from sim.theatre.noise import noise
 from sim.theatre.scene import Fiducial, Head, Scene
 
@@ -74,6 +75,7 @@ class Anatomy:
     surroundings: tuple[Shape, ...]
     markers: tuple[Marker, ...]
     fillings: tuple[Ball, ...]
+    streaks: tuple[Streak, ...] = ()  # of other metal than fillings
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
@@ -89,31 +91,39 @@ def draw_anatomy(scene: Scene) -> Anatomy:
     """The anatomy of a scene; details are drawn from its seed. Raises SIM-001 for a post beside the head."""
     generator = noise(scene.seed, "ct anatomy", 0)
     head = scene.head
-    teeth, fillings = _teeth(head, generator)
-    surroundings = (*_cable(head), *_ventricles(head), *_sinuses(head), *teeth, *fillings)
-    markers = tuple(_marker(fiducial, head, generator) for fiducial in head.fiducials)
-    return Anatomy(_headrest(head), surroundings, markers, fillings)
+    teeth, fillings = jaw_teeth(head, generator)
+    surroundings = (*side_cable(head), *ventricles(head), *sinuses(head), *teeth, *fillings)
+    markers = tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
+    return Anatomy(trough(head), surroundings, markers, fillings)
 
 
-def _marker(fiducial: Fiducial, head: Head, generator: np.random.Generator) -> Marker:
+def marker_on_post(fiducial: Fiducial, head: Head, generator: np.random.Generator) -> Marker:
+    """A sphere on a screw in the skull, with a flange on the skin."""
+    to_skin = distance_to_skin(fiducial, head)
+    to_tip = to_skin + SCALP_MM + SCREW_IN_BONE_MM
+    return marker_on_foot(fiducial, to_skin - FLANGE_MM, to_tip, generator)
+
+
+def marker_on_foot(
+    fiducial: Fiducial, flange_mm: float, tip_mm: float, generator: np.random.Generator
+) -> Marker:
+    """A sphere whose post ends `tip_mm` below its centre, with a flange from `flange_mm` down."""
     sphere_hu = float(generator.uniform(*SPHERE_HU))
     metal = bool(generator.uniform() < METAL_POSTS)
     post_hu = POST_METAL_HU if metal else POST_POLYMER_HU
     centre, radius = fiducial.centre_ct_mm, fiducial.radius_mm
-    inward = _scaled(fiducial.post_ct, -1.0)
+    inward = scaled(fiducial.post_ct, -1.0)
     top = radius - POST_DEPTH_MM
-    to_skin = _distance_to_skin(fiducial, head)
-    length = to_skin + SCALP_MM + SCREW_IN_BONE_MM - top
     shapes = (
         Ball(FILM_HU, centre, radius + FILM_MM),
         Ball(sphere_hu, centre, radius),
-        Rod(post_hu, _shifted(centre, inward, top), inward, length, POST_RADIUS_MM),
-        Rod(post_hu, _shifted(centre, inward, to_skin - FLANGE_MM), inward, FLANGE_MM, FLANGE_RADIUS_MM),
+        Rod(post_hu, shifted(centre, inward, top), inward, tip_mm - top, POST_RADIUS_MM),
+        Rod(post_hu, shifted(centre, inward, flange_mm), inward, FLANGE_MM, FLANGE_RADIUS_MM),
     )
     return Marker(fiducial, sphere_hu, "metal" if metal else "polymer", shapes)
 
 
-def _distance_to_skin(fiducial: Fiducial, head: Head) -> float:
+def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
     """From the sphere's centre along its post to the skin, mm."""
     axes = np.array(head.semi_axes_mm)
     start = (np.array(fiducial.centre_ct_mm) - head.centre_ct_mm) / axes
@@ -125,7 +135,7 @@ def _distance_to_skin(fiducial: Fiducial, head: Head) -> float:
     return float((-b - np.sqrt(root)) / a)
 
 
-def _headrest(head: Head) -> tuple[Shape, ...]:
+def trough(head: Head) -> tuple[Shape, ...]:
     """A trough of foam with a thin shell, under the back of the head."""
     inner = max(head.semi_axes_mm[:2]) + FOAM_GAP_MM
     outer = inner + FOAM_MM
@@ -136,52 +146,54 @@ def _headrest(head: Head) -> tuple[Shape, ...]:
     )
 
 
-def _cable(head: Head) -> tuple[Shape, ...]:
+def side_cable(head: Head) -> tuple[Shape, ...]:
     """A sheathed wire beside the head."""
-    centre = _shifted(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
-    centre = _shifted(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
+    centre = shifted(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
+    centre = shifted(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
     return tuple(
         Cable(hu, centre, radius, CABLE_SWING_MM, CABLE_WAVE_MM)
         for hu, radius in ((SHEATH_HU, SHEATH_RADIUS_MM), (METAL_HU, WIRE_RADIUS_MM))
     )
 
 
-def _ventricles(head: Head) -> tuple[Shape, ...]:
+def ventricles(head: Head) -> tuple[Shape, ...]:
     return tuple(
-        Ellipsoid(CSF_HU, _placed(head, (side * 0.14, 0.0, 0.08)), (5.0, 26.0, 9.0)) for side in (-1, 1)
+        Ellipsoid(CSF_HU, placed(head, (side * 0.14, 0.0, 0.08)), (5.0, 26.0, 9.0)) for side in (-1, 1)
     )
 
 
-def _sinuses(head: Head) -> tuple[Shape, ...]:
+def sinuses(head: Head) -> tuple[Shape, ...]:
     """Air in the forehead, the cheeks and behind the nose."""
     frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
     cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
     places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
-    return tuple(Ellipsoid(AIR_HU, _placed(head, place), size) for place, size in places)
+    return tuple(Ellipsoid(AIR_HU, placed(head, place), size) for place, size in places)
 
 
-def _teeth(head: Head, generator: np.random.Generator) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
+def jaw_teeth(
+    head: Head, generator: np.random.Generator, count: int = FILLINGS
+) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
     """An arch of teeth in a jaw; some of them have metal fillings."""
-    middle = _placed(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
+    middle = placed(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
     width, depth = TEETH_ARC_MM
     angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)
     crowns = [
-        _shifted(_shifted(middle, (1.0, 0.0, 0.0), width * sin(angle)), (0.0, -1.0, 0.0), depth * cos(angle))
+        shifted(shifted(middle, (1.0, 0.0, 0.0), width * sin(angle)), (0.0, -1.0, 0.0), depth * cos(angle))
         for angle in angles
     ]
     jaw = tuple(
-        Ball(JAW_HU, _shifted(crown, (0.0, 0.0, -1.0), TOOTH_MM[2]), JAW_RADIUS_MM) for crown in crowns
+        Ball(JAW_HU, shifted(crown, (0.0, 0.0, -1.0), TOOTH_MM[2]), JAW_RADIUS_MM) for crown in crowns
     )
     teeth = tuple(Ellipsoid(ENAMEL_HU, crown, TOOTH_MM) for crown in crowns)
-    filled = sorted(generator.choice(TEETH, size=FILLINGS, replace=False).tolist())
+    filled = sorted(generator.choice(TEETH, size=count, replace=False).tolist())
     fillings = tuple(
-        Ball(METAL_HU, _shifted(crowns[k], (0.0, 0.0, 1.0), TOOTH_MM[2] / 2), FILLING_RADIUS_MM)
+        Ball(METAL_HU, shifted(crowns[k], (0.0, 0.0, 1.0), TOOTH_MM[2] / 2), FILLING_RADIUS_MM)
         for k in filled
     )
     return (*jaw, *teeth), fillings
 
 
-def _placed(head: Head, relative: Point) -> Point:
+def placed(head: Head, relative: Point) -> Point:
     """A point given in the head's semi-axes from its centre."""
     x, y, z = (
         centre + axis * part
@@ -190,11 +202,11 @@ def _placed(head: Head, relative: Point) -> Point:
     return x, y, z
 
 
-def _shifted(point: Point, along: Point, distance: float) -> Point:
+def shifted(point: Point, along: Point, distance: float) -> Point:
     x, y, z = (value + distance * part for value, part in zip(point, along, strict=True))
     return x, y, z
 
 
-def _scaled(vector: Point, factor: float) -> Point:
+def scaled(vector: Point, factor: float) -> Point:
     x, y, z = (factor * value for value in vector)
     return x, y, z

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.records import write_whole
-from sim.phantom.anatomy import Anatomy, draw_anatomy
 from sim.phantom.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
-from sim.phantom.grid import CtGrid, place_grid
+from sim.phantom.scan import Scan, plain_scan
 from sim.phantom.slice_painter import SlicePainter
 from sim.theatre.scene import Scene
 
@@ -40,13 +39,17 @@ class PhantomCase:
     slices: int
 
 
-def write_case(scene: Scene, folder: Path, progress: Progress = lambda share: None) -> PhantomCase:
+def write_case(
+    scene: Scene, folder: Path, progress: Progress = lambda share: None, *, scan: Scan | None = None
+) -> PhantomCase:
     """Scan the head of a scene and plan on it. Raises SIM-001 when the scene cannot be scanned.
+
+    `scan` says what lies around that head; without it the scene is scanned as it is.
 
     Plan and truth are written last, so a folder with a plan holds a whole series.
     """
-    grid = place_grid(scene.head, scene.ct)
-    anatomy = draw_anatomy(scene)
+    scan = scan or plain_scan(scene)
+    grid, anatomy = scan.grid, scan.anatomy
     series = DicomSeries(scene, grid, folder / SERIES_FOLDER)
     series.prepare()
     painter = SlicePainter(scene, grid, anatomy)
@@ -65,20 +68,21 @@ def write_case(scene: Scene, folder: Path, progress: Progress = lambda share: No
             series.write(number, stored)
             progress((len(patches) + number + 1) / steps)
     plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
-    write_whole(truth, json.dumps(_truth(scene, grid, anatomy, series), indent=1).encode())
-    write_whole(plan, _plan(scene, series.series_instance_uid).encode())
+    write_whole(truth, json.dumps(_truth(scan, series), indent=1).encode())
+    write_whole(plan, _plan(scan, series.series_instance_uid).encode())
     return PhantomCase(folder / SERIES_FOLDER, plan, truth, series.series_instance_uid, grid.slices)
 
 
-def _plan(scene: Scene, series_instance_uid: str) -> str:
+def _plan(scan: Scan, series_instance_uid: str) -> str:
     import tomli_w
 
+    scene = scan.scene
     content = {
         "schema": PLAN_SCHEMA,
         "series_instance_uid": series_instance_uid,
         "patient_orientation": PATIENT_POSITION,
         "implanted": len(scene.head.fiducials),
-        "fiducials": "free",
+        "fiducials": scan.fiducials,
         "tool": TOOL,
         "trajectories": [
             {
@@ -94,8 +98,9 @@ def _plan(scene: Scene, series_instance_uid: str) -> str:
     return tomli_w.dumps(content)
 
 
-def _truth(scene: Scene, grid: CtGrid, anatomy: Anatomy, series: DicomSeries) -> dict[str, Any]:
-    return {
+def _truth(scan: Scan, series: DicomSeries) -> dict[str, Any]:
+    scene, grid = scan.scene, scan.grid
+    return scan.truth | {
         "scene": scene.name,
         "seed": scene.seed,
         "series_instance_uid": series.series_instance_uid,
@@ -110,8 +115,9 @@ def _truth(scene: Scene, grid: CtGrid, anatomy: Anatomy, series: DicomSeries) ->
                 "post": list(marker.fiducial.post_ct),
                 "post_material": marker.post,
                 "HU": marker.hu,
+                **scan.marks.get(marker.fiducial.number, {}),
             }
-            for marker in anatomy.markers
+            for marker in scan.anatomy.markers
         ],
         "targets": [
             {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -11,25 +12,65 @@ import typer
 from ronna_hw.command_line.console import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 
+DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
+
+
+class Fiducials(StrEnum):
+    """What carries the spheres."""
+
+    FREE = "free"
+    XFRAME = "xframe"
+
 
 def phantom(
     out: Annotated[Path, typer.Option(help="Folder for ct/, plan.toml and truth.json; made if missing.")],
-    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
+    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = DEFAULT_SCENE,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a built-in scene.")] = 0,
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
+    family: Annotated[
+        str | None, typer.Option(help="Draw head and surroundings of this family instead of a scene.")
+    ] = None,
+    protocol: Annotated[
+        str | None, typer.Option(help="good, usual or poor; a family is scanned with good by default.")
+    ] = None,
+    fiducials: Annotated[
+        Fiducials, typer.Option(help="Spheres on screws of their own, or those of the x-shaped frame.")
+    ] = Fiducials.FREE,
     with_parent: Annotated[bool, typer.Option(hidden=True, help="End when the parent ends.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the CT series of a head phantom, a plan on it, and its truth."""
+    """Write the CT series of a head phantom, a plan on it, and its truth.
+
+    Families for tuning a localizer: plain, posts, dressing. For judging it: narrow, broad, clamp, electrodes,
+    bandage, crowded, edge, streaks.
+    """
+    from sim.errors import BadScene
     from sim.phantom.case import write_case
+    from sim.phantom.family_scan import family_scan, protocol_named
+    from sim.phantom.scan import plain_scan
     from sim.theatre.process import end_with_parent, load_scene
 
     if with_parent:
         end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))
-    truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+    if family is not None or fiducials is Fiducials.XFRAME:
+        if scene != DEFAULT_SCENE or targets is not None:
+            raise BadScene("a family draws its own head and trajectory; leave --scene and --targets out")
+        scan = family_scan(
+            family or DEFAULT_FAMILY,
+            protocol or DEFAULT_PROTOCOL,
+            seed=seed,
+            markers=markers,
+            fiducials=fiducials.value,
+        )
+        truth = scan.scene
+    else:
+        truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+        if protocol is not None:
+            truth = truth.model_copy(update={"ct": protocol_named(protocol)})
+        scan = plain_scan(truth)
     with progress_bar("scanning the phantom") as progress:
-        case = write_case(truth, out, progress)
+        case = write_case(truth, out, progress, scan=scan)
     if as_json:
         print_json(
             {

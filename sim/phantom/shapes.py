@@ -68,6 +68,25 @@ class Ellipsoid:
 
 
 @dataclass(frozen=True)
+class EllipsoidShell:
+    """What lies between an ellipsoid and `thickness` outside it."""
+
+    hu: float
+    centre: Point
+    semi_axes: Point
+    thickness: float
+
+    def bounds(self) -> Bounds:
+        a, b, c = self.semi_axes
+        return _around(self.centre, (a + self.thickness, b + self.thickness, c + self.thickness))
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        outside = -ellipsoid_depth(x, y, z, self.centre, self.semi_axes)
+        depth: Values = np.minimum(outside, np.float32(self.thickness) - outside)
+        return depth
+
+
+@dataclass(frozen=True)
 class Rod:
     """A cylinder with flat ends, from `start` along the unit vector `along`."""
 
@@ -114,6 +133,24 @@ class Trough:
         wall = np.minimum(distance - np.float32(self.inner), np.float32(self.outer) - distance)
         arc = dy - np.float32(self.half_arc_cosine) * distance  # +y is towards the back of the head
         depth: Values = np.minimum(wall, arc)
+        return depth
+
+
+@dataclass(frozen=True)
+class Slab:
+    """An endless bar along z; `low` and `high` are its corners in x and y."""
+
+    hu: float
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def bounds(self) -> Bounds:
+        return (*self.low, -inf), (*self.high, inf)
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        across = np.minimum(x - np.float32(self.low[0]), np.float32(self.high[0]) - x)
+        along = np.minimum(y - np.float32(self.low[1]), np.float32(self.high[1]) - y)
+        depth: Values = np.minimum(across, along) + np.float32(0.0) * z
         return depth
 
 

@@ -11,15 +11,13 @@ from sim.phantom.anatomy import Anatomy
 from sim.phantom.grid import CtGrid
 from sim.phantom.layers import AIR_HU, HeadLayers
 from sim.phantom.painting import paint
-from sim.phantom.shapes import Ball, Shape, Values
+from sim.phantom.shapes import Shape, Values
 from sim.phantom.sphere_patch import Patch, paint_patch
+from sim.phantom.streaks import add_filling_streaks, add_streak
 from sim.theatre.noise import noise
 from sim.theatre.scene import Scene
 
 RAMP_WIDTH = sqrt(12.0)  # of a linear edge with the variance of the scanner's
-STREAK_HU = 250.0  # beside the metal
-STREAK_FALL_MM = 6.0  # beyond it streaks fade with the inverse of the distance
-STREAK_LOBES = 7
 SKIN_MARGIN_MM = 3.0
 
 
@@ -64,11 +62,13 @@ class SlicePainter:
         for low_mm, high_mm, shape in self._bodies:
             if low_mm <= z_mm <= high_mm:
                 paint(image[None], (self._x, self._y, z), shape, self._edge_mm)
-        for filling in self._anatomy.fillings:
-            self._add_streaks(image, z_mm, filling)
         for patch in self.patches:
             if patch.slices.start <= number < patch.slices.stop:
                 image[patch.rows, patch.columns] = patch.hu[number - patch.slices.start]
+        for filling in self._anatomy.fillings:
+            add_filling_streaks(image, self._x, self._y, z_mm, filling)
+        for streak in self._anatomy.streaks:
+            add_streak(image, self._x, self._y, z_mm, streak)
         return image
 
     def _paint_background(self) -> Values:
@@ -91,16 +91,6 @@ class SlicePainter:
         region = image[rows, columns]
         # whatever lies beside the head is denser than the air in the corners of this rectangle
         np.maximum(region, self._head.at(x, y, np.full((1, 1), z_mm, dtype=np.float32)), out=region)
-
-    def _add_streaks(self, image: Values, z_mm: float, filling: Ball) -> None:
-        """Dark and bright rays in the slices that cut through metal."""
-        cx, cy, cz = filling.centre
-        if abs(z_mm - cz) > filling.radius:
-            return
-        dx, dy = self._x[None, :] - np.float32(cx), self._y[:, None] - np.float32(cy)
-        distance = np.sqrt(dx * dx + dy * dy)
-        strength = np.float32(STREAK_HU * STREAK_FALL_MM) / np.maximum(distance, np.float32(STREAK_FALL_MM))
-        image += strength * np.sin(np.float32(STREAK_LOBES) * np.arctan2(dy, dx) + np.float32(cx))
 
     def _noise(self, number: int) -> Values:
         """Noise of one slice, correlated in the slice as the scanner's resolution makes it."""

@@ -1,0 +1,144 @@
+"""Scene families of the phantom CT, and the protocols they are scanned with.
+
+The localizer's thresholds may be chosen on the families for TUNING. Its accuracy, detection and honesty are
+stated on the families for JUDGING, which nobody looks at while changing the localizer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from sim.theatre.scene import CtProtocol
+
+Range = tuple[float, float]
+
+
+class Purpose(StrEnum):
+    """What a family may be used for."""
+
+    TUNING = "tuning"
+    JUDGING = "judging"
+
+
+class Headrest(StrEnum):
+    """What the head lies on."""
+
+    TROUGH = "trough"
+    CUSHION = "cushion"  # a flat block of foam on a board
+    NONE = "none"
+
+
+@dataclass(frozen=True)
+class PostStreaks:
+    """Streaks of the markers' metal: peak, distance from which they fade, number of lobes."""
+
+    hu: Range
+    fall_mm: Range
+    lobes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Family:
+    """What scans of one family hold. Ranges are drawn from uniformly, once per scan."""
+
+    name: str
+    purpose: Purpose
+    shows: str
+    half_width_mm: Range = (72.0, 78.0)  # semi-axes of the head
+    half_depth_mm: Range = (90.0, 98.0)
+    half_height_mm: Range = (86.0, 94.0)
+    standoff_mm: Range = (12.0, 20.0)  # skin to a sphere's centre
+    fillings: tuple[int, int] = (3, 6)
+    headrest: Headrest = Headrest.TROUGH
+    cable: bool = True
+    pins: int = 0  # of a head clamp
+    electrodes: int = 0  # on the skin, with their leads
+    bolts: int = 0  # of depth electrodes, in the skull
+    bandage_mm: Range | None = None  # thickness
+    bandage_hu: Range = (-100.0, 0.0)
+    post_streaks: PostStreaks | None = None
+    pairs: int = 0  # spheres that get a neighbour
+    distractors: int = 0  # balls and cylinders of polymer, so many each
+    edge: bool = False  # the field ends beside one sphere and cuts another
+
+
+PAIR_DISTANCE_MM = 14.0
+
+FAMILIES: dict[str, Family] = {
+    family.name: family
+    for family in (
+        Family("plain", Purpose.TUNING, "an ordinary head in a trough, with fillings and a cable"),
+        Family(
+            "posts",
+            Purpose.TUNING,
+            "streaks of two lobes around every metal post",
+            post_streaks=PostStreaks((250.0, 250.0), (2.0, 2.0), (2,)),
+        ),
+        Family(
+            "dressing",
+            Purpose.TUNING,
+            "a moist bandage that buries spheres up to the middle",
+            bandage_mm=(6.0, 14.0),
+            bandage_hu=(20.0, 60.0),
+        ),
+        Family(
+            "narrow",
+            Purpose.JUDGING,
+            "a small long head on a cushion, many fillings",
+            half_width_mm=(60.0, 66.0),
+            half_depth_mm=(84.0, 92.0),
+            half_height_mm=(76.0, 84.0),
+            fillings=(6, 12),
+            headrest=Headrest.CUSHION,
+            cable=False,
+        ),
+        Family(
+            "broad",
+            Purpose.JUDGING,
+            "a large round head without headrest, with bolts of depth electrodes",
+            half_width_mm=(80.0, 86.0),
+            half_depth_mm=(94.0, 102.0),
+            half_height_mm=(92.0, 98.0),
+            headrest=Headrest.NONE,
+            bolts=6,
+        ),
+        Family(
+            "clamp",
+            Purpose.JUDGING,
+            "a head clamp with three steel pins and their streaks",
+            headrest=Headrest.NONE,
+            pins=3,
+            cable=False,
+        ),
+        Family("electrodes", Purpose.JUDGING, "cup electrodes with leads between the markers", electrodes=10),
+        Family(
+            "bandage",
+            Purpose.JUDGING,
+            "a dry bandage around the head",
+            bandage_mm=(3.0, 10.0),
+            headrest=Headrest.CUSHION,
+        ),
+        Family(
+            "crowded",
+            Purpose.JUDGING,
+            "pairs of spheres 14 mm apart, balls of 16 mm and cylinders of 12 mm of the same polymer",
+            pairs=2,
+            distractors=4,
+        ),
+        Family("edge", Purpose.JUDGING, "the field ends beside one sphere and cuts another", edge=True),
+        Family(
+            "streaks",
+            Purpose.JUDGING,
+            "streaks of three to five lobes around every metal post",
+            post_streaks=PostStreaks((200.0, 250.0), (2.0, 2.5), (3, 4, 5)),
+            fillings=(6, 12),
+        ),
+    )
+}
+
+PROTOCOLS: dict[str, CtProtocol] = {
+    "good": CtProtocol(),
+    "usual": CtProtocol(pixel_mm=0.6, slice_mm=1.25, columns=426, rows=426, slices=160, noise_HU=35.0),
+    "poor": CtProtocol(pixel_mm=0.7, slice_mm=2.0, columns=366, rows=366, slices=100, noise_HU=50.0),
+}

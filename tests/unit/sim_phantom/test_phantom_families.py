@@ -1,0 +1,124 @@
+"""Every family holds what it says, truthfully, and the families for judging are not those for tuning."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+from sim.errors import BadScene
+from sim.phantom.case import write_case
+from sim.phantom.families import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Purpose
+from sim.phantom.family_scan import family_scan
+from sim.phantom.scan import XFRAME, Scan
+from sim.phantom.shapes import Ball, Point, Rod
+from sim.theatre.scene import CtProtocol
+
+COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
+
+
+def centres(scan: Scan) -> np.ndarray:
+    return np.array([fiducial.centre_ct_mm for fiducial in scan.scene.head.fiducials])
+
+
+def deepest(scan: Scan, point: Point) -> float:
+    """How deep a point lies in anything that is neither headrest nor marker."""
+    x, y, z = (np.array([value], dtype=np.float32) for value in point)
+    return max(float(shape.depth(x, y, z)[0]) for shape in scan.anatomy.surroundings)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_family_can_be_drawn_and_nothing_runs_into_its_spheres(name: str, seed: int) -> None:
+    scan = family_scan(name, "poor", seed=seed)
+    assert len(scan.anatomy.markers) == 7
+    assert scan.scene.ct == PROTOCOLS["poor"]
+    assert scan.truth["purpose"] == FAMILIES[name].purpose
+    if FAMILIES[name].bandage_mm is None:
+        assert all(deepest(scan, point) < -6.0 for point in centres(scan).tolist())
+    spacing = np.linalg.norm(centres(scan)[:, None] - centres(scan)[None], axis=2)
+    assert spacing[spacing > 0].min() > (PAIR_DISTANCE_MM - 0.01 if FAMILIES[name].pairs else 25.0)
+
+
+def test_there_are_families_for_both_purposes_and_none_serves_both() -> None:
+    purposes = [family.purpose for family in FAMILIES.values()]
+    assert purposes.count(Purpose.TUNING) == 3
+    assert purposes.count(Purpose.JUDGING) == 8
+
+
+def test_the_crowded_family_has_close_pairs_and_look_alikes_of_the_same_polymer() -> None:
+    scan = family_scan("crowded", "good", seed=1)
+    spacing = np.linalg.norm(centres(scan)[:, None] - centres(scan)[None], axis=2)
+    assert (np.abs(spacing - 14.0) < 1e-3).sum() == 2 * 2
+    balls = [shape for shape in scan.anatomy.surroundings if isinstance(shape, Ball) and shape.radius == 8.0]
+    rods = [shape for shape in scan.anatomy.surroundings if isinstance(shape, Rod) and shape.radius == 6.0]
+    assert (len(balls), len(rods)) == (4, 4)
+    assert len(scan.truth["distractors_mm"]) == 8
+    assert all(100.0 <= shape.hu <= 150.0 for shape in [*balls, *rods])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_field_of_the_edge_family_leaves_one_sphere_whole_and_cuts_another(seed: int) -> None:
+    scan = family_scan("edge", "usual", seed=seed)
+    grid = scan.grid
+    high = np.array([grid.x_mm[-1] + 0.3, grid.z_mm[-1] + 0.625])
+    room = (high - centres(scan)[:, [0, 2]]).min(axis=1)
+    cut = [number for number, marks in scan.marks.items() if "surface_in_field" in marks]
+    assert cut
+    assert sorted(cut) == sorted(int(k) + 1 for k in np.flatnonzero(room < 5.75))
+    assert (room > 1.4).all()
+
+
+def test_a_bandage_says_how_deep_it_buries() -> None:
+    shares = [
+        marks["buried_share"]
+        for seed in range(6)
+        for marks in family_scan("dressing", "good", seed=seed).marks.values()
+    ]
+    assert len(shares) == 6 * 7
+    assert max(shares) > 0.4
+    assert min(shares) == 0.0
+
+
+def test_the_x_shaped_frame_keeps_its_distances_and_stands_on_the_skull() -> None:
+    scan = family_scan("narrow", "good", seed=2, fiducials=XFRAME)
+    wanted, found = np.array(SPHERE_CENTRES_MM), centres(scan)
+    for points in (wanted, found):
+        assert points.shape == (4, 3)
+    distance = [np.linalg.norm(p[:, None] - p[None], axis=2) for p in (wanted, found)]
+    np.testing.assert_allclose(distance[0], distance[1], atol=1e-4)
+    inside = (found - scan.scene.head.centre_ct_mm) / np.array(scan.scene.head.semi_axes_mm)
+    assert (np.linalg.norm(inside, axis=1) > 1.1).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"name": "martian"}, "no family"),
+        ({"protocol": "perfect"}, "no protocol"),
+        ({"markers": 40}, "carries 1 to 8"),
+        ({"name": "crowded", "markers": 3}, "carries 4 to 8"),
+        ({"markers": 4, "fiducials": XFRAME}, "has four spheres"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(arguments: dict[str, object], words: str) -> None:
+    with pytest.raises(BadScene, match=words):
+        family_scan(**({"name": "plain", "protocol": "good"} | arguments))  # type: ignore[arg-type]
+
+
+def test_the_truth_of_a_family_is_written_beside_the_series(tmp_path: Path) -> None:
+    scan = family_scan("bandage", "poor", seed=3)
+    coarse = Scan(
+        scan.scene.model_copy(update={"ct": COARSE}),
+        scan.grid.__class__(scan.grid.origin_mm, 2.0, 4.0, 128, 128, 52),
+        scan.anatomy,
+        truth=scan.truth,
+        marks=scan.marks,
+    )
+    truth = json.loads(write_case(coarse.scene, tmp_path, scan=coarse).truth.read_text())
+    assert (truth["family"], truth["purpose"], truth["protocol"]) == ("bandage", "judging", "poor")
+    assert all("buried_share" in fiducial for fiducial in truth["fiducials"])
+    assert truth["scene"] == "bandage-poor"
