@@ -168,11 +168,13 @@ def _obstacles(
         around += obstacles.cushion(head)
     if family.pins:
         around += obstacles.clamp(head, family.pins, generator)
+    taken = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in placed]
+    for number in range(family.electrodes + family.bolts):
+        direction = _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator)
+        fixed = obstacles.electrode if number < family.electrodes else obstacles.bolt
+        around += fixed(head, direction)
+        taken.append(skin_point(head, direction)[0])
     taken = list(placed)
-    for _ in range(family.electrodes):
-        around += obstacles.electrode(head, _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator))
-    for _ in range(family.bolts):
-        around += obstacles.bolt(head, _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator))
     distractors = []
     for number in range(2 * family.distractors):
         # far enough for the longest cylinder
