@@ -40,6 +40,8 @@ def polaris(
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra or Vicra, for any client; runs until it is ended."""
+    import gc
+
     from sim.polaris.parameters import UnitParameters, parameter_rows
     from sim.polaris.profile import PROFILES
     from sim.polaris.pseudo_terminal import PseudoTerminal
@@ -64,6 +66,9 @@ def polaris(
     end = EndSignal()
     server = Server(session, end)
     end_with_parent(end.give)
+    # What lives now lives to the end: looking through it would hold up a reply by more than a frame.
+    gc.collect()
+    gc.freeze()
     if address is None:
         line = PseudoTerminal(session, throttle=throttle)
         announce("polaris", line.endpoint, control)
