@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
@@ -30,7 +31,7 @@ FRAMES = 1_000_000
 SETTLED = FRAMES // 10  # by then everything that is kept for a while is full
 GROWTH_LIMIT_BYTES = 4_000_000  # less than five bytes per frame
 WIRE_S = (12 + 193) * 10 / BAUD  # BX:1801 with its CRC, and its reply; ten bits a byte
-HELD_UP_S = 0.003  # a frame lasts 16.7 ms and an exchange 9 ms: a request may be 7 ms late, over two of them
+HELD_UP_S = 0.005  # of 16.7 ms between two frames the wire takes 9, and work on both sides less than 2
 MACHINES_SHARE_LIMIT = 0.02  # of the frames; beyond it the machine is too busy to tell
 MORE_STRAYS_MM = (
     (60.0, -350.0, -1450.0),
@@ -78,9 +79,10 @@ def tracking(folder: Path, *options: str, paced: bool) -> Iterator[tuple[Polaris
 
 @dataclass(frozen=True)
 class Exchange:
-    """One reading: the frame it told, and how long it waited for the machine, beside work and wire."""
+    """One reading: the frame it told, how long it took, and how much of that was neither work nor wire."""
 
     count: int
+    took_s: float
     waited_s: float
 
 
@@ -97,39 +99,43 @@ def test_at_230400_baud_no_frame_is_missed(
         tracking(tmp_path, "--throttle", paced=True) as (tracker, unit),
     ):
         assert tracker.baud == BAUD
+        gc.collect()
+        gc.freeze()  # no reading should wait for what pytest has loaded
         began_s = before_s = time.monotonic()
         before_used_s = time.process_time() + used_s(unit)
         while before_s - began_s < minutes * 60.0:
             frame = tracker.read_frame()
             now_s, now_used_s = time.monotonic(), time.process_time() + used_s(unit)
-            waited_s = now_s - before_s - (now_used_s - before_used_s) - WIRE_S
+            took_s, used = now_s - before_s, now_used_s - before_used_s
             before_s, before_used_s = now_s, now_used_s
             assert frame.stamp.device_clock is not None
-            exchanges.append(Exchange(frame.stamp.device_clock, waited_s))
+            waited_s = max(0.0, took_s - used - WIRE_S)
+            exchanges.append(Exchange(frame.stamp.device_clock, took_s, waited_s))
             assert [tool.validity for tool in frame.tools] in ([Validity.OK] * 2, [Validity.STALE] * 2)
             assert len(frame.strays) == STRAYS
         statistics = tracker.statistics
+        gc.unfreeze()
     ours = machines = 0
-    # Which frame a reply tells is settled when its request arrives: the exchange before counts as well.
-    for earlier, one, next_one in zip(exchanges, exchanges[1:], exchanges[2:], strict=False):
+    # Which frame a reply tells is settled when its request arrives: the reply before counts as well.
+    for one, next_one in pairwise(exchanges):
         missed = max(0, next_one.count - one.count - 1)
-        if max(earlier.waited_s, one.waited_s, next_one.waited_s) > HELD_UP_S:
+        if one.waited_s + next_one.waited_s > HELD_UP_S:
             machines += missed
         else:
             ours += missed
     frames = exchanges[-1].count - exchanges[0].count
-    typical_s = median(exchange.waited_s for exchange in exchanges)
+    typical_s = median(exchange.took_s for exchange in exchanges)
     with capsys.disabled():
         print(
             f"\n{frames} frames, {statistics.frames} readings, {statistics.repeated} repeated, "
             f"missed {ours}, and {machines} while the machine held something up; "
-            f"beside work and wire a reading took {typical_s * 1e3:.2f} ms"
+            f"a reading took {typical_s * 1e3:.1f} ms, {WIRE_S * 1e3:.1f} of them on the wire"
             f"{'' if preferred else '; without real-time priority'}"
         )
     assert frames >= 0.99 * minutes * 60.0 * FRAME_RATE_HZ
     assert ours == 0
     assert machines <= MACHINES_SHARE_LIMIT * frames
-    assert typical_s < HELD_UP_S
+    assert typical_s < WIRE_S + HELD_UP_S
 
 
 @pytest.mark.soak
