@@ -44,6 +44,7 @@ CAP_HALF_ANGLE_RAD = radians(60.0)
 CLEARANCE_MM = 26.0  # between markers, and from them to other things on the head
 SHORT_CLEARANCE_MM = 18.0  # to electrodes and bolts
 CABLE_ROOM_MM = 22.0  # it swings by 6 mm, and a pair is 14 mm long
+LEAD_ROOM_MM = 8.0  # from a sphere's centre to a lead
 TARGET_DEPTH_MM = 50.0
 ATTEMPTS = 4000
 STREAK_BELOW_MM = 9.75  # from the sphere's centre down its post
@@ -147,6 +148,11 @@ def _free_fiducials(
     )
 
 
+def _clear_of_spheres(bodies: Obstacles, centres: Vector) -> bool:
+    x, y, z = centres.T.astype(np.float32)
+    return all(float(shape.depth(x, y, z).max()) < -LEAD_ROOM_MM for shape in bodies.shapes)
+
+
 def _clear_of_cable(centre: Vector, head: Head) -> bool:
     x, y, _ = head.centre_ct_mm
     cable = np.array([x + head.semi_axes_mm[0] + CABLE_GAP_MM, y + CABLE_BEHIND_MM])
@@ -170,8 +176,11 @@ def _obstacles(
         around += obstacles.clamp(head, family.pins, generator)
     taken = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in placed]
     for number in range(family.electrodes + family.bolts):
-        direction = _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator)
         fixed = obstacles.electrode if number < family.electrodes else obstacles.bolt
+        for _ in range(ATTEMPTS):
+            direction = _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator)
+            if _clear_of_spheres(fixed(head, direction), placed):
+                break
         around += fixed(head, direction)
         taken.append(skin_point(head, direction)[0])
     taken = list(placed)
