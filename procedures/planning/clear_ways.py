@@ -189,7 +189,10 @@ def _home(
 
 def _told(way: Way, bad: Closest) -> str:
     leads = "on the line to it" if way.kind == "line" else f"on the way from {way.start} to {way.end}"
+    near = f"comes within {bad.distance_mm:.1f} mm of"
+    if bad.distance_mm < 0.0:
+        near = f"runs {-bad.distance_mm:.1f} mm into"
     return (
-        f"{leads} the {bad.first} comes within {bad.distance_mm:.1f} mm of the {bad.second}, "
+        f"{leads} the {bad.first} {near} the {bad.second}, "
         f"{bad.parameter:.0%} of the way, limit {way.around.margin_mm:g} mm [ARM-007]"
     )

@@ -76,7 +76,7 @@ class NotReachable(RefusedError):
     """The arm cannot take a pose of the procedure, or cannot follow the line to it."""
 
     code = "PLAN-007"
-    action = "Change the free angle of the trajectory, or move the cart or the head, and check again."
+    action = "Change the free angle, or move the cart, the head or what is in the way, and check again."
 
 
 class WrongMarkerCount(PlanError):

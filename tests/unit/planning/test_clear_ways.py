@@ -97,7 +97,7 @@ def test_a_clamp_in_the_way_is_named_with_the_pose_the_distance_and_the_place() 
     assert not check.passed
     assert "T2/target" in {one.pose for one in check.unmet}
     with pytest.raises(
-        NotReachable, match=r"PLAN-007: .*T2/target: .* mm of the arm of the clamp, .*ARM-007"
+        NotReachable, match=r"PLAN-007: .*T2/target: .* mm into the arm of the clamp, .*ARM-007"
     ):
         check.require()
 
