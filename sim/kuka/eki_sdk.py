@@ -151,7 +151,8 @@ class SdkChannel:
     def _command(self, request: Request) -> Event:
         controller = self._controller
         if request is Request.DRIVES_ON:
-            controller.acknowledge()
+            if controller.message is not None:
+                controller.acknowledge()
             return Event.DRIVES_ON if controller.switch_drives(True).code is AckCode.OK else Event.ERROR
         if request is Request.DRIVES_OFF:
             controller.switch_drives(False)

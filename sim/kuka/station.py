@@ -32,7 +32,7 @@ from sim.theatre.world import World
 IDLE_WAIT_S = 0.02  # longest wait without looking at the fault script, and whether the process should end
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
 LOOK_S = 0.001  # host time between two looks whether somebody waits for theatre time
-SERVE_S = 0.002  # host time between two looks at the EKI channels while lock-step hurries
+SERVE_S = 0.005  # host time between two looks at the EKI channels while lock-step hurries
 UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
 STALE_LIMIT = 256  # datagrams read in one cycle; a flood must not stop the clock
 
