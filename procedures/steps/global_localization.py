@@ -15,12 +15,14 @@ from procedures.steps.payloads import points_payload, pose_payload
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.devices.strays import average_strays
+from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import Frame, Transform
 
 FRAMES = 60  # one second of a 60 Hz tracker
 FRAME_S = 1 / 60
 READING_LIMIT_S = 10.0  # theatre time; a 20 Hz illuminator needs three
 LEAST_FRAMES_WITH_TOOL = 30
+MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 
 
@@ -29,7 +31,7 @@ def run(context: StepContext) -> Outcome:
     tracker = context.devices.tracker
     tracker.activate()
     try:
-        frames = _fresh_frames(context)
+        frames, lost = _fresh_frames(context)
     finally:
         if tracker.state is not Lifecycle.FAULT:  # a fault has ended the tracking, and is what must be told
             tracker.deactivate()
@@ -56,21 +58,35 @@ def run(context: StepContext) -> Outcome:
             "counts": [int(group.count) for group in groups],
             "outliers": [int(group.outliers) for group in groups],
             "rejected_strays": len(strays.rejected),
+            "lost_readings": lost,
             "robot_from_tracker": pose_payload(robot_from_tracker),
             "joints_rad": list(joints),
         },
         parents=(context.case.get("set_up"),),
-        summary=f"{len(groups)} stray spheres in {FRAMES} frames, largest spread {spread:.2f} mm",
+        summary=f"{len(groups)} stray spheres in {FRAMES} frames, largest spread {spread:.2f} mm"
+        + (f", {lost} readings lost on the line" if lost else ""),
     )
 
 
-def _fresh_frames(context: StepContext) -> list[TrackerFrame]:
-    """FRAMES measurements, each another one; raises PRO-007 when the tracker gives too few in time."""
+def _fresh_frames(context: StepContext) -> tuple[list[TrackerFrame], int]:
+    """FRAMES measurements, each another one, and how many readings were lost on the way.
+
+    A lost or garbled reply costs one reading: the driver is on its feet again with the next. Raises PRO-007
+    when the tracker gives too few in time, and the driver's own error when the line is too bad.
+    """
     clock, tracker = context.clock, context.devices.tracker
     limit_s = clock.now_s() + READING_LIMIT_S
     frames: list[TrackerFrame] = []
+    lost = 0
     while len(frames) < FRAMES:
-        frame = tracker.read_frame()
+        try:
+            frame = tracker.read_frame()
+        except (LinkTimeout, ProtocolError):
+            lost += 1
+            if lost > MOST_LOST_READINGS or tracker.state is not Lifecycle.ACTIVE:
+                raise
+            limit_s += READING_LIMIT_S / FRAMES
+            continue
         if frame.validity is not Validity.STALE:
             frames.append(frame)
             context.progress(len(frames) / FRAMES, "reading the tracker")
@@ -80,7 +96,7 @@ def _fresh_frames(context: StepContext) -> list[TrackerFrame]:
             )
         else:
             clock.sleep(FRAME_S / 2)
-    return frames
+    return frames, lost
 
 
 def _average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
@@ -94,18 +110,30 @@ def _average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
         if reading.validity is Validity.OK
     ]
     if len(poses) < LEAST_FRAMES_WITH_TOOL:
-        outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
+        why, action = _why_unseen(frames, tool)
         raise GateFailed(
-            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames"
-            + (f", outside the measuring volume in {outside}" if outside else ""),
+            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames{why}",
             limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
-            action="Move the tracker so that the tool is inside its volume, then repeat the step."
-            if outside
-            else "Clear the line of sight between tracker and tool, then repeat the step.",
+            action=f"{action}, then repeat the step.",
         )
     rotation = Rotation.from_matrix(np.array([pose.rotation_matrix for pose in poses])).mean()
     translation = np.mean([pose.translation_mm for pose in poses], axis=0)
     return Transform(Frame.TRACKER, Frame.MARKER, RigidTransform.from_components(translation, rotation))
+
+
+def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
+    """What most frames without the tool have in common, and what to do about it."""
+    readings = [frame.tool(tool) for frame in frames]
+    outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
+    disturbed = sum(
+        Validity.PARTIAL in (frame.validity, reading.validity)
+        for frame, reading in zip(frames, readings, strict=True)
+    )
+    if outside > disturbed:
+        return f", outside the measuring volume in {outside}", "Move the tracker so that the tool is inside"
+    if disturbed:
+        return f", disturbed by infrared light in {disturbed}", "Shade the tracker from sun and lamps"
+    return "", "Clear the line of sight between tracker and tool"
 
 
 STEP = StepSpec("global_localization", "Localize all spheres with the tracker", needs=("set_up",), run=run)

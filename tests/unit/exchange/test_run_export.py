@@ -1,4 +1,4 @@
-"""The export of a run: spheres once, one registration per trajectory, the last one where there were several."""
+"""The export of a run: spheres once, one registration per trajectory, the last where there were several."""
 
 from __future__ import annotations
 

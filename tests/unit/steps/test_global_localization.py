@@ -8,10 +8,12 @@ from typing import Any
 
 import pytest
 
-from procedures.steps.global_localization import run
+from procedures.engine.errors import GateFailed
+from procedures.steps.global_localization import FRAMES, MOST_LOST_READINGS, _average_pose, _fresh_frames, run
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.errors import DeviceError
+from ronna_hw.devices.readings import Stamp, ToolReading, TrackerFrame, Validity
+from ronna_hw.errors import DeviceError, LinkTimeout
 
 
 class Bumped(DeviceError):
@@ -52,3 +54,53 @@ def test_the_fault_of_the_tracker_is_what_the_step_fails_with(latched: bool) -> 
     with pytest.raises(Bumped):
         run(context)
     assert tracker.calls == ([] if latched else ["deactivate"])
+
+
+def frame(validity: Validity = Validity.OK, tool: Validity = Validity.MISSING) -> TrackerFrame:
+    return TrackerFrame(Stamp(0, 0, 0.0), validity, (ToolReading("M", tool, None, None, None),), ())
+
+
+class LineThatLoses:
+    """A tracker of which every third reading is lost."""
+
+    state = Lifecycle.ACTIVE
+
+    def __init__(self, lost_of_three: int) -> None:
+        self._lost_of_three = lost_of_three
+        self._calls = 0
+
+    def read_frame(self) -> TrackerFrame:
+        self._calls += 1
+        if self._calls % 3 < self._lost_of_three:
+            raise LinkTimeout("no reply")
+        return frame()
+
+
+def context_of(tracker: object) -> Any:
+    clock = SimpleNamespace(now_s=lambda: 0.0)
+    return SimpleNamespace(devices=SimpleNamespace(tracker=tracker), clock=clock, progress=lambda *_: None)
+
+
+def test_a_lost_reply_costs_a_reading_and_not_the_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("procedures.steps.global_localization.MOST_LOST_READINGS", FRAMES)
+    frames, lost = _fresh_frames(context_of(LineThatLoses(1)))
+    assert (len(frames), lost) == (FRAMES, FRAMES // 2 - 1)
+
+
+def test_a_line_that_loses_too_much_ends_the_step() -> None:
+    assert MOST_LOST_READINGS < FRAMES // 2
+    with pytest.raises(LinkTimeout):
+        _fresh_frames(context_of(LineThatLoses(2)))
+
+
+@pytest.mark.parametrize(
+    ("seen", "action"),
+    [
+        (frame(tool=Validity.MISSING), "Clear the line of sight"),
+        (frame(tool=Validity.OUT_OF_VOLUME), "Move the tracker"),
+        (frame(Validity.PARTIAL, Validity.PARTIAL), "Shade the tracker"),
+    ],
+)
+def test_the_advice_follows_why_the_tool_was_not_seen(seen: TrackerFrame, action: str) -> None:
+    with pytest.raises(GateFailed, match=f"in 0 of 3 frames.*{action}"):
+        _average_pose([seen] * 3, "M")
