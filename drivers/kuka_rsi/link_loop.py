@@ -169,10 +169,11 @@ class LinkLoop:
             self._link.sendto(reply, address)
         except OSError:
             self.session.rejected += 1
-        self._turnaround_us = (time.monotonic_ns() - self._received_ns) / 1000.0
+        sent_ns = time.monotonic_ns()
         if self._received_ns - self._answered_ns > self._paced_ns:
             time.sleep(GIVEN_AWAY_S)
         self._answered_ns = self._received_ns
+        self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 
     def _after_reply(self, ipoc: bytes, orders: Orders) -> None:
         """Prepare the next reply, and keep account of this one."""
