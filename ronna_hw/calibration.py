@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ronna_hw.errors import DataError
+from ronna_hw.errors import EXIT_REFUSED, DataError
 
 if TYPE_CHECKING:
     from ronna_hw.frames import Frame, Transform
@@ -25,6 +25,7 @@ class CalibrationExpired(DataError):
 
     code = "CAL-001"
     action = "Repeat the calibration, or have the record's owner extend it; no motion until then."
+    exit_code = EXIT_REFUSED
 
 
 class Strict(BaseModel):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import DataError
+from ronna_hw.errors import EXIT_REFUSED, DataError
 
 
 class BadImage(DataError):
@@ -73,3 +73,4 @@ class WrongCamera(DataError):
 
     code = "STE-010"
     action = "Use the calibration of the mounted head, or calibrate it."
+    exit_code = EXIT_REFUSED

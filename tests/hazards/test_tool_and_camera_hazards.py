@@ -20,6 +20,7 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import TheatreFile, parse_theatre
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import Stamp, ToolIdentity
+from ronna_hw.errors import EXIT_REFUSED
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.theatre_file import theatre_content
 
@@ -123,8 +124,9 @@ def test_swapped_cameras_are_refused_at_set_up(context: Refuser, theatre: Theatr
     assert theatre.calibration is not None
     head = theatre.calibration.stereo_head
     swapped = context("set_up", tool=STEREO_HEAD, serials=(head.right.serial, head.left.serial))
-    with pytest.raises(WrongCamera):
+    with pytest.raises(WrongCamera) as refused:
         set_up.run(swapped)
+    assert refused.value.exit_code == EXIT_REFUSED
 
 
 @pytest.mark.hazard(26)
@@ -135,8 +137,9 @@ def test_an_expired_calibration_is_refused_at_set_up(
     calibration = getattr(theatre.calibration, record)
     expired = calibration.model_copy(update={"expires": datetime.now(UTC) - timedelta(seconds=1)})
     late = context("set_up", tool=STEREO_HEAD, **{record: expired})
-    with pytest.raises(CalibrationExpired):
+    with pytest.raises(CalibrationExpired) as refused:
         set_up.run(late)
+    assert refused.value.exit_code == EXIT_REFUSED
     # With the records as they were, set-up goes on to the tool: the date is the only difference.
     with pytest.raises(WrongTool):
         set_up.run(context("set_up", tool=0))
