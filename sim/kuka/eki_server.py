@@ -141,7 +141,7 @@ class EkiServer:
         self._received = b""
         self._outgoing.clear()
         self._unread.clear()
-        self._full = False
+        self._cuts_next = self._full = False
         if client is not None:
             client.close()
             if self._peer is not None:
