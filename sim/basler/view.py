@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.basler.optics.sphere import Sphere
-from sim.theatre.rigid import apply, inverse, matrix_of, rotation_towards
+from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
 from sim.theatre.scene import CameraTruth
 from sim.theatre.world import World
 
@@ -40,13 +40,17 @@ class View:
         """True while the stereo head, not the guide, hangs on the arm."""
         return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
 
-    def spheres(self, robot_from_tool: Pose | None) -> tuple[Sphere, ...]:
-        """Spheres in front of the camera for a pose that `pose` returned, camera frame."""
+    def spheres(self, robot_from_tool: Pose | None, twist_rad: float = 0.0) -> tuple[Sphere, ...]:
+        """Spheres in front of the camera for a pose that `pose` returned, camera frame.
+
+        `twist_rad` turns the camera in its mount, about an axis through its centre of projection across the
+        plane of both cameras: the tool's x axis.
+        """
         if not self.head_mounted:
             return ()  # the head hangs on its stand and looks at nothing
         if robot_from_tool is None:
-            return self._bench() if self._world.scene.name == "bench" else ()
-        camera_from_robot = self._camera_from_tool @ inverse(robot_from_tool)
+            return self._bench(self._twisted(twist_rad)) if self._world.scene.name == "bench" else ()
+        camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)
         centres = apply(camera_from_robot, self._centres_mm)
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
         return tuple(
@@ -55,10 +59,15 @@ class View:
             if 0.0 < centre[2] < FURTHEST_MM
         )
 
-    def _bench(self) -> tuple[Sphere, ...]:
+    def _twisted(self, angle_rad: float) -> Pose:
+        across = self._camera_from_tool[:3, 0]  # the tool's x axis in the camera's frame
+        turn = matrix_from((0.0, 0.0, 0.0), rotation_from_vector(angle_rad * across))
+        return turn @ self._camera_from_tool if angle_rad else self._camera_from_tool
+
+    def _bench(self, camera_from_tool: Pose) -> tuple[Sphere, ...]:
         first = self._fiducials[0]
-        rotation = self._camera_from_tool[:3, :3] @ _upright((0.0, 0.0, -1.0))
-        return (Sphere(self._camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
+        rotation = camera_from_tool[:3, :3] @ _upright((0.0, 0.0, -1.0))
+        return (Sphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
 
 
 def _upright(post: tuple[float, float, float]) -> Pose:

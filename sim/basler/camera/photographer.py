@@ -8,6 +8,7 @@ from typing import Protocol
 
 from sim.basler.camera.pixels import depth_bits, ramp_image, to_wire
 from sim.basler.camera.settings import FrameSettings, RampImage
+from sim.basler.disturbance import Disturbances
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import Pose, View
@@ -42,6 +43,7 @@ class Photographer:
         self._seed = world.scene.seed
         self._serial = camera.serial
         self._view = View(world, camera)
+        self._disturbances = Disturbances.of(world, camera)
         self._optics = Optics(camera, world.scene.seed)
         self._sensor = Sensor(camera.read_noise_electrons, camera.full_well_electrons)
         self._drawing = threading.Lock()
@@ -60,7 +62,9 @@ class Photographer:
         if frame.test_image is not RampImage.OFF:
             return to_wire(ramp_image(frame, number), frame.pixel_format)
         with self._drawing:
-            light = self._optics.light_on(frame.area, self._view.spheres(pose))
+            disturbance = self._disturbances.now()
+            spheres = self._view.spheres(pose, disturbance.twist_rad)
+            light = self._optics.light_on(frame.area, spheres, disturbance)
         pixels = self._sensor.read(
             light,
             exposure_us=frame.exposure_us,
@@ -74,7 +78,8 @@ class Photographer:
     def sight(self, frame: FrameSettings) -> tuple[object, Pose | None]:
         """What a picture depends on, to compare, and the head's pose in it."""
         pose = self._view.pose()
-        return (frame, None if pose is None else pose.tobytes(), self._view.head_mounted), pose
+        place = None if pose is None else pose.tobytes()
+        return (frame, place, self._view.head_mounted, self._disturbances.now()), pose
 
 
 class Ring:

@@ -11,6 +11,8 @@ from sim.basler.optics import sphere as sphere_image
 from sim.basler.optics import stalk as stalk_image
 from sim.basler.optics.blur import blurred, reach_px
 from sim.basler.optics.canvas import Area, Canvas, Image, bounds_of
+from sim.basler.optics.film import Film, Surface
+from sim.basler.optics.foreground import CLEAR, Disturbance, nearest_to_axis, occlude, shine
 from sim.basler.optics.grain import Grain
 from sim.basler.optics.lens import LARGEST_SIGMA_PX, Lens
 from sim.basler.optics.light import Lighting
@@ -31,16 +33,23 @@ class Optics:
         self._seed = seed
         self._grains: dict[int, Grain] = {}
 
-    def light_on(self, area: Area, spheres: Sequence[Sphere]) -> Image:
+    def light_on(self, area: Area, spheres: Sequence[Sphere], disturbance: Disturbance = CLEAR) -> Image:
         """Electrons per microsecond (height, width) on an area of the sensor."""
         around = area.grown(MARGIN_PX) if spheres else area
         canvas = Canvas(around, self._lighting.on_background(around))
         for sphere in sorted(spheres, key=lambda each: -each.distance_mm):
-            self._draw(canvas, sphere)
+            self._draw(canvas, sphere, disturbance)
+        looked_at = nearest_to_axis([each for each in spheres if _drawable(each)])
+        if looked_at is not None:
+            sigma_px = self.lens.blur_sigma_px(float(looked_at.centre_mm[2]))
+            for occluder in disturbance.occluders:
+                occlude(canvas, occluder, looked_at, self.lens, sigma_px)
+        for glare in disturbance.glares:
+            shine(canvas, glare)
         return canvas.part(area)
 
-    def _draw(self, canvas: Canvas, sphere: Sphere) -> None:
-        if sphere.centre_mm[2] - sphere.radius_mm < NEAREST_MM:
+    def _draw(self, canvas: Canvas, sphere: Sphere, disturbance: Disturbance) -> None:
+        if not _drawable(sphere):
             return
         sigma_px = self.lens.blur_sigma_px(float(sphere.centre_mm[2]))
         sphere_area = bounds_of(self.lens, sphere.outline_mm()).common(canvas.area)
@@ -51,10 +60,12 @@ class Optics:
         patch_area = _hull(parts).grown(reach_px(sigma_px)).common(canvas.area)
         patch = canvas.part(patch_area)
         drawn = Canvas(patch_area, patch.copy())
-        self._paint(drawn, sphere, sphere_area, stalk_area)
+        self._paint(drawn, sphere, self._film(sphere, disturbance), sphere_area, stalk_area)
         patch[:] = blurred(drawn.light, sigma_px)
 
-    def _paint(self, canvas: Canvas, sphere: Sphere, sphere_area: Area, stalk_area: Area) -> None:
+    def _paint(
+        self, canvas: Canvas, sphere: Sphere, film: Surface, sphere_area: Area, stalk_area: Area
+    ) -> None:
         # The light falls off with the square of the distance; full strength where the lens is focused.
         strength = np.float32((self.lens.focus_mm / sphere.distance_mm) ** 2)
         stalk = self._stalk(sphere, stalk_area, strength)
@@ -62,7 +73,7 @@ class Optics:
             _over(canvas.part(stalk_area), stalk.cover, stalk.light)
         if sphere_area.empty:
             return
-        ball = sphere_image.image_of(sphere, self.lens, sphere_area, self._grain(sphere.number))
+        ball = sphere_image.image_of(sphere, self.lens, sphere_area, film)
         ball_light = ball.light * self._lighting.on_film(sphere_area) * strength
         _over(canvas.part(sphere_area), ball.cover, ball_light)
         both = sphere_area.common(stalk_area)
@@ -81,10 +92,15 @@ class Optics:
         image = stalk_image.image_of(sphere, self.lens, area)
         return replace(image, light=image.light * self._lighting.on_film(area) * strength)
 
-    def _grain(self, number: int) -> Grain:
-        if number not in self._grains:
-            self._grains[number] = Grain(self._seed, number)
-        return self._grains[number]
+    def _film(self, sphere: Sphere, disturbance: Disturbance) -> Surface:
+        if sphere.number not in self._grains:
+            self._grains[sphere.number] = Grain(self._seed, sphere.number)
+        grain, stains = self._grains[sphere.number], disturbance.stains_of(sphere.number)
+        return Film(grain, stains, sphere.radius_mm) if stains else grain
+
+
+def _drawable(sphere: Sphere) -> bool:
+    return bool(sphere.centre_mm[2] - sphere.radius_mm >= NEAREST_MM)
 
 
 def _over(behind: Image, cover: Image, light: Image) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import Area, Image, Rays
-from sim.basler.optics.grain import Grain
+from sim.basler.optics.film import Surface
 from sim.basler.optics.lens import Lens
 
 Vector = NDArray[np.float64]
@@ -76,7 +76,7 @@ class SphereImage:
     depth_mm: Image
 
 
-def image_of(sphere: Sphere, lens: Lens, area: Area, grain: Grain) -> SphereImage:
+def image_of(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> SphereImage:
     """Draw a sphere of unit brightness over `area`."""
     rays = Rays(lens, area)
     along = rays.dot(sphere.centre_mm)  # the centre along each ray, times the ray's length
@@ -90,11 +90,11 @@ def image_of(sphere: Sphere, lens: Lens, area: Area, grain: Grain) -> SphereImag
     np.maximum(discriminant, np.float32(0.0), out=discriminant)
     depth = (along - np.sqrt(discriminant)) / rays.squared
     dots = (rays.dot(axis) for axis in sphere.camera_from_sphere.T)
-    light = _limb(discriminant, rays.squared, sphere) * grain.at(*_surface(sphere, depth, dots))
+    light = _limb(discriminant, rays.squared, sphere) * film.at(*_surface(sphere, depth, dots))
     depth[outside] = np.inf
     cover = (inside_px > 0.0).astype(np.float32)
     image = SphereImage(area, cover, light, depth)
-    _sample_rim(sphere, lens, grain, np.nonzero(np.abs(inside_px) <= BAND_PX), image)
+    _sample_rim(sphere, lens, film, np.nonzero(np.abs(inside_px) <= BAND_PX), image)
     return image
 
 
@@ -116,7 +116,7 @@ def _miss(rays: Rays, sphere: Sphere) -> Image:
 def _sample_rim(
     sphere: Sphere,
     lens: Lens,
-    grain: Grain,
+    film: Surface,
     band: tuple[NDArray[np.intp], ...],
     image: SphereImage,
 ) -> None:
@@ -141,7 +141,7 @@ def _sample_rim(
         depth = (along - np.sqrt(discriminant)) / squared
         dots = (x * axis[0] + y * axis[1] + axis[2] for axis in sphere.camera_from_sphere.T)
         covered += share
-        weighed += share * _limb(discriminant, squared, sphere) * grain.at(*_surface(sphere, depth, dots))
+        weighed += share * _limb(discriminant, squared, sphere) * film.at(*_surface(sphere, depth, dots))
     image.cover[rows, columns] = covered / SAMPLES**2
     image.light[rows, columns] = weighed / np.maximum(covered, np.finfo(float).tiny)
 

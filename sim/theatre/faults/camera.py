@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from sim.theatre.faults.camera_sight import SIGHT_FAULTS
 from sim.theatre.faults.kinds import FaultKind, at_most_all
 
 CAMERA_FAULTS = (
+    *SIGHT_FAULTS,
     FaultKind(
         "camera_drop",
         "camera",

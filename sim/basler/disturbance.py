@@ -1,0 +1,63 @@
+"""What the faults that act now do to the sight of one camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, radians
+
+from sim.basler.optics.film import drawn_stains
+from sim.basler.optics.foreground import CLEAR, Disturbance, Glare, Occluder
+from sim.theatre.faults import Fault, FaultBoard
+from sim.theatre.noise import noise
+from sim.theatre.scene import CameraTruth
+from sim.theatre.world import World
+
+PERCENT = 0.01
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """Asks the cameras' fault board on behalf of one camera."""
+
+    world: World
+    board: FaultBoard
+    camera: CameraTruth
+
+    @classmethod
+    def of(cls, world: World, camera: CameraTruth) -> Disturbances:
+        """The disturbances of one camera."""
+        return cls(world, FaultBoard(world, "camera"), camera)
+
+    @property
+    def side(self) -> str:
+        """The camera's name in a fault script."""
+        return "left" if self.camera.serial == self.world.scene.left.serial else "right"
+
+    def now(self) -> Disturbance:
+        """What acts at this moment; `CLEAR` at the price of one question while there is no fault at all."""
+        if self.board.empty:
+            return CLEAR
+        seed = self.world.scene.seed
+        return Disturbance(
+            stains=tuple(
+                (number, drawn_stains(seed, number, float(share) * PERCENT))
+                for number, share in (
+                    (int(fault.arguments[0]), fault.arguments[1]) for fault in self.board.active("stain")
+                )
+            ),
+            occluders=tuple(self._occluder(float(fault.arguments[1])) for fault in self._mine("occluder")),
+            glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._mine("glare")),
+            twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._mine("twist")),
+        )
+
+    def _mine(self, kind: str) -> list[Fault]:
+        return [fault for fault in self.board.active(kind) if fault.argument == self.side]
+
+    def _occluder(self, share_percent: float) -> Occluder:
+        direction = noise(self.world.scene.seed, f"occluder of camera {self.camera.serial}", 0)
+        return Occluder(share_percent * PERCENT, float(direction.uniform(0.0, 2.0 * pi)))
+
+    def _glare(self, radius_px: float) -> Glare:
+        place = noise(self.world.scene.seed, f"glare of camera {self.camera.serial}", 0)
+        columns, rows = self.camera.sensor_px
+        return Glare((float(place.uniform(0, columns)), float(place.uniform(0, rows))), radius_px)

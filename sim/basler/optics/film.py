@@ -1,0 +1,76 @@
+"""What covers a sphere: retro-reflective film with its grain, and what has dried on it.
+
+Blood and liquid keep the beads from sending the light back. A stain is a round spot that is fixed to the
+sphere, so both cameras see the same one, each from its side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Protocol
+
+import numpy as np
+
+from sim.basler.optics.canvas import Image
+from sim.basler.optics.grain import Grain
+from sim.theatre.noise import noise
+
+STAINED_BRIGHTNESS = 0.3  # of the clean film: light passes the stain twice
+STAIN_EDGE_MM = 0.04  # a drop dries with a soft edge
+SMALLEST_RAD, LARGEST_RAD = 0.05, 0.15  # half the angle of a spot, seen from the sphere's centre
+
+
+class Surface(Protocol):
+    """How bright each point of a sphere is."""
+
+    def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
+        """Brightness factor of surface points given in the sphere's own frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class Stain:
+    """A round spot: the direction of its middle in the sphere's frame, and half the angle it spans."""
+
+    direction: tuple[float, float, float]
+    half_angle_rad: float
+
+
+class Film:
+    """The film of one sphere with its stains."""
+
+    def __init__(self, grain: Grain, stains: Sequence[Stain], radius_mm: float) -> None:
+        self._grain = grain
+        self._stains = stains
+        self._radius_mm = radius_mm
+
+    def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
+        """Brightness factor, mean 1 where it is clean."""
+        light = self._grain.at(x_mm, y_mm, z_mm)
+        for stain in self._stains:
+            x, y, z = (np.float32(part) for part in stain.direction)
+            # height above the plane of the spot's edge; over the edge it grows by the sine of the angle
+            height = x_mm * x + y_mm * y + z_mm * z
+            height -= np.float32(self._radius_mm * np.cos(stain.half_angle_rad))
+            height *= np.float32(1.0 / (STAIN_EDGE_MM * np.sin(stain.half_angle_rad)))
+            height += np.float32(0.5)
+            cover = np.clip(height, 0.0, 1.0, out=height)
+            light = light * (np.float32(1.0) - np.float32(1.0 - STAINED_BRIGHTNESS) * cover)
+        return light
+
+
+@cache
+def drawn_stains(seed: int, number: int, share: float) -> tuple[Stain, ...]:
+    """Spots anywhere on a sphere until their areas make up `share` of its surface; they may overlap."""
+    generator = noise(seed, f"stains of sphere {number}", 0)
+    stains: list[Stain] = []
+    covered = 0.0
+    while covered < share:
+        x, y, z = generator.standard_normal(3)
+        length = float(np.sqrt(x * x + y * y + z * z))
+        half_angle = float(generator.uniform(SMALLEST_RAD, LARGEST_RAD))
+        stains.append(Stain((float(x) / length, float(y) / length, float(z) / length), half_angle))
+        covered += (1.0 - float(np.cos(half_angle))) / 2.0
+    return tuple(stains)

@@ -1,0 +1,110 @@
+"""What comes between the spheres and the sensor: an edge of a drape or hand, and the glare of a lamp."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from math import cos, pi, sin
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.basler.optics.canvas import Area, Canvas, Image
+from sim.basler.optics.film import Stain
+from sim.basler.optics.lens import Lens
+from sim.basler.optics.light import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
+from sim.basler.optics.sphere import Sphere
+
+Array = NDArray[np.float64]
+
+GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at the usual exposures
+GLARE_SOFTNESS = 0.04  # one standard deviation of its edge, of its radius
+EDGE_REACH = 4.0  # standard deviations beyond which an edge is no longer seen
+EDGE_STEPS = 400
+
+
+@dataclass(frozen=True)
+class Glare:
+    """A lamp mirrored in something wet: a bright disc at a place of the sensor."""
+
+    centre_px: tuple[float, float]
+    radius_px: float
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """Something dark with a straight edge that hides `rim_share` of a sphere's rim from one camera.
+
+    `direction_rad` is where it comes from in the image. `brightness` is that of the drapes behind, as 1.
+    """
+
+    rim_share: float
+    direction_rad: float
+    brightness: float = 1.0
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What disturbs one camera's sight at one moment; comparable and hashable. Stains by sphere number."""
+
+    stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
+    occluders: tuple[Occluder, ...] = ()
+    glares: tuple[Glare, ...] = ()
+    twist_rad: float = field(default=0.0)  # of the camera in its mount, out of the plane of both cameras
+
+    def stains_of(self, number: int) -> tuple[Stain, ...]:
+        """The stains of a sphere."""
+        return tuple(stain for each, stains in self.stains if each == number for stain in stains)
+
+
+CLEAR = Disturbance()
+
+
+def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
+    """Hide a sphere's rim behind an edge that is as sharp as the sphere is."""
+    outline = lens.project(sphere.outline_mm())
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    radius = float(np.ptp(outline, axis=0).mean()) / 2
+    towards = np.array([cos(occluder.direction_rad), sin(occluder.direction_rad)])
+    # A chord at the cosine of half its arc leaves that arc beyond it.
+    edge = radius * cos(pi * occluder.rim_share)
+    x = (canvas.area.x + np.arange(canvas.area.width) - middle[0]) * towards[0]
+    y = (canvas.area.y + np.arange(canvas.area.height) - middle[1]) * towards[1]
+    cover = _edge((y[:, None] + x[None, :] - edge) / sigma_px)
+    dark = np.float32(occluder.brightness * BACKGROUND_ELECTRONS_PER_US)
+    canvas.light[:] += cover * (dark - canvas.light)
+
+
+def shine(canvas: Canvas, glare: Glare) -> None:
+    """Add the light of a glare."""
+    sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
+    reach = int(glare.radius_px + EDGE_REACH * sigma) + 1
+    x, y = (round(value) for value in glare.centre_px)
+    part = Area(x - reach, y - reach, 2 * reach + 1, 2 * reach + 1).common(canvas.area)
+    if part.empty:
+        return
+    columns = part.x + np.arange(part.width) - glare.centre_px[0]
+    rows = part.y + np.arange(part.height) - glare.centre_px[1]
+    beyond = (np.hypot(columns[None, :], rows[:, None]) - glare.radius_px) / sigma
+    canvas.part(part)[:] += np.float32(GLARE_ELECTRONS_PER_US) * (np.float32(1.0) - _edge(beyond))
+
+
+def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
+    """The sphere that the camera looks at; None without any."""
+    return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
+
+
+def _edge(sigmas: Array) -> Image:
+    """Share covered by what lies beyond an edge with normal blur, by the distance in its sigmas."""
+    at, cover = _edge_table()
+    return np.interp(sigmas, at, cover).astype(np.float32)
+
+
+@cache
+def _edge_table() -> tuple[Array, Array]:
+    at = np.linspace(-EDGE_REACH, EDGE_REACH, EDGE_STEPS + 1)
+    cover = np.array([NormalDist().cdf(each) for each in at])
+    cover[0], cover[-1] = 0.0, 1.0
+    return at, cover
