@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.imaging import Localization, Volume
+    from procedures.imaging import Candidate, Localization, Volume
+
+
+class Method(StrEnum):
+    """How spheres are localized."""
+
+    COMBINED = "combined"
+    THESIS_LINE = "thesis-line"
+    THESIS_SPHERE = "thesis-sphere"
+
 
 READING_SHARE = 0.4  # of the whole work
 
@@ -41,6 +54,24 @@ def localize(
         int | None,
         typer.Option("--expected", metavar="N", help="Refuse another number of markers than this."),
     ] = None,
+    method: Annotated[
+        Method,
+        typer.Option(
+            "--method", help="combined: ours; thesis-line and thesis-sphere: the thesis', for comparison."
+        ),
+    ] = Method.COMBINED,
+    pick: Annotated[
+        Path | None,
+        typer.Option(
+            "--pick",
+            metavar="FILE",
+            help="Look only near these rough points (LPS in mm): CSV, JSON list, or 3D Slicer's .mrk.json.",
+        ),
+    ] = None,
+    show_candidates: Annotated[
+        bool,
+        typer.Option("--candidates", help="Also show every place that was looked at, and what became of it."),
+    ] = False,
     pictures: Annotated[
         Path | None,
         typer.Option("--pictures", metavar="DIR", help="Write a picture of each marker into this folder."),
@@ -64,27 +95,51 @@ def localize(
     console.set_up_logging(verbose)
     import procedures.imaging as imaging
     from procedures.exchange.sphere_files import check_names, write_spheres
+    from procedures.imaging.errors import MarkerCountWrong
 
     check_names(write or ())
+    if pick is not None and method is not Method.COMBINED:
+        raise UsageMistake("--pick is refined by the combined method; leave --method out")
+    picks_mm = None if pick is None else imaging.read_picks(pick)
+    refused: MarkerCountWrong | None = None
     with console.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
         began_s = time.perf_counter()
-        result = imaging.localize(
-            volume,
-            diameter_mm=diameter_mm,
-            expected=expected,
-            progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share),
-        )
+        localize_in = partial(imaging.localize, volume)
+        if picks_mm is not None:
+            localize_in = partial(imaging.localize_picks, volume, picks_mm)
+        elif method is not Method.COMBINED:
+            localize_in = partial(imaging.localize_as_thesis, volume, imaging.ThesisFit(method.value))
+        try:
+            result = localize_in(
+                diameter_mm=diameter_mm,
+                expected=expected,
+                progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share),
+            )
+        except MarkerCountWrong as error:
+            refused = error
         elapsed_s = time.perf_counter() - began_s
+    if refused is not None:
+        if show_candidates:
+            _print_candidates(refused.candidates)
+        raise refused
     for sentence in volume.warnings:
         console.tell(f"warning: {sentence}")
     if pictures is not None:
         _write_pictures(pictures, volume, result)
     write_spheres(result, write or ())
     if as_json:
-        console.print_json(_document(result, elapsed_s))
+        document = _document(result, elapsed_s)
+        if show_candidates:
+            document["candidates"] = [
+                {"centre_mm": list(one.centre_mm), "accepted": one.accepted, "reason": one.reason}
+                for one in result.candidates
+            ]
+        console.print_json(document)
     else:
         _print_markers(result)
+        if show_candidates:
+            _print_candidates(result.candidates)
 
 
 def _document(result: Localization, elapsed_s: float) -> dict[str, Any]:
@@ -125,6 +180,19 @@ def _print_markers(result: Localization) -> None:
     console.print_table(
         f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS in mm",
         ["#", "L", "P", "S", "sigma", "agree", "radius", "quality", "flags"],
+        rows,
+    )
+
+
+def _print_candidates(candidates: Sequence[Candidate]) -> None:
+    rows = []
+    for one in candidates:
+        share = "" if one.surface_share is None else f"{one.surface_share:.0%}"
+        radius = "" if one.radius_mm is None else f"{one.radius_mm:.2f}"
+        rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, one.reason])
+    console.print_table(
+        f"{len(rows)} candidate{'s' if len(rows) != 1 else ''}, LPS in mm",
+        ["L", "P", "S", "surface", "radius", "what became of it"],
         rows,
     )
 

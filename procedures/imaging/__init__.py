@@ -2,7 +2,22 @@
 
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Candidate, Localization, Marker
+from procedures.imaging.pick_files import read_picks
+from procedures.imaging.picks import localize_picks
 from procedures.imaging.series import read_series
+from procedures.imaging.thesis_localization import ThesisFit, localize_as_thesis
 from procedures.imaging.volume import Volume, VoxelGeometry
 
-__all__ = ["Candidate", "Localization", "Marker", "Volume", "VoxelGeometry", "localize", "read_series"]
+__all__ = [
+    "Candidate",
+    "Localization",
+    "Marker",
+    "ThesisFit",
+    "Volume",
+    "VoxelGeometry",
+    "localize",
+    "localize_as_thesis",
+    "localize_picks",
+    "read_picks",
+    "read_series",
+]

@@ -122,7 +122,7 @@ class MarkerCountWrong(DataError):
     """Not as many markers as expected; `candidates` holds everything that was looked at."""
 
     code = "CT-016"
-    action = "Compare the candidates with the images; scan again or correct the expected count."
+    action = "Compare the candidates with the images; scan again, correct the expected count, or --pick."
     exit_code = EXIT_REFUSED
 
     def __init__(self, what: str, *, candidates: tuple[Candidate, ...]) -> None:
@@ -140,3 +140,18 @@ class LocalizationMisused(DataError):
 
     code = "CT-017"
     action = "Give a marker diameter that the voxels can resolve, and a count that is not negative."
+
+
+class PicksUnreadable(DataError):
+    """The file of picks is missing or is not a list of points."""
+
+    code = "CT-018"
+    action = "Give CSV rows or a JSON list of L, P, S in mm, or a point list saved by 3D Slicer."
+
+
+class PickRefused(DataError):
+    """There is no sphere at a pick."""
+
+    code = "CT-019"
+    action = "Look at the images there; pick the middle of the sphere, or leave this sphere out."
+    exit_code = EXIT_REFUSED

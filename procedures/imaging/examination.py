@@ -48,13 +48,20 @@ class Sphere:
     combined: CombinedCentre
 
 
-def examine(volume: Volume, peak: Peak, radius_mm: float, known: list[Sphere]) -> Sphere | Candidate:
+def examine(
+    volume: Volume,
+    peak: Peak,
+    radius_mm: float,
+    known: list[Sphere],
+    *,
+    min_surface_share: float = MIN_SURFACE_SHARE,
+) -> Sphere | Candidate:
     """A sphere, or the candidate with the reason why it is none."""
     region = cut_region(volume, peak.position_mm, REGION_REACH * radius_mm)
     edge = fit_radial_edge(region, peak.position_mm, radius_mm)
     if edge is None:
         return _rejected(volume, peak, None, "shows no surface of a polymer sphere")
-    if edge.surface_share < MIN_SURFACE_SHARE:
+    if edge.surface_share < min_surface_share:
         seen = f"{edge.surface_share:.0%} of a sphere's surface"
         cut = edge.unscanned_share > UNSCANNED_FLAG
         return _rejected(

@@ -37,7 +37,7 @@ def localize(
     or not. With `expected`, another count raises CT-016, which carries the candidates; without it, no
     marker at all raises it. `progress` is called with the share done. CT-017 for impossible requests.
     """
-    _check_request(volume.geometry, diameter_mm, expected)
+    check_request(volume.geometry, diameter_mm, expected)
     report = progress if progress is not None else _silent
     report(0.0)
     radius_mm = 0.5 * diameter_mm
@@ -54,13 +54,8 @@ def localize(
             candidates.append(outcome)
         report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
     report(1.0)
-    if expected is None and not found:
-        raise MarkerCountWrong("no marker found", candidates=tuple(candidates))
-    if expected is not None and len(found) != expected:
-        raise MarkerCountWrong(
-            f"{len(found)} markers found, {expected} expected", candidates=tuple(candidates)
-        )
-    markers = sorted((as_marker(one, found, volume, radius_mm) for one in found), key=_head_to_foot)
+    require_count(len(found), expected, tuple(candidates))
+    markers = sorted((as_marker(one, found, volume, radius_mm) for one in found), key=head_to_foot)
     return Localization(
         markers=tuple(markers),
         candidates=tuple(candidates),
@@ -70,7 +65,16 @@ def localize(
     )
 
 
-def _check_request(geometry: VoxelGeometry, diameter_mm: float, expected: int | None) -> None:
+def require_count(found: int, expected: int | None, candidates: tuple[Candidate, ...]) -> None:
+    """Raise CT-016 for another count than expected, or for none when nothing was said."""
+    if expected is None and found == 0:
+        raise MarkerCountWrong("no marker found", candidates=candidates)
+    if expected is not None and found != expected:
+        raise MarkerCountWrong(f"{found} markers found, {expected} expected", candidates=candidates)
+
+
+def check_request(geometry: VoxelGeometry, diameter_mm: float, expected: int | None) -> None:
+    """Raise CT-017 for a diameter or a count that makes no sense in this series."""
     if not np.isfinite(diameter_mm) or diameter_mm < MIN_VOXELS_ACROSS * float(geometry.spacing_mm.max()):
         raise LocalizationMisused(
             f"spheres of {diameter_mm:g} mm cannot be localized",
@@ -89,7 +93,8 @@ def _same_object(one: Candidate, other: Candidate) -> bool:
     return float(np.linalg.norm(np.subtract(one.centre_mm, other.centre_mm))) < 0.5 * one.radius_mm
 
 
-def _head_to_foot(marker: Marker) -> tuple[float, ...]:
+def head_to_foot(marker: Marker) -> tuple[float, ...]:
+    """Sorting key: from superior to inferior."""
     x, y, z = marker.centre_mm.tolist()
     return -z, x, y
 

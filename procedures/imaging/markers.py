@@ -15,6 +15,7 @@ NEAR_METAL = "near_metal"  # metal hides more of the surface than a post does
 SURFACE_HIDDEN = "surface_hidden"  # skin, bandage or a neighbour hides much of the surface
 RADIUS_UNUSUAL = "radius_unusual"  # the fitted radius is far from the nominal one
 NEAR_ANOTHER = "near_another"  # the surface of another marker is close
+PICKED = "picked"  # a person said where to look
 
 
 @dataclass(frozen=True)

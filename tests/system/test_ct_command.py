@@ -76,6 +76,31 @@ def test_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
         assert marker["flags"] == []
 
 
+def test_rough_picks_are_refined_and_flagged(series: Path, tmp_path: Path) -> None:
+    spheres = tmp_path / "spheres.csv"
+    assert ronna_ct("localize", series, "--write", spheres).returncode == 0
+    done = ronna_ct("localize", series, "--pick", spheres, "--expected", 2, "--candidates", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    document = json.loads(done.stdout)
+    assert all("picked" in marker["flags"] for marker in document["markers"])
+    assert [one["accepted"] for one in document["candidates"]] == [True, True]
+
+
+def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> None:
+    done = ronna_ct("localize", series, "--method", "thesis-sphere", "--expected", 2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("covariance_assumed") == 2
+    refused = ronna_ct("localize", series, "--method", "thesis-line", "--pick", "any.csv")
+    assert refused.returncode == 2
+    assert "leave --method out" in refused.stderr
+
+
+def test_a_wrong_count_shows_every_candidate_when_asked(series: Path) -> None:
+    done = ronna_ct("localize", series, "--expected", 3, "--candidates")
+    assert done.returncode == 3
+    assert done.stdout.count("is a marker") == 2
+
+
 def test_off_a_terminal_the_table_is_lines_of_fields(series: Path) -> None:
     done = ronna_ct("localize", series)
     lines = [line.split("\t") for line in done.stdout.splitlines()]

@@ -222,7 +222,7 @@ def misspelt_attributes_raise(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pydicom.config, "INVALID_KEYWORD_BEHAVIOR", "RAISE")
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_scan() -> type[Scan]:
     return Scan
 

@@ -1,0 +1,115 @@
+"""A person's rough clicks are refined where a sphere is, and refused where none is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from procedures.imaging import Volume, VoxelGeometry, errors, localize, localize_picks, read_picks
+
+Array = NDArray[np.float64]
+CENTRES = np.array([[20.2, 19.7, 17.4], [21.1, 20.3, 44.6]])
+
+
+@pytest.fixture(scope="module")
+def volume(make_scan: Callable[..., Any]) -> Volume:
+    """Two markers; the patient's axes are turned and shifted against the voxels'."""
+    scan = make_scan(shape=(40, 80, 120))
+    for centre in CENTRES:
+        scan.marker(centre, np.array([0.3, 1.0, 0.2]), skin=False)
+    axes = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    geometry = VoxelGeometry(scan.shape, np.array([100.0, -50.0, 10.0]), axes, np.array(scan.spacing_mm))
+    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+
+
+def truth(volume: Volume) -> Array:
+    return volume.geometry.grid_mm_to_patient_mm(CENTRES)
+
+
+@pytest.mark.parametrize("error_mm", [(0.0, 0.0, 0.0), (2.0, -2.0, 2.0), (-4.0, 0.0, 2.0)])
+def test_a_rough_pick_is_refined_as_if_it_had_been_detected(
+    volume: Volume, error_mm: tuple[float, ...]
+) -> None:
+    picked = localize_picks(volume, truth(volume)[:1] + error_mm, expected=1)
+    detected = localize(volume, expected=2)
+    (marker,) = picked.markers
+    assert "picked" in marker.flags
+    nearest = np.abs(detected.centres_mm - marker.centre_mm).max(axis=1).min()
+    assert nearest < 1e-3
+    assert np.linalg.norm(marker.centre_mm - truth(volume)[0]) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("shifts", "words"),
+    [
+        ([(0.0, 14.0, 0.0)], "pick 1 at .* (sphere|surface|radius)"),
+        ([(500.0, 0.0, 0.0)], "pick 1 at .* outside the scanned volume"),
+        ([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], "pick 2 at .* found already"),
+        ([(float("nan"), 0.0, 0.0)], "three finite numbers"),
+    ],
+    ids=["beside the sphere", "outside", "twice", "not a number"],
+)
+def test_a_pick_without_a_sphere_is_refused_with_the_reason(
+    volume: Volume, shifts: list[tuple[float, ...]], words: str
+) -> None:
+    with pytest.raises(errors.PickRefused, match=words) as caught:
+        localize_picks(volume, truth(volume)[0] + np.array(shifts))
+    assert caught.value.exit_code == 3
+
+
+def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:
+    with pytest.raises(errors.MarkerCountWrong, match="1 markers found, 2 expected"):
+        localize_picks(volume, truth(volume)[:1], expected=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("plain.csv", "1,2,3\n-4,5.5,6\n"),
+        ("named.csv", "name,S_mm,L_mm,P_mm\nM1,3,1,2\nM2,6,-4,5.5\n"),
+        ("list.json", "[[1, 2, 3], [-4, 5.5, 6]]"),
+        (
+            "slicer.mrk.json",
+            json.dumps(
+                {
+                    "markups": [
+                        {
+                            "coordinateSystem": "RAS",
+                            "controlPoints": [{"position": [-1, -2, 3]}, {"position": [4, -5.5, 6]}],
+                        }
+                    ]
+                }
+            ),
+        ),
+    ],
+)
+def test_picks_are_read_from_the_files_people_have(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    np.testing.assert_allclose(read_picks(tmp_path / name), [[1.0, 2.0, 3.0], [-4.0, 5.5, 6.0]])
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("words.csv", "left,right,middle\n"),
+        ("two.csv", "1,2\n3,4\n"),
+        ("ragged.csv", "1,2,3\n4,5\n"),
+        ("nan.csv", "1,2,nan\n"),
+        ("empty.csv", ""),
+        ("cut.json", "[[1, 2"),
+        ("other.json", '{"points": []}'),
+        ("frame.json", '{"markups": [{"coordinateSystem": "ABC", "controlPoints": []}]}'),
+    ],
+)
+def test_a_file_that_holds_no_picks_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(errors.PicksUnreadable, match=name):
+        read_picks(tmp_path / name)
+    with pytest.raises(errors.PicksUnreadable, match="No such file"):
+        read_picks(tmp_path / "missing.csv")
