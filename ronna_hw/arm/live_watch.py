@@ -1,13 +1,14 @@
 """Judges set-points by where they bring the bodies: distances to everything, and speed near the head.
 
 Part of the monitor, so it shares no formula with planning: the chain is written out, distances are the scalar
-ones. A pair is measured again only when the arm may have moved enough since to bring it to its limit.
+ones. A pair is measured again only when the arm may have moved enough since to bring it to its limit, and the
+bodies are placed only when a bound from the joint angles alone does not already say that all is well.
 """
 
 from __future__ import annotations
 
 from heapq import heapify, heappop, heappush
-from math import cos, dist, inf, sin
+from math import cos, dist, hypot, inf, sin
 from typing import NamedTuple
 
 from ronna_hw.arm.capsule import segment_distance_mm
@@ -29,6 +30,17 @@ class Encounter(NamedTuple):
     pair: int  # index in `Surroundings.pairs`
     value: float
     limit: float
+
+
+def levers_mm(model: ArmModel, surroundings: Surroundings) -> JointVector:
+    """How far any point of any moving body can go, at most, per radian of each axis, in every posture."""
+    ends = [end for part in surroundings.tool for end in (part.capsule.start_mm, part.capsule.end_mm)]
+    about_wrist = max((hypot(x, y, z + model.flange_mm) for x, y, z in ends), default=0.0)
+    about_wrist = max(about_wrist, model.flange_mm)
+    about_A6 = max((hypot(x, y) for x, y, _ in ends), default=0.0)
+    about_A3 = about_wrist + model.elbow_to_wrist_mm
+    about_A2 = about_A3 + model.upper_arm_mm
+    return (about_A2 + model.shoulder_offset_mm, about_A2, about_A3, about_wrist, about_wrist, about_A6)
 
 
 def body_segments(model: ArmModel, surroundings: Surroundings, joints_rad: JointVector) -> list[Segment]:
@@ -77,11 +89,13 @@ class LiveWatch:
             radii[pair.moving] + (radii[-1 - pair.other] if pair.other < 0 else fixed_radii[pair.other])
             for pair in self._pairs
         )
-        self._segments = body_segments(model, surroundings, joints_rad)
+        self._levers = levers_mm(model, surroundings)
+        segments = body_segments(model, surroundings, joints_rad)
+        self._segments: list[Segment] | None = segments  # where `_joints` puts the bodies, once worked out
         self._joints = joints_rad
-        self._tried: tuple[JointVector, list[Segment], float] | None = None
-        self._odometer_mm = 0.0  # sum of the largest motion of any body, over all set-points sent
-        gaps = [self._gap(number, self._segments) for number in range(len(self._pairs))]
+        self._tried: tuple[JointVector, list[Segment] | None, float] | None = None
+        self._odometer_mm = 0.0  # bound of the largest motion of any body, summed over all set-points sent
+        gaps = [self._gap(number, segments) for number in range(len(self._pairs))]
         self._floors = [min(surroundings.live_margin_mm, gap - LEAVING_MM) for gap in gaps]
         # Odometer reading up to which a pair cannot have come to its floor.
         self._due = [
@@ -91,10 +105,14 @@ class LiveWatch:
         heapify(self._due)
         self._head = [number for number, pair in enumerate(self._pairs) if pair.is_head]
         # Distance to the head plus odometer at which it was measured: less the odometer, it is a lower bound.
-        self._bounds = [self._distance(number, self._segments) for number in self._head]
+        self._bounds = [self._distance(number, segments) for number in self._head]
 
     def check(self, joints_rad: JointVector) -> Encounter | None:
         """The first thing that would be wrong if this set-point were sent next, or None."""
+        most = self._at_most(joints_rad)
+        if self._plainly_well(most):
+            self._tried = (joints_rad, None, most)
+            return None
         segments = body_segments(self._model, self._surroundings, joints_rad)
         moved = self._moved(segments)
         self._tried = (joints_rad, segments, moved)
@@ -104,13 +122,37 @@ class LiveWatch:
         """This set-point was sent, or is where the arm stands."""
         if joints_rad is self._joints:
             return
+        segments, moved = None, 0.0
         if self._tried is not None and self._tried[0] is joints_rad:
             _, segments, moved = self._tried
         else:
-            segments = body_segments(self._model, self._surroundings, joints_rad)
-            moved = self._moved(segments)
+            moved = self._at_most(joints_rad)
         self._odometer_mm += moved
         self._joints, self._segments = joints_rad, segments
+
+    def _at_most(self, joints_rad: JointVector) -> float:
+        """Bound of the largest motion of any body since the last set-point, mm."""
+        a, b, c, d, e, f = self._levers
+        A1, A2, A3, A4, A5, A6 = joints_rad
+        B1, B2, B3, B4, B5, B6 = self._joints
+        return (
+            a * abs(A1 - B1)
+            + b * abs(A2 - B2)
+            + c * abs(A3 - B3)
+            + d * abs(A4 - B4)
+            + e * abs(A5 - B5)
+            + f * abs(A6 - B6)
+        )
+
+    def _plainly_well(self, most: float) -> bool:
+        """Whether a motion of at most so many mm neither makes a pair due nor reaches any cap of speed."""
+        travel = self._odometer_mm + most
+        if self._due and self._due[0][0] < travel:
+            return False
+        if most == 0.0:
+            return True
+        nearest = min(self._bounds) - travel if self._bounds else inf
+        return most <= self._surroundings.cap_mm_s(nearest) * self._cycle_s
 
     def _too_near(self, segments: list[Segment], moved: float) -> Encounter | None:
         travel = self._odometer_mm + moved
@@ -150,6 +192,8 @@ class LiveWatch:
 
     def _moved(self, segments: list[Segment]) -> float:
         """The largest motion of an end of any body since the last set-point."""
+        if self._segments is None:
+            self._segments = body_segments(self._model, self._surroundings, self._joints)
         return max(
             max(dist(now[0], before[0]), dist(now[1], before[1]))
             for now, before in zip(segments, self._segments, strict=True)

@@ -24,6 +24,7 @@ DATING = {
     "procedures/engine/journal.py",
     "procedures/reporting/report.py",
     "procedures/cli/run_case.py",
+    "procedures/exchange/sphere_files.py",
     "procedures/steps/set_up.py",
 }
 

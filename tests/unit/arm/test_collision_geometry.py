@@ -9,7 +9,7 @@ import pytest
 
 from ronna_hw.arm.capsule import Capsule, covering_ellipsoid, gap_mm
 from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.live_watch import LiveWatch, body_segments
+from ronna_hw.arm.live_watch import LiveWatch, body_segments, levers_mm
 from ronna_hw.arm.model import ArmVariant, arm_model, radians6
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.surroundings import Corridor, Surroundings
@@ -124,6 +124,27 @@ def test_planning_and_live_watch_see_the_same_bodies() -> None:
         watch = LiveWatch(MODEL, AROUND, CYCLE_S, vector)
         live = [watch._gap(number, watch._segments) for number in range(len(AROUND.pairs))]
         assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
+
+
+def test_no_body_moves_farther_than_the_levers_of_the_joints_say() -> None:
+    rng = random.Random(6)
+    levers = levers_mm(MODEL, AROUND)
+    largest = 0.0
+    for _ in range(2000):
+        start = tuple(rng.uniform(a, b) for a, b in zip(MODEL.lower_rad, MODEL.upper_rad, strict=True))
+        size = 10.0 ** rng.uniform(-5.0, 0.0)
+        end = tuple(angle + rng.uniform(-size, size) for angle in start)
+        bound = sum(lever * abs(b - a) for lever, a, b in zip(levers, start, end, strict=True))
+        moved = max(
+            math.dist(before, now)
+            for was, is_now in zip(
+                body_segments(MODEL, AROUND, start), body_segments(MODEL, AROUND, end), strict=True
+            )
+            for before, now in zip(was, is_now, strict=True)
+        )
+        assert moved <= bound * (1.0 + 1e-9)
+        largest = max(largest, moved / bound)
+    assert largest > 0.7  # and the bound is no wild guess
 
 
 def test_the_hand_ends_at_the_flange() -> None:
