@@ -1,5 +1,21 @@
-"""Two Basler cameras over GigE Vision, by a client of our own: no vendor library, no root."""
+"""Two Basler cameras over GigE Vision, by a client of our own: no vendor library, no root.
 
-from drivers.basler_stereo.pair import BaslerStereoPair
+`BaslerStereoPair` is resolved on first use: the reception process does not import what only the driver needs.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from drivers.basler_stereo.pair import BaslerStereoPair
 
 __all__ = ["BaslerStereoPair"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "BaslerStereoPair":
+        from drivers.basler_stereo.pair import BaslerStereoPair
+
+        return BaslerStereoPair
+    raise AttributeError(name)

@@ -7,13 +7,14 @@ packets are asked for again in growing intervals; when that is used up the frame
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from drivers.basler_stereo.gvsp import Leader, PacketHeader, decode_header, decode_leader
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
 
-RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32)  # after the last packet that came; then give up
+RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet that came; then give up
 OPEN_BLOCKS = 2  # the next image may begin before the last packets of this one are repeated
 RANGES_PER_ROUND = 64  # a request each; more is a link that carries nothing
 _GONE = frozenset(
@@ -31,9 +32,10 @@ class Frame:
 
     block_id: int
     leader: Leader | None
-    data: bytearray
+    data: bytearray | memoryview
     missing_packets: int
     resent_packets: int
+    slot: int = 0  # where `data` is, of the memory that the assembler was given
 
 
 @dataclass
@@ -51,7 +53,8 @@ class StreamCounters:
 @dataclass
 class _Block:
     block_id: int
-    data: bytearray
+    slot: int
+    data: bytearray | memoryview
     came: bytearray  # one flag per packet id, leader and trailer included
     leader: Leader | None = None
     left: int = 0
@@ -61,11 +64,19 @@ class _Block:
     gone: set[int] = field(default_factory=set)
 
 
-class FrameAssembler:
-    """Assembles the frames of one stream, whose payload and packet size are known from its set-up."""
+Claim = Callable[[], tuple[int, bytearray | memoryview]]
+"""Memory for the next frame, of the payload's size, and its number."""
 
-    def __init__(self, payload_bytes: int, packet_bytes: int) -> None:
+
+class FrameAssembler:
+    """Assembles the frames of one stream, whose payload and packet size are known from its set-up.
+
+    Frames are put where `claim` says, by default into memory of their own.
+    """
+
+    def __init__(self, payload_bytes: int, packet_bytes: int, claim: Claim | None = None) -> None:
         self._payload_bytes = payload_bytes
+        self._claim = claim or (lambda: (0, bytearray(payload_bytes)))
         self._data_bytes = packet_bytes - gev.GVSP_OVERHEAD_BYTES
         self._payload_packets = -(-payload_bytes // self._data_bytes)
         self._trailer_id = self._payload_packets + 1
@@ -77,6 +88,12 @@ class FrameAssembler:
     def waiting(self) -> bool:
         """True while a frame has begun and is not finished."""
         return bool(self._open)
+
+    def expect(self, block_id: int, from_s: float) -> None:
+        """A block has been triggered: from then on ask for it, even when not one of its packets came."""
+        if block_id in self._finished or block_id in self._open or len(self._open) >= OPEN_BLOCKS:
+            return
+        self._block(block_id).last_packet_s = from_s
 
     def accept(self, packet: memoryview, now_s: float) -> Frame | None:
         """Take one packet; returns the frame that it finishes, or one that gives way to a newer block."""
@@ -101,9 +118,11 @@ class FrameAssembler:
             ):
                 continue
             missing = [i for i in range(self._trailer_id + 1) if not block.came[i] and i not in block.gone]
-            if block.rounds >= len(RESEND_INTERVALS_S) or not missing:
+            used_up = block.rounds >= len(RESEND_INTERVALS_S)
+            # an expected block of which nothing came may be late: it is asked for until it gives way
+            if not missing or (used_up and block.left <= self._trailer_id):
                 return [], self._finish(block)
-            block.rounds += 1
+            block.rounds += not used_up
             block.last_packet_s = now_s
             ranges = _ranges(missing)[:RANGES_PER_ROUND]
             self.counters.resend_requests += len(ranges)
@@ -115,7 +134,7 @@ class FrameAssembler:
         if block is None:
             block = _Block(
                 block_id,
-                bytearray(self._payload_bytes),
+                *self._claim(),
                 bytearray(self._trailer_id + 1),
                 left=self._trailer_id + 1,
             )
@@ -152,20 +171,29 @@ class FrameAssembler:
             return block.leader is not None
         if packet_id == self._trailer_id:
             return header.kind == GvspFormat.TRAILER
-        begin = (packet_id - 1) * self._data_bytes
-        end = min(begin + self._data_bytes, self._payload_bytes)
+        begin, end = self._place(packet_id)
         if header.kind != GvspFormat.PAYLOAD or len(content) != end - begin:
             return False
         block.data[begin:end] = content
         return True
 
-    def _finish(self, block: _Block) -> Frame:
+    def _finish(self, block: _Block) -> Frame | None:
         del self._open[block.block_id]
+        if block.left > self._trailer_id:
+            return None  # expected, never seen
         self._finished = [*self._finished[-3:], block.block_id]
-        missing = sum(1 for i in range(1, self._trailer_id) if not block.came[i])
+        missing = [i for i in range(1, self._trailer_id) if not block.came[i]] if block.left else []
+        for packet_id in missing:
+            begin, end = self._place(packet_id)
+            block.data[begin:end] = bytes(end - begin)  # not the pixels of an earlier frame
         self.counters.frames += 1
-        self.counters.incomplete_frames += missing > 0 or block.leader is None
-        return Frame(block.block_id, block.leader, block.data, missing, block.resent)
+        self.counters.incomplete_frames += bool(missing) or block.leader is None
+        return Frame(block.block_id, block.leader, block.data, len(missing), block.resent, block.slot)
+
+    def _place(self, packet_id: int) -> tuple[int, int]:
+        """Where a payload packet's bytes belong."""
+        begin = (packet_id - 1) * self._data_bytes
+        return begin, min(begin + self._data_bytes, self._payload_bytes)
 
 
 def _ranges(numbers: list[int]) -> list[tuple[int, int]]:

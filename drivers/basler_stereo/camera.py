@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Callable
 
-from drivers.basler_stereo import set_up
+from drivers.basler_stereo import gvcp, set_up
 from drivers.basler_stereo.access import RegisterAccess
-from drivers.basler_stereo.assembly import Frame, FrameAssembler, StreamCounters
-from drivers.basler_stereo.control import ControlChannel
+from drivers.basler_stereo.assembly import Frame, StreamCounters
+from drivers.basler_stereo.control import Command, ControlChannel, register_write
 from drivers.basler_stereo.description import fetch_description, parse_description
 from drivers.basler_stereo.discovery import CameraIdentity, identify
 from drivers.basler_stereo.errors import CommandRefused, NoCamera
 from drivers.basler_stereo.features import FeatureMap
+from drivers.basler_stereo.gvsp import following
 from drivers.basler_stereo.heartbeat import Heartbeat, require_control
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.packet_size import choose_packet_bytes, point_stream_to
+from drivers.basler_stereo.pairing import Tie
 from drivers.basler_stereo.privilege import take_control
-from drivers.basler_stereo.reception import StreamReceiver, open_stream_socket
+from drivers.basler_stereo.reception import Reception, StreamReceiver
+from drivers.basler_stereo.stream_socket import open_stream_socket
+from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import gige_vision as gev
-from ronna_hw.wire.gige_vision import Bootstrap
+from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand
+
+PULSES_PER_TIMEOUT = 4  # signs of life from the reception process
 
 
 class Camera:
@@ -35,11 +42,15 @@ class Camera:
         self._access: RegisterAccess | None = None
         self._features: FeatureMap | None = None
         self._heartbeat: Heartbeat | None = None
+        self._reception: Reception | None = None
+        self._pulse: int | None = None
+        self._next_block: int | None = None
         self._receiver: StreamReceiver | None = None
         self._packet_bytes = 0
-        self._trigger = (0, 0)
+        self._trigger: Command | None = None
         self.area = AreaOfInterest(0, 0, 0, 0)
         self.tick_frequency_hz = gev.TICK_FREQUENCY_HZ
+        self.late_frames = 0
         self.lost: RonnaError | None = None  # set by the heartbeat
         self.notices: list[str] = []
 
@@ -67,9 +78,9 @@ class Camera:
         return self._receiver.counters if self._receiver else None
 
     @property
-    def trigger_write(self) -> tuple[ControlChannel, int, int]:
-        """Channel, register and value that trigger one frame."""
-        return (self.control, *self._trigger)
+    def trigger_command(self) -> Command | None:
+        """What triggers one frame; None when a line does."""
+        return self._trigger
 
     def connect(self, deadline_s: float) -> CameraIdentity:
         """Open the control channel and ask who is there; raises GEV-001, GEV-008. Takes no control."""
@@ -79,12 +90,13 @@ class Camera:
             raise NoCamera(f"no way to {self._address}", last=error.strerror) from error
         return identify(self._control, deadline_s)
 
-    def configure(self, deadline_s: float) -> None:
+    def configure(self, reception: Reception, deadline_s: float) -> None:
         """Take control, read the description, bring everything to a known state, find the packet size.
 
         Waits for the heartbeat of a controller that died. Raises GEV-005 when another application is
         in control; on any error control is given back.
         """
+        self._reception = reception
         try:
             self._take_control(deadline_s)
             nodes = parse_description(fetch_description(self.control, deadline_s))
@@ -116,22 +128,20 @@ class Camera:
         """Open the stream and start the acquisition; block ids begin anew."""
         self._until(deadline_s)
         payload = set_up.payload_bytes(self.features, self.area, self._options.pixel_format_code)
-        address, value = self.features.command_write("TriggerSoftware")
-        self._trigger = (address, int.from_bytes(value, "big"))
-        stream = open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes)
-        self._receiver = StreamReceiver(
-            stream,
-            FrameAssembler(payload, self._packet_bytes),
-            self.control.request_resend if self._options.resend else None,
-            self.side,
-        )
-        try:
-            point_stream_to(self.control, stream, deadline_s)
-            set_up.lock_transport(self.features, True)
-            self.features.execute("AcquisitionStart")
-        except BaseException:
-            self._close_receiver()
-            raise
+        self._trigger = self._trigger_of(self._options)
+        assert self._reception is not None, "the lifecycle allows this only while controlled"
+        self._next_block = None
+        with open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes) as stream:
+            self._receiver = self._reception.receive(
+                stream, self.control.link, payload, self._packet_bytes, self._options.resend
+            )
+            try:
+                point_stream_to(self.control, stream, deadline_s)
+                set_up.lock_transport(self.features, True)
+                self.features.execute("AcquisitionStart")
+            except BaseException:
+                self._close_receiver()
+                raise
 
     def stop(self, deadline_s: float) -> None:
         """Stop the acquisition and close the stream."""
@@ -143,9 +153,44 @@ class Camera:
         finally:
             self._close_receiver()
 
-    def take(self, deadline_s: float) -> Frame | None:
-        """The next frame, or None when none came by the deadline."""
-        return self.receiver.take(deadline_s)
+    def tie(self, clock: Clock, deadline_s: float) -> Tie | None:
+        """Its count of ticks now, tied to theatre time; None for a camera that cannot tell."""
+        if not self.tick_frequency_hz:
+            return None
+        try:
+            before_s = clock.now_s()
+            self.control.write_register(Bootstrap.TIMESTAMP_CONTROL, gev.TIMESTAMP_LATCH, deadline_s)
+            after_s = clock.now_s()
+            high = self.control.read_register(Bootstrap.TIMESTAMP_HIGH, deadline_s)
+            low = self.control.read_register(Bootstrap.TIMESTAMP_LOW, deadline_s)
+        except CommandRefused:
+            return None
+        ticks = high << 32 | low
+        if not ticks:
+            return None  # a register that is there and does nothing
+        half_s = (after_s - before_s) / 2.0
+        return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
+
+    def expect_next(self, patience_s: float) -> None:
+        """The frame after the last one was triggered. What came before it is no longer wanted."""
+        self.receiver.discard()
+        if self._trigger is None:
+            self._next_block = None  # a line fires when it likes
+            return
+        # cameras of this family begin with 1; of another one nothing is known before its first frame
+        self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
+
+    def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
+        """The frame of the last trigger, or None when it has not come by the deadline, or is `hopeless`.
+
+        Frames of earlier triggers that come late are thrown away.
+        """
+        while (frame := self.receiver.take(deadline_s, hopeless)) is not None:
+            if self._next_block is None or frame.block_id == self._next_block:
+                self._next_block = following(frame.block_id)
+                return frame
+            self.late_frames += 1
+        return None
 
     def check_control(self, deadline_s: float) -> None:
         """Raise GEV-007 when the camera does not answer, GEV-015 when it is no longer ours."""
@@ -156,6 +201,7 @@ class Camera:
         if self._heartbeat is not None:
             self._heartbeat.close()
             self._heartbeat = None
+        self._rest()
         try:
             if self._receiver is not None:
                 self.stop(deadline_s)
@@ -169,6 +215,7 @@ class Camera:
         with contextlib.suppress(RonnaError, OSError):
             if self._heartbeat is not None:
                 self.release(deadline_s)
+        self._rest()
         self._close_receiver()
         self._control.close()
         self._control = None
@@ -188,9 +235,10 @@ class Camera:
         set_ms = self.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
         if set_ms != wanted_ms:
             self.notices.append(f"{self.side}: heartbeat time-out is {set_ms} ms, not {wanted_ms} ms")
-        self._heartbeat = Heartbeat(
-            self.control, min(wanted_ms, set_ms or wanted_ms), self._note_lost, f"stereo-{self.side}"
-        )
+        timeout_ms = min(wanted_ms, set_ms or wanted_ms)
+        assert self._reception is not None, "set by configure"
+        self._pulse = self._reception.keep_alive(self.control.link, timeout_ms / 1000.0 / PULSES_PER_TIMEOUT)
+        self._heartbeat = Heartbeat(self.control, timeout_ms, self._note_lost, f"stereo-{self.side}")
 
     def _choose_packet_size(self, deadline_s: float) -> None:
         self.control.write_register(Bootstrap.SCPD, self._options.inter_packet_delay_ticks, deadline_s)
@@ -209,9 +257,23 @@ class Camera:
         low = self.control.read_register(Bootstrap.TICK_FREQUENCY_LOW, deadline_s)
         return high << 32 | low
 
+    def _trigger_of(self, options: BaslerOptions) -> Command | None:
+        if options.trigger == "software":
+            address, value = self.features.command_write("TriggerSoftware")
+            return register_write(address, int.from_bytes(value, "big"))
+        if options.trigger == "action":
+            keys = (options.action_device_key, options.action_group_key, set_up.ACTION_GROUP_MASK)
+            return GvcpCommand.ACTION, gvcp.action_command(*keys)
+        return None
+
     def _until(self, deadline_s: float) -> None:
         assert self._access is not None, "the lifecycle allows this only while controlled"
         self._access.deadline_s = max(deadline_s, time.monotonic())
+
+    def _rest(self) -> None:
+        if self._pulse is not None and self._reception is not None:
+            self._reception.end_keep_alive(self._pulse)
+        self._pulse = None
 
     def _note_lost(self, error: RonnaError) -> None:
         self.lost = error

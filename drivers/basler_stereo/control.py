@@ -17,7 +17,9 @@ from ronna_hw.wire.gige_vision import GvcpCommand
 FIRST_TRY_S = 0.2  # a camera answers within milliseconds; afterwards each try waits twice as long
 COMMAND_LIMIT_S = 1.5  # of one command with its repetitions, unless the caller's deadline is nearer
 REFUSED_PAUSE_S = 0.05  # between tries while the host says that nobody listens there
+OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id is the reception process', for its signs of life
 DATAGRAM_LIMIT_BYTES = 65_536
+LAST_LOOK_S = 1e-3  # for an answer that came while the host gave us no time
 
 
 class ControlChannel:
@@ -50,6 +52,11 @@ class ControlChannel:
     def local_address(self) -> str:
         """The host's address on the way to the camera."""
         return str(self._socket.getsockname()[0])
+
+    @property
+    def link(self) -> socket.socket:
+        """For the reception process, which asks for repetitions and shows that we live."""
+        return self._socket
 
     def close(self) -> None:
         """Let go of the socket."""
@@ -90,11 +97,6 @@ class ControlChannel:
         what = f"writing memory at 0x{address:X}"
         self.ask(GvcpCommand.WRITEMEM, gvcp.write_memory_command(address, data), deadline_s, what)
 
-    def request_resend(self, block_id: int, first: int, last: int) -> None:
-        """Ask for stream packets once more. Nothing comes back on this channel, so nothing is awaited."""
-        with contextlib.suppress(OSError):
-            self._socket.send(gvcp.encode_resend(self._next_id(), block_id, first, last))
-
     def ask(self, command: GvcpCommand, payload: bytes, deadline_s: float, what: str) -> bytes:
         """Send a command and return the payload of its answer; raises GEV-006, GEV-007."""
         with self._lock:
@@ -110,7 +112,10 @@ class ControlChannel:
         self, command: GvcpCommand, request_id: int, datagram: bytes, deadline_s: float, what: str
     ) -> bytes:
         """Await the answer to a command that has been sent; repeat it while none comes."""
-        limit_s = min(deadline_s, self._monotonic() + COMMAND_LIMIT_S)
+        # a deadline that passed while we waited for our turn or for the computer still allows one try
+        begun_s = self._monotonic()
+        deadline_s = max(deadline_s, begun_s + FIRST_TRY_S)
+        limit_s = min(deadline_s, begun_s + COMMAND_LIMIT_S)
         patience_s = FIRST_TRY_S
         while True:
             answer = self._receive(
@@ -127,8 +132,12 @@ class ControlChannel:
         self, command: GvcpCommand, request_id: int, until_s: float, deadline_s: float
     ) -> gvcp.Answer | None:
         """The answer with that request id, or None when it has not come by `until_s`."""
-        while (left_s := until_s - self._monotonic()) > 0:
-            self._socket.settimeout(left_s)
+        while True:
+            # also after the time: what came while the host stalled is an answer in time
+            left_s = until_s - self._monotonic()
+            if left_s < -COMMAND_LIMIT_S:
+                return None  # nothing but strangers' datagrams
+            self._socket.settimeout(max(LAST_LOOK_S, left_s))
             try:
                 datagram = self._socket.recv(DATAGRAM_LIMIT_BYTES)
             except TimeoutError:
@@ -145,7 +154,6 @@ class ControlChannel:
                 continue
             if answer.command == command + 1:
                 return answer
-        return None
 
     def _send(self, datagram: bytes) -> None:
         # an error here (network down, nobody listens) shows as a missing answer, which is reported in words
@@ -154,31 +162,38 @@ class ControlChannel:
 
     def _next_id(self) -> int:
         with self._id_lock:
-            self._request_id = self._request_id % gev.REQUEST_ID_LAST + gev.REQUEST_ID_FIRST
+            self._request_id = self._request_id % OWN_IDS_LAST + gev.REQUEST_ID_FIRST
             return self._request_id
 
 
-def write_together(
-    writes: Sequence[tuple[ControlChannel, int, int]], deadline_s: float, what: str
+Command = tuple[GvcpCommand, bytes]
+"""A command and its payload."""
+
+
+def register_write(address: int, value: int) -> Command:
+    """The command that sets one register."""
+    return GvcpCommand.WRITEREG, gvcp.write_register_command(address, value)
+
+
+def send_together(
+    commands: Sequence[tuple[ControlChannel, Command]], deadline_s: float, what: str
 ) -> list[Exception | None]:
-    """Write one register on each of several channels as nearly at once as one host can.
+    """Send a command on each of several channels as nearly at once as one host can.
 
     All commands leave before the first answer is awaited. Returns per channel None, or what went wrong.
     """
     results: list[Exception | None] = []
     with ExitStack() as locks:
-        for channel, _, _ in writes:
+        for channel, _ in commands:
             locks.enter_context(channel._lock)
-        sent = []
-        for channel, address, value in writes:
-            request_id, datagram = channel._prepare(
-                GvcpCommand.WRITEREG, gvcp.write_register_command(address, value)
-            )
+        prepared = [
+            (channel, code, *channel._prepare(code, payload)) for channel, (code, payload) in commands
+        ]
+        for channel, _, _, datagram in prepared:
             channel._send(datagram)
-            sent.append((channel, request_id, datagram))
-        for channel, request_id, datagram in sent:
+        for channel, code, request_id, datagram in prepared:
             try:
-                channel._finish(GvcpCommand.WRITEREG, request_id, datagram, deadline_s, what)
+                channel._finish(code, request_id, datagram, deadline_s, what)
                 results.append(None)
             except (NoAnswer, CommandRefused) as error:
                 results.append(error)

@@ -123,3 +123,10 @@ class BadOptions(ConfigurationError):
 
     code = "GEV-016"
     action = "Correct the options; the reference lists every key."
+
+
+class ReceptionEnded(DeviceError):
+    """The driver's own process that receives the images has ended."""
+
+    code = "GEV-017"
+    action = "Recover; the process is started anew. If it ends again, look for what ends it (memory, limits)."

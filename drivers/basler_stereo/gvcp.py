@@ -78,6 +78,11 @@ def register_value(payload: bytes, what: str) -> int:
     return int(_U32.unpack(payload)[0])
 
 
+def action_command(device_key: int, group_key: int, group_mask: int) -> bytes:
+    """Payload of an ACTION that is carried out at once."""
+    return struct.pack(gev.ACTION_COMMAND, device_key, group_key, group_mask)
+
+
 def write_register_command(address: int, value: int) -> bytes:
     """Payload of a WRITEREG of one register."""
     return struct.pack(gev.WRITEREG_ITEM, address, value)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.wire import gige_vision as gev
+
+if TYPE_CHECKING:
+    from ronna_hw.devices.readings import AreaOfInterest
 
 _HEADER = struct.Struct(gev.GVSP_HEADER)
 _LEADER = struct.Struct(gev.GVSP_LEADER)
@@ -26,8 +28,18 @@ class Leader(NamedTuple):
 
     ticks: int
     pixel_format: int
-    area: AreaOfInterest
+    offset_x: int
+    offset_y: int
+    width: int
+    height: int
     padding_x: int
+
+    @property
+    def area(self) -> AreaOfInterest:
+        """The part of the sensor. Imported here: the reception process needs no readings, nor numpy."""
+        from ronna_hw.devices.readings import AreaOfInterest
+
+        return AreaOfInterest(self.offset_x, self.offset_y, self.width, self.height)
 
 
 def decode_header(packet: memoryview) -> PacketHeader | None:
@@ -48,7 +60,7 @@ def decode_leader(content: memoryview) -> Leader | None:
     _, payload_type, ticks, pixel_format, width, height, x, y, padding_x, _ = _LEADER.unpack_from(content)
     if payload_type != gev.PayloadType.IMAGE:
         return None
-    return Leader(ticks, pixel_format, AreaOfInterest(x, y, width, height), padding_x)
+    return Leader(ticks, pixel_format, x, y, width, height, padding_x)
 
 
 def following(block_id: int) -> int:

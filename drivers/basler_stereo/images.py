@@ -10,7 +10,14 @@ from drivers.basler_stereo.set_up import image_bytes
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.wire.gige_vision import PixelFormat
 
-_WORST_FIRST = (Validity.MISSING, Validity.CORRUPT, Validity.PARTIAL, Validity.OK)
+_WORST_FIRST = (
+    Validity.MISSING,
+    Validity.CORRUPT,
+    Validity.UNPAIRED,
+    Validity.STALE,
+    Validity.PARTIAL,
+    Validity.OK,
+)
 
 
 def camera_image(
@@ -20,6 +27,7 @@ def camera_image(
     pixel_format: PixelFormat,
     sequence: int,
     theatre_time_s: float,
+    measured_s: float | None = None,
 ) -> CameraImage | None:
     """The reading of one side; None without a leader, since such a frame has no time and no shape.
 
@@ -36,7 +44,7 @@ def camera_image(
     )
     validity = Validity.PARTIAL if frame.missing_packets else Validity.OK
     return CameraImage(
-        stamp=Stamp(sequence, frame.leader.ticks, theatre_time_s),
+        stamp=Stamp(sequence, frame.leader.ticks, theatre_time_s, measured_s),
         validity=validity if as_set else Validity.CORRUPT,
         serial=serial,
         pixels=pixels_of(frame.data, area, pixel_format),
@@ -46,18 +54,26 @@ def camera_image(
 
 
 def stereo_reading(
-    left: CameraImage | None, right: CameraImage | None, sequence: int, theatre_time_s: float
+    left: CameraImage | None,
+    right: CameraImage | None,
+    sequence: int,
+    theatre_time_s: float,
+    match: Validity = Validity.OK,
 ) -> StereoReading:
-    """Both sides of one trigger; as valid as the worse of them. Its device clock is the left one's."""
+    """Both sides of one trigger; as valid as the worst of them and of how they match.
+
+    Its device clock is the left one's.
+    """
     present = left or right
     ticks = present.stamp.device_clock if present else 0
     validities = [side.validity if side else Validity.MISSING for side in (left, right)]
-    worst = next(validity for validity in _WORST_FIRST if validity in validities)
-    return StereoReading(Stamp(sequence, ticks, theatre_time_s), worst, left, right)
+    worst = next(validity for validity in _WORST_FIRST if validity in (*validities, match))
+    measured_s = present.stamp.measured_s if present else None
+    return StereoReading(Stamp(sequence, ticks, theatre_time_s, measured_s), worst, left, right)
 
 
 def pixels_of(
-    data: bytearray, area: AreaOfInterest, pixel_format: PixelFormat
+    data: bytearray | memoryview, area: AreaOfInterest, pixel_format: PixelFormat
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Rows and columns of grey values, 8 or 12 bits; read-only."""
     pixels: NDArray[np.uint8] | NDArray[np.uint16]

@@ -35,6 +35,10 @@ class BaslerOptions(Strict):
     inter_packet_delay_ticks: Annotated[int, Field(ge=0)] = 0
     heartbeat_ms: Annotated[int, Field(ge=gev.HEARTBEAT_MINIMUM_MS, le=60_000)] = 3000
     resend: bool = True
+    trigger: Literal["software", "action", "line1"] = "software"
+    action_device_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 0x524F_4E4E  # "RONN"
+    action_group_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 1
+    pair_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 50.0  # between the exposures of one pair
     receive_buffer_bytes: Annotated[int, Field(ge=65_536)] = 4 * 1024 * 1024
     load_default_user_set: bool = True  # start from the camera's factory settings
 

@@ -7,7 +7,7 @@ import socket
 from drivers.basler_stereo.control import ControlChannel
 from drivers.basler_stereo.errors import PacketTooLarge
 from drivers.basler_stereo.options import SMALLEST_PACKET_BYTES
-from drivers.basler_stereo.reception import probe_arrives
+from drivers.basler_stereo.stream_socket import probe_arrives
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 

@@ -7,30 +7,29 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from drivers.basler_stereo.assembly import Frame, StreamCounters
+from drivers.basler_stereo.assembly import StreamCounters
 from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.control import write_together
 from drivers.basler_stereo.discovery import CameraIdentity, check_pair, pair_identity
 from drivers.basler_stereo.errors import (
     CameraLost,
     CommandRefused,
     ControlLost,
     NoAnswer,
-    TriggerMissed,
+    ReceptionEnded,
     WrongSerial,
 )
-from drivers.basler_stereo.images import camera_image, stereo_reading
+from drivers.basler_stereo.grabbing import PairGrabber
 from drivers.basler_stereo.options import read_options
+from drivers.basler_stereo.reception import Reception
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard
-from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading
+from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
 CLOSE_LIMIT_S = 1.0  # for the farewell to each camera; a dead one costs no more
-ALIVE_LIMIT_S = 0.5  # to find out whether a camera that sent nothing is still there
-_FAULTS = (CameraLost, ControlLost)  # latched; left only by `recover`
+_FAULTS = (CameraLost, ControlLost, ReceptionEnded)  # latched; left only by `recover`
 
 T = TypeVar("T")
 
@@ -48,12 +47,12 @@ class BaslerStereoPair:
         self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
         self._guard = LifecycleGuard(name)
         self._cameras: tuple[Camera, Camera] | None = None
+        self._reception: Reception | None = None
+        self._grabber: PairGrabber | None = None
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
         self._exposure = (self._options.exposure_us, self._options.gain_raw)
         self._sequence = 0
-        self._out_of_step = False
-        self._block_ids: tuple[int | None, int | None] = (None, None)
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
@@ -102,7 +101,7 @@ class BaslerStereoPair:
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
         """Block ids of the last pair, None for a side that did not come. They begin anew with each stream."""
-        return self._block_ids
+        return self._grabber.block_ids if self._grabber else (None, None)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers; takes no control.
@@ -128,13 +127,13 @@ class BaslerStereoPair:
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start both streams; the cameras then wait for triggers."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
-        self._watched(lambda: self._start(time.monotonic() + timeout_s))
+        self._watched(lambda: self._streams.begin(time.monotonic() + timeout_s))
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop both streams; control is kept."""
         self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
-        self._watched(lambda: self._stop(time.monotonic() + timeout_s))
+        self._watched(lambda: self._streams.end(time.monotonic() + timeout_s))
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
@@ -159,14 +158,17 @@ class BaslerStereoPair:
 
         self._watched(change)
         self._exposure = (exposure_us, gain_raw)
+        self._streams.exposure_us = exposure_us
 
-    def grab_pair(self, timeout_s: float = 2.0) -> StereoReading:
-        """Trigger both cameras once and return the pair of that trigger.
+    def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
+        """Trigger both cameras once and return the pair of that trigger; with trigger `line1`, await one.
 
-        A side of which no image came is None and the reading MISSING, as long as its camera answers.
-        Raises GEV-013 when neither side sent one, and, with FAULT latched, GEV-014 (a camera is gone) or
-        GEV-015 (control lost). After a missing image the streams begin anew, so that a late one is never
-        taken for that of the next trigger.
+        A side of which no image came is None and the reading MISSING, as long as its camera answers; two
+        images that are not of one moment are UNPAIRED, two that are older than the trigger STALE. Cameras
+        that both sent nothing are triggered once more. Raises GEV-013 when there is still nothing, and,
+        with FAULT latched, GEV-014 (a camera is gone), GEV-015 (control lost) or GEV-017 (our reception
+        ended). After a pair that is not whole the streams begin anew, so that a late image is never taken
+        for that of the next trigger.
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
         return self._watched(lambda: self._grab(time.monotonic() + timeout_s))
@@ -206,6 +208,11 @@ class BaslerStereoPair:
         assert self._cameras is not None, "the lifecycle allows this call only with cameras"
         return self._cameras
 
+    @property
+    def _streams(self) -> PairGrabber:
+        assert self._grabber is not None, "the lifecycle allows this call only with controlled cameras"
+        return self._grabber
+
     def _watched(self, work: Callable[[], T]) -> T:
         """Do one piece of work; a camera that is gone or no longer ours latches FAULT."""
         try:
@@ -216,6 +223,12 @@ class BaslerStereoPair:
         except _FAULTS as fault:
             self._guard.latch(fault)
             raise
+        except CommandRefused as error:
+            if error.status != GevStatus.ACCESS_DENIED:
+                raise
+            taken = ControlLost("a camera refuses our commands", last=error.what)
+            self._guard.latch(taken)
+            raise taken from error
         except NoAnswer as error:
             lost = CameraLost("a camera no longer answers", last=error.what)
             self._guard.latch(lost)
@@ -233,43 +246,33 @@ class BaslerStereoPair:
 
     def _set_up(self, deadline_s: float) -> None:
         done: list[Camera] = []
+        self._end_reception()
+        self._reception = Reception()
         try:
             for camera in self._pair:
                 camera.notices.clear()
-                camera.configure(deadline_s)
+                camera.configure(self._reception, deadline_s)
                 done.append(camera)
         except BaseException:
             for camera in done:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.release(deadline_s)
+            self._end_reception()
             raise
+        self._grabber = PairGrabber(self._pair, self.serials, self._clock, self._options)
 
     def _restore(self, deadline_s: float) -> None:
         for camera, area in zip(self._pair, self._areas or (), strict=False):
             camera.set_area(area, deadline_s)
         for camera in self._pair:
             camera.set_exposure(*self._exposure, deadline_s)
-
-    def _start(self, deadline_s: float) -> None:
-        left, right = self._pair
-        left.start(deadline_s)
-        try:
-            right.start(deadline_s)
-        except BaseException:
-            with contextlib.suppress(RonnaError, OSError):
-                left.stop(deadline_s)
-            raise
-        self._out_of_step = False
-
-    def _stop(self, deadline_s: float) -> None:
-        for camera in self._pair:
-            camera.stop(deadline_s)
+        self._streams.exposure_us = self._exposure[0]
 
     def _change_areas(self, areas: tuple[AreaOfInterest, AreaOfInterest], deadline_s: float) -> None:
         running = self._guard.state is Lifecycle.ACTIVE
         before = self.areas
         if running:
-            self._stop(deadline_s)
+            self._streams.end(deadline_s)
         try:
             for camera, area in zip(self._pair, areas, strict=True):
                 camera.set_area(area, deadline_s)
@@ -279,71 +282,23 @@ class BaslerStereoPair:
             raise
         finally:
             if running:
-                self._start(deadline_s)
+                self._streams.begin(deadline_s)
 
     def _grab(self, deadline_s: float) -> StereoReading:
-        if self._out_of_step:
-            self._stop(deadline_s)
-            self._start(deadline_s)
-        left, right = self._pair
-        for camera in (left, right):
-            camera.receiver.discard()
-        theatre_time_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
-        self._trigger(deadline_s)
-        frames = (left.take(deadline_s), right.take(deadline_s))
-        left_id, right_id = (frame.block_id if frame else None for frame in frames)
-        self._block_ids = (left_id, right_id)
-        if None in frames:
-            self._out_of_step = True
-            self._explain_absence(frames)
+        reading = self._streams.grab(self._sequence + 1, deadline_s)
         self._sequence += 1
-        images = [
-            self._image(camera, frame, serial, theatre_time_s)
-            for camera, frame, serial in zip((left, right), frames, self.serials, strict=True)
-        ]
-        return stereo_reading(images[0], images[1], self._sequence, theatre_time_s)
-
-    def _trigger(self, deadline_s: float) -> None:
-        writes = [camera.trigger_write for camera in self._pair]
-        for camera, result in zip(self._pair, write_together(writes, deadline_s, "the trigger"), strict=True):
-            if isinstance(result, NoAnswer):
-                raise CameraLost(f"the {camera.side} camera does not answer the trigger") from result
-            if isinstance(result, CommandRefused) and result.status == GevStatus.ACCESS_DENIED:
-                raise ControlLost(f"the {camera.side} camera refuses our trigger") from result
-            if result is not None:
-                raise result
-
-    def _explain_absence(self, frames: tuple[Frame | None, Frame | None]) -> None:
-        """Find out why a frame did not come: raises GEV-014 or GEV-015 for its camera, GEV-013 for both."""
-        for camera, frame in zip(self._pair, frames, strict=True):
-            if frame is not None:
-                continue
-            try:
-                camera.check_control(time.monotonic() + ALIVE_LIMIT_S)
-            except NoAnswer as error:
-                raise CameraLost(f"the {camera.side} camera no longer answers") from error
-        if frames == (None, None):
-            raise TriggerMissed(
-                "no image after a trigger",
-                awaited="an image from either camera",
-                last="packets came, no whole image"
-                if any(camera.receiver.begun for camera in self._pair)
-                else "not one packet",
-            )
-
-    def _image(
-        self, camera: Camera, frame: Frame | None, serial: str, theatre_time_s: float
-    ) -> CameraImage | None:
-        if frame is None:
-            return None
-        return camera_image(
-            frame, serial, camera.area, self._options.pixel_format_code, self._sequence, theatre_time_s
-        )
+        return reading
 
     def _let_go(self) -> None:
         if self._cameras is not None:
             _close_all(self._cameras)
-        self._cameras = None
+        self._cameras = self._grabber = None
+        self._end_reception()
+
+    def _end_reception(self) -> None:
+        if self._reception is not None:
+            self._reception.close()
+        self._reception = None
 
 
 def _close_all(cameras: tuple[Camera, Camera]) -> None:

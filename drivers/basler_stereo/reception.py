@@ -1,145 +1,159 @@
-"""Receives one camera's stream in a thread of its own and hands out whole frames."""
+"""The driver's side of the reception process: started, told what to receive, asked for frames."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
+import os
 import select
 import socket
-import struct
-import threading
+import subprocess
+import sys
 import time
-from collections import deque
 from collections.abc import Callable
 
-from drivers.basler_stereo.assembly import Frame, FrameAssembler, StreamCounters
-from ronna_hw.wire import gige_vision as gev
+from drivers.basler_stereo.assembly import Frame, StreamCounters
+from drivers.basler_stereo.errors import ReceptionEnded
+from drivers.basler_stereo.reception_orders import (
+    Beat,
+    CloseStream,
+    Expect,
+    OpenStream,
+    Order,
+    Rest,
+    send_order,
+)
+from drivers.basler_stereo.slots import NOTE_BYTES, FrameSlots
 
-DATAGRAM_LIMIT_BYTES = 65_536
-IDLE_WAIT_S = 0.5  # between looks at whether to end, while no frame has begun
-FRAME_WAIT_S = 0.01  # while one has: how soon a pause is noticed
-KEPT_FRAMES = 8  # nobody fetched more than that: the oldest go
-JOIN_LIMIT_S = 1.0
-
-RequestResend = Callable[[int, int, int], None]
-
-
-def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.socket:
-    """A socket for the stream on a free port of the host's address."""
-    stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    # The kernel caps the size at net.core.rmem_max; what does not fit is lost and asked for again.
-    stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
-    stream.bind((local_address, 0))
-    return stream
+END_LIMIT_S = 2.0
+LOOK_UP_S = 0.1  # while waiting for a frame: how soon it is noticed that none can come
 
 
-def probe_arrives(stream: socket.socket, packet_bytes: int, limit_s: float) -> bool:
-    """True when a datagram with that packet size comes within the limit; others are thrown away."""
-    deadline_s = time.monotonic() + limit_s
-    while (left_s := deadline_s - time.monotonic()) > 0:
-        if not select.select([stream], [], [], left_s)[0]:
-            return False
-        if len(stream.recv(DATAGRAM_LIMIT_BYTES)) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
-            return True
-    return False
+class Reception:
+    """One process for the streams of all cameras; it ends when `close` is called or its parent dies."""
+
+    def __init__(self) -> None:
+        self._orders, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._numbers = itertools.count(1)
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "drivers.basler_stereo.reception_process", str(theirs.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(),),
+            )
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def receive(
+        self,
+        stream: socket.socket,
+        control: socket.socket,
+        payload_bytes: int,
+        packet_bytes: int,
+        resend: bool,
+    ) -> StreamReceiver:
+        """Have a stream received; `control` is where repetitions are asked for. Raises GEV-017."""
+        number = next(self._numbers)
+        memory = FrameSlots.allocate(payload_bytes)
+        try:
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            with theirs:
+                order = OpenStream(number, payload_bytes, packet_bytes, resend)
+                self._tell(order, stream.fileno(), control.fileno(), memory, theirs.fileno())
+            return StreamReceiver(self._tell, number, FrameSlots(memory, payload_bytes), ours)
+        finally:
+            os.close(memory)
+
+    def keep_alive(self, control: socket.socket, period_s: float) -> int:
+        """Send a camera signs of life; returns the number to end them with. Raises GEV-017."""
+        number = next(self._numbers)
+        self._tell(Beat(number, period_s), control.fileno())
+        return number
+
+    def end_keep_alive(self, number: int) -> None:
+        """No more signs of life."""
+        with contextlib.suppress(ReceptionEnded):
+            self._tell(Rest(number))
+
+    def close(self) -> None:
+        """End the process, within two seconds."""
+        self._orders.close()
+        try:
+            self._process.wait(END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _tell(self, order: Order, *descriptors: int) -> None:
+        try:
+            send_order(self._orders, order, descriptors)
+        except OSError as error:
+            raise ReceptionEnded("the process that receives images has ended", last=str(error)) from error
 
 
 class StreamReceiver:
-    """Owns the stream's socket and its thread; `request_resend` asks the camera for packets."""
+    """The frames of one stream, fetched from shared memory in the order in which they were finished."""
 
     def __init__(
-        self,
-        stream: socket.socket,
-        assembler: FrameAssembler,
-        request_resend: RequestResend | None,
-        name: str,
+        self, tell: Callable[[Order], None], number: int, slots: FrameSlots, notes: socket.socket
     ) -> None:
-        self._socket = stream
-        self._assembler = assembler
-        self._request_resend = request_resend
-        self._frames: deque[Frame] = deque(maxlen=KEPT_FRAMES)
-        self._changed = threading.Condition()
-        self._ending = False
-        self._thread = threading.Thread(target=self._run, name=f"{name}-stream", daemon=True)
-        self._thread.start()
-
-    @property
-    def port(self) -> int:
-        """Where the camera has to send."""
-        return int(self._socket.getsockname()[1])
+        self._tell = tell
+        self._number = number
+        self._slots = slots
+        self._notes = notes
 
     @property
     def counters(self) -> StreamCounters:
         """What happened since the stream was opened."""
-        return self._assembler.counters
+        return self._slots.counters()
 
     @property
     def begun(self) -> bool:
         """True when any packet came since the stream was opened."""
-        return self._assembler.counters.packets > 0
+        return self.counters.packets > 0
 
-    def take(self, deadline_s: float) -> Frame | None:
-        """The oldest frame not yet taken, or None when none is there by the deadline (host monotonic)."""
-        with self._changed:
-            while not self._frames:
-                left_s = deadline_s - time.monotonic()
-                if left_s <= 0 or self._ending or not self._changed.wait(left_s):
-                    break
-            return self._frames.popleft() if self._frames else None
+    def expect(self, block_id: int, patience_s: float) -> None:
+        """A block was triggered; have it asked for when nothing of it has come after `patience_s`."""
+        self._tell(Expect(self._number, block_id, patience_s))
+
+    def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
+        """The oldest frame not yet taken, or None when none is there by the deadline (host monotonic).
+
+        Also None as soon as `hopeless()`. Raises GEV-017.
+        """
+        while True:
+            left_s = deadline_s - time.monotonic()
+            # what is there is taken even when the deadline has passed
+            if select.select([self._notes], [], [], max(0.0, min(left_s, LOOK_UP_S)))[0]:
+                frame = self._slots.fetch(self._next_note())
+                if frame is not None:
+                    return frame
+            elif left_s <= 0 or hopeless():
+                return None
 
     def discard(self) -> int:
-        """Throw away the frames that nobody took; returns how many."""
-        with self._changed:
-            count = len(self._frames)
-            self._frames.clear()
-            return count
+        """Throw away the frames that nobody took; returns how many. Raises GEV-017."""
+        count = 0
+        while select.select([self._notes], [], [], 0.0)[0]:
+            self._next_note()
+            count += 1
+        return count
 
     def close(self) -> None:
-        """End the thread and the socket, within a second."""
-        self._ending = True
-        with contextlib.suppress(OSError):  # an empty datagram wakes the thread
-            self._socket.sendto(b"", self._socket.getsockname())
-        self._thread.join(JOIN_LIMIT_S)
-        self._socket.close()
+        """Let go of the stream."""
+        with contextlib.suppress(ReceptionEnded):
+            self._tell(CloseStream(self._number))
+        self._notes.close()
 
-    def _run(self) -> None:
-        buffer = bytearray(DATAGRAM_LIMIT_BYTES)
-        view = memoryview(buffer)
-        wait_s = 0.0
-        while not self._ending:
-            wanted_s = FRAME_WAIT_S if self._assembler.waiting else IDLE_WAIT_S
-            if wanted_s != wait_s:
-                wait_s = wanted_s
-                _set_receive_limit(self._socket, wait_s)
-            frame = None
-            try:
-                size = self._socket.recv_into(buffer)
-                frame = self._assembler.accept(view[:size], time.monotonic())
-            except BlockingIOError:  # nothing came within the limit
-                pass
-            except OSError:
-                break  # the socket is closed
-            if frame is not None:
-                self._hand_out(frame)
-            if self._assembler.waiting:
-                self._chase()
-
-    def _chase(self) -> None:
-        ranges, given_up = self._assembler.overdue(time.monotonic())
-        if self._request_resend is not None:
-            for block_id, first, last in ranges:
-                self._request_resend(block_id, first, last)
-        if given_up is not None:
-            self._hand_out(given_up)
-
-    def _hand_out(self, frame: Frame) -> None:
-        with self._changed:
-            self._frames.append(frame)
-            self._changed.notify_all()
-
-
-def _set_receive_limit(stream: socket.socket, limit_s: float) -> None:
-    """The kernel's own time limit: one system call per packet, where Python's would take two."""
-    seconds, rest_s = divmod(limit_s, 1.0)
-    stream.setsockopt(
-        socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", int(seconds), round(rest_s * 1e6))
-    )
+    def _next_note(self) -> bytes:
+        try:
+            note = self._notes.recv(NOTE_BYTES)
+        except OSError as error:
+            raise ReceptionEnded("the process that receives images has ended", last=str(error)) from error
+        if not note:
+            raise ReceptionEnded("the process that receives images has ended")
+        return note

@@ -16,7 +16,9 @@ SENSOR_WIDTH_NAMES = ("SensorWidth", "WidthMax")
 SENSOR_HEIGHT_NAMES = ("SensorHeight", "HeightMax")
 
 FRAME_TRIGGER = "FrameStart"
-SOFTWARE = "Software"
+SOFTWARE, ACTION, LINE = "Software", "Action1", "Line1"
+TRIGGER_SOURCES = {"software": SOFTWARE, "action": ACTION, "line1": LINE}
+ACTION_GROUP_MASK = 1
 # what would change images behind our back, where a camera has it
 _FIXED_CHOICES = (
     ("ExposureMode", "Timed"),
@@ -38,7 +40,7 @@ def apply_known_state(features: FeatureMap, options: BaslerOptions) -> None:
     for name, entry in _FIXED_CHOICES:
         if features.has(name) and entry in features.entries(name):
             features.choose(name, entry)
-    arm_software_trigger(features)
+    arm_trigger(features, options)
     features.choose("PixelFormat", options.pixel_format)
     set_exposure(features, options.exposure_us, options.gain_raw)
 
@@ -49,15 +51,25 @@ def lock_transport(features: FeatureMap, locked: bool) -> None:
         features.set_number("TLParamsLocked", int(locked))
 
 
-def arm_software_trigger(features: FeatureMap) -> None:
-    """One frame per software trigger, every other kind of trigger off; raises GEV-010."""
-    if not features.has("TriggerSoftware"):
+def arm_trigger(features: FeatureMap, options: BaslerOptions) -> None:
+    """One frame per trigger of the wanted source, every other kind of trigger off; raises GEV-010.
+
+    An old firmware may lack the action trigger: then its name is not among the entries.
+    """
+    source = TRIGGER_SOURCES[options.trigger]
+    if source == SOFTWARE and not features.has("TriggerSoftware"):
         raise MissingFeature("the camera has no software trigger")
     for kind in features.entries("TriggerSelector"):
         features.choose("TriggerSelector", kind)
         features.choose("TriggerMode", "Off")
     features.choose("TriggerSelector", FRAME_TRIGGER)
-    features.choose("TriggerSource", SOFTWARE)
+    features.choose("TriggerSource", source)
+    if source == ACTION:
+        features.set_number("ActionDeviceKey", options.action_device_key)
+        if features.has("ActionSelector"):
+            features.set_number("ActionSelector", 1)
+        features.set_number("ActionGroupKey", options.action_group_key)
+        features.set_number("ActionGroupMask", ACTION_GROUP_MASK)
     features.choose("TriggerMode", "On")
 
 

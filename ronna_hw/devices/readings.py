@@ -31,6 +31,7 @@ class Validity(StrEnum):
     OUT_OF_VOLUME = "out_of_volume"
     STALE = "stale"
     CORRUPT = "corrupt"
+    UNPAIRED = "unpaired"  # of a pair of images: they are not of one moment
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,11 @@ class CameraImage:
 
 @dataclass(frozen=True)
 class StereoReading:
-    """A pair of frames of one trigger. PARTIAL: packets are missing; MISSING: a side did not come."""
+    """A pair of frames of one trigger.
+
+    PARTIAL: packets are missing; MISSING: a side did not come; UNPAIRED: the sides are not of one moment;
+    STALE: both are older than the trigger.
+    """
 
     stamp: Stamp
     validity: Validity

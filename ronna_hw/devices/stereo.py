@@ -25,6 +25,6 @@ class StereoPair(Device, Protocol):
         """Set both cameras alike; values outside the device's limits raise LimitError."""
         ...
 
-    def grab_pair(self, timeout_s: float = 2.0) -> StereoReading:
+    def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Trigger both cameras once and return the pair of that trigger. Allowed in ACTIVE."""
         ...

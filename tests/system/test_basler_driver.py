@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from drivers.basler_stereo.errors import (
     NoCamera,
     OutOfRange,
     PacketTooLarge,
+    ReceptionEnded,
     TriggerMissed,
     WrongModel,
     WrongSerial,
@@ -447,10 +449,12 @@ def test_close_is_bounded_with_cameras_that_hear_but_do_not_answer(pair, peers):
     assert time.monotonic() - start_s < 6.0
 
 
-def test_close_gives_control_back_and_leaves_no_thread(pair, make_pair):
+def test_close_gives_control_back_and_leaves_no_thread_and_no_process(pair, make_pair):
     before = threading.active_count()
+    reception = pair._reception.pid
     pair.close()
-    assert threading.active_count() <= before - 4
+    assert threading.active_count() <= before - 2
+    assert not Path(f"/proc/{reception}").exists()
     second = make_pair()
     second.connect(2.0)
     second.configure(5.0)
@@ -464,3 +468,56 @@ def test_grabbing_is_refused_before_activate(make_pair):
     with pytest.raises(WrongState, match="DEV-001"):
         _ = device.areas
     assert device.serials == ("", "")
+
+
+@pytest.mark.hazard(4)
+def test_the_end_of_our_own_reception_is_a_fault_and_recover_starts_it_anew(pair):
+    os.kill(pair._reception.pid, signal.SIGKILL)
+    with pytest.raises(ReceptionEnded, match="GEV-017"):
+        pair.grab_pair(5.0)
+    assert pair.state is Lifecycle.FAULT
+    pair.recover("a tester", 5.0)
+    pair.activate(5.0)
+    assert pair.grab_pair(5.0).validity is Validity.OK
+
+
+def test_images_and_control_survive_a_driver_that_computes_without_pause(make_pair, peers):
+    device = make_pair(heartbeat_ms=500)
+    device.connect(5.0)
+    device.configure(5.0)
+    device.activate(5.0)
+    for _ in range(3):
+        # one operation that never lets another thread of this process run, longer than the time-out
+        began_s = time.monotonic()
+        number = 3
+        while time.monotonic() - began_s < 0.7:
+            number = pow(3, number % 1000 + 60_000)
+        assert device.grab_pair(5.0).validity is Validity.OK
+    assert device.counters[0].incomplete_frames == 0
+
+
+def test_an_image_of_which_every_packet_was_lost_is_asked_for(make_pair, peers):
+    device = make_pair()
+    device.connect(5.0)
+    device.configure(5.0)
+    device.activate(5.0)
+    peers[0].fault("drop", *range(7))  # leader, five payload packets, trailer
+    reading = device.grab_pair(5.0)
+    assert reading.validity is Validity.OK
+    assert np.array_equal(reading.left.pixels, pattern(FULL, 1) & 0xFF)
+
+
+def test_a_trigger_without_any_image_is_repeated_once(pair, peers):
+    for peer in peers:
+        peer.fault("no-frames")
+
+    def speak_again() -> None:
+        for peer in peers:
+            peer.fault("normal")
+
+    timer = threading.Timer(1.0, speak_again)
+    timer.start()
+    reading = pair.grab_pair(4.0)
+    timer.join()
+    assert reading.validity is Validity.OK
+    assert [peer.fault("count") for peer in peers] == ["2 DONE\n", "2 DONE\n"]

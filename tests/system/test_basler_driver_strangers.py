@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.control import write_together
+from drivers.basler_stereo.control import send_together
 from drivers.basler_stereo.errors import OutOfRange
 from drivers.basler_stereo.images import camera_image
 from drivers.basler_stereo.options import BaslerOptions
+from drivers.basler_stereo.reception import Reception
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, PixelFormat
 
@@ -64,15 +65,17 @@ def controlled(*options: str):
         camera = Camera("left", ADDRESS, OPTIONS)
         identity = camera.connect(soon())
         assert (identity.vendor, identity.model, identity.serial) == ("Aravis", "Fake", SERIAL)
-        camera.configure(soon())
+        reception = Reception()
         try:
+            camera.configure(reception, soon())
             yield camera
         finally:
             camera.close(soon(1.0))
+            reception.close()
 
 
 def grab(camera: Camera):
-    assert write_together([camera.trigger_write], soon(), "the trigger") == [None]
+    assert send_together([(camera.control, camera.trigger_command)], soon(), "the trigger") == [None]
     frame = camera.take(soon(2.0))
     assert frame is not None
     return frame

@@ -19,7 +19,11 @@ AREA = AreaOfInterest(16, 4, 6, 2)
 def image(
     area=AREA, pixel_format=PixelFormat.MONO8, padding=0, missing=0, leader=True, data=bytes(range(12))
 ):
-    said = Leader(77, pixel_format, area, padding) if leader else None
+    said = (
+        Leader(77, pixel_format, area.offset_x, area.offset_y, area.width, area.height, padding)
+        if leader
+        else None
+    )
     return camera_image(Frame(1, said, bytearray(data), missing, 0), "S", AREA, PixelFormat.MONO8, 5, 1.25)
 
 

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from drivers.basler_stereo.control import ControlChannel, write_together
+from drivers.basler_stereo.control import ControlChannel, register_write, send_together
 from drivers.basler_stereo.description import fetch_description
 from drivers.basler_stereo.errors import BadDescription, BrokenAnswer, CommandRefused, NoAnswer
 
@@ -165,15 +165,27 @@ def test_commands_written_together_leave_before_the_first_answer(channel_to):
 
     _, left = channel_to(first)
     _, right = channel_to(second)
-    results = write_together([(left, 0x20, 1), (right, 0x20, 1)], soon(), "the trigger")
+    results = send_together(
+        [(left, register_write(0x20, 1)), (right, register_write(0x20, 1))], soon(), "the trigger"
+    )
     assert order == ["second asked", "first answers"]
     assert results[0] is None
     assert isinstance(results[1], CommandRefused)
 
 
-def test_request_ids_are_never_zero(channel_to):
+def test_request_ids_are_never_zero_nor_the_last(channel_to):
     peer, channel = channel_to(lambda data, _: [ack(data, bytes(4))])
-    channel._request_id = 0xFFFE
+    channel._request_id = 0xFFFD
     for _ in range(3):
         channel.read_register(0, soon())
-    assert [struct.unpack_from(">H", data, 6)[0] for data in peer.seen] == [0xFFFF, 1, 2]
+    assert [struct.unpack_from(">H", data, 6)[0] for data in peer.seen] == [
+        0xFFFE,
+        1,
+        2,
+    ]  # the last is kept free
+
+
+def test_an_answer_that_came_while_the_host_stalled_counts(channel_to):
+    _, channel = channel_to(lambda data, _: [ack(data, struct.pack(">I", 7))])
+    past_s = time.monotonic() - 1.0
+    assert channel.read_register(0, past_s) == 7

@@ -161,3 +161,34 @@ def test_no_sequence_of_packets_upsets_the_assembler(sequence):
 def test_block_ids_wrap_without_zero():
     assert [following(1), following(0xFFFE), following(0xFFFF)] == [2, 0xFFFF, 1]
     assert decode_header(packets(0xFFFF)[3]).block_id == 0xFFFF
+
+
+def test_a_block_that_was_triggered_is_asked_for_when_nothing_of_it_came(assembler):
+    assembler.expect(1, from_s=5.0)
+    assert assembler.overdue(5.0) == ([], None)
+    assert assembler.overdue(5.0 + 1.01 * RESEND_INTERVALS_S[0]) == ([(1, 0, 13)], None)
+    (frame,) = feed(assembler, packets(status=0x0100), now_s=5.1)
+    assert bytes(frame.data) == IMAGE
+    assert not assembler.waiting
+
+
+def test_a_triggered_block_is_not_given_up_before_a_newer_one_comes(assembler):
+    assembler.expect(1, from_s=0.0)
+    now_s = 0.0
+    for _ in range(3 * len(RESEND_INTERVALS_S)):
+        now_s += 1.01 * RESEND_INTERVALS_S[-1]
+        feed(assembler, [unavailable(1, 0)], now_s)
+        assert assembler.overdue(now_s + 1.01 * RESEND_INTERVALS_S[-1])[1] is None
+    assert [frame.block_id for frame in feed(assembler, [*packets(2), *packets(3)])] == [2, 3]
+
+
+def test_missing_packets_leave_no_pixels_of_an_earlier_frame():
+    memory = bytearray(b"\xff" * PAYLOAD)
+    assembler = FrameAssembler(PAYLOAD, PACKET, lambda: (0, memory))
+    feed(assembler, [packet for number, packet in enumerate(packets()) if number not in (4, 13)])
+    for number in range(3 * len(RESEND_INTERVALS_S)):
+        _, frame = assembler.overdue(1.0 + number)
+        if frame is not None:
+            break
+    assert frame.missing_packets == 1
+    assert bytes(frame.data) == IMAGE[:300] + bytes(100) + IMAGE[400:]

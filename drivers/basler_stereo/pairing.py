@@ -1,0 +1,74 @@
+"""Whether two images are of one trigger, told by the cameras' own clocks. No I/O; times are handed in.
+
+Each camera counts ticks from a zero of its own. A latch at the start of the stream ties its count to the
+theatre's time; from then on every image that belonged to its trigger ties it anew, so that slow drift of the
+cameras' clocks never adds up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ronna_hw.devices.readings import Validity
+
+DRIFT = 2e-4  # of a camera's clock against another: 100 ppm each
+
+
+@dataclass(frozen=True)
+class Tie:
+    """A camera's count at a moment of theatre time, known to within `uncertainty_s`."""
+
+    ticks: int
+    frequency_hz: int
+    theatre_s: float
+    uncertainty_s: float
+
+    def moment_s(self, ticks: int) -> float:
+        """Theatre time of a count."""
+        return self.theatre_s + (ticks - self.ticks) / self.frequency_hz
+
+    def error_s(self, now_s: float) -> float:
+        """How wrong `moment_s` may be now."""
+        return self.uncertainty_s + DRIFT * max(0.0, now_s - self.theatre_s)
+
+
+class PairClock:
+    """Judges the pairs of one stream. `skew_s` is how far apart two exposures of one trigger may begin."""
+
+    def __init__(self, ties: tuple[Tie | None, Tie | None], skew_s: float) -> None:
+        self._ties = ties
+        self._skew_s = skew_s
+
+    def moments_s(self, ticks: tuple[int, int]) -> tuple[float | None, float | None]:
+        """Theatre time at which each exposure began, as far as it is known."""
+        left, right = (
+            tie.moment_s(count) if tie else None for tie, count in zip(self._ties, ticks, strict=True)
+        )
+        return left, right
+
+    def judge(self, ticks: tuple[int, int], triggered_s: float, now_s: float) -> Validity:
+        """OK, STALE when both are older than the trigger, UNPAIRED when they are not of one moment.
+
+        `triggered_s` and `now_s` are theatre times before the trigger and after the images came. Without a
+        tie nothing is known of the first pair.
+        """
+        left, right = self.moments_s(ticks)
+        error_s = sum(tie.error_s(now_s) for tie in self._ties if tie)
+        if left is not None and right is not None:
+            if abs(left - right) > self._skew_s + error_s:
+                return Validity.UNPAIRED
+            if max(left, right) < triggered_s - self._skew_s - error_s:
+                return Validity.STALE
+        return Validity.OK
+
+    def confirm(
+        self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
+    ) -> None:
+        """The pair was good: tie both clocks to one moment between its trigger and now."""
+        known = [moment_s for moment_s in self.moments_s(ticks) if moment_s is not None]
+        moment_s = min(max(triggered_s, sum(known) / len(known) if known else triggered_s), now_s)
+        left, right = (
+            Tie(count, frequency, moment_s, tie.uncertainty_s if tie else self._skew_s) if frequency else None
+            for count, frequency, tie in zip(ticks, frequencies_hz, self._ties, strict=True)
+        )
+        self._ties = (left, right)

@@ -1,0 +1,73 @@
+"""What the driver tells its reception process: one order per datagram, with the descriptors it needs."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+LONGEST_ORDER_BYTES = 4096
+MOST_DESCRIPTORS = 4
+
+
+@dataclass(frozen=True)
+class OpenStream:
+    """Receive a stream. Descriptors: its socket, control socket or none of it, memory, channel for notes."""
+
+    stream: int
+    payload_bytes: int
+    packet_bytes: int
+    resend: bool
+
+
+@dataclass(frozen=True)
+class CloseStream:
+    """Let go of a stream."""
+
+    stream: int
+
+
+@dataclass(frozen=True)
+class Expect:
+    """A block was triggered; ask for it when it has not begun after `patience_s`."""
+
+    stream: int
+    block_id: int
+    patience_s: float
+
+
+@dataclass(frozen=True)
+class Beat:
+    """Show the camera regularly that we live. Descriptor: the control socket."""
+
+    camera: int
+    period_s: float
+
+
+@dataclass(frozen=True)
+class Rest:
+    """End that."""
+
+    camera: int
+
+
+Order = OpenStream | CloseStream | Expect | Beat | Rest
+_KINDS: dict[str, type[Order]] = {
+    kind.__name__: kind for kind in (OpenStream, CloseStream, Expect, Beat, Rest)
+}
+
+
+def send_order(channel: socket.socket, order: Order, descriptors: Sequence[int] = ()) -> None:
+    """Raises OSError when the process is gone."""
+    text = json.dumps({"order": type(order).__name__, **asdict(order)}).encode()
+    socket.send_fds(channel, [text], list(descriptors))
+
+
+def receive_order(channel: socket.socket) -> tuple[Order, list[int]] | None:
+    """The next order and its descriptors; None when the driver is gone."""
+    text, descriptors, _, _ = socket.recv_fds(channel, LONGEST_ORDER_BYTES, MOST_DESCRIPTORS)
+    if not text:
+        return None
+    fields = json.loads(text)
+    return _KINDS[fields.pop("order")](**fields), descriptors

@@ -1,0 +1,30 @@
+"""The socket that a camera streams to."""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+
+from ronna_hw.wire import gige_vision as gev
+
+DATAGRAM_LIMIT_BYTES = 65_536
+
+
+def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.socket:
+    """A socket for the stream on a free port of the host's address."""
+    stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    # The kernel caps the size at net.core.rmem_max; what does not fit is lost and asked for again.
+    stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
+    stream.bind((local_address, 0))
+    return stream
+
+
+def probe_arrives(stream: socket.socket, packet_bytes: int, limit_s: float) -> bool:
+    """True when a datagram with that packet size comes within the limit; others are thrown away."""
+    deadline_s = time.monotonic() + limit_s
+    # what is there is looked at even when the host stalled beyond the limit
+    while select.select([stream], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
+        if len(stream.recv(DATAGRAM_LIMIT_BYTES)) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
+            return True
+    return False
