@@ -1,0 +1,182 @@
+"""Rendered pairs of one sphere with everything known about them, for measuring the measurement.
+
+The pictures are the simulated cameras' own, with post, grain, shading, blur and noise. The calibration is
+the truth, so what is left is the measurement's own error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
+from sim.basler.optics.canvas import Area
+from sim.basler.optics.film import drawn_stains
+from sim.basler.optics.foreground import Disturbance, Occluder
+from sim.basler.optics.lens import Lens
+from sim.basler.optics.picture import Optics
+from sim.basler.optics.sensor import Sensor
+from sim.basler.optics.sphere import Sphere
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.noise import noise
+from sim.theatre.rigid import matrix_of, rotation_towards
+from sim.theatre.scene import CameraTruth, Scene
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+EXPOSURE_US = 2000.0  # the driver's default
+GAIN_RAW, BLACK_LEVEL_RAW = 100, 32
+RADIUS_MM = 5.75
+FILMS = 5  # different grains
+CENTRED_MM = 0.05  # where the servo ends
+SERVO_MM = 2.5  # where the servo sees it
+SCENE_SEED, PLACES_SEED = 21, 3
+
+
+@dataclass(frozen=True)
+class Case:
+    """How the pairs of one row of the table are drawn.
+
+    `reach_mm` per axis around the tool centre point; `tilt` of the post against the tool axis, largest
+    slope; `rim_lost` least and largest share of the rim that an occluder hides, for each camera its own.
+    """
+
+    name: str
+    reach_mm: float = CENTRED_MM
+    tilt: float = 0.5
+    deeper_mm: float = 0.0
+    rim_lost: tuple[float, float] = (0.0, 0.0)
+    stained: float = 0.0
+    area_px: tuple[int, int] = (800, 800)
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera's picture of a sphere; pixels of `true_centre_px` and `offset_px` are the full sensor's."""
+
+    picture: Picture
+    offset_px: tuple[int, int]
+    true_centre_px: Array  # of the outline's ellipse
+    radius_px: float
+    rim_lost: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One sphere in both cameras, and its true place in the tool frame."""
+
+    left: View
+    right: View
+    centre_mm: Array
+
+    @property
+    def views(self) -> tuple[View, View]:
+        """Left, right."""
+        return self.left, self.right
+
+
+@dataclass(frozen=True)
+class Studio:
+    """One stereo head and its optics."""
+
+    scene: Scene = field(default_factory=lambda: built_in_scene("default", seed=SCENE_SEED))
+
+    def pairs(self, case: Case, count: int, seed: int = PLACES_SEED) -> Iterator[Pair]:
+        """Pairs of a case, one after the other: a full frame of each is too much to keep."""
+        generator = np.random.default_rng(seed)
+        cameras = (self.scene.left, self.scene.right)
+        optics = [Optics(camera, self.scene.seed) for camera in cameras]
+        for number in range(count):
+            place = generator.uniform(-case.reach_mm, case.reach_mm, 3) + np.array([0.0, 0.0, case.deeper_mm])
+            post = np.array([*generator.uniform(-case.tilt, case.tilt, 2), -1.0])
+            views = []
+            for camera, optic in zip(cameras, optics, strict=True):
+                lost, direction = generator.uniform(*case.rim_lost), generator.uniform(0.0, 2.0 * np.pi)
+                disturbance = Disturbance(
+                    stains=((number % FILMS, drawn_stains(number, number % FILMS, case.stained)),)
+                    if case.stained
+                    else (),
+                    occluders=(Occluder(lost, direction),) if lost else (),
+                )
+                sphere = _seen(camera, place, post, number % FILMS)
+                views.append(self._view(camera, optic, sphere, disturbance, case, number))
+            yield Pair(views[0], views[1], place)
+
+    def calibration(self) -> StereoHeadCalibration:
+        """What a laboratory without errors would have measured."""
+        now = datetime.now(UTC)
+        identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+        left, right = (
+            CameraCalibration(
+                serial=camera.serial,
+                focal_px=camera.focal_px,
+                principal_point_px=camera.principal_point_px,
+                distortion=camera.distortion,
+                camera_from_tool=camera.camera_from_tool,
+            )
+            for camera in (self.scene.left, self.scene.right)
+        )
+        return StereoHeadCalibration(
+            identifier="truth",
+            created=now,
+            expires=now + timedelta(days=1),
+            made_by="the scene",
+            stated_error_mm=0.0,
+            flange_from_tool=identity,
+            left=left,
+            right=right,
+        )
+
+    def _view(
+        self,
+        camera: CameraTruth,
+        optics: Optics,
+        sphere: Sphere,
+        disturbance: Disturbance,
+        case: Case,
+        number: int,
+    ) -> View:
+        area = _area_around(optics.lens, sphere, case.area_px, camera.sensor_px)
+        pixels = Sensor(camera.read_noise_electrons, camera.full_well_electrons).read(
+            optics.light_on(area, [sphere], disturbance),
+            exposure_us=EXPOSURE_US,
+            gain_raw=GAIN_RAW,
+            black_level_raw=BLACK_LEVEL_RAW,
+            bits=8,
+            noise=noise(self.scene.seed, f"camera {camera.serial}", number),
+        )
+        centre, radius = true_outline(optics.lens, sphere)
+        lost = disturbance.occluders[0].rim_share if disturbance.occluders else 0.0
+        return View(np.asarray(pixels, dtype=np.uint8), (area.x, area.y), centre, radius, lost)
+
+
+def true_outline(lens: Lens, sphere: Sphere) -> tuple[Array, float]:
+    """Centre and mean radius, px, of the ellipse through the projected points of the outline."""
+    outline = lens.project(sphere.outline_mm())
+    middle = outline.mean(axis=0)
+    x, y = (outline - middle).T
+    conic = np.column_stack([x * x, x * y, y * y, x, y])
+    a, b, c, d, e = np.linalg.lstsq(conic, np.ones(len(x)), rcond=None)[0]
+    centre = np.linalg.solve([[2 * a, b], [b, 2 * c]], [-d, -e])
+    return middle + centre, float(np.hypot(x - centre[0], y - centre[1]).mean())
+
+
+def _seen(camera: CameraTruth, place_mm: Array, post: Array, number: int) -> Sphere:
+    pose = matrix_of(camera.camera_from_tool)
+    rotation = pose[:3, :3] @ rotation_towards(tuple(post), (1.0, 0.0, 0.0))
+    return Sphere(pose[:3, :3] @ place_mm + pose[:3, 3], RADIUS_MM, rotation, number)
+
+
+def _area_around(lens: Lens, sphere: Sphere, size_px: tuple[int, int], sensor_px: tuple[int, int]) -> Area:
+    """The area of that size around the image of a sphere's centre, inside the sensor."""
+    middle = lens.project(sphere.centre_mm[None])[0]
+    x, y = (
+        int(np.clip(round(at - size / 2), 0, whole - size))
+        for at, size, whole in zip(middle, size_px, sensor_px, strict=True)
+    )
+    return Area(x, y, *size_px)
