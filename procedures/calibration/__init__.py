@@ -1,0 +1,19 @@
+"""Calibration of the stereo head by one ball at many poses: cameras, tool frame, self-check. Numerics only."""
+
+from procedures.calibration.bundle import BundleFit, fit_bundle
+from procedures.calibration.observations import Observation, ObservationSet, Outline
+from procedures.calibration.record import HeadResult, calibrate_head
+from procedures.calibration.self_check import Baseline, CheckResult, compare_with_baseline
+
+__all__ = [
+    "Baseline",
+    "BundleFit",
+    "CheckResult",
+    "HeadResult",
+    "Observation",
+    "ObservationSet",
+    "Outline",
+    "calibrate_head",
+    "compare_with_baseline",
+    "fit_bundle",
+]

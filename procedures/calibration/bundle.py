@@ -1,0 +1,272 @@
+"""Bundle adjustment and hand-eye in one: ball, both cameras on the flange, both lenses, from all looks.
+
+The arm is by far the worst of the instruments: it brings the ball into view with errors of 0.02 to 0.2 mm,
+while an outline is good to micrometres. So every look has its own unknown shift of the ball, of one common
+size that is estimated from the looks themselves. The shift is not solved for: it is integrated out, which
+leaves residuals of four pixels per look with the covariance
+
+    C = S + s^2 J J^T        S: of both outlines, J: pixels by the ball's place, s: error of the arm per axis
+
+Nothing here needs the ball's diameter: the arm gives the scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersected
+from procedures.calibration.observations import Observation
+from ronna_hw.calibration import StereoHeadCalibration
+
+Array = NDArray[np.float64]
+
+LEAST_POSES = 60
+LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms over the poses, about the direction that turns least
+BALL = 3
+# What a lens may differ from its record, one standard deviation: keeps down what a small field hardly shows.
+PRIOR_SIGMA = {"focal": 0.01, "principal_px": 10.0, "k1": 0.05}
+LENS = (6, 7, 8, 9)  # of a camera's parameters
+ROUNDS = 6  # of estimating the arm's error, which settles in four
+STEPS = 40  # of each round; the next one goes on from there
+FIRST_ARM_ERROR_MM = 2.0  # while the tool frame is still that of a drawing
+LEAST_ARM_ERROR_MM = 0.003  # a better arm does not exist
+ARM_ERROR_LIMIT_MM = 1.0  # far above an uncalibrated arm: then it is something else
+GAP_LIMIT_PX = 2.0  # of what one pair of outlines contradicts itself by
+HUBER = 2.0  # sigmas
+OUTLIER_CHI2 = 18.5  # 0.1 % of the good looks lie above it, with four degrees of freedom
+MOST_OUTLIERS = 0.2
+MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True)
+class BundleFit:
+    """The adjusted head. Covariance (23, 23) of ball (3, mm) and twice ten camera parameters.
+
+    `arm_error_mm` is the estimated error of the arm per axis, `image_sigma_px` that of an outline's centre,
+    `residuals_px` (n, 4) left x y, right x y with the arm's part still in them, `shifts_mm` (n, 3) that part
+    in the robot frame; `used` (n,) marks the looks that are no outliers.
+    """
+
+    cameras: Cameras
+    ball_mm: Array
+    covariance: Array
+    arm_error_mm: float
+    image_sigma_px: float
+    residuals_px: Array
+    shifts_mm: Array
+    used: NDArray[np.bool_]
+    spread: float
+
+
+@dataclass(frozen=True)
+class _Looks:
+    """The observations as arrays."""
+
+    rotations: Array  # (n, 3, 3) robot <- flange
+    translations_mm: Array  # (n, 3)
+    centres_px: Array  # (n, 2 cameras, 2)
+    semi_minors_px: Array  # (n, 2)
+    covariances_px2: Array  # (n, 4, 4)
+
+
+def fit_bundle(
+    observations: Sequence[Observation], start: StereoHeadCalibration, *, least_poses: int = LEAST_POSES
+) -> BundleFit:
+    """Adjust the head to the observations, from a record that is right to some millimetres and degrees.
+
+    Raises CAL-002 with too few looks, CAL-003 when their orientations do not differ enough, CAL-004 when
+    nothing fits.
+    """
+    if len(observations) < least_poses:
+        raise TooFewPoses(
+            "too few poses show the ball", awaited=f"at least {least_poses}", last=str(len(observations))
+        )
+    looks = _arrays(observations)
+    spread = orientation_spread(looks.rotations)
+    if spread < LEAST_SPREAD:
+        raise DegeneratePoses(
+            "the orientations of the poses hardly differ",
+            limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
+            last=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+        )
+    cameras = cameras_of(start)
+    points, _ = intersected(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
+    in_robot = np.einsum("nij,nj->ni", looks.rotations, points) + looks.translations_mm
+    values = np.zeros(BALL + 2 * CAMERA_PARAMETERS)
+    values[:BALL] = np.median(in_robot, axis=0)
+    arm_error, image_scale = FIRST_ARM_ERROR_MM, 1.0
+    used = np.ones(len(observations), dtype=bool)
+    for _ in range(ROUNDS):
+        whitening = _whitening(looks, cameras, values, arm_error, image_scale)
+        solution = least_squares(
+            _Cost(looks, cameras, whitening, used),
+            values,
+            x_scale="jac",
+            loss="huber",
+            f_scale=HUBER,
+            max_nfev=STEPS,
+        )
+        values = solution.x
+        residuals = _residuals(looks, cameras, values)
+        shifts, gaps = _split(looks, cameras, values, residuals, arm_error, image_scale)
+        arm_error, image_scale = _sizes(shifts, gaps, used)
+        whitened = np.einsum(
+            "nij,nj->ni", _whitening(looks, cameras, values, arm_error, image_scale), residuals
+        )
+        used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
+    _require_fit(used, arm_error, gaps, looks)
+    return BundleFit(
+        cameras=_cameras(cameras, values),
+        ball_mm=values[:BALL].copy(),
+        covariance=np.asarray(
+            np.linalg.inv(_normal_matrix(looks, cameras, values, arm_error, image_scale, used)), dtype=float
+        ),
+        arm_error_mm=arm_error,
+        image_sigma_px=image_scale * float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2)))),
+        residuals_px=residuals,
+        shifts_mm=shifts,
+        used=used,
+        spread=spread,
+    )
+
+
+def orientation_spread(rotations: Array) -> float:
+    """Rms change of the direction that changes least over the rotations (n, 3, 3); 0 about a single axis."""
+    apart = rotations - rotations.mean(axis=0)
+    scatter = np.einsum("nki,nkj->ij", apart, apart) / len(rotations)
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(scatter)[0])))
+
+
+def _arrays(observations: Sequence[Observation]) -> _Looks:
+    poses = [observation.flange_pose for observation in observations]
+    covariances = np.zeros((len(observations), 4, 4))
+    for number, one in enumerate(observations):
+        covariances[number, :2, :2] = one.left.covariance_px2
+        covariances[number, 2:, 2:] = one.right.covariance_px2
+    return _Looks(
+        np.array([pose.rotation_matrix for pose in poses]),
+        np.array([pose.translation_mm for pose in poses]),
+        np.array([[one.left.centre_px, one.right.centre_px] for one in observations]),
+        np.array([[one.left.axes_px[1], one.right.axes_px[1]] for one in observations]),
+        covariances,
+    )
+
+
+def _cameras(start: Cameras, values: Array) -> Cameras:
+    middle = BALL + CAMERA_PARAMETERS
+    return start[0].changed(values[BALL:middle]), start[1].changed(values[middle:])
+
+
+def _in_flange(looks: _Looks, ball_mm: Array) -> Array:
+    return np.asarray(np.einsum("nji,nj->ni", looks.rotations, ball_mm - looks.translations_mm))
+
+
+def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
+    points = _in_flange(looks, values[:BALL])
+    seen = [
+        camera.seen(points, looks.semi_minors_px[:, side])
+        for side, camera in enumerate(_cameras(start, values))
+    ]
+    return np.hstack([looks.centres_px[:, 0] - seen[0], looks.centres_px[:, 1] - seen[1]])
+
+
+def _by_ball(looks: _Looks, start: Cameras, values: Array) -> Array:
+    """Derivative (n, 4, 3) of the pixels by the ball's place in the robot frame."""
+    points = _in_flange(looks, values[:BALL])
+    slopes = np.concatenate([camera.slopes(points) for camera in _cameras(start, values)], axis=1)
+    return np.asarray(np.einsum("nij,nkj->nik", slopes, looks.rotations))
+
+
+def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, image_scale: float) -> Array:
+    """Matrices (n, 4, 4) that make the residuals of each look independent with unit variance."""
+    slopes = _by_ball(looks, start, values)
+    total = image_scale**2 * looks.covariances_px2 + arm_error**2 * slopes @ slopes.transpose(0, 2, 1)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
+
+
+class _Cost:
+    """Whitened residuals of the looks that are used, and the priors of both lenses, as one vector."""
+
+    def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: NDArray[np.bool_]) -> None:
+        self._looks, self._start, self._whitening, self._used = looks, start, whitening, used
+
+    def __call__(self, values: Array) -> Array:
+        residuals = _residuals(self._looks, self._start, values)[self._used]
+        whitened = np.einsum("nij,nj->ni", self._whitening[self._used], residuals)
+        return np.concatenate([whitened.ravel(), _prior(values)])
+
+
+def _prior(values: Array) -> Array:
+    sigmas = np.array(
+        [PRIOR_SIGMA["focal"], PRIOR_SIGMA["principal_px"], PRIOR_SIGMA["principal_px"], PRIOR_SIGMA["k1"]]
+    )
+    cameras = values[BALL:].reshape(2, CAMERA_PARAMETERS)
+    return np.asarray((cameras[:, LENS] / sigmas).ravel())
+
+
+def _split(
+    looks: _Looks, start: Cameras, values: Array, residuals: Array, arm_error: float, image_scale: float
+) -> tuple[Array, Array]:
+    """The arm's part of the residuals as shifts (n, 3) mm, and what no shift explains (n,), in sigmas.
+
+    Four pixels with three unknown coordinates leave one contradiction per look: the gap of the two rays.
+    """
+    slopes = _by_ball(looks, start, values)
+    weights = np.linalg.inv(image_scale**2 * looks.covariances_px2)
+    normal = slopes.transpose(0, 2, 1) @ weights @ slopes + np.eye(3) / arm_error**2
+    shifts: Array = np.linalg.solve(normal, slopes.transpose(0, 2, 1) @ weights @ residuals[:, :, None])[
+        :, :, 0
+    ]
+    # The direction of pixel space that no shift reaches: the left null vector of the derivative.
+    null = np.linalg.svd(slopes)[0][:, :, 3]
+    sigma = np.sqrt(np.einsum("ni,nij,nj->n", null, looks.covariances_px2, null))
+    return shifts, np.einsum("ni,ni->n", null, residuals) / sigma
+
+
+def _sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+    """Robust sizes of the arm's error per axis and of the images' error relative to their covariance."""
+    count = int(used.sum())
+    freedom = np.sqrt(max(0.3, 1.0 - (BALL + 2 * CAMERA_PARAMETERS) / (4.0 * count)))
+    arm = MAD_TO_SIGMA * float(np.median(np.abs(shifts[used]))) / freedom
+    image = MAD_TO_SIGMA * float(np.median(np.abs(gaps[used]))) / freedom
+    return max(arm, LEAST_ARM_ERROR_MM), max(image, 1.0)
+
+
+def _require_fit(used: NDArray[np.bool_], arm_error: float, gaps: Array, looks: _Looks) -> None:
+    gap_px = float(np.median(np.abs(gaps))) * float(np.sqrt(looks.covariances_px2[:, 0, 0].mean()))
+    if arm_error > ARM_ERROR_LIMIT_MM:
+        raise DoesNotFit(
+            "the ball seems to move from look to look",
+            limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
+            last=f"{arm_error:.2f} mm",
+        )
+    if gap_px > GAP_LIMIT_PX:
+        raise DoesNotFit(
+            "left and right images contradict each other",
+            limit=f"{GAP_LIMIT_PX:g} px",
+            last=f"{gap_px:.1f} px",
+        )
+    if np.mean(~used) > MOST_OUTLIERS:
+        raise DoesNotFit(
+            "too many looks do not fit the others", limit=f"{MOST_OUTLIERS:.0%}", last=f"{np.mean(~used):.0%}"
+        )
+
+
+def _normal_matrix(
+    looks: _Looks,
+    start: Cameras,
+    values: Array,
+    arm_error: float,
+    image_scale: float,
+    used: NDArray[np.bool_],
+) -> Array:
+    """Information (23, 23) of all parameters, without the robust weights."""
+    cost = _Cost(looks, start, _whitening(looks, start, values, arm_error, image_scale), used)
+    slopes = least_squares(cost, values, x_scale="jac", max_nfev=1).jac
+    return np.asarray(slopes.T @ slopes)

@@ -1,0 +1,151 @@
+"""Both cameras on the flange as numbers: what a ball at a place of the flange frame looks like.
+
+Pinhole with OpenCV's distortion k1 k2 p1 p2 k3. Free per camera: turn and shift from the start (rad, mm),
+focal length (relative), principal point (px) and k1. Pixels are square as in the start; the other distortion
+coefficients stay as they were: a field of 5 degrees does not show them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+CAMERA_PARAMETERS = 10  # turn 3, shift 3, focal length, principal point 2, k1
+UNDISTORT_STEPS = 12  # each gains about three digits with lenses of this kind
+
+
+@dataclass(frozen=True)
+class FlangeCamera:
+    """One camera: its pose CAMERA <- FLANGE as rotation matrix and translation (mm), and its lens."""
+
+    rotation: Array
+    translation_mm: Array
+    focal_px: Array
+    principal_px: Array
+    distortion: tuple[float, float, float, float, float]
+
+    @classmethod
+    def of(cls, camera: CameraCalibration, flange_from_tool: Transform) -> FlangeCamera:
+        """From a record and the tool frame that it refers to."""
+        pose = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL) @ flange_from_tool.inverse()
+        return cls(
+            pose.rotation_matrix,
+            pose.translation_mm,
+            np.array(camera.focal_px),
+            np.array(camera.principal_point_px),
+            camera.distortion,
+        )
+
+    def changed(self, parameters: Array) -> FlangeCamera:
+        """The camera with its ten parameters changed by so much."""
+        turn = Rotation.from_rotvec(parameters[:3]).as_matrix()
+        k1, *others = self.distortion
+        k2, p1, p2, k3 = others
+        return FlangeCamera(
+            turn @ self.rotation,
+            self.translation_mm + parameters[3:6],
+            self.focal_px * (1.0 + parameters[6]),
+            self.principal_px + parameters[7:9],
+            (k1 + float(parameters[9]), k2, p1, p2, k3),
+        )
+
+    def seen(self, points_mm: Array, semi_minor_px: ArrayLike = 0.0) -> Array:
+        """Pixels (n, 2) of points (n, 3) of the flange frame.
+
+        With the semi-minor axis of a ball's outline the centre of that outline, which lies farther out than
+        the ball's centre by the factor 1 + b^2, b in normalised units.
+        """
+        x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
+        b = np.asarray(semi_minor_px, dtype=float) / np.sqrt(self.focal_px.prod())
+        out = np.column_stack([x / z, y / z]) * np.reshape(1.0 + b * b, (-1, 1))
+        return self._distorted(out) * self.focal_px + self.principal_px
+
+    def slopes(self, points_mm: Array) -> Array:
+        """Derivative (n, 2, 3) of `seen` by the point; distortion left out: it only weights."""
+        x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
+        slope = np.zeros((len(points_mm), 2, 3))
+        slope[:, 0, 0] = slope[:, 1, 1] = 1.0 / z
+        slope[:, 0, 2], slope[:, 1, 2] = -x / z**2, -y / z**2
+        return np.asarray(slope * self.focal_px[:, None] @ self.rotation)
+
+    def rays(self, pixels: Array) -> tuple[Array, Array]:
+        """Centre of projection (3,) and directions (n, 3), not of unit length, in the flange frame."""
+        seen = (pixels - self.principal_px) / self.focal_px
+        straight = seen
+        for _ in range(UNDISTORT_STEPS):
+            straight = straight + (seen - self._distorted(straight))
+        directions = np.column_stack([straight, np.ones(len(straight))]) @ self.rotation
+        return -self.rotation.T @ self.translation_mm, directions
+
+    def record(
+        self, serial: str, sensor_px: tuple[int, int], flange_from_tool: Transform
+    ) -> CameraCalibration:
+        """As a record that refers to a tool frame."""
+        pose = Transform.from_matrix(Frame.CAMERA_LEFT, Frame.FLANGE, self._matrix()) @ flange_from_tool
+        fx, fy = self.focal_px.tolist()
+        cx, cy = self.principal_px.tolist()
+        return CameraCalibration(
+            serial=serial,
+            focal_px=(fx, fy),
+            principal_point_px=(cx, cy),
+            distortion=self.distortion,
+            sensor_px=sensor_px,
+            camera_from_tool=pose_record(pose),
+        )
+
+    def _matrix(self) -> Array:
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation_mm
+        return matrix
+
+    def _distorted(self, ideal: Array) -> Array:
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = ideal.T
+        square = x * x + y * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        return np.column_stack(
+            [
+                x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
+                y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ]
+        )
+
+
+Cameras = tuple[FlangeCamera, FlangeCamera]
+
+
+def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
+    """Left and right camera of a record, on the flange."""
+    tool = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    return FlangeCamera.of(calibration.left, tool), FlangeCamera.of(calibration.right, tool)
+
+
+def intersected(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
+    """Points (n, 3) of the flange frame half way between both lines of sight, and the gaps (n,), mm.
+
+    The gap is signed: positive when the right line passes on the side of left x right.
+    """
+    (origin_a, a), (origin_b, b) = cameras[0].rays(left_px), cameras[1].rays(right_px)
+    between = origin_b - origin_a
+    across = np.cross(a, b)
+    square = np.sum(across * across, axis=1)
+    along_a = np.sum(np.cross(between, b) * across, axis=1) / square
+    along_b = np.sum(np.cross(between, a) * across, axis=1) / square
+    near_a, near_b = origin_a + along_a[:, None] * a, origin_b + along_b[:, None] * b
+    gaps = np.sum((near_b - near_a) * across, axis=1) / np.sqrt(square)
+    return 0.5 * (near_a + near_b), gaps
+
+
+def pose_record(pose: Transform) -> PoseRecord:
+    """A transform as plain numbers."""
+    x, y, z = pose.translation_mm.tolist()
+    qw, qx, qy, qz = pose.quaternion_wxyz.tolist()
+    return PoseRecord(translation_mm=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz))

@@ -1,0 +1,107 @@
+"""What a calibration is computed from: outlines of one ball at many poses of the arm, as stored in a file."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeVar
+
+from pydantic import Field, ValidationError
+
+from procedures.calibration.errors import BadObservations
+from procedures.relocalization.sphere import SphereImage, SphereStatus
+from ronna_hw.calibration import PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
+from ronna_hw.config import describe_mistakes
+from ronna_hw.frames import Frame, Transform
+
+OBSERVATIONS_FILE = "observations.json"
+Positive = Annotated[float, Field(gt=0)]
+Pixels = tuple[float, float]
+Joints = tuple[float, float, float, float, float, float]  # A1..A6
+S = TypeVar("S", bound=Strict)
+
+
+class Outline(Strict):
+    """The ball's outline in one image, pixels of the full sensor, semi-axes major first; bias still in it."""
+
+    centre_px: Pixels
+    axes_px: tuple[Positive, Positive]
+    covariance_px2: tuple[Pixels, Pixels]
+    quality: Annotated[float, Field(ge=0, le=1)]
+    rim_fraction: Annotated[float, Field(ge=0, le=1)] = 1.0
+    scatter_px: Annotated[float, Field(ge=0)] = 0.0
+    blur_px: Annotated[float, Field(ge=0)] = 0.0
+
+    @classmethod
+    def of(cls, sphere: SphereImage) -> Self:
+        """From a measurement."""
+        return cls(
+            centre_px=sphere.centre_px,
+            axes_px=sphere.axes_px,
+            covariance_px2=sphere.covariance_px2,
+            quality=sphere.quality,
+            rim_fraction=sphere.rim_fraction,
+            scatter_px=sphere.scatter_px,
+            blur_px=sphere.blur_px,
+        )
+
+    def sphere(self) -> SphereImage:
+        """As a measurement, for triangulation; only reliable ones are ever stored."""
+        return SphereImage(
+            centre_px=self.centre_px,
+            axes_px=self.axes_px,
+            quality=self.quality,
+            status=SphereStatus.OK,
+            covariance_px2=self.covariance_px2,
+            rim_fraction=self.rim_fraction,
+            scatter_px=self.scatter_px,
+            blur_px=self.blur_px,
+        )
+
+
+class Observation(Strict):
+    """One look: where the flange was by the nominal arm, and the ball in both images.
+
+    `orientation` numbers the orientations of the self-check; None for a look that only calibrates.
+    """
+
+    joints_rad: Joints
+    robot_from_flange: PoseRecord
+    left: Outline
+    right: Outline
+    orientation: Annotated[int, Field(ge=0)] | None = None
+
+    @property
+    def flange_pose(self) -> Transform:
+        """ROBOT <- FLANGE."""
+        return self.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
+
+
+class ObservationSet(Strict):
+    """All looks of one calibration, and the records it started from."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    created: datetime
+    serials: tuple[str, str]
+    arm_variant: str
+    start: StereoHeadCalibration
+    tool_tip: ToolTipCalibration | None = None
+    observations: tuple[Observation, ...]
+
+
+def read_observations(path: Path) -> ObservationSet:
+    """Read a stored set, from its file or the folder that holds it; raises CAL-005."""
+    return read_strict(ObservationSet, path / OBSERVATIONS_FILE if path.is_dir() else path)
+
+
+def read_strict(kind: type[S], path: Path) -> S:
+    """Read one strict record from JSON; raises CAL-005 with every mistake in it."""
+    try:
+        return kind.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise BadObservations(f"cannot read {path}: {error.strerror}") from error
+    except ValidationError as error:
+        mistakes = describe_mistakes(error)
+        raise BadObservations(
+            f"{path.name} has {len(mistakes)} mistake(s): {'; '.join(mistakes[:5])}"
+        ) from error

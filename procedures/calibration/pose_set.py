@@ -1,0 +1,101 @@
+"""From where to look at the ball: tool poses of many orientations, spread evenly, the same every time.
+
+Every look is tilted away from the reference orientation and turned about the tool axis; the ball stands
+somewhere else in the field each time, and nearer or farther, so that lenses show themselves too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+TILT_RAD = float(np.radians(25.0))  # at most, to all sides: a spread of 50 degrees
+TURN_RAD = float(np.radians(45.0))  # about the tool axis, to both sides
+# How far off the tool centre the ball may stand: the sphere stays whole in both sensors and sharp enough.
+FIELD_MM = (3.5, 9.0, 5.0)
+CHECK_TILT_RAD = float(np.radians(25.0))
+CHECK_TURN_RAD = float(np.radians(40.0))
+CHECK_ORIENTATIONS = 8
+# Additive recurrence in six dimensions with the generalised golden ratio (x^7 = x + 1): even, never random.
+_RATIO = 1.1127756842787055
+_STEPS = np.array([_RATIO ** -(k + 1) for k in range(6)])
+
+
+@dataclass(frozen=True)
+class PlannedLook:
+    """A pose ROBOT <- TOOL from which the ball should stand at `ball_in_tool_mm`.
+
+    `orientation` numbers the orientations of the self-check, None for the others.
+    """
+
+    pose: Transform
+    ball_in_tool_mm: tuple[float, float, float]
+    orientation: int | None = None
+
+
+def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tuple[PlannedLook, ...]:
+    """So many looks at a ball (3,) in the robot frame, around the orientation robot <- tool."""
+    share = (0.5 + np.outer(np.arange(count), _STEPS)) % 1.0
+    looks = []
+    for tilt, azimuth, turn, *field in share:
+        orientation = _orientation(
+            reference, TILT_RAD * float(np.sqrt(tilt)), 2.0 * np.pi * azimuth, TURN_RAD * (2.0 * turn - 1.0)
+        )
+        offset = np.array(FIELD_MM) * (2.0 * np.array(field) - 1.0)
+        looks.append(_look(orientation, np.asarray(ball_mm, dtype=float), offset))
+    return tuple(in_short_order(looks))
+
+
+def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
+    """The orientations of the self-check, ball in the tool centre: tilted to eight sides, turned by turns."""
+    looks = []
+    for number in range(CHECK_ORIENTATIONS):
+        turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
+        azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
+        orientation = _orientation(reference, CHECK_TILT_RAD, azimuth, turn)
+        looks.append(_look(orientation, np.asarray(ball_mm, dtype=float), np.zeros(3), number))
+    return tuple(looks)
+
+
+def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
+    """The looks so that each is the nearest in orientation to the one before, from the first on."""
+    rest = list(looks)
+    ordered = [rest.pop(0)]
+    while rest:
+        here = ordered[-1].pose.rigid.rotation
+        turns = [(here.inv() * look.pose.rigid.rotation).magnitude() for look in rest]
+        ordered.append(rest.pop(int(np.argmin(turns))))
+    return ordered
+
+
+def moved_to(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
+    """The same look when the ball turns out to stand elsewhere."""
+    return _look(
+        look.pose.rigid.rotation,
+        np.asarray(ball_mm, dtype=float),
+        np.array(look.ball_in_tool_mm),
+        look.orientation,
+    )
+
+
+def _orientation(reference: Rotation, tilt_rad: float, azimuth_rad: float, turn_rad: float) -> Rotation:
+    tilt = Rotation.from_rotvec(tilt_rad * np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0]))
+    return reference * tilt * Rotation.from_rotvec([0.0, 0.0, turn_rad])
+
+
+def _look(orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int | None = None) -> PlannedLook:
+    pose = Transform(
+        Frame.ROBOT,
+        Frame.TOOL,
+        RigidTransform.from_components(ball_mm - orientation.apply(offset_mm), orientation),
+    )
+    x, y, z = offset_mm.tolist()
+    return PlannedLook(pose, (x, y, z), number)

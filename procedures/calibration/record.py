@@ -1,0 +1,144 @@
+"""From the adjusted head to the calibration records: tool frame, stated errors, dates.
+
+Images and arm determine where the cameras are on the flange. Where the tool frame sits among them is a
+convention, and what hangs on the same mount (guide tip, reference frame) is known relative to it. So it is
+kept where the record before saw it: points around the tool centre keep their pixels in both images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.calibration.bundle import BALL, BundleFit, fit_bundle
+from procedures.calibration.head_model import (
+    CAMERA_PARAMETERS,
+    Cameras,
+    cameras_of,
+    intersected,
+    pose_record,
+)
+from procedures.calibration.observations import ObservationSet
+from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+LIFE = timedelta(days=30)
+MADE_BY = "ronna-stereo calibrate"
+KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixels
+DERIVATIVE_STEP = 1e-6  # rad, mm or px: all parameters are of the order of one
+
+
+@dataclass(frozen=True)
+class HeadResult:
+    """The new records, and how good they are. Covariances (3, 3) mm2 of the tool centre on the flange.
+
+    `tool_shift_mm` is how far the tool centre moved on the flange; `frame_misfit_mm` (rms) by how much the
+    cameras have changed between themselves since the record before.
+    """
+
+    fit: BundleFit
+    stereo_head: StereoHeadCalibration
+    tool_tip: ToolTipCalibration | None
+    tool_covariance_mm2: Array
+    tool_shift_mm: float
+    frame_misfit_mm: float
+
+
+def calibrate_head(observed: ObservationSet, *, life: timedelta = LIFE, identifier: str = "") -> HeadResult:
+    """Records from observations, dated with these. Raises CAL-002 to CAL-004."""
+    before = observed.start
+    fit = fit_bundle(observed.observations, before)
+    flange_from_tool, misfit = _kept_tool_frame(before, fit.cameras)
+    covariance = _tool_covariance(before, fit)
+    stated_error_mm = float(np.sqrt(np.trace(covariance)))
+    left, right = fit.cameras
+    head = StereoHeadCalibration(
+        identifier=identifier or new_identifier("stereo-head", observed.created),
+        stated_error_mm=stated_error_mm,
+        flange_from_tool=pose_record(flange_from_tool),
+        left=left.record(observed.serials[0], before.left.sensor_px, flange_from_tool),
+        right=right.record(observed.serials[1], before.right.sensor_px, flange_from_tool),
+        created=observed.created,
+        expires=observed.created + life,
+        made_by=MADE_BY,
+    )
+    tool_before = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    return HeadResult(
+        fit=fit,
+        stereo_head=head,
+        tool_tip=None
+        if observed.tool_tip is None
+        else _moved_tip(observed.tool_tip, tool_before, flange_from_tool),
+        tool_covariance_mm2=covariance,
+        tool_shift_mm=float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm)),
+        frame_misfit_mm=misfit,
+    )
+
+
+def new_identifier(name: str, created: datetime) -> str:
+    """Name and moment."""
+    return f"{name}-{created:%Y%m%dT%H%M%S}"
+
+
+def _moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
+    """The tip is known relative to the head's tool frame, on the same mount: it moves along with it.
+
+    Its own dates and stated error stay: nothing about the tip was measured.
+    """
+    flange_from_tip = tip.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    moved = after.rigid * before.rigid.inv() * flange_from_tip.rigid
+    return tip.model_copy(
+        update={"flange_from_tool": pose_record(Transform(Frame.FLANGE, Frame.TOOL, moved))}
+    )
+
+
+def _kept_points() -> Array:
+    """Tool centre, and the corners of a cube around it, (9, 3) mm in the tool frame."""
+    corners = np.array(np.meshgrid(*3 * ([-KEPT_REACH_MM, KEPT_REACH_MM],))).reshape(3, -1).T
+    return np.vstack([np.zeros(3), corners])
+
+
+def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
+    """Where these cameras see, in the flange frame, what the record before saw at the kept points."""
+    tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    points = tool.apply(_kept_points())
+    left, right = cameras_of(before)
+    return intersected(cameras, left.seen(points), right.seen(points))[0]
+
+
+def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
+    """FLANGE <- TOOL that keeps the pixels of the points around the tool centre, and the rms misfit, mm."""
+    tool, flange = _kept_points(), _seen_again(before, cameras)
+    middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)
+    pose = Transform(
+        Frame.FLANGE,
+        Frame.TOOL,
+        RigidTransform.from_components(middle_flange - rotation.apply(middle_tool), rotation),
+    )
+    misfit = pose.apply(tool) - flange
+    return pose, float(np.sqrt(np.mean(np.sum(misfit**2, axis=1))))
+
+
+def _tool_covariance(before: StereoHeadCalibration, fit: BundleFit) -> Array:
+    """Covariance (3, 3) of where the head sees a ball at the tool centre, in the flange frame."""
+    middle = CAMERA_PARAMETERS
+    slopes = np.empty((3, 2 * middle))
+    for column in range(2 * middle):
+        step = np.zeros(2 * middle)
+        step[column] = DERIVATIVE_STEP
+        ends = []
+        for sign in (1.0, -1.0):
+            changed = (
+                fit.cameras[0].changed(sign * step[:middle]),
+                fit.cameras[1].changed(sign * step[middle:]),
+            )
+            ends.append(_seen_again(before, changed)[0])
+        slopes[:, column] = (ends[0] - ends[1]) / (2.0 * DERIVATIVE_STEP)
+    return np.asarray(slopes @ fit.covariance[BALL:, BALL:] @ slopes.T)

@@ -1,0 +1,247 @@
+"""The self-check: does the head see the ball where it saw it at calibration, from the same eight poses?
+
+Between calibration and check the ball may have been put down elsewhere (b, robot frame) and the arm repeats
+to some micrometres. A camera or mount that moved shows in the head's own frame. Three signs are looked at:
+
+- the shift d of the seen ball in the tool frame: seen - baseline = R^T b + d. Turned and tilted poses tell
+  d from b. A camera turned by 0.01 deg in its mount gives 53 um.
+- the change of the gap between both lines of sight: a turn out of the stereo plane; the arm is not in it.
+- the change of the ball's apparent size at the distance that both lines of sight give: a turn within the
+  stereo plane brings the ball nearer, but does not make it larger. The arm has no part in it either.
+
+Each sign has the scatter of the looks themselves as its measure, from both runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.stats import chi2
+
+from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
+from procedures.calibration.head_model import cameras_of, intersected
+from procedures.calibration.observations import Observation
+from ronna_hw.calibration import StereoHeadCalibration, Strict
+from ronna_hw.frames import Frame
+
+Array = NDArray[np.float64]
+
+BASELINE_FILE = "baseline.json"
+LEAST_ORIENTATIONS = 8
+LEAST_VISITS = 2  # of each: the scatter between them is the measure of everything
+FALSE_ALARM = 0.001  # of each sign; the three together sound at most three times in a thousand sound heads
+TWIST_SHIFT_MM = 0.053  # what a camera turned by 0.01 deg does; a check must be able to see it
+SENSITIVITY = 3.0  # sigmas of the worst direction that must be left for it
+SAME_POSE_RAD = np.radians(0.05)
+# What the looks of one run share and their scatter does not show: light, focus, grain. Own estimates (U).
+GAP_FLOOR_MM = 0.0005
+SIZE_FLOOR = 4e-5  # relative: 0.01 px of a radius of 260 px
+ARM_FLOOR_MM = 0.005
+
+
+class Baseline(Strict):
+    """The looks of the eight orientations at calibration, and the record that they are judged with."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    created: datetime
+    stereo_head: StereoHeadCalibration
+    arm_variant: str
+    looks: tuple[Observation, ...]
+
+    @property
+    def orientations(self) -> tuple[int, ...]:
+        """Their numbers, sorted."""
+        return tuple(sorted({look.orientation for look in self.looks if look.orientation is not None}))
+
+
+@dataclass(frozen=True)
+class Sign:
+    """One sign: its value, its one-sigma size, its statistic (chi square) and the limit of it."""
+
+    name: str
+    value: tuple[float, ...]
+    sigma: tuple[float, ...]
+    statistic: float
+    limit: float
+
+    @property
+    def sounds(self) -> bool:
+        """True when chance does not explain it."""
+        return self.statistic > self.limit
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What a check found. `shift_mm` of the seen ball in the tool frame, `ball_moved_mm` in the robot frame.
+
+    `repeatability_mm` is the scatter of the arm per axis in this run and the baseline.
+    """
+
+    shift: Sign
+    gap: Sign
+    size: Sign
+    ball_moved_mm: tuple[float, float, float]
+    repeatability_mm: float
+    looks: int
+
+    @property
+    def signs(self) -> tuple[Sign, ...]:
+        """All three."""
+        return self.shift, self.gap, self.size
+
+    @property
+    def passed(self) -> bool:
+        """True when no sign sounds."""
+        return not any(sign.sounds for sign in self.signs)
+
+    def require(self) -> None:
+        """Raise CAL-006 naming the signs that sound."""
+        bad = [sign for sign in self.signs if sign.sounds]
+        if not bad:
+            return
+        moved = float(np.linalg.norm(self.shift.value))
+        raise HeadMoved(
+            f"the stereo head has changed since its calibration ({', '.join(sign.name for sign in bad)}); "
+            f"the ball is seen {1000 * moved:.0f} um away",
+            limit=f"chi square {bad[0].limit:.1f}",
+            last=f"{bad[0].statistic:.1f}",
+        )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Per orientation: ball in the tool frame (m, 3), gap (m,), relative size (m,), rotation, visits (m,)."""
+
+    points_mm: Array
+    gaps_mm: Array
+    sizes: Array
+    rotations: Array
+    visits: Array
+    arm_variance_mm2: float
+    gap_variance_mm2: float
+    size_variance: float
+    freedom: int
+
+
+def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> CheckResult:
+    """Judge the looks of a check. Raises CAL-008 for other poses, CAL-007 when they are too uncertain."""
+    _require_same_poses(looks, baseline)
+    head, numbers = baseline.stereo_head, baseline.orientations
+    then, now = (_seen(run, head, numbers) for run in (baseline.looks, looks))
+    freedom = then.freedom + now.freedom
+    arm = (then.arm_variance_mm2 * then.freedom + now.arm_variance_mm2 * now.freedom) / freedom
+    arm = max(arm, ARM_FLOOR_MM**2)
+    weights = 1.0 / (arm * (1.0 / then.visits + 1.0 / now.visits))
+    design = np.concatenate(
+        [now.rotations.transpose(0, 2, 1), np.tile(np.eye(3), (len(numbers), 1, 1))], axis=2
+    )
+    normal = np.einsum("n,nij,nik->jk", weights, design, design)
+    covariance = np.linalg.inv(normal)
+    found = covariance @ np.einsum("n,nij,ni->j", weights, design, now.points_mm - then.points_mm)
+    shift, shift_covariance = found[3:], covariance[3:, 3:]
+    worst = float(np.sqrt(np.linalg.eigvalsh(shift_covariance)[-1]))
+    if SENSITIVITY * worst > TWIST_SHIFT_MM:
+        raise CheckUncertain(
+            "the check would not see a camera turned by 0.01 degrees",
+            limit=f"{1000 * TWIST_SHIFT_MM / SENSITIVITY:.0f} um",
+            last=f"{1000 * worst:.0f} um",
+        )
+    share = float(np.sum(1.0 / then.visits + 1.0 / now.visits)) / len(numbers) ** 2
+    gap_variance = 0.5 * (then.gap_variance_mm2 + now.gap_variance_mm2) * share + GAP_FLOOR_MM**2
+    size_variance = 0.5 * (then.size_variance + now.size_variance) * share + SIZE_FLOOR**2
+    x, y, z = found[:3].tolist()
+    return CheckResult(
+        shift=Sign(
+            "shift of the ball, mm",
+            tuple(shift.tolist()),
+            tuple(np.sqrt(np.diag(shift_covariance)).tolist()),
+            float(shift @ np.linalg.solve(shift_covariance, shift)),
+            float(chi2.isf(FALSE_ALARM, 3)),
+        ),
+        gap=_scalar(
+            "gap of the lines of sight, mm", float(np.mean(now.gaps_mm - then.gaps_mm)), gap_variance
+        ),
+        size=_scalar("size of the ball, relative", float(np.mean(now.sizes - then.sizes)), size_variance),
+        ball_moved_mm=(x, y, z),
+        repeatability_mm=float(np.sqrt(arm)),
+        looks=len(looks),
+    )
+
+
+def _scalar(name: str, value: float, variance: float) -> Sign:
+    return Sign(
+        name, (value,), (float(np.sqrt(variance)),), value * value / variance, float(chi2.isf(FALSE_ALARM, 1))
+    )
+
+
+def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> None:
+    numbers = baseline.orientations
+    if len(numbers) < LEAST_ORIENTATIONS:
+        raise NotTheBaseline(
+            "the baseline has too few orientations", awaited=str(LEAST_ORIENTATIONS), last=str(len(numbers))
+        )
+    for run, name in ((baseline.looks, "baseline"), (looks, "check")):
+        for number in numbers:
+            count = sum(look.orientation == number for look in run)
+            if count < LEAST_VISITS:
+                raise NotTheBaseline(
+                    f"the {name} looks {count} time(s) from orientation {number + 1}",
+                    awaited=f"at least {LEAST_VISITS}",
+                )
+    poses = {look.orientation: np.array(look.joints_rad) for look in baseline.looks}
+    for look in looks:
+        if look.orientation is None or look.orientation not in poses:
+            raise NotTheBaseline(f"the baseline has no orientation {look.orientation}")
+        apart = float(np.abs(np.array(look.joints_rad) - poses[look.orientation]).max())
+        if apart > SAME_POSE_RAD:
+            raise NotTheBaseline(
+                f"orientation {look.orientation + 1} is looked from another pose than in the baseline",
+                limit=f"{np.degrees(SAME_POSE_RAD):.2f} deg in every joint",
+                last=f"{np.degrees(apart):.2f} deg",
+            )
+
+
+def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequence[int]) -> _Seen:
+    cameras = cameras_of(head)
+    tool = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    centres = np.array([[_true_centre(look, side) for side in (0, 1)] for look in run])
+    in_flange, gaps = intersected(cameras, centres[:, 0], centres[:, 1])
+    points = tool.inverse().apply(in_flange)
+    sizes = np.zeros(len(run))
+    for side, camera in enumerate(cameras):
+        distance = np.linalg.norm(in_flange @ camera.rotation.T + camera.translation_mm, axis=1)
+        minor = np.array([(look.left, look.right)[side].axes_px[1] for look in run])
+        sizes += 0.5 * np.log(minor * distance)
+    groups = [np.flatnonzero([look.orientation == number for look in run]) for number in numbers]
+    visits = np.array([float(len(group)) for group in groups])
+    freedom = int(visits.sum()) - len(groups)
+
+    def scatter(values: Array) -> float:
+        """Pooled variance between visits of the same pose, per axis."""
+        columns = values.reshape(len(run), -1)
+        total = sum(float(np.sum((columns[group] - columns[group].mean(axis=0)) ** 2)) for group in groups)
+        return total / (freedom * columns.shape[1])
+
+    rotations = np.array([(run[group[0]].flange_pose @ tool).rotation_matrix for group in groups])
+    return _Seen(
+        points_mm=np.array([points[group].mean(axis=0) for group in groups]),
+        gaps_mm=np.array([gaps[group].mean() for group in groups]),
+        sizes=np.array([sizes[group].mean() for group in groups]),
+        rotations=rotations,
+        visits=visits,
+        arm_variance_mm2=scatter(points),
+        gap_variance_mm2=scatter(gaps),
+        size_variance=scatter(sizes),
+        freedom=freedom,
+    )
+
+
+def _true_centre(look: Observation, side: int) -> tuple[float, float]:
+    """Centre of the outline. The perspective bias is the same in both runs and cancels."""
+    return (look.left, look.right)[side].centre_px

@@ -1,0 +1,156 @@
+"""Calibration of a stereo head from synthetic looks, against the truth of the scene they were made from."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+
+import numpy as np
+import pytest
+from head_looks import TrueHead, observation_set, true_head
+from scipy.spatial.transform import Rotation
+
+from procedures.calibration import Observation, calibrate_head
+from procedures.calibration.bundle import LEAST_POSES
+from procedures.calibration.errors import BadObservations, DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.observations import OBSERVATIONS_FILE, read_observations
+from procedures.calibration.pose_set import PlannedLook, calibration_looks
+from ronna_hw.calibration import CalibrationExpired, ToolTipCalibration
+from ronna_hw.errors import EXIT_REFUSED
+from sim.theatre.rigid import inverse, matrix_of
+
+BALL_MM = np.array([700.0, 20.0, 250.0])
+TOOL_DOWN = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+GOAL_MM = 0.03
+
+
+def looks_at(
+    head: TrueHead, seed: int = 1, count: int = 64, plan: tuple[PlannedLook, ...] | None = None
+) -> list[Observation]:
+    generator = np.random.default_rng(seed)
+    plan = plan or calibration_looks(TOOL_DOWN, BALL_MM, count)
+    return [head.observe(look, BALL_MM, generator) for look in plan]
+
+
+@pytest.fixture(scope="module")
+def head() -> TrueHead:
+    return true_head(seed=3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_tool_centre_is_within_three_hundredths_of_a_millimetre_of_truth(seed: int) -> None:
+    head = true_head(seed=seed)
+    result = calibrate_head(observation_set(head, looks_at(head, seed)))
+    assert head.tool_centre_error_mm(head.record) > 0.5  # what the drawing says is far off
+    assert head.tool_centre_error_mm(result.stereo_head) <= GOAL_MM
+
+
+@pytest.mark.slow
+def test_stated_errors_are_those_that_are_made() -> None:
+    ratios = []
+    for seed in range(40):
+        head = true_head(seed=seed)
+        record = calibrate_head(observation_set(head, looks_at(head, seed))).stereo_head
+        error_mm = head.tool_centre_error_mm(record)
+        assert error_mm <= GOAL_MM
+        ratios.append(error_mm / record.stated_error_mm)
+    assert 0.8 <= np.sqrt(np.mean(np.square(ratios))) <= 1.25
+
+
+def test_the_arm_and_the_images_are_told_apart(head: TrueHead) -> None:
+    fit = calibrate_head(observation_set(head, looks_at(head, count=80))).fit
+    assert fit.arm_error_mm == pytest.approx(head.repeatability_mm, rel=0.25)
+    assert fit.image_sigma_px == pytest.approx(head.outline_px, rel=0.5)
+    assert fit.ball_mm == pytest.approx(BALL_MM, abs=GOAL_MM)
+
+
+def test_looks_that_are_wrong_do_not_pull_the_result(head: TrueHead) -> None:
+    looks = looks_at(head)
+    for number in (5, 20, 41):  # another ball, the arm pushed, a glare
+        x, y = looks[number].left.centre_px
+        left = looks[number].left.model_copy(update={"centre_px": (x + 40.0, y - 15.0)})
+        looks[number] = looks[number].model_copy(update={"left": left})
+    result = calibrate_head(observation_set(head, looks))
+    assert [int(number) for number in np.flatnonzero(~result.fit.used)] == [5, 20, 41]
+    assert head.tool_centre_error_mm(result.stereo_head) <= GOAL_MM
+
+
+def test_the_new_record_is_dated_names_its_cameras_and_says_how_good_it_is(head: TrueHead) -> None:
+    observed = observation_set(head, looks_at(head))
+    record = calibrate_head(observed, life=timedelta(days=7)).stereo_head
+    assert (record.left.serial, record.right.serial) == observed.serials
+    assert record.created == observed.created
+    assert record.expires - record.created == timedelta(days=7)
+    assert 0.0 < record.stated_error_mm < GOAL_MM
+    record.check_valid_at(observed.created + timedelta(days=6))
+    with pytest.raises(CalibrationExpired, match="CAL-001") as refused:
+        record.check_valid_at(observed.created + timedelta(days=8))
+    assert refused.value.exit_code == EXIT_REFUSED
+
+
+def test_the_tip_of_the_guide_moves_with_the_mount_that_both_hang_on(head: TrueHead) -> None:
+    before = head.record
+    tip = ToolTipCalibration(
+        identifier="tip",
+        created=before.created,
+        expires=before.expires,
+        made_by="a laboratory",
+        stated_error_mm=0.05,
+        tool_number=2,
+        flange_from_tool=before.flange_from_tool,
+    )
+    observed = observation_set(head, looks_at(head)).model_copy(update={"tool_tip": tip})
+    moved = calibrate_head(observed).tool_tip
+    assert moved is not None
+    truth = matrix_of(head.scene.mount.flange_from_tool_true) @ matrix_of(head.scene.mount.tool_from_tip_true)
+    off = (inverse(truth) @ matrix_of(moved.flange_from_tool))[:3, 3]
+    assert np.linalg.norm(off) < 0.05  # with the error of the record before, which placed the tool frame
+    assert (moved.expires, moved.stated_error_mm) == (tip.expires, tip.stated_error_mm)
+
+
+def test_a_second_calibration_finds_the_first_one_right(head: TrueHead) -> None:
+    first = calibrate_head(observation_set(head, looks_at(head, 1)))
+    again = observation_set(head, looks_at(head, 2)).model_copy(update={"start": first.stereo_head})
+    second = calibrate_head(again)
+    assert first.tool_shift_mm > 0.5
+    assert second.tool_shift_mm < GOAL_MM
+    assert second.frame_misfit_mm < 0.01
+
+
+def test_too_few_poses_are_refused(head: TrueHead) -> None:
+    with pytest.raises(TooFewPoses, match="CAL-002"):
+        calibrate_head(observation_set(head, looks_at(head, count=LEAST_POSES - 1)))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_poses_of_one_orientation_or_about_one_axis_are_refused(head: TrueHead, turned: bool) -> None:
+    looks = []
+    for number, look in enumerate(calibration_looks(TOOL_DOWN, BALL_MM, 64)):
+        turn = TOOL_DOWN * Rotation.from_rotvec([0.0, 0.0, 0.02 * number if turned else 0.0])
+        offset = np.array(look.ball_in_tool_mm)
+        rigid = type(look.pose.rigid).from_components(BALL_MM - turn.apply(offset), turn)
+        looks.append(
+            PlannedLook(type(look.pose)(look.pose.target, look.pose.source, rigid), look.ball_in_tool_mm)
+        )
+    with pytest.raises(DegeneratePoses, match="CAL-003"):
+        calibrate_head(observation_set(head, looks_at(head, plan=tuple(looks))))
+
+
+def test_a_ball_that_moves_is_no_calibration(head: TrueHead) -> None:
+    shaken = TrueHead(head.scene, repeatability_mm=3.0)
+    with pytest.raises(DoesNotFit, match="CAL-004"):
+        calibrate_head(observation_set(head, looks_at(shaken)))
+
+
+def test_observations_survive_their_file(head: TrueHead, tmp_path) -> None:
+    observed = observation_set(head, looks_at(head, count=3))
+    (tmp_path / OBSERVATIONS_FILE).write_text(observed.model_dump_json(by_alias=True))
+    assert read_observations(tmp_path) == observed
+    assert read_observations(tmp_path / OBSERVATIONS_FILE) == observed
+
+
+@pytest.mark.parametrize("content", [None, "no json", '{"schema": 1}', '{"observations": [{}]}'])
+def test_a_file_that_is_no_observations_is_refused(tmp_path, content: str | None) -> None:
+    if content is not None:
+        (tmp_path / OBSERVATIONS_FILE).write_text(content)
+    with pytest.raises(BadObservations, match="CAL-005"):
+        read_observations(tmp_path)
