@@ -9,6 +9,7 @@ rim, they do not pull the centre.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -102,6 +103,39 @@ def measure_sphere(
     Raises STE-001 for an input that is no such image, STE-002 without contrast, STE-003 when no sphere is
     in view. A sphere of which too little rim is seen comes back as UNRELIABLE.
     """
+    best: SphereImage | None = None
+    round_shapes = 0
+    for sphere in _spheres(image, radius_range_px):
+        round_shapes += 1
+        if sphere is None:
+            continue
+        if sphere.status is SphereStatus.OK:
+            return sphere
+        if best is None or _visible_px(sphere) > _visible_px(best):
+            best = sphere
+    if best is None:
+        raise NoSphere(
+            "no sphere in view", awaited="a bright disc", last=f"{round_shapes} round shape(s), none a sphere"
+        )
+    return best
+
+
+def measure_spheres(
+    image: NDArray[np.uint8] | NDArray[np.uint16],
+    *,
+    radius_range_px: tuple[float, float] | None = None,
+) -> tuple[SphereImage, ...]:
+    """Every distinct disc in the image that may be a sphere, the one with the longest visible rim first.
+
+    Takes and raises what `measure_sphere` does, except that nothing found is no error.
+    """
+    return tuple(sphere for sphere in _spheres(image, radius_range_px) if sphere is not None)
+
+
+def _spheres(
+    image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
+) -> Iterator[SphereImage | None]:
+    """Each round shape, measured only when it is asked for; None where it is no disc."""
     grey = _checked(image)
     factor = max(1, math.ceil(max(grey.shape) / REDUCED_SIDE_PX))
     reduced = reduce_image(grey, factor)
@@ -117,19 +151,14 @@ def measure_sphere(
         )
     low, high = radius_range_px or (SMALLEST_RADIUS_PX * factor, 0.75 * max(grey.shape))
     guesses = find_circles(find_edges(reduced, dark, bright), 0.95 * low / factor, 1.05 * high / factor)
-    found: list[SphereImage] = []
     for guess in guesses:  # the longest visible rim first
         sphere = _refine(grey, _enlarged(guess, factor), factor)
-        if sphere is None or not low <= math.sqrt(sphere.axes_px[0] * sphere.axes_px[1]) <= high:
-            continue
-        if sphere.status is SphereStatus.OK:
-            return sphere
-        found.append(sphere)
-    if not found:
-        raise NoSphere(
-            "no sphere in view", awaited="a bright disc", last=f"{len(guesses)} round shape(s), none a sphere"
-        )
-    return max(found, key=lambda sphere: sphere.rim_fraction * sphere.axes_px[0])
+        in_range = sphere is not None and low <= math.sqrt(math.prod(sphere.axes_px)) <= high
+        yield sphere if in_range else None
+
+
+def _visible_px(sphere: SphereImage) -> float:
+    return sphere.rim_fraction * sphere.axes_px[0]
 
 
 def _checked(image: object) -> GreyImage:

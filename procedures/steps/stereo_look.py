@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from procedures.engine.step import StepContext
 from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, WrongSize
-from procedures.relocalization.sphere import SphereImage, SphereStatus, measure_sphere
-from procedures.relocalization.triangulation import StereoPoint, triangulate
+from procedures.relocalization.pairing import AreaImage, locate_sphere
+from procedures.relocalization.sphere import SphereImage
+from procedures.relocalization.triangulation import StereoPoint
 from ronna_hw.calibration import CameraCalibration
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 
@@ -54,22 +55,17 @@ def look(context: StepContext) -> Look:
         reading = context.devices.stereo.grab_pair()
     if reading.validity is not Validity.OK or reading.left is None or reading.right is None:
         return Look(reading, None, None, None, f"the pair is {reading.validity}")
+    images = (_placed(reading.left), _placed(reading.right))
     try:
-        left, right = _measure(reading.left), _measure(reading.right)
+        seen = locate_sphere(*images, context.calibrations.stereo_head)
     except NOT_SEEN as error:
         return Look(reading, None, None, None, error.what)
-    if SphereStatus.UNRELIABLE in (left.status, right.status):
-        return Look(reading, left, right, None, "too much of the rim is hidden")
-    try:
-        point = triangulate(left, right, context.calibrations.stereo_head)
-    except NOT_SEEN as error:
-        return Look(reading, left, right, None, error.what)
-    return Look(reading, left, right, point)
+    reason = "" if seen.point is not None else "too much of the rim is hidden"
+    return Look(reading, seen.left, seen.right, seen.point, reason)
 
 
-def _measure(image: CameraImage) -> SphereImage:
-    """The sphere in pixels of the whole sensor."""
-    return measure_sphere(image.pixels).shifted(image.area.offset_x, image.area.offset_y)
+def _placed(image: CameraImage) -> AreaImage:
+    return AreaImage(image.pixels, image.area.offset_x, image.area.offset_y)
 
 
 def _offset(centre_px: float, size: int, whole: int) -> int:

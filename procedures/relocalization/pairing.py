@@ -1,0 +1,100 @@
+"""One sphere in both images of a pair: what a single image takes for a sphere, the other must agree to.
+
+A glare or a second sphere can look like the sphere in one image. The lines of sight to two different things
+do not meet, or meet at a distance at which the size is wrong; then the other round shapes are tried.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from procedures.relocalization.camera import Camera
+from procedures.relocalization.errors import RaysDoNotMeet, WrongSize
+from procedures.relocalization.sphere import SphereImage, SphereStatus, measure_sphere, measure_spheres
+from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, StereoPoint, triangulate
+from procedures.relocalization.vision import GreyImage
+from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
+
+RADIUS_TOLERANCE = 0.25  # of the image at the tool centre point: far more than the depth that is in focus
+
+
+@dataclass(frozen=True)
+class AreaImage:
+    """An image and where its top-left pixel lies on the sensor."""
+
+    pixels: GreyImage
+    offset_x_px: int = 0
+    offset_y_px: int = 0
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The outlines in both images, pixels of the full sensors; the point when both can be trusted."""
+
+    left: SphereImage
+    right: SphereImage
+    point: StereoPoint | None
+
+
+def locate_sphere(
+    left: AreaImage,
+    right: AreaImage,
+    calibration: StereoHeadCalibration,
+    *,
+    sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
+) -> Sighting:
+    """The sphere that both cameras see, without a point when one of them sees too little of it.
+
+    Raises what `measure_sphere` raises, and STE-005 or STE-006 when no two round shapes belong together.
+    """
+    images = (left, right)
+    ranges = tuple(
+        radius_range_px(camera, sphere_diameter_mm) for camera in (calibration.left, calibration.right)
+    )
+    first = [
+        measure_sphere(image.pixels, radius_range_px=limits).shifted(image.offset_x_px, image.offset_y_px)
+        for image, limits in zip(images, ranges, strict=True)
+    ]
+    if SphereStatus.UNRELIABLE in (first[0].status, first[1].status):
+        return Sighting(first[0], first[1], None)
+    try:
+        point = triangulate(first[0], first[1], calibration, sphere_diameter_mm=sphere_diameter_mm)
+    except (RaysDoNotMeet, WrongSize):
+        sighting = _agreeing(images, ranges, calibration, sphere_diameter_mm)
+        if sighting is None:
+            raise
+        return sighting
+    return Sighting(first[0], first[1], point)
+
+
+def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tuple[float, float]:
+    """Smallest and largest radius, px, that a sphere near the tool centre point can have in the image."""
+    distance_mm = float(np.linalg.norm(Camera(camera).translation_mm))
+    radius = math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
+    return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
+
+
+def _agreeing(
+    images: tuple[AreaImage, AreaImage],
+    ranges: tuple[tuple[float, float], ...],
+    calibration: StereoHeadCalibration,
+    sphere_diameter_mm: float,
+) -> Sighting | None:
+    """The pair of reliable outlines whose lines of sight pass nearest to each other; None without any."""
+    found: list[list[SphereImage]] = []
+    for image, limits in zip(images, ranges, strict=True):
+        shapes = measure_spheres(image.pixels, radius_range_px=limits)
+        reliable = [shape for shape in shapes if shape.status is SphereStatus.OK]
+        found.append([shape.shifted(image.offset_x_px, image.offset_y_px) for shape in reliable])
+    sightings: list[tuple[float, Sighting]] = []
+    for left, right in product(*found):
+        try:
+            point = triangulate(left, right, calibration, sphere_diameter_mm=sphere_diameter_mm)
+        except (RaysDoNotMeet, WrongSize):
+            continue
+        sightings.append((point.ray_gap_mm, Sighting(left, right, point)))
+    return min(sightings, key=lambda each: each[0], default=(0.0, None))[1]
