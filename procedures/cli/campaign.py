@@ -92,6 +92,34 @@ def registration(
     _run(RegistrationStudy(runs, seed), tables, lambda _: {}, workers, scheduler, out, as_json, verbose)
 
 
+@app.command()
+def localization(
+    volumes: Annotated[
+        int, typer.Option("--volumes", min=1, help="Phantom scans per family and protocol.")
+    ] = 4,
+    sets: Annotated[
+        int, typer.Option("--sets", min=1, help="Sets of five scans of the x-shaped frame (tables 2 and 3).")
+    ] = 2,
+    tuning: Annotated[
+        bool, typer.Option("--tuning", help="The families that the localizer may be tuned on.")
+    ] = False,
+    seed: SeedOption = 0,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    out: OutOption = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """Spheres in phantom CTs: error, detection and honesty, beside the thesis' methods and the bound."""
+    from procedures.studies.localization import TUNING, LocalizationStudy
+    from procedures.studies.localization_tables import plots, tables
+
+    study = LocalizationStudy(volumes, sets, seed)
+    if tuning:
+        study = LocalizationStudy(volumes, sets, seed, TUNING, name="localization-tuning")
+    _run(study, tables, plots, workers, scheduler, out, as_json, verbose)
+
+
 def _run(
     study: Study,
     tables: Tables,

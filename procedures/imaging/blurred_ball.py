@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
 from scipy.special import erfc
 
 from procedures.imaging.noise_covariance import covariance_of_centre
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 METAL_HU = 900.0
 METAL_REACH_MM = 2.2  # blur of metal is felt this far
 FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere take part
+HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; deeper the blur brings nothing of it
+HIDDEN_REACH = 0.14  # rad, a ray stands for its surroundings; neighbours are 0.18 apart
 START_BLUR_MM = 0.42  # sigma of a usual reconstruction kernel
 BLUR_LIMITS_MM = (0.15, 2.0)
 MIN_VOXELS = 200
@@ -53,16 +56,30 @@ class BlurredBall:
     noise_hu: float
     blur_mm: tuple[float, float]  # sigma across slices, in the plane
     metal_share: float  # of the sphere's surface, too near metal to be used
+    slope_hu_per_mm: Array  # (3,) of the neighbourhood: what streaks of metal lay across it
+    contrast_hu: float
 
 
 def fit_blurred_ball(
-    region: Region, start_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
+    region: Region,
+    start_mm: Array,
+    radius_mm: float,
+    inside_hu: float,
+    outside_hu: float,
+    *,
+    hidden_ways: Array | None = None,
 ) -> BlurredBall | None:
-    """Fit from a centre within about 0.3 mm; None when too few voxels are usable or nothing converges."""
+    """Fit from a centre within about 0.3 mm; None when too few voxels are usable or nothing converges.
+
+    `hidden_ways` (n, 3): directions from the centre in which the surface borders on something else than the
+    outside; voxels near and beyond the surface there are left out.
+    """
     z, y, x = region.axes_mm()
     distance = np.sqrt((z - start_mm[0]) ** 2 + (y - start_mm[1]) ** 2 + (x - start_mm[2]) ** 2)
     clean = _far_from_metal(region)
     usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
+    if hidden_ways is not None and len(hidden_ways) > 0:
+        usable &= ~_hidden(region, start_mm, hidden_ways, distance > radius_mm - HIDDEN_DEPTH_MM)
     if usable.sum() < MIN_VOXELS:
         return None
     at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
@@ -88,6 +105,8 @@ def fit_blurred_ball(
         noise_hu=noise_hu,
         blur_mm=(float(solved[_SZ]), float(solved[_SXY])),
         metal_share=metal_share,
+        slope_hu_per_mm=solved[_SLOPE],
+        contrast_hu=float(solved[_IN] - solved[_OUT]),
     )
 
 
@@ -96,6 +115,17 @@ def _far_from_metal(region: Region) -> NDArray[np.bool_]:
     if not metal.any():
         return np.ones(metal.shape, dtype=bool)
     return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
+
+
+def _hidden(region: Region, centre_mm: Array, ways: Array, outer: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Outer voxels that lie in one of these directions."""
+    where = np.argwhere(outer)
+    offsets = (where + region.start) * region.spacing_mm - centre_mm
+    offsets /= np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-6)
+    distance, _ = cKDTree(ways).query(offsets, distance_upper_bound=HIDDEN_REACH)
+    hidden = np.zeros(outer.shape, dtype=bool)
+    hidden[tuple(where[np.isfinite(distance)].T)] = True
+    return hidden
 
 
 def _model(points_mm: Array, unknowns: Array, middle_mm: Array) -> tuple[Array, Array]:

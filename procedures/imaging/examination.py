@@ -20,7 +20,7 @@ from procedures.imaging.markers import (
     Candidate,
     Marker,
 )
-from procedures.imaging.radial_edge import RadialEdge, fit_radial_edge
+from procedures.imaging.radial_edge import RadialEdge, fit_radial_edge, ray_directions
 from procedures.imaging.region import cut_region
 from procedures.imaging.volume import Volume
 
@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 
 REGION_REACH = 2.2  # of the radius
 MIN_SURFACE_SHARE = 0.5
+COVERED_SURFACE_SHARE = 0.35  # enough, if what covers the rest shows a border there
+COVERED_COHERENCE = 0.85
+COVERED_STEP_HU = 30.0  # a moist bandage is 50 to 100 HU below the polymer
 RADIUS_TOLERANCE = 0.061  # of the radius: 0.35 mm for the usual sphere
 AGREEMENT_MM = 0.06  # beyond this the two estimators contradict each other
 
@@ -61,7 +64,7 @@ def examine(
     edge = fit_radial_edge(region, peak.position_mm, radius_mm)
     if edge is None:
         return _rejected(volume, peak, None, "shows no surface of a polymer sphere")
-    if edge.surface_share < min_surface_share:
+    if edge.surface_share < min_surface_share and not _is_half_covered(edge):
         seen = f"{edge.surface_share:.0%} of a sphere's surface"
         cut = edge.unscanned_share > UNSCANNED_FLAG
         return _rejected(
@@ -73,8 +76,14 @@ def examine(
         return _rejected(volume, peak, edge, "is a marker that has been found already")
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
+    hidden = refined.surface_share < SURFACE_FLAG and refined.unscanned_share < UNSCANNED_FLAG
     ball = fit_blurred_ball(
-        region, refined.centre_mm, refined.radius_mm, refined.inside_hu, refined.outside_hu
+        region,
+        refined.centre_mm,
+        refined.radius_mm,
+        refined.inside_hu,
+        refined.outside_hu,
+        hidden_ways=ray_directions()[~refined.seen] if hidden else None,
     )
     if ball is None:
         return _rejected(volume, peak, refined, "fits no blurred sphere")
@@ -88,6 +97,20 @@ def examine(
         radius_mm=ball.radius_mm,
     )
     return Sphere(candidate, refined, ball, combined)
+
+
+def _is_half_covered(edge: RadialEdge) -> bool:
+    """Does less than half of the surface show, but all that could, with a border under the rest?
+
+    A cylinder or a bone shows open sides that lie on no sphere; the end of a rounded rod goes on where the
+    sphere should end.
+    """
+    return (
+        edge.surface_share > COVERED_SURFACE_SHARE
+        and edge.coherence > COVERED_COHERENCE
+        and edge.covered_step_hu > COVERED_STEP_HU
+        and edge.unscanned_share < UNSCANNED_FLAG
+    )
 
 
 def as_marker(sphere: Sphere, others: list[Sphere], volume: Volume, radius_mm: float) -> Marker:

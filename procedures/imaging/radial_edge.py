@@ -27,6 +27,7 @@ POLYMER_HU = (-300.0, 500.0)
 MIN_CONTRAST_HU = 100.0
 SAME_LEVEL = 0.25  # of the contrast: a ray whose ends differ more from the usual levels is not used
 INLIER = 0.061  # of the nominal radius (0.35 mm): an edge point this near the sphere lies on it
+STEP_INSIDE, STEP_OUTSIDE = (0.70, 0.88), (1.15, 1.35)  # of the fitted radius, clear of the blur
 PASSES, REFINING_PASSES = 3, 2  # rays are cast again from each new centre
 FIT_STEPS = 12
 FIT_DONE_MM = 1e-6
@@ -41,7 +42,10 @@ class RadialEdge:
     """A sphere fitted to edge points. Centre and covariance in grid mm (slice, row, column).
 
     `surface_share` is the part of all rays whose edge lies on the sphere, `unscanned_share` the part that
-    leaves the scanned volume. `covariance_mm2` treats the rays as independent.
+    leaves the scanned volume, `coherence` the part of the rays that end in the open (air, as a rule) whose
+    edge lies on the sphere. `covered_step_hu` is the usual fall of intensity at the sphere's radius along
+    rays that end in something else, such as a bandage; 0 where there are none. `seen` (RAYS,) tells the rays
+    on whose edge the sphere rests. `covariance_mm2` treats the rays as independent.
     """
 
     centre_mm: Array
@@ -51,6 +55,9 @@ class RadialEdge:
     unscanned_share: float
     inside_hu: float
     outside_hu: float
+    coherence: float
+    covered_step_hu: float
+    seen: NDArray[np.bool_]
 
 
 def fit_radial_edge(
@@ -100,6 +107,9 @@ def _fit_profiles(
     points_mm = centre_mm + edge_mm[usable, None] * ways[usable]
     new_centre_mm, radius_mm, covariance_mm2, residuals_mm = _fit_sphere(points_mm, centre_mm)
     on_sphere = np.abs(residuals_mm) < INLIER * nominal_radius_mm
+    opens = np.abs(outer - outside_hu) < margin_hu
+    seen = np.zeros(len(profiles), dtype=bool)
+    seen[np.flatnonzero(scanned)[usable][on_sphere]] = True
     return RadialEdge(
         centre_mm=new_centre_mm,
         radius_mm=radius_mm,
@@ -108,7 +118,25 @@ def _fit_profiles(
         unscanned_share=1.0 - float(scanned.sum()) / len(profiles),
         inside_hu=inside_hu,
         outside_hu=outside_hu,
+        coherence=float(on_sphere.sum()) / max(float(opens.sum()), 1.0),
+        covered_step_hu=_covered_step(rays[~opens & (outer < inside_hu + margin_hu)], radii_mm, radius_mm),
+        seen=seen,
     )
+
+
+def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
+    """Median fall from just inside the sphere to just outside it."""
+    share = radii_mm / radius_mm
+    within = rays[:, (share > STEP_INSIDE[0]) & (share < STEP_INSIDE[1])]
+    beyond = rays[:, (share > STEP_OUTSIDE[0]) & (share < STEP_OUTSIDE[1])]
+    if within.size == 0 or beyond.size == 0:  # nothing covers it, or a radius beyond what is scanned
+        return 0.0
+    return float(np.median(within.mean(axis=1) - beyond.mean(axis=1)))
+
+
+def ray_directions() -> Array:
+    """Unit directions (RAYS, 3) of the rays, along (slice, row, column)."""
+    return _directions(RAYS)
 
 
 def _level_by_direction(middle_hu: Array, ways: Array, usable: NDArray[np.bool_]) -> Array:

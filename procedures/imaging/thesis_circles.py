@@ -25,7 +25,7 @@ HEAD_OPENING_MM = 21.0  # whatever is thinner in a slice is not the head
 HEAD_MARGIN_MM = 1.0
 REGION_MARGIN_MM = 8.0  # around a region, so that whole circles are seen
 REGION_VOLUME_MM3 = 100.0  # at least; a sphere has 800
-REGION_EXTENT_MM = 90.0  # at most: a headrest and a cable are longer
+REGION_EXTENT_MM = 150.0  # at most: the frame has 115, a headrest and a cable are longer
 
 PIXEL_MM = 0.25
 RADIUS_MM = (2.0, 6.2)

@@ -38,3 +38,17 @@ class UnitFailed(DataError):
 
     code = "STU-005"
     action = "Run the study again: finished units are kept; --verbose shows the trace."
+
+
+class PhantomFailed(DataError):
+    """`ronna-sim phantom` did not write a scan for the study."""
+
+    code = "STU-006"
+    action = "Run `ronna-sim phantom` with these arguments to see why."
+
+
+class NotForJudging(ConfigurationError):
+    """A family for tuning would judge the localizer."""
+
+    code = "STU-007"
+    action = "Take it out of the judging families, or state its purpose in the phantom."

@@ -261,3 +261,24 @@ def test_progress_runs_from_nothing_to_one(make_scan: Make) -> None:
     localize(as_volume(scan), progress=shares.append)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
+
+
+@pytest.mark.parametrize("covering_hu", [40.0, -50.0])
+def test_a_ball_half_under_skin_or_bandage_is_found_and_flagged(make_scan: Make, covering_hu: float) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    centre = np.array([20.3, 19.6, 20.1])
+    scan.half_space(centre + np.array([0.0, 0.5, 0.0]), np.array([0.1, -1.0, 0.2]), covering_hu)
+    scan.ball(centre)
+    marker = localize(as_volume(scan), expected=1).markers[0]
+    assert np.linalg.norm(marker.centre_mm - centre) < 0.03
+    assert "surface_hidden" in marker.flags
+    assert marker.quality < 0.6
+
+
+def test_the_round_end_of_a_rod_is_no_half_covered_ball(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 100, 80))
+    centre = np.array([20.0, 18.0, 20.0])
+    scan.ball(centre)
+    scan.rod(centre, np.array([0.0, 1.0, 0.0]), 28.0, RADIUS_MM, 150.0)
+    with pytest.raises(errors.MarkerCountWrong, match="no marker found"):
+        localize(as_volume(scan))

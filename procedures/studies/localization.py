@@ -1,0 +1,196 @@
+"""Spheres in phantom CTs: ours beside the thesis' two methods, on families that nothing was tuned on.
+
+And the protocols of the thesis' tables 2 and 3: five scans of one frame of four spheres are registered to
+its known coordinates and to each other; FLE follows from FRE. People are simulated with the FLE that the
+thesis reports for its four operators, so their rows check the protocol, not people.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging import (
+    Localization,
+    ThesisFit,
+    Volume,
+    localize,
+    localize_as_thesis,
+    localize_picks,
+)
+from procedures.imaging.errors import MarkerCountWrong, PickRefused
+from procedures.imaging.markers import ESTIMATORS_DISAGREE
+from procedures.registration.fit import register
+from procedures.studies.errors import NotForJudging
+from procedures.studies.phantom_scans import PhantomScan, phantom_scan
+from procedures.studies.unit import Sums, Unit, blocks, generator
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+Array = NDArray[np.float64]
+
+JUDGING = ("narrow", "broad", "clamp", "electrodes", "bandage", "crowded", "edge", "streaks")
+TUNING = ("plain", "posts", "dressing")
+PROTOCOLS = ("good", "poor")
+FRAMES = "frames"
+FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # one scan of each makes a set
+FRAME_PROTOCOL = "usual"
+SAME_SPHERE_MM = 2.0
+LARGE_ERROR_MM = 0.1
+BIN_MM = 0.001
+SEED_BOUND = 2**31
+OPERATORS_FLE_MM = (0.4583, 0.3306, 0.3691, 0.7211)  # thesis, table 3
+
+
+class Method(StrEnum):
+    """Who says where the spheres are."""
+
+    OURS = "combined"
+    THESIS_LINE = "thesis-line"
+    THESIS_SPHERE = "thesis-sphere"
+    PERSON = "person"
+    REFINED = "person's picks refined"
+
+
+AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
+
+
+@dataclass(frozen=True)
+class LocalizationStudy:
+    """So many volumes of each family and protocol, and sets of five scans of the frame."""
+
+    volumes: int
+    sets: int = 1
+    seed: int = 0
+    families: tuple[str, ...] = JUDGING
+    protocols: tuple[str, ...] = PROTOCOLS
+    name: str = "localization"
+
+    def parameters(self) -> dict[str, object]:
+        """Everything that the numbers depend on."""
+        return {
+            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
+        }
+
+    def units(self) -> Sequence[Unit]:
+        """A unit per volume, then one per set."""
+        cells = [f"{family}|{protocol}" for protocol in self.protocols for family in self.families]
+        volumes = [unit for cell in cells for unit in blocks(cell, self.volumes, 1)]
+        return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]
+
+    def run(self, unit: Unit) -> Sums:
+        """Counts and sums of squares (mm2) over the spheres of one volume, or over one set."""
+        family, protocol = unit.cell.split("|")
+        random = generator(self.seed, unit)
+        sums: Counter[str] = Counter()
+        if family == FRAMES:
+            sums.update(_frame_set(random))
+        else:
+            with phantom_scan(family, protocol, int(random.integers(SEED_BOUND))) as scan:
+                if family in JUDGING and scan.purpose != "judging":
+                    raise NotForJudging(f"family {family} is for {scan.purpose}")
+                sums.update({"volumes": 1.0, "bound2": scan.bound_mm**2})
+                for method in AUTOMATIC:
+                    sums.update(_judged(method, scan))
+        return {key: float(value) for key, value in sums.items()}
+
+
+def _localized(method: Method, volume: Volume) -> Localization | None:
+    try:
+        if method is Method.OURS:
+            return localize(volume)
+        return localize_as_thesis(volume, ThesisFit(method.value))
+    except MarkerCountWrong:
+        return None
+
+
+def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
+    """What one method made of one volume. Spheres that the field cuts count as neither missed nor false."""
+    result = _localized(method, scan.volume)
+    sums: dict[str, float] = defaultdict(float, spheres=scan.whole.sum(), cut=(~scan.whole).sum())
+    found = np.empty((0, 3)) if result is None else result.centres_mm
+    distance = np.linalg.norm(found[:, None] - scan.centres_mm[None], axis=2)
+    near = distance < SAME_SPHERE_MM
+    sums["false"] = int((~near.any(axis=1)).sum())
+    for sphere, centre in enumerate(scan.centres_mm):
+        hits = np.flatnonzero(near[:, sphere])
+        if result is None or len(hits) == 0:
+            sums["missed" if scan.whole[sphere] else "cut missed"] += 1
+            continue
+        if not scan.whole[sphere]:
+            sums["cut found"] += 1
+            continue
+        marker = result.markers[int(hits[0])]
+        error = marker.centre_mm - centre
+        length_mm = float(np.linalg.norm(error))
+        sums["found"] += 1
+        sums["error2"] += length_mm**2
+        sums["chi2"] += float(error @ np.linalg.solve(marker.covariance_mm2, error))
+        sums[f"bin {int(length_mm / BIN_MM)}"] += 1
+        if length_mm > LARGE_ERROR_MM:
+            sums["large"] += 1
+            sums["large flagged"] += ESTIMATORS_DISAGREE in marker.flags
+    return {f"{method}|{key}": float(value) for key, value in sums.items()}
+
+
+def _frame_set(random: np.random.Generator) -> dict[str, float]:
+    """Five scans of the frame: FREs to its coordinates, and of the ten pairs, for everybody."""
+    frame = np.array(SPHERE_CENTRES_MM)
+    points: dict[str, list[Array]] = {}
+    for family in FRAME_FAMILIES:
+        seed = int(random.integers(SEED_BOUND))
+        with phantom_scan(family, FRAME_PROTOCOL, seed, "xframe") as scan:
+            for method in AUTOMATIC:
+                result = _localized(method, scan.volume)
+                ordered = None if result is None else _in_order(result.centres_mm, scan.centres_mm)
+                if ordered is not None:
+                    points.setdefault(method.value, []).append(ordered)
+            picks: list[Array] = []
+            for number, fle_mm in enumerate(OPERATORS_FLE_MM, start=1):
+                picks.append(scan.centres_mm + random.normal(size=(4, 3)) * fle_mm / np.sqrt(3.0))
+                points.setdefault(f"{Method.PERSON} {number}", []).append(picks[-1])
+            ordered = _refined(scan, picks[0])
+            if ordered is not None:
+                points.setdefault(Method.REFINED.value, []).append(ordered)
+    sums: dict[str, float] = defaultdict(float, sets=1.0)
+    for who, scans in points.items():
+        for one in scans:
+            sums[f"{who}|truth fre2"] += register(frame, one).fre_mm ** 2
+            sums[f"{who}|truth runs"] += 1
+        for one, other in combinations(scans, 2):
+            sums[f"{who}|pair fre2"] += register(one, other).fre_mm ** 2
+            sums[f"{who}|pair runs"] += 1
+    return {key: float(value) for key, value in sums.items()}
+
+
+def _refined(scan: PhantomScan, picks_mm: Array) -> Array | None:
+    try:
+        result = localize_picks(scan.volume, picks_mm)
+    except PickRefused:
+        return None
+    return _in_order(result.centres_mm, scan.centres_mm)
+
+
+def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
+    """The found points in the order of the true ones; None unless each has one of its own."""
+    if len(found_mm) == 0:
+        return None
+    distance = np.linalg.norm(found_mm[:, None] - centres_mm[None], axis=2)
+    nearest = distance.argmin(axis=0)
+    whole = bool((distance.min(axis=0) < SAME_SPHERE_MM).all()) and len(set(nearest.tolist())) == len(
+        centres_mm
+    )
+    return found_mm[nearest] if whole else None
+
+
+def pooled(sums: Mapping[str, Sums], cells: Sequence[str]) -> Sums:
+    """Sums over several cells."""
+    total: Counter[str] = Counter()
+    for cell in cells:
+        total.update(sums.get(cell, {}))
+    return dict(total)

@@ -1,0 +1,83 @@
+"""Phantom scans with their truth for the localization study, made by `ronna-sim phantom`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import pi, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging import Volume, read_series
+from procedures.studies.errors import PhantomFailed
+from ronna_hw.child_process import command
+
+Array = NDArray[np.float64]
+
+PHANTOM_LIMIT_S = 300.0  # host time, as a guard
+AIR_HU = -1000.0
+PLANE_BLUR_MM, SLICE_BLUR_MM = 0.42, 0.35  # what the phantom's scanner blurs, before the voxel's own size
+BOX_VARIANCE = 1.0 / 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class PhantomScan:
+    """A volume, and where its spheres are: centres (n, 3) LPS mm, and whether the field holds all of each."""
+
+    volume: Volume
+    centres_mm: Array
+    whole: NDArray[np.bool_]
+    purpose: str
+    bound_mm: float  # Cramér-Rao, 3-D rms over the spheres
+
+
+@contextmanager
+def phantom_scan(family: str, protocol: str, seed: int, fiducials: str = "free") -> Iterator[PhantomScan]:
+    """Make a scan; its files are gone afterwards. Raises STU-006."""
+    with tempfile.TemporaryDirectory() as folder:
+        arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
+        done = subprocess.run(
+            command("sim.cli", "phantom", "--out", folder, "--seed", str(seed), "--json", *arguments),
+            capture_output=True,
+            text=True,
+            timeout=PHANTOM_LIMIT_S,
+            check=False,
+        )
+        if done.returncode != 0:
+            raise PhantomFailed(f"{family}, {protocol}, seed {seed}", last=" ".join(done.stderr.split()))
+        said = json.loads(done.stdout)
+        truth = json.loads(Path(said["truth"]).read_text(encoding="utf-8"))
+        yield PhantomScan(
+            read_series(Path(said["series"])),
+            np.array([fiducial["centre_mm"] for fiducial in truth["fiducials"]]),
+            np.array([fiducial.get("surface_in_field", 1.0) == 1.0 for fiducial in truth["fiducials"]]),
+            truth["purpose"],
+            bound_mm(truth),
+        )
+
+
+def bound_mm(truth: dict[str, Any]) -> float:
+    """Cramér-Rao bound, 3-D rms, of a homogeneous ball in white noise.
+
+    sigma_x = (sigma / C) sqrt(v 2 sqrt(pi) s 3 / (4 pi R^2)) per axis, for noise sigma, contrast C, voxel
+    volume v, isotropic blur s and radius R.
+    """
+    pixel, _, slice_mm = truth["voxel_mm"]
+    plane = PLANE_BLUR_MM**2 + BOX_VARIANCE * pixel**2
+    along = SLICE_BLUR_MM**2 + BOX_VARIANCE * slice_mm**2
+    blur_mm = sqrt((2.0 * plane + along) / 3.0)
+    variances = []
+    for fiducial in truth["fiducials"]:
+        contrast, radius = fiducial["HU"] - AIR_HU, fiducial["radius_mm"]
+        area = 3.0 / (4.0 * pi * radius**2)
+        volume = pixel * pixel * slice_mm
+        axis = (truth["noise_HU"] / contrast) ** 2 * volume * 2.0 * sqrt(pi) * blur_mm * area
+        variances.append(3.0 * axis)
+    return sqrt(sum(variances) / len(variances))
