@@ -88,7 +88,8 @@ class PairGrabber:
         frames = self._collect(deadline_s)
         self.block_ids = tuple(frame.block_id if frame else None for frame in frames)  # type: ignore[assignment]
         if None in frames:
-            self._out_of_step = True
+            # a line without a pulse is no reason to miss the next one
+            self._out_of_step = self._options.trigger != "line1" or frames != (None, None)
             self._explain_absence(frames)
         return self._reading(frames, sequence, triggered_s)
 

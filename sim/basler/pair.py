@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Sequence
-
-import numpy as np
+from collections.abc import Sequence
 
 from sim.basler.addresses import bind_broadcast, bind_pair
 from sim.basler.camera.device import Camera
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.timing import TriggerMoments
 from sim.basler.control.bootstrap import Identity
+from sim.basler.faults import CameraFaults
 from sim.basler.server import ControlServer
-from sim.basler.stream.channel import Losses
-from sim.theatre.faults import FaultBoard
-from sim.theatre.noise import noise
 from sim.theatre.world import World
 
 SIDES = ("left", "right")
@@ -29,13 +25,15 @@ class CameraPair:
         moments = TriggerMoments(world.clock)
         self._cameras = []
         for side, truth, control in zip(SIDES, (world.scene.left, world.scene.right), sockets, strict=True):
+            # a board for the server's thread, one for the thread that takes pictures
+            faults, seen = (CameraFaults(world, truth, side) for _ in range(2))
             self._cameras.append(
                 Camera(
                     Identity(control.getsockname()[0], truth.serial, side),
-                    Photographer(world, truth),
+                    Photographer(world, truth, seen),
                     world.clock,
                     moments,
-                    losses=_losses(world, truth.serial),
+                    faults=faults,
                 )
             )
         self._server = ControlServer(self._cameras, sockets, bind_broadcast(), _tell)
@@ -61,20 +59,6 @@ class CameraPair:
     def end(self) -> None:
         """Make `serve` return soon."""
         self._server.end()
-
-
-def _losses(world: World, serial: str) -> Losses:
-    """Packets that the fault script makes the network lose, the same for a seed."""
-    board = FaultBoard(world, "camera")
-
-    def lost(block_id: int, packets: int) -> Collection[int]:
-        shares = [float(fault.argument) for fault in board.active("camera_drop")]
-        if not shares:
-            return ()
-        drawn = noise(world.scene.seed, f"stream of camera {serial}", block_id).uniform(0.0, 100.0, packets)
-        return set(np.flatnonzero(drawn < max(shares)).tolist())
-
-    return lost
 
 
 def _tell(message: str) -> None:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import heapq
+import itertools
 import selectors
 import socket
-from collections.abc import Callable, Sequence
+import struct
+import time
+from collections.abc import Callable, Iterator, Sequence
 from ipaddress import IPv4Address
 
+from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, PENDING_PAYLOAD, GevStatus, GvcpCommand
 from sim.basler.camera.device import Camera
+from sim.basler.control.privilege import Peer
 
 DATAGRAM_BYTES = 2048
 IDLE_CHECK_S = 0.5
+SCRIPTED_CHECK_S = 0.01  # while a fault script is there: how soon what it says happens
 # A datagram is answered before the next is read, so a stall of one camera's client cannot starve others.
 DATAGRAMS_AT_ONCE = 64
 
@@ -31,6 +38,10 @@ class ControlServer:
         self._selector = selectors.DefaultSelector()
         self._waker, self._sleeper = socket.socketpair()
         self._ended = False
+        self._late: list[
+            tuple[float, int, socket.socket, bytes, Peer]
+        ] = []  # answers that a fault holds back
+        self._numbers = itertools.count()
         for each in (*sockets, *shared, self._sleeper):
             each.setblocking(False)
         for camera, own in self._cameras:
@@ -42,11 +53,15 @@ class ControlServer:
     def serve(self) -> None:
         """Answer until `end`."""
         while not self._ended:
-            for key, _ in self._selector.select(self._patience_s()):
-                if key.data:
-                    self._receive(key.fileobj, key.data)  # type: ignore[arg-type]
+            self._receive_all(self._patience_s())
+            self._send_late()
             for camera, _ in self._cameras:
-                camera.privilege.expire()
+                camera.befall()
+                left_s = camera.privilege.seconds_left()
+                if left_s is not None and left_s <= 0.0:
+                    # a sign of life may have come while this process had no time to look
+                    self._receive_all(0.0)
+                    camera.privilege.expire()
 
     def end(self) -> None:
         """Make `serve` return. May be called from a signal handler or another thread."""
@@ -57,7 +72,20 @@ class ControlServer:
     def _patience_s(self) -> float:
         """Until the next owner may lose control."""
         left = [camera.privilege.seconds_left() for camera, _ in self._cameras]
-        return max(0.0, min([IDLE_CHECK_S, *(each for each in left if each is not None)]))
+        check_s = SCRIPTED_CHECK_S if self._cameras[0][0].faults.scripted else IDLE_CHECK_S
+        due_s = [self._late[0][0] - time.monotonic()] if self._late else []
+        return max(0.0, min([check_s, *due_s, *(each for each in left if each is not None)]))
+
+    def _receive_all(self, patience_s: float) -> None:
+        for key, _ in self._selector.select(patience_s):
+            if key.data:
+                self._receive(key.fileobj, key.data)  # type: ignore[arg-type]
+
+    def _send_late(self) -> None:
+        while self._late and self._late[0][0] <= time.monotonic():
+            _, _, own, answer, peer = heapq.heappop(self._late)
+            with contextlib.suppress(OSError):
+                own.sendto(answer, peer)
 
     def _receive(self, source: socket.socket, cameras: list[tuple[Camera, socket.socket]]) -> None:
         for _ in range(DATAGRAMS_AT_ONCE):
@@ -70,14 +98,37 @@ class ControlServer:
                     self._answer(camera, own, datagram, peer)
 
     def _answer(self, camera: Camera, own: socket.socket, datagram: bytes, peer: tuple[str, int]) -> None:
+        if camera.faults.active("unplug"):
+            return
         try:
             answer = camera.port.answer(datagram, peer)
         except Exception as problem:  # a mistake here must cost one answer, not both cameras
             self._tell(f"{camera.identity.user_name}: {type(problem).__name__}: {problem}")
             return
-        if answer is not None:
-            with contextlib.suppress(OSError):
-                own.sendto(answer, peer)
+        if answer is None:
+            return
+        for delay_s, part in _delivered(camera, answer):
+            heapq.heappush(self._late, (time.monotonic() + delay_s, next(self._numbers), own, part, peer))
+        self._send_late()
+
+
+def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
+    """What comes of an answer under the faults that act: delay in host time, and datagram."""
+    faults = camera.faults
+    if not faults.scripted:
+        yield 0.0, answer
+        return
+    if faults.answer_lost():
+        return
+    pending_ms = faults.amount("pend_answers")
+    if pending_ms:
+        request_id = struct.unpack_from(GVCP_ACK_HEADER, answer)[3]
+        words = struct.pack(PENDING_PAYLOAD, 0, round(pending_ms))
+        head = struct.pack(
+            GVCP_ACK_HEADER, GevStatus.SUCCESS, GvcpCommand.PENDING_ACK, len(words), request_id
+        )
+        yield 0.0, head + words
+    yield max(pending_ms, faults.amount("delay_answers")) / 1e3, answer
 
 
 def _same_network(own: str, other: str) -> bool:

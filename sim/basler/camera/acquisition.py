@@ -25,6 +25,7 @@ from sim.basler.camera.timing import (
     readout_us,
     shortest_period_us,
 )
+from sim.basler.faults import NO_FAULTS, NoFaults
 from sim.basler.stream.block import Frame
 from sim.basler.stream.channel import StreamChannel
 
@@ -58,6 +59,7 @@ class Acquisition:
         clock: TheatreClock,
         ticks: Ticks,
         moments: TriggerMoments,
+        faults: NoFaults = NO_FAULTS,
     ) -> None:
         self._name = name
         self._settings = settings
@@ -66,6 +68,7 @@ class Acquisition:
         self._clock = clock
         self._ticks = ticks
         self._moments = moments
+        self._faults = faults
         self._changed = threading.Condition()
         self._waiting: deque[_Exposure] = deque()
         self._session = 0
@@ -141,11 +144,18 @@ class Acquisition:
         for trigger in Trigger:
             self._fire(trigger, TriggerSource.ACTION_1)
 
+    def line(self) -> None:
+        """A pulse on the trigger line."""
+        for trigger in Trigger:
+            self._fire(trigger, TriggerSource.LINE_1)
+
     def _fire(self, which: Trigger, source: TriggerSource) -> None:
         with self._changed:
             settings = self._settings()
             trigger = settings.triggers[which]
             if not self._running or not trigger.mode or trigger.source != source:
+                return
+            if self._faults.active("miss"):
                 return
             if which is Trigger.ACQUISITION_START:
                 if self._permitted == 0:
@@ -158,7 +168,8 @@ class Acquisition:
         if self._permitted == 0 or self._busy():
             self._missed_triggers += 1
             return
-        moment_ns = self._moments.of(self._name) + round(trigger.delay_us * 1e3)
+        late_us = trigger.delay_us + self._faults.amount("late") * 1e3
+        moment_ns = self._moments.of(self._name) + round(late_us * 1e3)
         self._waiting.append(self._exposure(settings, max(moment_ns, self._ready_ns)))
         self._changed.notify_all()
 

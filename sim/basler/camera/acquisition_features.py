@@ -98,7 +98,7 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
     ),
     trigger_setting(
         "TriggerSource",
-        "Where the selected trigger comes from. Nothing is wired to Line1.",
+        "Where the selected trigger comes from.",
         "source",
         Kind.ENUMERATION,
         entries={

@@ -16,7 +16,8 @@ from sim.basler.control.port import Actions, ControlPort
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Refusal, RegisterMap
 from sim.basler.control.replay import ReplayCache
-from sim.basler.stream.channel import Losses, StreamChannel, no_losses
+from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.stream.channel import StreamChannel
 
 
 class Camera:
@@ -32,17 +33,18 @@ class Camera:
         clock: TheatreClock,
         moments: TriggerMoments,
         *,
-        losses: Losses = no_losses,
+        faults: NoFaults = NO_FAULTS,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.identity = identity
         self.settings = Settings()
         self._user_sets: dict[int, Settings] = {UserSet.DEFAULT: Settings()}
         self.privilege = Privilege(now_s, self._abandoned)
-        self.channel = StreamChannel(identity.address, self._owner_address, losses)
-        ticks = Ticks(clock)
+        self.faults = faults
+        self.channel = StreamChannel(identity.address, self._owner_address, faults)
+        ticks = self._ticks = Ticks(clock, faults)
         self.acquisition = Acquisition(
-            identity.user_name, lambda: self.settings, source, self.channel, clock, ticks, moments
+            identity.user_name, lambda: self.settings, source, self.channel, clock, ticks, moments, faults
         )
         self.registers = RegisterMap()
         add_bootstrap(
@@ -56,6 +58,7 @@ class Camera:
             Actions(self.channel.repeat, self._act),
             mac=identity.mac,
             address=identity.address_bytes,
+            counts_as_life=lambda: not faults.active("deaf"),
         )
 
     def open(self) -> None:
@@ -116,6 +119,22 @@ class Camera:
         if selected == UserSet.DEFAULT:
             raise Refusal(GevStatus.WRITE_PROTECT)
         self._user_sets[selected] = self.settings.copy()
+
+    def befall(self) -> None:
+        """Let happen what the fault script says has happened since the last call."""
+        if self.faults.happened("restart"):
+            self.restart()
+        if self.faults.happened("pulse"):
+            self.acquisition.line()
+        self.privilege.seize(self.faults.active("taken"))
+
+    def restart(self) -> None:
+        """Power off and on: nobody is in control, everything as after power-on; saved user sets are kept."""
+        self.privilege.drop()
+        self.acquisition.stop()
+        self.channel.shut()
+        self.settings = Settings()
+        self._ticks.reset()
 
     def _owner_address(self) -> str | None:
         owner = self.privilege.owner

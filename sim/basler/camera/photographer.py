@@ -9,6 +9,7 @@ from typing import Protocol
 from sim.basler.camera.pixels import depth_bits, ramp_image, to_wire
 from sim.basler.camera.settings import FrameSettings, RampImage
 from sim.basler.disturbance import Disturbances
+from sim.basler.faults import NO_FAULTS, NoFaults
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import Pose, View
@@ -39,7 +40,8 @@ class Photographer:
     The same trigger number, settings and pose of the head give the same bytes.
     """
 
-    def __init__(self, world: World, camera: CameraTruth) -> None:
+    def __init__(self, world: World, camera: CameraTruth, faults: NoFaults = NO_FAULTS) -> None:
+        self._faults = faults
         self._seed = world.scene.seed
         self._serial = camera.serial
         self._view = View(world, camera)
@@ -65,6 +67,7 @@ class Photographer:
             disturbance = self._disturbances.now()
             spheres = self._view.spheres(pose, disturbance.twist_rad)
             light = self._optics.light_on(frame.area, spheres, disturbance)
+        light = self._faults.spoil(light, frame.area.x, frame.area.y)
         pixels = self._sensor.read(
             light,
             exposure_us=frame.exposure_us,
@@ -79,7 +82,8 @@ class Photographer:
         """What a picture depends on, to compare, and the head's pose in it."""
         pose = self._view.pose()
         place = None if pose is None else pose.tobytes()
-        return (frame, place, self._view.head_mounted, self._disturbances.now()), pose
+        on_lens = self._faults.on_lens()
+        return (frame, place, self._view.head_mounted, self._disturbances.now(), on_lens), pose
 
 
 class Ring:

@@ -36,7 +36,7 @@ class Trigger(IntEnum):
 
 
 class TriggerSource(IntEnum):
-    """Entries of TriggerSource. Nothing is wired to Line1."""
+    """Entries of TriggerSource. Pulses on Line1 come from the fault script only."""
 
     SOFTWARE = 0
     LINE_1 = 1

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from ronna_hw.wire.gige_vision import SENSOR_HEIGHT_PX, TICK_FREQUENCY_HZ
 from sim.basler.camera.settings import FrameSettings, Settings
+from sim.basler.faults import NO_FAULTS, NoFaults
 
 FULL_FRAME_RATE_HZ = 50.0
 ROW_US = 1e6 / FULL_FRAME_RATE_HZ / SENSOR_HEIGHT_PX  # read-out of one row
@@ -77,10 +78,13 @@ class TriggerMoments:
 class Ticks:
     """The camera's time stamp counter, which runs with the theatre's clock."""
 
-    def __init__(self, clock: TheatreClock) -> None:
+    def __init__(self, clock: TheatreClock, faults: NoFaults = NO_FAULTS) -> None:
         self._clock = clock
+        self._faults = faults
         self._zero_ns = 0
         self._last_stamp = 0
+        self._gained_ns = 0.0  # by drift
+        self._drifted_until_ns = 0
         self.latched = 0
 
     def stamp(self, moment_ns: int) -> int:
@@ -98,4 +102,10 @@ class Ticks:
         self._last_stamp = 0
 
     def _at(self, moment_ns: int) -> int:
-        return max(0, moment_ns - self._zero_ns) // NS_PER_TICK
+        if self._faults.happened("reset_clock"):
+            self.reset()
+        drift_ppm = self._faults.drift_ppm()
+        if drift_ppm:
+            self._gained_ns += max(0, moment_ns - self._drifted_until_ns) * drift_ppm * 1e-6
+        self._drifted_until_ns = moment_ns
+        return max(0, moment_ns - self._zero_ns + round(self._gained_ns)) // NS_PER_TICK

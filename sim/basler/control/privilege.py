@@ -11,6 +11,9 @@ DEFAULT_HEARTBEAT_MS = 3000
 Peer = tuple[str, int]
 """Address and port of an application."""
 
+SOMEBODY_ELSE: Peer = ("0.0.0.0", 0)
+"""An application that is in control because a fault says so; it never falls silent."""
+
 
 class Privilege:
     """The control channel privilege (CCP) and its heartbeat.
@@ -73,9 +76,22 @@ class Privilege:
         if peer == self._owner:
             self._last_sign_s = self._now_s()
 
+    def seize(self, wanted: bool) -> None:
+        """Have somebody else in control while `wanted`, whoever was before."""
+        if wanted and self._owner != SOMEBODY_ELSE:
+            self.drop()
+            self._owner, self._value = SOMEBODY_ELSE, CCP_CONTROL
+        elif not wanted and self._owner == SOMEBODY_ELSE:
+            self.drop()
+
+    def drop(self) -> None:
+        """End control, as if the owner had given it back."""
+        if self._owner is not None:
+            self._release()
+
     def seconds_left(self) -> float | None:
         """Time until the owner loses control; None without owner."""
-        if self._owner is None:
+        if self._owner in (None, SOMEBODY_ELSE):
             return None
         return self._last_sign_s + self._heartbeat_ms / 1e3 - self._now_s()
 

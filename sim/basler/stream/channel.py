@@ -7,6 +7,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Collection
+from dataclasses import replace
 
 from ronna_hw.wire.gige_vision import (
     BLOCK_ID_FIRST,
@@ -16,6 +17,8 @@ from ronna_hw.wire.gige_vision import (
     GevStatus,
     GvspFormat,
 )
+from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.optics.canvas import Area
 from sim.basler.stream.block import Block, Frame, header
 
 KEPT_BLOCKS = 16
@@ -29,25 +32,19 @@ SHORTEST_SLEEP_S = 2e-4  # below, sleeping costs more time than it takes
 IP_MTU_DISCOVER = 10  # from linux/in.h; not in Python's socket module
 PMTU_DO, PMTU_DONT = 2, 0
 
-Losses = Callable[[int, int], Collection[int]]
-"""Block id and number of packets to the packet ids that get lost on the way."""
-
-
-def no_losses(_block_id: int, _packets: int) -> Collection[int]:
-    """Nothing gets lost."""
-    return ()
+WRONG_AREA_PX = 16  # how far beside the true one a leader's area is, when a fault says so
 
 
 class StreamChannel:
     """Sends blocks to one receiver. `owner_address` says who controls the camera."""
 
     def __init__(
-        self, address: str, owner_address: Callable[[], str | None], losses: Losses = no_losses
+        self, address: str, owner_address: Callable[[], str | None], faults: NoFaults = NO_FAULTS
     ) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((address, 0))
         self._owner_address = owner_address
-        self._losses = losses
+        self._faults = faults
         self._kept: deque[Block] = deque(maxlen=KEPT_BLOCKS)
         self._next_block_id = BLOCK_ID_FIRST
         self._do_not_fragment = False
@@ -91,7 +88,7 @@ class StreamChannel:
         """The next block, to be sent now; None while the channel is closed."""
         if self.receiver is None:
             return None
-        block = Block(self._next_block_id, frame, self.packet_size)
+        block = Block(self._next_block_id, self._as_sent(frame), self.packet_size)
         self._next_block_id = BLOCK_ID_FIRST if block.block_id == BLOCK_ID_LAST else block.block_id + 1
         self._kept.append(block)
         return block
@@ -104,15 +101,15 @@ class StreamChannel:
         receiver = self.receiver
         if receiver is None:
             return
-        lost = self._losses(block.block_id, block.trailer_id + 1)
         packets = block.trailer_id + 1
+        lost = self._faults.lost(block.block_id, packets)
         pause_s = self.packet_size / WIRE_BYTES_PER_S + self.delay_ticks / TICK_FREQUENCY_HZ
         pause_s = max(pause_s, duration_s / packets)
         together = max(1, BURST_BYTES // self.packet_size)
         begun_s = time.monotonic()
-        for packet_id in range(packets):
-            if packet_id % together == 0:
-                ahead_s = begun_s + packet_id * pause_s - time.monotonic()
+        for place, packet_id in enumerate(self._faults.order(block.block_id, packets)):
+            if place % together == 0:
+                ahead_s = begun_s + place * pause_s - time.monotonic()
                 if ahead_s > SHORTEST_SLEEP_S:
                     time.sleep(ahead_s)
             if packet_id not in lost:
@@ -124,7 +121,7 @@ class StreamChannel:
         if receiver is None:
             return
         block = next((kept for kept in tuple(self._kept) if kept.block_id == block_id), None)
-        if block is None or first_packet > block.trailer_id:
+        if block is None or first_packet > block.trailer_id or self._faults.active("forget"):
             content = header(GevStatus.PACKET_UNAVAILABLE, block_id, GvspFormat.PAYLOAD, first_packet)
             self._put_bytes([content], receiver)
             return
@@ -146,10 +143,21 @@ class StreamChannel:
         """Let go of the socket."""
         self._socket.close()
 
+    def _as_sent(self, frame: Frame) -> Frame:
+        if self._faults.active("truncate"):
+            frame = replace(frame, image=frame.image[: len(frame.image) // 2])
+        if self._faults.active("shift_area"):
+            area = frame.settings.area
+            beside = Area(area.x + WRONG_AREA_PX, area.y, area.width, area.height)
+            frame = replace(frame, settings=replace(frame.settings, area=beside))
+        return frame
+
     def _put(self, block: Block, packet_id: int, status: GevStatus, receiver: tuple[str, int]) -> None:
         self._put_bytes(block.packet(packet_id, status), receiver)
 
     def _put_bytes(self, parts: Collection[bytes | memoryview], receiver: tuple[str, int]) -> None:
+        if not self._faults.passes(sum(len(part) for part in parts) + IP_UDP_HEADER_BYTES):
+            return
         # A receiver that is gone, or a packet too large for the path, is lost as on a real network.
         with contextlib.suppress(OSError):
             self._socket.sendmsg(parts, (), 0, receiver)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sim.theatre.faults.camera_link import DEVICE_FAULTS
 from sim.theatre.faults.camera_sight import SIGHT_FAULTS
 from sim.theatre.faults.kinds import FaultKind, at_most_all
 
@@ -14,4 +15,5 @@ CAMERA_FAULTS = (
         "That share of the image packets is lost.",
         check=at_most_all,
     ),
+    *DEVICE_FAULTS,
 )

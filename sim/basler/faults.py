@@ -1,0 +1,184 @@
+"""What the fault script does to one camera now, in the words of the parts that it concerns."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.basler.optics.blur import blurred
+from sim.theatre.faults import Fault, FaultBoard
+from sim.theatre.faults.camera_link import BOTH
+from sim.theatre.noise import noise
+from sim.theatre.scene import CameraTruth
+from sim.theatre.world import World
+
+FLOOD = np.float32(1e6)  # times the light: beyond every exposure and gain
+SPOT_RADIUS_PX = 6.0
+WHOLE = 100.0
+LOSS_LANE, ORDER_LANE, DOUBLE_LANE, ANSWER_LANE = 0, 1, 2, 3  # of the noise
+
+Light = NDArray[np.float32]
+
+
+class NoFaults:
+    """A camera to which nothing happens; also the questions that may be asked."""
+
+    def lost(self, _block_id: int, _packets: int) -> Collection[int]:
+        """Packet ids that get lost on the way."""
+        return ()
+
+    def order(self, _block_id: int, packets: int) -> Sequence[int]:
+        """Packet ids in the order in which they arrive, some perhaps twice."""
+        return range(packets)
+
+    def passes(self, _packet_bytes: int) -> bool:
+        """True when the network carries a packet of that size."""
+        return True
+
+    def active(self, _kind: str) -> bool:
+        """True while a fault of that kind acts on this camera."""
+        return False
+
+    def happened(self, _kind: str) -> bool:
+        """True once after a momentary fault of that kind."""
+        return False
+
+    def amount(self, _kind: str) -> float:
+        """The largest number of the faults of that kind that act; 0 without one."""
+        return 0.0
+
+    def on_lens(self) -> tuple[tuple[str, float], ...]:
+        """What acts on the light, by name and amount; to compare, and for `spoil`."""
+        return ()
+
+    def spoil(self, light: Light, _left_px: int, _top_px: int) -> Light:
+        """Light (height, width) of an area of the sensor as it is with that."""
+        return light
+
+    @property
+    def scripted(self) -> bool:
+        """True while there are faults of cameras at all."""
+        return False
+
+    def drift_ppm(self) -> float:
+        """How much the time stamp counter runs too fast."""
+        return 0.0
+
+    def answer_lost(self) -> bool:
+        """True when the next answer to a command gets lost."""
+        return False
+
+
+NO_FAULTS = NoFaults()
+
+
+class CameraFaults(NoFaults):
+    """Asks the board on behalf of one camera. May be asked from any thread: each has its own board."""
+
+    def __init__(self, world: World, camera: CameraTruth, side: str) -> None:
+        self._world = world
+        self._side = side
+        self._camera = camera
+        self._board = FaultBoard(world, "camera")
+        self._answers = 0
+
+    @property
+    def scripted(self) -> bool:
+        return not self._board.empty
+
+    def lost(self, block_id: int, packets: int) -> Collection[int]:
+        if self._board.empty:
+            return ()
+        gone: set[int] = set()
+        if self.active("omit_frames"):
+            gone.update(range(packets))
+        if self.active("omit_leader"):
+            gone.add(0)
+        if self.active("omit_trailer"):
+            gone.add(packets - 1)
+        shares = [float(fault.argument) for fault in self._board.active("camera_drop")]
+        share = max([*shares, self.amount("lose")])
+        if share:
+            drawn = self._noise(block_id, LOSS_LANE).uniform(0.0, WHOLE, packets)
+            gone.update(np.flatnonzero(drawn < share).tolist())
+        return gone
+
+    def order(self, block_id: int, packets: int) -> Sequence[int]:
+        if self._board.empty:
+            return range(packets)
+        ids = np.arange(packets)
+        if self.active("shuffle"):
+            ids = self._noise(block_id, ORDER_LANE).permutation(ids)
+        if share := self.amount("duplicate"):
+            drawn = self._noise(block_id, DOUBLE_LANE).uniform(0.0, WHOLE, packets)
+            ids = np.repeat(ids, 1 + (drawn < share))
+        return [int(number) for number in ids]
+
+    def passes(self, packet_bytes: int) -> bool:
+        if self._board.empty:
+            return True
+        if self.active("unplug"):
+            return False
+        limits = [float(fault.arguments[1]) for fault in self._mine("path")]
+        return packet_bytes <= min(limits, default=packet_bytes)
+
+    def active(self, kind: str) -> bool:
+        return bool(self._mine(kind))
+
+    def happened(self, kind: str) -> bool:
+        told = self._board.happened(f"camera_{kind}")
+        return any(fault.argument in ("", self._side, BOTH) for fault in told)
+
+    def amount(self, kind: str) -> float:
+        return max((float(fault.arguments[1]) for fault in self._mine(kind)), default=0.0)
+
+    def drift_ppm(self) -> float:
+        return sum(float(fault.arguments[1]) for fault in self._mine("drift"))
+
+    def answer_lost(self) -> bool:
+        share = self.amount("lose_answers")
+        if not share:
+            return False
+        self._answers += 1
+        return bool(self._noise(self._answers, ANSWER_LANE).uniform(0.0, WHOLE) < share)
+
+    def on_lens(self) -> tuple[tuple[str, float], ...]:
+        if self._board.empty:
+            return ()
+        found = [(kind, self.amount(kind)) for kind in ("defocus", "dust") if self.active(kind)]
+        return (*found, *((kind, 1.0) for kind in ("darken", "saturate") if self.active(kind)))
+
+    def spoil(self, light: Light, left_px: int, top_px: int) -> Light:
+        for kind, amount in self.on_lens():
+            match kind:
+                case "defocus":
+                    light = np.asarray(blurred(light, amount), dtype=np.float32)
+                case "dust":
+                    light = self._dusted(light, int(amount), left_px, top_px)
+                case "darken":
+                    light = np.zeros_like(light)
+                case "saturate":
+                    light = (light + np.float32(1.0)) * FLOOD
+        return light
+
+    def _dusted(self, light: Light, spots: int, left_px: int, top_px: int) -> Light:
+        columns, rows = self._camera.sensor_px
+        places = noise(self._world.scene.seed, f"dust of camera {self._camera.serial}", 0).uniform(
+            (0.0, 0.0), (columns, rows), (spots, 2)
+        )
+        y, x = np.ogrid[: light.shape[0], : light.shape[1]]
+        dusted = light.copy()
+        for place_x, place_y in places - (left_px, top_px):
+            dusted[(x - place_x) ** 2 + (y - place_y) ** 2 < SPOT_RADIUS_PX**2] = 0.0
+        return dusted
+
+    def _mine(self, kind: str) -> list[Fault]:
+        if self._board.empty:
+            return []
+        active = self._board.active(f"camera_{kind}")
+        return [fault for fault in active if fault.argument in (self._side, BOTH)]
+
+    def _noise(self, counter: int, lane: int) -> np.random.Generator:
+        return noise(self._world.scene.seed, f"stream of camera {self._camera.serial}", counter, lane)
