@@ -64,7 +64,7 @@ def run(context: StepContext) -> Outcome:
         context.progress(number / len(planned), f"centring sphere {item['fiducial'] + 1}")
         expected = _shifted(pose_from(item["tool_pose"]), offset_mm)
         near: JointVector = tuple(item["approach_rad"])
-        sphere = _centre(context, int(item["fiducial"]), expected, near)
+        sphere = centre_on(context, int(item["fiducial"]), expected, near)
         offset_mm = sphere.point_mm - pose_from(item["tool_pose"]).translation_mm
         found.append(sphere)
     coarse = np.array([item["tool_pose"]["translation_mm"] for item in planned])
@@ -93,7 +93,7 @@ def _activate(context: StepContext) -> None:
             device.activate()
 
 
-def _centre(context: StepContext, fiducial: int, expected: Transform, near: JointVector) -> FoundSphere:
+def centre_on(context: StepContext, fiducial: int, expected: Transform, near: JointVector) -> FoundSphere:
     """Approach one sphere along the tool axis, servo onto it, and back off the same way."""
     _move_joints(context, _standoff(context, expected), near)
     _move_linear(context, expected)

@@ -1,0 +1,82 @@
+"""Random starts of the visual servo, 5 mm from the sphere: steps, last residuals, recorded points."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.stereo_cell import StereoCell
+from benchmarks.stereo_pictures import Studio
+from ronna_hw.errors import RonnaError
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene import Scene
+
+Array = NDArray[np.float64]
+
+START_MM = 5.0
+END_MM, STEPS = 0.03, 8
+STARTS_PER_CELL = 100  # then another arm, mount and head
+PLACES_SEED = 7
+
+
+@dataclass
+class ServoTally:
+    """What came of the starts. `beyond_mm` is the recorded point's error without what did not repeat."""
+
+    starts: int = 0
+    steps: list[int] = field(default_factory=list)
+    residuals_mm: list[float] = field(default_factory=list)
+    errors_mm: list[float] = field(default_factory=list)
+    beyond_mm: list[float] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def within(self) -> int:
+        """Starts that ended at the end condition within the allowed steps."""
+        ends = zip(self.steps, self.residuals_mm, strict=True)
+        return sum(steps <= STEPS and residual <= END_MM for steps, residual in ends)
+
+
+def servo_campaign(
+    starts: int, scene_of: Callable[[Scene], Scene] = lambda scene: scene, *, first_seed: int = 0
+) -> ServoTally:
+    """Run the step's servo from `starts` random places; `scene_of` changes each cell's scene before."""
+    tally = ServoTally()
+    with tempfile.TemporaryDirectory(prefix="ronna-servo-") as folder:
+        for number in range(-(-starts // STARTS_PER_CELL)):
+            scene = scene_of(built_in_scene("default", seed=first_seed + number))
+            count = min(STARTS_PER_CELL, starts - tally.starts)
+            _in_one_cell(scene, count, number, Path(folder), tally)
+    return tally
+
+
+def calibrated_cell(scene: Scene, folder: Path) -> StereoCell:
+    """A cell whose cameras are calibrated without errors, on a mount that is taken for the nominal one."""
+    perfect = Studio(scene).calibration()
+    nominal = perfect.model_copy(update={"flange_from_tool": scene.mount.flange_from_tool_nominal})
+    return StereoCell(scene, nominal, folder)
+
+
+def _in_one_cell(scene: Scene, starts: int, number: int, folder: Path, tally: ServoTally) -> None:
+    cell = calibrated_cell(scene, folder)
+    generator = np.random.default_rng([PLACES_SEED, number])
+    for _ in range(starts):
+        start = cell.draw_start(generator, START_MM)
+        tally.starts += 1
+        try:
+            found = cell.centre(start)
+        except RonnaError as problem:
+            tally.failures.append(str(problem))
+            continue
+        error = cell.true_offset_mm(found, start.fiducial)
+        # the retreat was one more motion after the one that was looked from
+        rest = cell.rest_error_mm(found.joints_rad, cell.arm.motions - 1)
+        tally.steps.append(len(found.residuals_mm) - 1)
+        tally.residuals_mm.append(found.residuals_mm[-1])
+        tally.errors_mm.append(float(np.linalg.norm(error)))
+        tally.beyond_mm.append(float(np.linalg.norm(error + rest)))

@@ -1,0 +1,223 @@
+"""Arm and stereo head of a simulated cell in one process: true kinematics, rendered pictures, no network.
+
+The two devices stand behind the interfaces that the procedure's step uses, so a campaign runs the step's
+own loop thousands of times at the price of drawing and measuring the pictures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.engine.step import StepContext
+from procedures.steps.relocalization import FoundSphere, centre_on
+from ronna_hw.arm.inverse import branch_of, solve_branch
+from ronna_hw.arm.model import ArmModel, arm_model
+from ronna_hw.arm.pose import Pose
+from ronna_hw.calibration import StereoHeadCalibration
+from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, Stamp, StereoReading, Validity
+from ronna_hw.frames import Frame, Transform
+from sim.basler.camera.photographer import Photographer
+from sim.basler.camera.settings import Settings
+from sim.kuka.true_arm import TrueArm
+from sim.theatre.rigid import (
+    apply,
+    matrix_from,
+    matrix_of,
+    pose_of,
+    rotation_from_vector,
+    rotation_towards,
+)
+from sim.theatre.scene import ArmTruth, LinkError, Mount, Scene
+from sim.theatre.world import ArmState, World
+
+Array = NDArray[np.float64]
+
+EXPOSURE_US, GAIN_RAW = 2000, 100  # the driver's defaults
+LARGEST_TILT_RAD = 0.35  # of the tool axis against straight down
+TRAJECTORY = "T1"
+NO_LINK_ERROR = LinkError(translation_mm=(0.0, 0.0, 0.0), rotation_rad=(0.0, 0.0, 0.0))
+SIX_ZEROS = (0.0,) * 6
+
+
+def without_arm_errors(scene: Scene) -> Scene:
+    """The scene with the nominal arm and a mount as drawn; what does not repeat stays."""
+    arm: ArmTruth = scene.arm.model_copy(
+        update={
+            "links": (NO_LINK_ERROR,) * 6,
+            "joint_offset_rad": SIX_ZEROS,
+            "harmonic_1_rad": SIX_ZEROS,
+            "harmonic_2_rad": SIX_ZEROS,
+            "sag_rad": (0.0, 0.0),
+            "backlash_rad": SIX_ZEROS,
+        }
+    )
+    mount: Mount = scene.mount.model_copy(
+        update={"flange_from_tool_true": scene.mount.flange_from_tool_nominal}
+    )
+    return scene.model_copy(update={"arm": arm, "mount": mount})
+
+
+@dataclass
+class CellArm:
+    """The arm: every motion arrives at once, with the flanks of its directions."""
+
+    world: World
+    model: ArmModel
+    truth: TrueArm
+    joints_rad: JointVector
+    flanks: list[float] = field(default_factory=lambda: [1.0] * 6)
+    motions: int = 0
+
+    def read_state(self, timeout_s: float = 1.0) -> SimpleNamespace:
+        """The encoders."""
+        return SimpleNamespace(joints_rad=self.joints_rad)
+
+    def move_joints(self, target_rad: JointVector, **_more: Any) -> None:
+        """Go there."""
+        ways = [new - old for new, old in zip(target_rad, self.joints_rad, strict=True)]
+        self.flanks = [
+            float(np.sign(way)) if way else flank for way, flank in zip(ways, self.flanks, strict=True)
+        ]
+        self.joints_rad, self.motions = target_rad, self.motions + 1
+        flange = self.truth.at_rest(target_rad, self.flanks, self.motions)
+        self.world.publish_arm(ArmState(target_rad, flange, self.motions, True))
+
+    def move_linear(self, target: Pose, **_more: Any) -> None:
+        """Go there in the present branch."""
+        self.move_joints(
+            solve_branch(self.model, target, branch_of(self.model, self.joints_rad), self.joints_rad)
+        )
+
+
+class CellStereo:
+    """The stereo head: a pair is drawn when it is asked for."""
+
+    def __init__(self, world: World) -> None:
+        self._cameras = [
+            (Photographer(world, truth), truth.serial, Settings(exposure_us=EXPOSURE_US, gain_raw=GAIN_RAW))
+            for truth in (world.scene.left, world.scene.right)
+        ]
+        self.pairs = 0
+
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
+        """Read these parts of the sensors."""
+        for (_, _, settings), area in zip(self._cameras, (left, right), strict=True):
+            settings.offset_x, settings.offset_y = area.offset_x, area.offset_y
+            settings.width, settings.height = area.width, area.height
+
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
+        """Set both cameras alike."""
+        for _, _, settings in self._cameras:
+            settings.exposure_us, settings.gain_raw = round(exposure_us), gain_raw
+
+    def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
+        """Draw a pair."""
+        self.pairs += 1
+        stamp = cast(Stamp, SimpleNamespace())
+        left, right = (
+            CameraImage(stamp, Validity.OK, serial, _pixels(camera, settings, self.pairs), _area(settings))
+            for camera, serial, settings in self._cameras
+        )
+        return StereoReading(stamp, Validity.OK, left, right)
+
+
+@dataclass(frozen=True)
+class Start:
+    """A sphere and where the tool centre point truly is before the servo."""
+
+    fiducial: int
+    expected: Transform
+    near_rad: JointVector
+
+
+class StereoCell:
+    """The cell of a scene with a stereo head that is calibrated as `calibration` says."""
+
+    def __init__(self, scene: Scene, calibration: StereoHeadCalibration, folder: Path) -> None:
+        self.scene = scene
+        self.world = World.create(scene, paced=False)
+        self.model = arm_model(scene.arm.variant)
+        home: Any = tuple(float(np.radians(angle)) for angle in scene.arm.home_deg)
+        self.arm = CellArm(self.world, self.model, TrueArm(scene.arm, scene.seed), home)
+        self.stereo = CellStereo(self.world)
+        self._home = home
+        self._tool_in_flange = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+        self._calibration = calibration
+        self._folder = folder
+        self.centres_mm = apply(
+            matrix_of(scene.head.robot_from_ct), [each.centre_ct_mm for each in scene.head.fiducials]
+        )
+
+    def draw_start(self, generator: np.random.Generator, away_mm: float) -> Start:
+        """A random sphere seen from a random side, the tool truly `away_mm` from it in a random direction."""
+        fiducial = int(generator.integers(len(self.centres_mm)))
+        direction = generator.standard_normal(3)
+        offset = away_mm * direction / np.linalg.norm(direction)
+        tilt = rotation_from_vector([*generator.uniform(-LARGEST_TILT_RAD, LARGEST_TILT_RAD, 2), 0.0])
+        sphere = self.centres_mm[fiducial]
+        outwards = np.array([sphere[0], sphere[1], 0.0])
+        orientation = tilt @ rotation_towards((0.0, 0.0, -1.0), outwards)
+        nominal = matrix_from(sphere, orientation)
+        # where the tool truly is when the controller believes it on the sphere
+        self._go(nominal)
+        believed_mm = self.world.robot_from_tool()[:3, 3]
+        expected = matrix_from(sphere + offset - (believed_mm - sphere), orientation)
+        return Start(fiducial, _transform(expected), self._joints(expected))
+
+    def centre(self, start: Start) -> FoundSphere:
+        """Run the step's own loop onto one sphere."""
+        return centre_on(self._context(), start.fiducial, start.expected, start.near_rad)
+
+    def true_offset_mm(self, found: FoundSphere, fiducial: int) -> Array:
+        """Recorded point minus true place of the sphere, robot frame (3,)."""
+        return np.asarray(found.point_mm - self.centres_mm[fiducial])
+
+    def rest_error_mm(self, joints_rad: JointVector, motion: int) -> Array:
+        """What did not repeat in that motion (3,)."""
+        at_rest = self.arm.truth.at_rest(joints_rad, self.arm.flanks, motion)
+        return np.asarray((at_rest - self.arm.truth.moving(joints_rad, self.arm.flanks))[:3, 3])
+
+    def _go(self, tool: Array) -> None:
+        self.arm.move_joints(self._joints(tool))
+
+    def _joints(self, tool: Array) -> JointVector:
+        flange = Pose.from_transform(_transform(tool) @ self._tool_in_flange.inverse())
+        return solve_branch(self.model, flange, branch_of(self.model, self._home), self._home)
+
+    def _context(self) -> StepContext:
+        payload = {"targets": {TRAJECTORY: {"approach_signs": [1.0] * 6}}}
+        return cast(
+            StepContext,
+            SimpleNamespace(
+                key=SimpleNamespace(trajectory=TRAJECTORY),
+                case=SimpleNamespace(folder=self._folder, get=lambda _kind: SimpleNamespace(payload=payload)),
+                calibrations=SimpleNamespace(stereo_head=self._calibration),
+                devices=SimpleNamespace(arm=self.arm, stereo=self.stereo),
+                theatre=SimpleNamespace(
+                    robot={"master": SimpleNamespace(options={"variant": self.scene.arm.variant})},
+                    procedure=SimpleNamespace(servo_area_px=self.scene.servo_area_px, standoff_mm=60.0),
+                ),
+            ),
+        )
+
+
+def _transform(matrix: Array) -> Transform:
+    pose = pose_of(matrix)
+    return Transform.of(
+        Frame.ROBOT, Frame.TOOL, translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz
+    )
+
+
+def _area(settings: Settings) -> AreaOfInterest:
+    return AreaOfInterest(settings.offset_x, settings.offset_y, settings.width, settings.height)
+
+
+def _pixels(camera: Photographer, settings: Settings, number: int) -> NDArray[np.uint8]:
+    image = camera.triggered(settings.frame(), number)
+    return np.frombuffer(image, np.uint8).reshape(settings.height, settings.width)
