@@ -140,7 +140,6 @@ def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
 
 def _frame_set(random: np.random.Generator) -> dict[str, float]:
     """Five scans of the frame: FREs to its coordinates, and of the ten pairs, for everybody."""
-    frame = np.array(SPHERE_CENTRES_MM)
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:
         seed = int(random.integers(SEED_BOUND))
@@ -157,6 +156,12 @@ def _frame_set(random: np.random.Generator) -> dict[str, float]:
             ordered = _refined(scan, picks[0])
             if ordered is not None:
                 points.setdefault(Method.REFINED.value, []).append(ordered)
+    return fle_sums(points)
+
+
+def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
+    """Squared FREs (mm2) of everybody's scans (4, 3) to the frame's coordinates and to each other."""
+    frame = np.array(SPHERE_CENTRES_MM)
     sums: dict[str, float] = defaultdict(float, sets=1.0)
     for who, scans in points.items():
         for one in scans:

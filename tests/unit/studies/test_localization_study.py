@@ -1,0 +1,151 @@
+"""The localization study: counts what it should on made-up results, and on one real phantom scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from procedures.imaging import Localization, Marker, Volume, VoxelGeometry
+from procedures.studies import localization as study_module
+from procedures.studies import phantom_scans
+from procedures.studies.errors import NotForJudging, PhantomFailed, UnitFailed
+from procedures.studies.ledger import Ledger
+from procedures.studies.localization import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, Method
+from procedures.studies.localization_tables import plots, tables
+from procedures.studies.phantom_scans import PhantomScan, bound_mm, phantom_scan
+from procedures.studies.unit import Unit, add_up
+from procedures.studies.workers import run_study
+
+CENTRES = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])
+
+
+def scan_of(centres: np.ndarray, whole: list[bool]) -> PhantomScan:
+    geometry = VoxelGeometry((1, 1, 1), np.zeros(3), np.eye(3), np.ones(3))
+    volume = Volume(np.zeros((1, 1, 1), dtype=np.int16), geometry, "1", "2")
+    return PhantomScan(volume, centres, np.array(whole), "judging", 0.002)
+
+
+def found_at(points: np.ndarray, sigma_mm: float, flags: tuple[str, ...] = ()) -> Localization:
+    covariance = sigma_mm**2 * np.eye(3)
+    markers = tuple(Marker(point, covariance, 5.75, 1.0, 0.0, flags) for point in np.asarray(points))
+    return Localization(markers, (), "1", "2", 11.5)
+
+
+def test_missed_false_cut_and_large_errors_are_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = np.array([[0.003, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.0]])
+    points = np.vstack([CENTRES[[0, 1, 3]] + errors, [[200.0, 0.0, 0.0]]])
+    monkeypatch.setattr(
+        study_module, "localize", lambda volume: found_at(points, 0.01, ("estimators_disagree",))
+    )
+    sums = study_module._judged(Method.OURS, scan_of(CENTRES, [True, True, True, False]))
+    counted = {key.partition("|")[2]: value for key, value in sums.items()}
+    assert {key: counted[key] for key in ("spheres", "found", "missed", "false", "cut", "cut found")} == {
+        "spheres": 3,
+        "found": 2,
+        "missed": 1,
+        "false": 1,
+        "cut": 1,
+        "cut found": 1,
+    }
+    assert (counted["large"], counted["large flagged"]) == (1, 1)
+    assert counted["error2"] == pytest.approx(0.003**2 + 0.2**2)
+    assert counted["chi2"] == pytest.approx(0.3**2 + 20.0**2)
+    assert counted["bin 3"] + counted.get("bin 2", 0) == 1
+
+
+def test_tables_and_plots_say_what_was_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(1)
+    sums: dict[str, dict[str, float]] = {}
+    for family in ("narrow", "streaks"):
+        one = {"volumes": 1.0, "bound2": 0.002**2}
+        for method in AUTOMATIC:
+            points = CENTRES + random.normal(size=(4, 3)) * 0.01
+            monkeypatch.setattr(study_module, "_localized", lambda *_, p=points: found_at(p, 0.01))
+            one |= study_module._judged(method, scan_of(CENTRES, [True] * 4))
+        sums[f"{family}|good"] = one
+    together, single = tables(sums)
+    assert [row[:2] for row in together.rows[::3]] == [
+        ("without streaks on posts", "good"),
+        ("with streaks on posts", "good"),
+    ]
+    assert len(single.rows) == 2 * 3
+    row = dict(zip(single.columns, single.rows[0], strict=True))
+    assert (row["spheres"], row["found %"], row["false"]) == (4, 100.0, 0)
+    assert row["rms µm"] == pytest.approx(10.0 * np.sqrt(3.0), rel=0.5)
+    assert row["rms / CRB"] == pytest.approx(row["rms µm"] / 2.0)
+    assert plots(sums)["error-good.png"].startswith(b"\x89PNG")
+
+
+def test_the_protocols_of_tables_2_and_3_give_back_the_error_of_the_people() -> None:
+    """Many sets with people alone: FLE from FRE, against the truth and between scans."""
+    random = np.random.default_rng(4)
+    fle_mm, sets = 0.4583, 40
+    total: dict[str, float] = {}
+    frame = np.array(study_module.SPHERE_CENTRES_MM)
+    for _ in range(sets):
+        scans = [frame + random.normal(size=frame.shape) * fle_mm / np.sqrt(3.0) for _ in range(5)]
+        for key, value in study_module.fle_sums({"person 1": scans}).items():
+            total[key] = total.get(key, 0.0) + value
+    *_, table = tables({"frames|usual": total})
+    row = dict(zip(table.columns, table.rows[0], strict=True))
+    assert (row["scans"], row["pairs"]) == (5 * sets, 10 * sets)
+    assert row["FLE mm, truth"] == pytest.approx(fle_mm, rel=0.1)
+    assert row["FLE mm, pairs"] == pytest.approx(fle_mm, rel=0.1)
+
+
+def test_no_family_both_tunes_and_judges_and_the_phantom_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not set(JUDGING) & set(TUNING)
+    monkeypatch.setattr(study_module, "JUDGING", ("plain",))
+    study = LocalizationStudy(1, families=("plain",))
+
+    class Tuning:
+        def __enter__(self) -> PhantomScan:
+            scan = scan_of(CENTRES, [True] * 4)
+            return PhantomScan(scan.volume, scan.centres_mm, scan.whole, "tuning", 0.002)
+
+        def __exit__(self, *_: object) -> None: ...
+
+    monkeypatch.setattr(study_module, "phantom_scan", lambda *_: Tuning())
+    with pytest.raises(NotForJudging, match="plain is for tuning"):
+        study.run(Unit("plain|poor", 0, 1))
+
+
+def test_a_phantom_that_cannot_be_made_is_told_with_its_own_words() -> None:
+    with (
+        pytest.raises(PhantomFailed, match="there is no family 'martian'"),
+        phantom_scan("martian", "poor", 1),
+    ):
+        pass
+
+
+def test_the_bound_falls_with_noise_and_rises_with_voxels() -> None:
+    fiducials = [{"HU": 150.0, "radius_mm": 5.75}]
+    good = bound_mm({"voxel_mm": [0.5, 0.5, 1.0], "noise_HU": 20.0, "fiducials": fiducials})
+    assert good == pytest.approx(0.0016, abs=0.0002)  # reference experiment
+    noisy = bound_mm({"voxel_mm": [0.5, 0.5, 1.0], "noise_HU": 50.0, "fiducials": fiducials})
+    assert noisy == pytest.approx(2.5 * good)
+    assert bound_mm({"voxel_mm": [0.7, 0.7, 2.0], "noise_HU": 20.0, "fiducials": fiducials}) > 2.0 * good
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_one_volume_and_one_set_of_real_phantoms(tmp_path: Path) -> None:
+    study = LocalizationStudy(1, 1, seed=3, families=("narrow",), protocols=("poor",))
+    ledger = Ledger(tmp_path, study)
+    run_study(study, ledger, workers=1)
+    together, _, frames = tables(add_up(ledger.results()))
+    ours = dict(zip(together.columns, together.rows[0], strict=True))
+    assert (ours["found %"], ours["false"]) == (100.0, 0)
+    assert ours["rms µm"] < 40.0
+    by_who = {row[0]: row for row in frames.rows}
+    assert by_who[Method.OURS][2] < 0.1 < by_who["person 1"][2]
+    assert by_who[Method.REFINED][2] == pytest.approx(by_who[Method.OURS][2], abs=0.01)
+
+
+def test_a_unit_tells_which_phantom_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(phantom_scans, "command", lambda *_: ["false"])
+    study = LocalizationStudy(1, 1, families=("narrow",), protocols=("poor",))
+    with pytest.raises(UnitFailed, match=r"narrow\|poor #0"):
+        run_study(study, Ledger(tmp_path, study), workers=1)
