@@ -21,7 +21,8 @@ def _load_all_error_modules() -> None:
 def test_every_code_is_given_once_and_every_error_says_what_to_do() -> None:
     _load_all_error_modules()
     seen: dict[str, str] = {}
-    for error in concrete_errors():
+    ours = {package.__name__ for package in PACKAGES}  # tests define errors of their own
+    for error in (one for one in concrete_errors() if one.__module__.partition(".")[0] in ours):
         assert re.fullmatch(r"[A-Z]{2,5}-\d{3}", error.code), error
         assert error.action, error
         assert error.code not in seen, f"{error.code} is {error.__name__} and {seen[error.code]}"
