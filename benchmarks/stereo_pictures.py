@@ -117,6 +117,7 @@ class Studio:
                 focal_px=camera.focal_px,
                 principal_point_px=camera.principal_point_px,
                 distortion=camera.distortion,
+                sensor_px=camera.sensor_px,
                 camera_from_tool=camera.camera_from_tool,
             )
             for camera in (self.scene.left, self.scene.right)

@@ -13,7 +13,7 @@ class BadImage(DataError):
 
 
 class NoContrast(DataError):
-    """The image is black, saturated or even: nothing stands out of it."""
+    """The image is dark or even: nothing stands out of it."""
 
     code = "STE-002"
     action = "Check lens cap, light and cables; then change the exposure in steps and take a new image."
@@ -74,3 +74,10 @@ class WrongCamera(DataError):
     code = "STE-010"
     action = "Use the calibration of the mounted head, or calibrate it."
     exit_code = EXIT_REFUSED
+
+
+class Saturated(DataError):
+    """The image is as bright as it can be all over: nothing can be seen in it, wherever the head looks."""
+
+    code = "STE-011"
+    action = "Shorten the exposure or lower the gain; look for a lamp or window that shines into the lens."

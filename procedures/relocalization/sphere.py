@@ -12,13 +12,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization.circle_start import Circle, find_circles
 from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle, fit_ellipse
-from procedures.relocalization.errors import BadImage, NoContrast, NoSphere
+from procedures.relocalization.errors import BadImage, NoContrast, NoSphere, Saturated
 from procedures.relocalization.rim import (
     RimEdges,
     fit_blurred_steps,
@@ -35,6 +36,7 @@ SMALLEST_RADIUS_PX = 8.0  # of the reduced image: below this the rim has too few
 DARK_PERCENTILE = 2.0
 BRIGHT_PERCENTILE = 99.8
 CONTRAST_FLOOR = 0.02  # of the grey range: less is noise or an even field
+SATURATED_LEVEL, DARK_LEVEL = 0.95, 0.15  # of the grey range, of an image without contrast
 
 COARSE_RAYS = 180
 FINE_RAYS = 300
@@ -100,8 +102,9 @@ def measure_sphere(
     """The bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image, left untouched.
 
     Any byte order is taken. `radius_range_px` keeps out discs of another size when the size is known.
-    Raises STE-001 for an input that is no such image, STE-002 without contrast, STE-003 when no sphere is
-    in view. A sphere of which too little rim is seen comes back as UNRELIABLE.
+    Raises STE-001 for an input that is no such image, STE-002 without contrast, STE-011 when all is
+    saturated, STE-003 when no sphere is in view. A sphere of which too little rim is seen comes back as
+    UNRELIABLE.
     """
     best: SphereImage | None = None
     round_shapes = 0
@@ -144,17 +147,21 @@ def _spheres(
     )
     full_range = 255.0 if grey.dtype == np.uint8 else float(TWELVE_BIT_LIMIT)
     if bright - dark < CONTRAST_FLOOR * full_range:
-        raise NoContrast(
-            "the image has no contrast",
-            limit=f"{CONTRAST_FLOOR * full_range:.0f} grey values",
-            last=f"{dark:.0f} to {bright:.0f}",
-        )
+        _refuse_even(dark, bright, full_range)
     low, high = radius_range_px or (SMALLEST_RADIUS_PX * factor, 0.75 * max(grey.shape))
     guesses = find_circles(find_edges(reduced, dark, bright), 0.95 * low / factor, 1.05 * high / factor)
     for guess in guesses:  # the longest visible rim first
         sphere = _refine(grey, _enlarged(guess, factor), factor)
         in_range = sphere is not None and low <= math.sqrt(math.prod(sphere.axes_px)) <= high
         yield sphere if in_range else None
+
+
+def _refuse_even(dark: float, bright: float, full_range: float) -> NoReturn:
+    limit, last = f"{CONTRAST_FLOOR * full_range:.0f} grey values apart", f"{dark:.0f} to {bright:.0f}"
+    if dark >= SATURATED_LEVEL * full_range:
+        raise Saturated("the image is saturated", limit=limit, last=last)
+    evenness = "dark all over" if bright <= DARK_LEVEL * full_range else "even: it has no contrast"
+    raise NoContrast(f"the image is {evenness}", limit=limit, last=last)
 
 
 def _visible_px(sphere: SphereImage) -> float:

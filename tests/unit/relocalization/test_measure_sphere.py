@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from procedures.relocalization import SphereStatus, measure_sphere
-from procedures.relocalization.errors import BadImage, NoContrast, NoSphere
+from procedures.relocalization.errors import BadImage, NoContrast, NoSphere, Saturated
 
 FOCAL_PX = 62.5e3 / 5.5
 RADIUS_MM = 5.75
@@ -145,10 +145,17 @@ def test_an_input_that_is_no_grey_image_is_refused_in_one_line(image):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("level", [0, 120, 255])
-def test_an_even_image_has_no_contrast(level):
-    with pytest.raises(NoContrast, match="STE-002"):
+@pytest.mark.parametrize(("level", "said"), [(0, "dark all over"), (120, "no contrast")])
+def test_an_even_image_has_no_contrast(level, said):
+    with pytest.raises(NoContrast, match=f"STE-002.*{said}"):
         measure_sphere(np.full((1088, 2048), level, np.uint8))
+
+
+@pytest.mark.parametrize(("level", "kind"), [(255, np.uint8), (4095, np.uint16)])
+def test_a_saturated_image_is_told_from_a_dark_one(level, kind):
+    with pytest.raises(Saturated, match="STE-011: the image is saturated") as caught:
+        measure_sphere(np.full((1088, 2048), level, kind))
+    assert "exposure" in caught.value.action
 
 
 @pytest.mark.hazard(27)

@@ -1,0 +1,45 @@
+"""Triangulated centres from the simulated cameras' pictures, with the true calibration: a few by default."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from stereo_bench import CENTRED, DEFOCUSED, HALF_HIDDEN, JUST_HIDDEN, OCCLUDED, OFF_AXIS, Studio, campaign
+
+
+@pytest.mark.parametrize(
+    ("case", "limit_um"), [(CENTRED, 2.0), (DEFOCUSED, 2.0), (OFF_AXIS, 1.0), (OCCLUDED, 10.0)]
+)
+def test_a_few_pairs_give_points_within_the_goal(case, limit_um):
+    tally = campaign(Studio(), case, 4)
+    assert tally.errors_mm
+    assert tally.rms_um <= limit_um
+
+
+@pytest.mark.hazard(27)
+def test_beyond_38_percent_of_lost_rim_no_centre_is_trusted():
+    tally = campaign(Studio(), JUST_HIDDEN, 5)
+    assert tally.trusted == 0
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize(
+    ("case", "limit_um"), [(CENTRED, 2.0), (DEFOCUSED, 2.0), (OFF_AXIS, 1.0), (OCCLUDED, 10.0)]
+)
+def test_hundreds_of_pairs_give_points_within_the_goal_and_honest_covariances(case, limit_um):
+    tally = campaign(Studio(), case, 300, seed=11)
+    assert tally.rms_um <= limit_um
+    assert tally.largest_um <= 3 * limit_um
+    assert tally.bound_um < tally.rms_um  # nothing beats the Cramér-Rao bound
+    assert tally.chi_square < 1.4  # never more certain than it is right
+    beyond_three_sigmas = np.mean(np.array(tally.squared_sigmas) > 16.3)  # 0.1 % of chi-square with three
+    assert beyond_three_sigmas < 0.01
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1200)
+@pytest.mark.hazard(27)
+@pytest.mark.parametrize("case", [HALF_HIDDEN, JUST_HIDDEN])
+def test_hundreds_of_half_hidden_spheres_are_not_trusted(case):
+    assert campaign(Studio(), case, 200, seed=11).distrusted_share >= 0.95
