@@ -251,9 +251,9 @@ def test_noise_on_the_line_and_a_restart_reach_the_client_as_what_they_are(
         handles = host.load(roms[0])
         assert host.command("TSTART:80") == "OKAY"
         # A wrong bit in the colon makes another form of command of it: an unknown one, then.
-        with fault(unit, "tracker garble commands 100 %"):
-            with pytest.raises(StrangerError, match=r"POLARIS 0x0[14]"):
-                host.command("TX:0001")
+        wrong = pytest.raises(StrangerError, match=r"POLARIS 0x0[14]")
+        with fault(unit, "tracker garble commands 100 %"), wrong:
+            host.command("TX:0001")
         with fault(unit, "tracker garble replies 100 %"), pytest.raises(StrangerError, match="Error 0x0100"):
             host.command("TX:0001")
         assert len(host.track("TX:1801", handles, 3)) == 3
