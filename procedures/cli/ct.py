@@ -208,3 +208,7 @@ def _write_pictures(folder: Path, volume: Volume, result: Localization) -> None:
 def main() -> None:
     """Entry point of the console script."""
     console.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -26,6 +26,8 @@ from procedures.imaging.volume import Volume
 
 Array = NDArray[np.float64]
 
+OVERLAPS = "overlaps a marker, as two spheres cannot"
+OVERLAP = 0.95  # of the diameter: two centres cannot be closer
 REGION_REACH = 2.2  # of the radius
 MIN_SURFACE_SHARE = 0.5
 COVERED_SURFACE_SHARE = 0.35  # enough, if what covers the rest shows a border there
@@ -36,7 +38,7 @@ AGREEMENT_MM = 0.06  # beyond this the two estimators contradict each other
 
 UNSCANNED_FLAG = 0.02  # share of rays that leave the field
 SURFACE_FLAG = 0.70  # share of the surface seen
-METAL_FLAG = 0.30  # share of the surface near metal; a post takes about 0.13
+METAL_FLAG = 0.17  # share of the surface near metal; a post takes 0.10 to 0.13
 RADIUS_FLAG = 0.045  # of the radius: 0.26 mm
 NEAR_ANOTHER_FLAG = 1.6  # centre distance in diameters
 
@@ -72,8 +74,11 @@ def examine(
         )
     if abs(edge.radius_mm - radius_mm) > RADIUS_TOLERANCE * radius_mm:
         return _rejected(volume, peak, edge, f"has radius {edge.radius_mm:.2f} mm instead of {radius_mm:.2f}")
-    if any(np.linalg.norm(edge.centre_mm - other.combined.centre_mm) < radius_mm for other in known):
+    distances_mm = [float(np.linalg.norm(edge.centre_mm - other.combined.centre_mm)) for other in known]
+    if min(distances_mm, default=np.inf) < radius_mm:
         return _rejected(volume, peak, edge, "is a marker that has been found already")
+    if min(distances_mm, default=np.inf) < OVERLAP * 2.0 * radius_mm:
+        return _rejected(volume, peak, edge, OVERLAPS)
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
     hidden = refined.surface_share < SURFACE_FLAG and refined.unscanned_share < UNSCANNED_FLAG

@@ -7,14 +7,15 @@ they differ by more than 0.06 mm is flagged and made less certain rather than be
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from procedures.imaging.detection import find_peaks
 from procedures.imaging.errors import LocalizationMisused, MarkerCountWrong
-from procedures.imaging.examination import Sphere, as_marker, examine
-from procedures.imaging.markers import Candidate, Localization, Marker
+from procedures.imaging.examination import OVERLAPS, Sphere, as_marker, examine
+from procedures.imaging.markers import NEAR_ANOTHER, Candidate, Localization, Marker
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 Progress = Callable[[float], None]
@@ -55,7 +56,11 @@ def localize(
         report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
     report(1.0)
     require_count(len(found), expected, tuple(candidates))
-    markers = sorted((as_marker(one, found, volume, radius_mm) for one in found), key=head_to_foot)
+    overlaps = [one.centre_mm for one in candidates if one.reason == OVERLAPS]
+    markers = sorted(
+        (_flagged(as_marker(one, found, volume, radius_mm), overlaps, diameter_mm) for one in found),
+        key=head_to_foot,
+    )
     return Localization(
         markers=tuple(markers),
         candidates=tuple(candidates),
@@ -84,6 +89,14 @@ def check_request(geometry: VoxelGeometry, diameter_mm: float, expected: int | N
         raise LocalizationMisused(f"spheres of {diameter_mm:g} mm do not fit into this series")
     if expected is not None and expected < 0:
         raise LocalizationMisused(f"{expected} markers cannot be expected")
+
+
+def _flagged(marker: Marker, overlaps: Sequence[tuple[float, ...]], diameter_mm: float) -> Marker:
+    """The marker, flagged when something that was refused overlaps it."""
+    close = any(float(np.linalg.norm(marker.centre_mm - other)) < diameter_mm for other in overlaps)
+    if not close or NEAR_ANOTHER in marker.flags:
+        return marker
+    return replace(marker, flags=(*marker.flags, NEAR_ANOTHER))
 
 
 def _same_object(one: Candidate, other: Candidate) -> bool:

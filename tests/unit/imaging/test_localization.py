@@ -282,3 +282,35 @@ def test_the_round_end_of_a_rod_is_no_half_covered_ball(make_scan: Make) -> None
     scan.rod(centre, np.array([0.0, 1.0, 0.0]), 28.0, RADIUS_MM, 150.0)
     with pytest.raises(errors.MarkerCountWrong, match="no marker found"):
         localize(as_volume(scan))
+
+
+def test_a_ball_that_touches_metal_is_flagged_and_still_in_its_place(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    centre = np.array([20.2, 19.7, 20.3])
+    scan.rod(centre + np.array([0.0, RADIUS_MM, 0.0]), np.array([0.0, 1.0, 0.0]), 4.0, 9.0, 3000.0)
+    scan.ball(centre)
+    marker = localize(as_volume(scan), expected=1).markers[0]
+    assert "near_metal" in marker.flags
+    assert np.linalg.norm(marker.centre_mm - centre) < 0.05
+
+
+def test_two_balls_that_touch_are_told_apart_and_flagged(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 100))
+    centres = np.array([[20.2, 19.7, 19.4], [20.2, 19.7, 31.0]])
+    for centre in centres:
+        scan.ball(centre)
+    result = localize(as_volume(scan), expected=2)
+    error, _ = matched(result, centres)
+    assert rms(error) < 0.03
+    assert all("near_another" in marker.flags for marker in result.markers)
+
+
+def test_balls_that_overlap_are_no_two_markers(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 100))
+    scan.ball(np.array([20.0, 19.7, 22.0]))
+    scan.ball(np.array([20.0, 19.7, 30.0]))
+    volume = as_volume(scan)
+    with pytest.raises(errors.MarkerCountWrong, match="overlaps a marker"):
+        localize(volume, expected=2)
+    (marker,) = localize(volume).markers
+    assert "near_another" in marker.flags
