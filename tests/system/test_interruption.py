@@ -45,7 +45,7 @@ def _nothing_half_written(out: Path) -> None:
         list(read_journal(folder / JOURNAL_FILE))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_one_signal_while_the_arm_moves_closes_the_run_and_exits_130(
     commands: Commands, tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -104,7 +104,7 @@ def _process_of(commands: Commands, words: str) -> int:
 @pytest.mark.parametrize(
     ("words", "number"),
     [
-        ("sim.cli basler", signal.SIGKILL),
+        pytest.param("sim.cli basler", signal.SIGKILL, marks=pytest.mark.slow),
         ("sim.cli theatre", signal.SIGKILL),
         pytest.param("sim.cli kuka", signal.SIGSTOP, marks=pytest.mark.slow),
     ],

@@ -88,6 +88,7 @@ def test_every_measurement_that_can_be_named_exists(bench: dict[str, ModuleType]
         assert (ROOT / "benchmarks" / f"{module}.py").exists()
 
 
+@pytest.mark.slow
 def test_one_measurement_prints_a_table_and_writes_its_figures(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-P", str(RUN), "--only", "set-points", "--out", str(tmp_path)],
