@@ -29,9 +29,11 @@ Array = NDArray[np.float64]
 LEAST_POSES = 60
 LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms over the poses, about the direction that turns least
 BALL = 3
-# What a lens may differ from its record, one standard deviation: keeps down what a small field hardly shows.
-PRIOR_SIGMA = {"focal": 0.01, "principal_px": 10.0, "k1": 0.05}
-LENS = (6, 7, 8, 9)  # of a camera's parameters
+# What head and lenses may differ from their record, one standard deviation. A good arm overrules it; it keeps
+# down what a small field hardly shows, and what the errors of a bad arm would put into orientation.
+TURN_SIGMA_RAD = 0.0035  # 0.2 degrees: a machined mount
+LENS_SIGMA = (0.01, 10.0, 10.0, 0.05)  # focal length (relative), principal point (px), k1
+KEPT = (0, 1, 2, 6, 7, 8, 9)  # of a camera's parameters: turn and lens
 ROUNDS = 6  # of estimating the arm's error, which settles in four
 STEPS = 40  # of each round; the next one goes on from there
 FIRST_ARM_ERROR_MM = 2.0  # while the tool frame is still that of a drawing
@@ -191,7 +193,7 @@ def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, i
 
 
 class _Cost:
-    """Whitened residuals of the looks that are used, and the priors of both lenses, as one vector."""
+    """Whitened residuals of the looks that are used, and the priors of both cameras, as one vector."""
 
     def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: NDArray[np.bool_]) -> None:
         self._looks, self._start, self._whitening, self._used = looks, start, whitening, used
@@ -203,11 +205,9 @@ class _Cost:
 
 
 def _prior(values: Array) -> Array:
-    sigmas = np.array(
-        [PRIOR_SIGMA["focal"], PRIOR_SIGMA["principal_px"], PRIOR_SIGMA["principal_px"], PRIOR_SIGMA["k1"]]
-    )
+    sigmas = np.array([*3 * (TURN_SIGMA_RAD,), *LENS_SIGMA])
     cameras = values[BALL:].reshape(2, CAMERA_PARAMETERS)
-    return np.asarray((cameras[:, LENS] / sigmas).ravel())
+    return np.asarray((cameras[:, KEPT] / sigmas).ravel())
 
 
 def _split(
@@ -220,9 +220,8 @@ def _split(
     slopes = _by_ball(looks, start, values)
     weights = np.linalg.inv(image_scale**2 * looks.covariances_px2)
     normal = slopes.transpose(0, 2, 1) @ weights @ slopes + np.eye(3) / arm_error**2
-    shifts: Array = np.linalg.solve(normal, slopes.transpose(0, 2, 1) @ weights @ residuals[:, :, None])[
-        :, :, 0
-    ]
+    pull = slopes.transpose(0, 2, 1) @ weights @ residuals[:, :, None]
+    shifts = np.asarray(np.linalg.solve(normal, pull)[:, :, 0], dtype=float)
     # The direction of pixel space that no shift reaches: the left null vector of the derivative.
     null = np.linalg.svd(slopes)[0][:, :, 3]
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", null, looks.covariances_px2, null))

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 LIFE = timedelta(days=30)
 MADE_BY = "ronna-stereo calibrate"
 KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixels
+REPEATABILITY_MM = 0.03  # KR 6 R900, ISO 9283; what goes beyond it repeats, and does not average out
 DERIVATIVE_STEP = 1e-6  # rad, mm or px: all parameters are of the order of one
 
 
@@ -56,7 +57,7 @@ def calibrate_head(observed: ObservationSet, *, life: timedelta = LIFE, identifi
     fit = fit_bundle(observed.observations, before)
     flange_from_tool, misfit = _kept_tool_frame(before, fit.cameras)
     covariance = _tool_covariance(before, fit)
-    stated_error_mm = float(np.sqrt(np.trace(covariance)))
+    stated_error_mm = float(np.sqrt(np.trace(covariance) + 3.0 * _hidden_error_mm(fit) ** 2))
     left, right = fit.cameras
     head = StereoHeadCalibration(
         identifier=identifier or new_identifier("stereo-head", observed.created),
@@ -84,6 +85,16 @@ def calibrate_head(observed: ObservationSet, *, life: timedelta = LIFE, identifi
 def new_identifier(name: str, created: datetime) -> str:
     """Name and moment."""
     return f"{name}-{created:%Y%m%dT%H%M%S}"
+
+
+def _hidden_error_mm(fit: BundleFit) -> float:
+    """What the arm's systematic errors may put into the tool centre, per axis, unseen by any residual.
+
+    An error of the arm that grows in proportion to the tilt looks like a tool centre elsewhere. Of what grows
+    otherwise the residuals tell the size; the proportional part is taken to be as large at the rms tilt.
+    """
+    systematic = max(0.0, fit.arm_error_mm**2 - REPEATABILITY_MM**2) ** 0.5
+    return float(systematic / fit.spread)
 
 
 def _moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:

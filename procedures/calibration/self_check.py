@@ -59,12 +59,21 @@ class Baseline(Strict):
         """Their numbers, sorted."""
         return tuple(sorted({look.orientation for look in self.looks if look.orientation is not None}))
 
+    @property
+    def ball_mm(self) -> Array:
+        """Where the ball stood, (3,) in the robot frame, to a tenth of a millimetre."""
+        centres = [np.array([_centre(look, side) for look in self.looks]) for side in (0, 1)]
+        points, _ = intersected(cameras_of(self.stereo_head), *centres)
+        in_robot = [look.flange_pose.apply(point) for look, point in zip(self.looks, points, strict=True)]
+        return np.asarray(np.mean(in_robot, axis=0))
+
 
 @dataclass(frozen=True)
 class Sign:
     """One sign: its value, its one-sigma size, its statistic (chi square) and the limit of it."""
 
     name: str
+    unit: str
     value: tuple[float, ...]
     sigma: tuple[float, ...]
     statistic: float
@@ -158,25 +167,33 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
     x, y, z = found[:3].tolist()
     return CheckResult(
         shift=Sign(
-            "shift of the ball, mm",
+            "shift of the ball",
+            "mm",
             tuple(shift.tolist()),
             tuple(np.sqrt(np.diag(shift_covariance)).tolist()),
             float(shift @ np.linalg.solve(shift_covariance, shift)),
             float(chi2.isf(FALSE_ALARM, 3)),
         ),
         gap=_scalar(
-            "gap of the lines of sight, mm", float(np.mean(now.gaps_mm - then.gaps_mm)), gap_variance
+            "gap of the lines of sight", "mm", float(np.mean(now.gaps_mm - then.gaps_mm)), gap_variance
         ),
-        size=_scalar("size of the ball, relative", float(np.mean(now.sizes - then.sizes)), size_variance),
+        size=_scalar(
+            "size of the ball", "of its size", float(np.mean(now.sizes - then.sizes)), size_variance
+        ),
         ball_moved_mm=(x, y, z),
         repeatability_mm=float(np.sqrt(arm)),
         looks=len(looks),
     )
 
 
-def _scalar(name: str, value: float, variance: float) -> Sign:
+def _scalar(name: str, unit: str, value: float, variance: float) -> Sign:
     return Sign(
-        name, (value,), (float(np.sqrt(variance)),), value * value / variance, float(chi2.isf(FALSE_ALARM, 1))
+        name,
+        unit,
+        (value,),
+        (float(np.sqrt(variance)),),
+        value * value / variance,
+        float(chi2.isf(FALSE_ALARM, 1)),
     )
 
 
@@ -210,7 +227,7 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
 def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequence[int]) -> _Seen:
     cameras = cameras_of(head)
     tool = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    centres = np.array([[_true_centre(look, side) for side in (0, 1)] for look in run])
+    centres = np.array([[_centre(look, side) for side in (0, 1)] for look in run])
     in_flange, gaps = intersected(cameras, centres[:, 0], centres[:, 1])
     points = tool.inverse().apply(in_flange)
     sizes = np.zeros(len(run))
@@ -242,6 +259,6 @@ def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequ
     )
 
 
-def _true_centre(look: Observation, side: int) -> tuple[float, float]:
+def _centre(look: Observation, side: int) -> tuple[float, float]:
     """Centre of the outline. The perspective bias is the same in both runs and cancels."""
     return (look.left, look.right)[side].centre_px

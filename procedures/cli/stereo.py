@@ -1,0 +1,331 @@
+"""`ronna-stereo`: calibrate the stereo head, check that it still holds, look at a ball."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from procedures.cli.scene_choice import SceneChoice
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.calibration import CheckResult, HeadResult, ObservationSet
+    from procedures.cli.stereo_room import Source
+    from procedures.steps.stereo_look import Look
+
+Triple = tuple[float, float, float]
+
+app = typer.Typer(
+    name="ronna-stereo",
+    help="The stereo head: calibrate it, check that it still holds, look at a ball.",
+    epilog="Example: ronna-stereo calibrate --sim --scene mini",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
+SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file; with --sim.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the simulated theatre.")]
+ConfigOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
+]
+OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
+BallOption = Annotated[
+    Triple | None,
+    typer.Option(
+        metavar="X Y Z", help="Where the ball is in $ROBROOT, mm, to 10 mm; else the tracker tells."
+    ),
+]
+
+
+@app.callback()
+def stereo() -> None:
+    """The stereo head: calibrate it, check that it still holds, look at a ball."""
+
+
+@app.command()
+def calibrate(
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+    recorded: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="FOLDER", help="Compute again from the observations in this folder."),
+    ] = None,
+    ball: BallOption = None,
+    poses: Annotated[
+        int, typer.Option(min=60, max=400, help="Poses to look from, besides the check's.")
+    ] = 60,
+    visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation of the check.")] = 3,
+    days: Annotated[int, typer.Option(min=1, max=366, help="How long the records hold.")] = 30,
+    write: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the theatre file with the new records, beside --config."),
+    ] = None,
+    out: OutOption = Path("calibrations"),
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """Calibrate both cameras and the head's tool frame by one ball, looked at from 60 or more poses.
+
+    The arm moves, after a confirmation. Exit codes: 0 done, 1 the observations do not give a calibration,
+    2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
+    """
+    console.set_up_logging(verbose)
+    if recorded is not None and sim:
+        raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
+    if write is not None and config is None:
+        raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+    from procedures.calibration import calibrate_head
+    from procedures.calibration.observations import read_observations
+    from procedures.cli import stereo_files
+    from procedures.cli.stereo_room import new_folder
+
+    if recorded is not None:
+        observed = read_observations(recorded)
+        folder = new_folder(out)
+    else:
+        source = _source(sim, scene, seed, config)
+        folder = new_folder(out)
+        observed = _observe(source, folder, (poses, visits), ball)
+    stereo_files.write_observations(observed, folder)
+    result = calibrate_head(observed, life=timedelta(days=days))
+    stereo_files.write_result(observed, result, folder)
+    if write is not None and config is not None:
+        stereo_files.write_theatre(config, write, result)
+    if as_json:
+        console.print_json({**stereo_files.payload_of(result), "folder": str(folder)})
+        return
+    _print_calibration(result, folder)
+
+
+@app.command()
+def check(
+    baseline: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder that `calibrate` wrote, or its baseline.json.")
+    ],
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+    visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation.")] = 3,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """Look at the ball from the eight orientations of the calibration again: has a camera or mount moved?
+
+    A camera turned by 0.01 degrees is found. Exit codes: 0 the head is as it was, 3 it has changed or its
+    calibration may not be used, 1 the ball is not in view, others as in `calibrate`.
+    """
+    console.set_up_logging(verbose)
+    source = _source(sim, scene, seed, config)
+    from procedures.calibration import Baseline, compare_with_baseline
+    from procedures.calibration.observations import read_strict
+    from procedures.calibration.self_check import BASELINE_FILE
+    from procedures.cli import stereo_files
+
+    then = read_strict(Baseline, baseline / BASELINE_FILE if baseline.is_dir() else baseline)
+    from procedures.cli.stereo_room import opened_room
+    from procedures.cli.stereo_session import observe_for_check
+
+    with (
+        _scratch() as folder,
+        console.progress_bar("looking at the ball") as advance,
+        opened_room(source, folder, lambda _share: None) as (context, _),
+    ):
+        looks = observe_for_check(context, then, visits, advance)
+    result = compare_with_baseline(looks, then)
+    if as_json:
+        console.print_json(stereo_files.check_payload(result, then))
+    else:
+        _print_check(result)
+    result.require()
+
+
+@app.command()
+def measure(
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+    find: Annotated[
+        bool, typer.Option("--find", help="First bring the head over the ball; always with --sim.")
+    ] = False,
+    ball: BallOption = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the pair with the fitted outlines as PNG.")
+    ] = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """Take a pair and show the ball's fit: pixels, quality, position in the tool frame.
+
+    Without --find and --ball nothing moves. Exit codes: 0 measured, 1 no ball in view, others as in
+    `calibrate`.
+    """
+    console.set_up_logging(verbose)
+    source = _source(sim, scene, seed, config)
+    from procedures.cli.stereo_room import opened_room
+    from procedures.cli.stereo_session import look_once
+
+    with _scratch() as folder, opened_room(source, folder, lambda _share: None) as (context, _):
+        seen = look_once(context, find=find or sim, ball_mm=ball)
+    if picture is not None:
+        from procedures.steps.stereo_picture import pair_picture
+        from ronna_hw.records import write_whole
+
+        write_whole(picture, pair_picture(seen))
+    _show_look(seen, as_json=as_json)
+
+
+def _source(sim: bool, scene: str, seed: int, config: Path | None) -> Source:
+    if sim == (config is not None):
+        raise UsageMistake("choose one: --sim, or --config FILE")
+    from procedures.cli.stereo_room import Source
+    from ronna_hw.config import read_theatre_file
+
+    if config is not None:
+        read_theatre_file(config)
+    return Source(config, SceneChoice(scene=scene, seed=seed))
+
+
+def _observe(
+    source: Source, folder: Path, numbers: tuple[int, int], ball_mm: Triple | None
+) -> ObservationSet:
+    from procedures.cli.stereo_room import opened_room
+    from procedures.cli.stereo_session import observe_for_calibration
+
+    with (
+        console.progress_bar("looking at the ball") as advance,
+        opened_room(source, folder, lambda _share: None, expired_too=True) as (context, _),
+    ):
+        return observe_for_calibration(context, numbers, ball_mm, advance, console.tell)
+
+
+@contextmanager
+def _scratch() -> Iterator[Path]:
+    """A folder for what the steps keep beside, which nobody needs afterwards."""
+    with TemporaryDirectory(prefix="ronna-stereo-") as name:
+        yield Path(name)
+
+
+def _print_calibration(result: HeadResult, folder: Path) -> None:
+    from procedures.calibration.record import REPEATABILITY_MM
+
+    fit, head = result.fit, result.stereo_head
+    used = int(fit.used.sum())
+    console.print_table(
+        f"calibration {head.identifier}",
+        ["", "value"],
+        [
+            ["cameras", f"{head.left.serial} left, {head.right.serial} right"],
+            ["looks", f"{used} used, {len(fit.used) - used} left out"],
+            ["one outline", f"{fit.image_sigma_px:.3f} px"],
+            ["the arm", f"{fit.arm_error_mm:.3f} mm per axis and pose"],
+            ["tool centre on the flange", " ".join(f"{v:.3f}" for v in head.flange_from_tool.translation_mm)],
+            ["it moved by", f"{result.tool_shift_mm:.3f} mm"],
+            ["its standard error", f"{head.stated_error_mm:.3f} mm"],
+            ["change between the cameras", f"{result.frame_misfit_mm:.3f} mm"],
+            ["valid until", f"{head.expires:%Y-%m-%d %H:%M} UTC"],
+        ],
+    )
+    if fit.arm_error_mm > REPEATABILITY_MM:
+        console.tell(
+            f"warning: over these poses the arm errs by {fit.arm_error_mm:.2f} mm per axis, more than the "
+            f"{REPEATABILITY_MM:g} mm it repeats to: the tool frame suits this arm near this place only"
+        )
+    console.tell(f"records and baseline in {folder}: put calibration.toml into the theatre file")
+
+
+def _print_check(result: CheckResult) -> None:
+    rows = [
+        [
+            f"{sign.name}, {sign.unit}",
+            " ".join(f"{value:.5f}" for value in sign.value),
+            " ".join(f"{value:.5f}" for value in sign.sigma),
+            f"{sign.statistic:.1f}",
+            f"{sign.limit:.1f}",
+            "CHANGED" if sign.sounds else "as it was",
+        ]
+        for sign in result.signs
+    ]
+    console.print_table(
+        f"{result.looks} looks, arm repeats to {1000 * result.repeatability_mm:.0f} um per axis",
+        ["sign", "change", "one sigma", "chi square", "limit", ""],
+        rows,
+    )
+
+
+def _show_look(seen: Look, *, as_json: bool) -> None:
+    from procedures.relocalization.errors import NoSphere
+
+    if seen.point is None or seen.left is None or seen.right is None:
+        raise NoSphere("no ball is measured in this pair", last=seen.reason)
+    point = seen.point
+    sigma = [float(value) ** 0.5 for value in point.covariance_mm2.diagonal()]
+    sides = {"left": seen.left, "right": seen.right}
+    if as_json:
+        console.print_json(
+            {
+                "position_mm": point.position_mm.tolist(),
+                "covariance_mm2": point.covariance_mm2.tolist(),
+                "ray_gap_mm": float(point.ray_gap_mm),
+                "radius_mm": float(point.radius_mm),
+                **{
+                    side: {
+                        "centre_px": list(one.centre_px),
+                        "axes_px": list(one.axes_px),
+                        "quality": one.quality,
+                        "status": str(one.status),
+                        "rim_fraction": one.rim_fraction,
+                        "scatter_px": one.scatter_px,
+                        "blur_px": one.blur_px,
+                    }
+                    for side, one in sides.items()
+                },
+            }
+        )
+        return
+    rows = [
+        [
+            side,
+            f"{one.centre_px[0]:.3f} {one.centre_px[1]:.3f}",
+            f"{one.axes_px[0]:.2f} {one.axes_px[1]:.2f}",
+            f"{one.rim_fraction:.0%}",
+            f"{one.scatter_px:.3f}",
+            f"{one.blur_px:.1f}",
+            f"{one.quality:.2f}",
+        ]
+        for side, one in sides.items()
+    ]
+    console.print_table(
+        "the ball in both images",
+        ["camera", "centre px", "semi-axes px", "rim", "scatter px", "blur px", "quality"],
+        rows,
+    )
+    console.print_table(
+        "the ball in the tool frame",
+        ["x y z mm", "one sigma um", "gap of the rays um", "radius mm"],
+        [
+            [
+                " ".join(f"{value:.4f}" for value in point.position_mm),
+                " ".join(f"{1000 * value:.1f}" for value in sigma),
+                f"{1000 * point.ray_gap_mm:.1f}",
+                f"{point.radius_mm:.3f}",
+            ]
+        ],
+    )
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    console.run(app)

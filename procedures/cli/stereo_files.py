@@ -1,0 +1,120 @@
+"""What a stereo calibration leaves behind: observations, baseline, records in the form of the theatre file.
+
+OUT/<id>/observations.json   what was seen from where; calibrate again with --from
+OUT/<id>/baseline.json       the eight orientations of the self-check, for `ronna-stereo check`
+OUT/<id>/calibration.toml    the new records, to put into the theatre file
+OUT/<id>/result.json         what `--json` prints
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from procedures.calibration import Baseline, CheckResult, HeadResult, ObservationSet
+from procedures.calibration.errors import BadObservations
+from procedures.calibration.observations import OBSERVATIONS_FILE
+from procedures.calibration.self_check import BASELINE_FILE
+from ronna_hw.calibration import Strict
+from ronna_hw.records import write_whole
+
+CALIBRATION_FILE = "calibration.toml"
+RESULT_FILE = "result.json"
+
+
+def write_observations(observed: ObservationSet, folder: Path) -> None:
+    """Keep the looks before anything is computed from them."""
+    _write(observed, folder / OBSERVATIONS_FILE)
+
+
+def write_result(observed: ObservationSet, result: HeadResult, folder: Path) -> Baseline:
+    """Write baseline, records and figures; returns the baseline."""
+    baseline = Baseline(
+        created=observed.created,
+        stereo_head=result.stereo_head,
+        arm_variant=observed.arm_variant,
+        looks=tuple(look for look in observed.observations if look.orientation is not None),
+    )
+    _write(baseline, folder / BASELINE_FILE)
+    import tomli_w
+
+    write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records_of(result)}).encode())
+    write_whole(folder / RESULT_FILE, json.dumps(payload_of(result), indent=1, allow_nan=False).encode())
+    return baseline
+
+
+def write_theatre(source: Path, target: Path, result: HeadResult) -> None:
+    """The theatre file `source` with the new records, as `target`; comments are lost, nothing else."""
+    import tomli_w
+
+    if target.resolve().parent != source.resolve().parent:
+        raise BadObservations(
+            f"{target} is not in the folder of {source.name}, where its relative paths begin",
+            action="Name a file in the folder of the theatre file.",
+        )
+    content = tomllib.loads(source.read_text(encoding="utf-8"))
+    content["calibration"] = {**content["calibration"], **records_of(result)}
+    write_whole(target, tomli_w.dumps(content).encode())
+
+
+def records_of(result: HeadResult) -> dict[str, Any]:
+    """The new records by the names that the theatre file has for them."""
+    records = {"stereo_head": result.stereo_head.model_dump()}
+    if result.tool_tip is not None:
+        records["tool_tip"] = result.tool_tip.model_dump()
+    return records
+
+
+def payload_of(result: HeadResult) -> dict[str, Any]:
+    """The figures of a calibration as plain numbers."""
+    fit, head = result.fit, result.stereo_head
+    return {
+        "calibration": head.identifier,
+        "created": head.created.isoformat(),
+        "expires": head.expires.isoformat(),
+        "serials": [head.left.serial, head.right.serial],
+        "poses": len(fit.used),
+        "outliers": np.flatnonzero(~fit.used).tolist(),
+        "image_sigma_px": fit.image_sigma_px,
+        "arm_error_mm": fit.arm_error_mm,
+        "stated_error_mm": head.stated_error_mm,
+        "tool_covariance_mm2": result.tool_covariance_mm2.tolist(),
+        "tool_shift_mm": result.tool_shift_mm,
+        "frame_misfit_mm": result.frame_misfit_mm,
+        "ball_mm": fit.ball_mm.tolist(),
+        "flange_from_tool": head.flange_from_tool.model_dump(mode="json"),
+        "residuals_px": fit.residuals_px.tolist(),
+        "shifts_mm": fit.shifts_mm.tolist(),
+    }
+
+
+def check_payload(result: CheckResult, baseline: Baseline) -> dict[str, Any]:
+    """The figures of a check as plain numbers."""
+    return {
+        "calibration": baseline.stereo_head.identifier,
+        "baseline_created": baseline.created.isoformat(),
+        "passed": result.passed,
+        "looks": result.looks,
+        "repeatability_mm": result.repeatability_mm,
+        "ball_moved_mm": list(result.ball_moved_mm),
+        "signs": [
+            {
+                "name": sign.name,
+                "unit": sign.unit,
+                "value": list(sign.value),
+                "sigma": list(sign.sigma),
+                "statistic": sign.statistic,
+                "limit": sign.limit,
+                "sounds": sign.sounds,
+            }
+            for sign in result.signs
+        ],
+    }
+
+
+def _write(content: Strict, path: Path) -> None:
+    write_whole(path, content.model_dump_json(by_alias=True, indent=1).encode())
