@@ -6,6 +6,7 @@ packets are asked for again in growing intervals; when that is used up the frame
 
 from __future__ import annotations
 
+import struct
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,8 +16,10 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
 
 RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet that came; then give up
-OPEN_BLOCKS = 2  # the next image may begin before the last packets of this one are repeated
+AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other a little
+OPEN_BLOCKS = 12  # at full rate the next images begin before the last packets of this one are repeated
 RANGES_PER_ROUND = 64  # a request each; more is a link that carries nothing
+_UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
 _GONE = frozenset(
     {
         GevStatus.PACKET_UNAVAILABLE,
@@ -78,6 +81,7 @@ class FrameAssembler:
         self._payload_bytes = payload_bytes
         self._claim = claim or (lambda: (0, bytearray(payload_bytes)))
         self._data_bytes = packet_bytes - gev.GVSP_OVERHEAD_BYTES
+        self._full_bytes = gev.GVSP_HEADER_BYTES + self._data_bytes
         self._payload_packets = -(-payload_bytes // self._data_bytes)
         self._trailer_id = self._payload_packets + 1
         self._open: OrderedDict[int, _Block] = OrderedDict()
@@ -98,6 +102,8 @@ class FrameAssembler:
     def accept(self, packet: memoryview, now_s: float) -> Frame | None:
         """Take one packet; returns the frame that it finishes, or one that gives way to a newer block."""
         self.counters.packets += 1
+        if self._store_usual(packet, now_s):
+            return None
         header = decode_header(packet)
         if header is None or header.packet_id > self._trailer_id or header.block_id in self._finished:
             self.counters.ignored += 1
@@ -112,10 +118,7 @@ class FrameAssembler:
     def overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
         """What to ask for again, as (block id, first, last packet id), and a frame that is given up."""
         for block in list(self._open.values()):
-            if (
-                now_s - block.last_packet_s
-                < RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
-            ):
+            if now_s - block.last_packet_s < self._pause_s(block):
                 continue
             missing = [i for i in range(self._trailer_id + 1) if not block.came[i] and i not in block.gone]
             used_up = block.rounds >= len(RESEND_INTERVALS_S)
@@ -128,6 +131,14 @@ class FrameAssembler:
             self.counters.resend_requests += len(ranges)
             return [(block.block_id, first, last) for first, last in ranges], None
         return [], None
+
+    def _pause_s(self, block: _Block) -> float:
+        """How long after its last packet a block is asked for again."""
+        if block.rounds == 0 and block.left <= self._trailer_id:
+            newer_begun = next(reversed(self._open.values())) is not block
+            if newer_begun or block.came[self._trailer_id]:
+                return AFTER_TRAILER_S
+        return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
 
     def _block(self, block_id: int) -> _Block:
         block = self._open.get(block_id)
@@ -145,6 +156,24 @@ class FrameAssembler:
         if block_id in self._open or len(self._open) < OPEN_BLOCKS:
             return None
         return self._finish(next(iter(self._open.values())))
+
+    def _store_usual(self, packet: memoryview, now_s: float) -> bool:
+        """The short way for nearly every packet: full, new, of an open block that it does not finish."""
+        if len(packet) != self._full_bytes:
+            return False
+        status, block_id, word = _UNPACK_HEADER(packet)
+        block = self._open.get(block_id)
+        if block is None or status or word >> gev.GVSP_FORMAT_SHIFT != GvspFormat.PAYLOAD or block.left == 1:
+            return False
+        packet_id = word & gev.GVSP_PACKET_ID_MASK
+        if not 0 < packet_id < self._payload_packets or block.came[packet_id]:
+            return False
+        begin = (packet_id - 1) * self._data_bytes
+        block.data[begin : begin + self._data_bytes] = packet[gev.GVSP_HEADER_BYTES :]
+        block.came[packet_id] = 1
+        block.left -= 1
+        block.last_packet_s = now_s
+        return True
 
     def _take(self, block: _Block, header: PacketHeader, content: memoryview) -> None:
         packet_id = header.packet_id

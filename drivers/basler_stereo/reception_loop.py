@@ -24,7 +24,7 @@ from drivers.basler_stereo.stream_socket import DATAGRAM_LIMIT_BYTES
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand, GvcpFlag
 
-FRAME_WAIT_S = 0.01  # while a frame has begun: how soon a pause is noticed
+FRAME_WAIT_S = 0.004  # while a frame has begun: how soon a pause is noticed
 IDLE_WAIT_S = 1.0
 PACKETS_AT_ONCE = 64  # of one stream before the other gets its turn
 

@@ -6,7 +6,9 @@ The channel FD carries orders; when it closes, the driver is gone.
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import os
 import signal
 import socket
 import sys
@@ -14,6 +16,7 @@ import sys
 from drivers.basler_stereo.reception_loop import ReceptionLoop
 
 EXIT_NOT_STARTED = 2
+NICENESS = -10  # packets wait for nobody: the socket holds less than a tenth of a second of them
 
 
 def main(arguments: list[str]) -> int:
@@ -25,6 +28,8 @@ def main(arguments: list[str]) -> int:
         return EXIT_NOT_STARTED
     # an interrupt on the terminal goes to the whole group; the driver decides what it means
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):  # only the superuser may; without it a busy computer repairs more
+        os.nice(NICENESS)
     gc.freeze()
     ReceptionLoop(orders).run()
     return 0

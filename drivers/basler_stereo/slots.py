@@ -14,7 +14,7 @@ import struct
 from drivers.basler_stereo.assembly import Frame, StreamCounters
 from drivers.basler_stereo.gvsp import Leader
 
-SLOTS = 8  # two being received, the others whole and not yet fetched
+SLOTS = 20  # more than may be received at a time; the others are whole and not yet fetched
 _COUNTERS = struct.Struct("<6Q")
 _WORD = struct.Struct("<Q")
 _USES_AT = 64

@@ -98,6 +98,29 @@ class GigeLink:
         """Write a register; returns the status."""
         return self.exchange(GvcpCommand.WRITEREG, struct.pack(">II", address, value)).status
 
+    def write_memory(self, address: int, data: bytes) -> int:
+        """Write bytes; returns the status."""
+        return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
+
+    def send_twice(self, command: int, payload: bytes) -> None:
+        """Send a command and at once the same again, as a client does whose answer was lost."""
+        self._request_id = self._request_id % 0xFFFF + 1
+        datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
+        for _ in range(2):
+            self._socket.send(datagram)
+            check(self._answer(self._request_id) is not None, "an answer to each repetition", "none")
+
+    def tell(self, command: int, payload: bytes) -> None:
+        """Send a command that gets no answer."""
+        self._request_id = self._request_id % 0xFFFF + 1
+        head = struct.pack(">BBHHH", GVCP_KEY, 0, command, len(payload), self._request_id)
+        self._socket.send(head + payload)
+
+    @property
+    def local_address(self) -> str:
+        """The host's address on the way to the camera."""
+        return str(self._socket.getsockname()[0])
+
     @staticmethod
     def expect(answer: Answer, status: GevStatus, what: str) -> None:
         """Fail unless the answer has that status."""

@@ -12,6 +12,9 @@ import numpy as np
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
 from ronna_hw.conformance.gige_camera import GIGE_CAMERA
+from ronna_hw.conformance.gige_control_cases import CONTROL
+from ronna_hw.conformance.gige_feature_cases import FEATURES
+from ronna_hw.conformance.gige_stream_cases import STREAM
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 from ronna_hw.devices.stereo import StereoPair
@@ -222,4 +225,5 @@ def _part(area: AreaOfInterest) -> AreaOfInterest:
     return AreaOfInterest(area.offset_x + x, area.offset_y + y, width, height)
 
 
-SUITE.cases.extend(GIGE_CAMERA.cases)
+for _part_of_protocol in (GIGE_CAMERA, CONTROL, FEATURES, STREAM):
+    SUITE.cases.extend(_part_of_protocol.cases)

@@ -9,7 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.basler_stereo.assembly import RESEND_INTERVALS_S, FrameAssembler
+from drivers.basler_stereo.assembly import (
+    AFTER_TRAILER_S,
+    OPEN_BLOCKS,
+    RESEND_INTERVALS_S,
+    FrameAssembler,
+)
 from drivers.basler_stereo.gvsp import decode_header, following
 from ronna_hw.devices.readings import AreaOfInterest
 
@@ -115,14 +120,25 @@ def test_a_frame_without_leader_is_given_without_one(assembler):
     assert frame.leader is None
 
 
-def test_two_blocks_may_be_open_and_a_third_pushes_the_oldest_out(assembler):
-    first, second, third = packets(1), packets(2), packets(3)
-    assert feed(assembler, [first[0], first[1], second[0], second[1]]) == []
-    (pushed,) = feed(assembler, [third[0]])
+def test_a_few_blocks_may_be_open_and_one_more_pushes_the_oldest_out(assembler):
+    begun = [packets(block_id) for block_id in range(1, OPEN_BLOCKS + 2)]
+    assert feed(assembler, [packet for block in begun[:-1] for packet in block[:2]]) == []
+    (pushed,) = feed(assembler, [begun[-1][0]])
     assert (pushed.block_id, pushed.missing_packets) == (1, 11)
-    assert feed(assembler, first[2:4]) == []  # too late: it is not opened again
-    (frame,) = feed(assembler, second[2:])
+    assert feed(assembler, begun[0][2:4]) == []  # too late: it is not opened again
+    (frame,) = feed(assembler, begun[1][2:])
     assert (frame.block_id, frame.missing_packets) == (2, 0)
+
+
+def test_a_block_that_has_ended_is_asked_for_almost_at_once(assembler):
+    feed(assembler, [packet for number, packet in enumerate(packets()) if number != 4])
+    assert assembler.overdue(0.5 * AFTER_TRAILER_S) == ([], None)
+    assert assembler.overdue(1.5 * AFTER_TRAILER_S) == ([(1, 4, 4)], None)
+
+
+def test_a_block_is_asked_for_almost_at_once_when_the_next_has_begun(assembler):
+    feed(assembler, [*packets()[:4], packets(2)[0]])
+    assert assembler.overdue(1.5 * AFTER_TRAILER_S) == ([(1, 4, 13)], None)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +195,8 @@ def test_a_triggered_block_is_not_given_up_before_a_newer_one_comes(assembler):
         now_s += 1.01 * RESEND_INTERVALS_S[-1]
         feed(assembler, [unavailable(1, 0)], now_s)
         assert assembler.overdue(now_s + 1.01 * RESEND_INTERVALS_S[-1])[1] is None
-    assert [frame.block_id for frame in feed(assembler, [*packets(2), *packets(3)])] == [2, 3]
+    newer = [packet for block_id in range(2, OPEN_BLOCKS + 3) for packet in packets(block_id)]
+    assert [frame.block_id for frame in feed(assembler, newer)] == list(range(2, OPEN_BLOCKS + 3))
 
 
 def test_missing_packets_leave_no_pixels_of_an_earlier_frame():
