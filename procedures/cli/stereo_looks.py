@@ -24,6 +24,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.surroundings import ArmRadii, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.cell import BodyFrame
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
@@ -75,6 +76,8 @@ class BallWatcher:
             joints = self.joints(wanted.pose, self.context.devices.arm.read_state().joints_rad)
             self._settle(joints)
         except LimitError as error:
+            if self.context.devices.arm.state is not Lifecycle.ACTIVE:  # not refused before it began: tripped
+                raise
             self.rejected[error.code] += 1
             return None
         return self._observed(planned)

@@ -19,6 +19,7 @@ from procedures.engine.step import StepContext
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.stereo_look import Look, look, whole_sensor
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.model import ArmVariant
 
 SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some show a ball half hidden
@@ -49,11 +50,14 @@ def observe_for_calibration(
             if one is not None:
                 seen.append(one)
             progress((poses + CHECK_ORIENTATIONS * round_number + (planned.orientation or 0)) / total)
-    watcher.go_home()
+    try:
+        watcher.go_home()
+    except NotClear as error:  # raised before anything moved; what was seen is worth keeping
+        tell(f"the arm stays where it is: {error.what}")
     if watcher.rejected:
         tell(f"{watcher.rejected.total()} looks without a ball: {watcher.why_rejected()}")
     if len(seen) < LEAST_POSES:
-        _refuse(watcher, len(seen))
+        refuse_too_few(watcher, len(seen))
     calibrations = context.calibrations
     return ObservationSet(
         created=datetime.now(UTC).replace(microsecond=0),
@@ -155,7 +159,8 @@ def _check_look(watcher: BallWatcher, planned: PlannedLook, seen: list[Observati
     return watcher.observe(planned)
 
 
-def _refuse(watcher: BallWatcher, count: int) -> None:
+def refuse_too_few(watcher: BallWatcher, count: int) -> None:
+    """Raise CAL-010 when most looks could not be taken, CAL-002 when they showed no ball."""
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
         raise PosesOutOfReach(
             "too few poses about the ball can be taken",

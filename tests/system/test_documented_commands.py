@@ -51,7 +51,15 @@ def test_the_command_of_the_readme_works(commands: Commands, tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     "command",
-    ["ronna-procedure", "ronna-sim", "ronna-ct", "ronna-plan", "ronna-conformance", "ronna-rom"],
+    [
+        "ronna-procedure",
+        "ronna-sim",
+        "ronna-ct",
+        "ronna-plan",
+        "ronna-conformance",
+        "ronna-rom",
+        "ronna-stereo",
+    ],
 )
 def test_every_command_of_the_readme_explains_itself_without_heavy_imports(
     commands: Commands, command: str

@@ -1,0 +1,321 @@
+"""`ronna-stereo` as a user runs it: on recorded observations, on a theatre, and with what goes wrong."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from head_looks import ENDPOINTS, TrueHead, observation_set, true_head
+from ideal_arm import with_ideal_arm, with_turned_camera, write_scene
+from scipy.spatial.transform import Rotation
+from user_commands import Commands, one_error
+
+from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
+from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_looks
+from procedures.cli.stereo import app
+from ronna_hw.calibration import StereoHeadCalibration
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.command_line.console import exit_code_of
+from ronna_hw.config import read_theatre_file
+from ronna_hw.frames import Transform
+from sim.theatre.scene import Scene
+from sim.theatre.theatre_file import theatre_content
+
+GOAL_MM = 0.03
+BALL_MM = np.array([700.0, 20.0, 250.0])
+TOOL_DOWN = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    errors: str
+
+    @property
+    def content(self) -> dict:
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def stereo(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
+    """Runs `ronna-stereo` in this process, which is what the console script does."""
+
+    def run(*arguments: str | Path) -> Said:
+        capsys.readouterr()
+        code = exit_code_of(app, [str(argument) for argument in arguments])
+        said = capsys.readouterr()
+        return Said(code, said.out, said.err)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def head() -> TrueHead:
+    return true_head(seed=4)
+
+
+def recorded(head: TrueHead, folder: Path, plan: Sequence[PlannedLook] | None = None) -> Path:
+    """A folder with observations, as `calibrate` keeps it."""
+    generator = np.random.default_rng(4)
+    if plan is None:
+        checks = check_looks(TOOL_DOWN, BALL_MM)
+        plan = [*calibration_looks(TOOL_DOWN, BALL_MM, 60), *checks, *checks, *checks]
+    looks: list[Observation] = [head.observe(look, BALL_MM, generator) for look in plan]
+    content = observation_set(head, looks).model_dump_json(by_alias=True)
+    (folder / OBSERVATIONS_FILE).write_text(content)
+    return folder
+
+
+def of_one_orientation() -> list[PlannedLook]:
+    looks = []
+    for look in calibration_looks(TOOL_DOWN, BALL_MM, 64):
+        offset = np.array(look.ball_in_tool_mm)
+        rigid = type(look.pose.rigid).from_components(BALL_MM - TOOL_DOWN.apply(offset), TOOL_DOWN)
+        looks.append(PlannedLook(Transform(look.pose.target, look.pose.source, rigid), look.ball_in_tool_mm))
+    return looks
+
+
+def theatre_file(head: TrueHead, folder: Path, **changes: object) -> Path:
+    """A theatre file at whose endpoints nobody answers; `changes` to the record of the stereo head."""
+    content = theatre_content(head.scene, ENDPOINTS, "host:", {}, 1.0)
+    content["calibration"]["stereo_head"].update(changes)
+    path = folder / "theatre.toml"
+    path.write_text(tomli_w.dumps(content))
+    return path
+
+
+def test_recorded_observations_give_records_baseline_and_a_theatre_file(
+    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+) -> None:
+    theatre = theatre_file(head, tmp_path)
+    new = tmp_path / "theatre.calibrated.toml"
+    said = stereo(
+        *(
+            "calibrate",
+            "--from",
+            recorded(head, tmp_path),
+            "--out",
+            tmp_path / "out",
+            "--days",
+            "7",
+            "--json",
+        ),
+        *("--config", theatre, "--write", new),
+    )
+    assert said.code == 0, said.errors
+    folder = Path(said.content["folder"])
+    assert said.content["poses"] == 84
+    records = tomllib.loads((folder / "calibration.toml").read_text())["calibration"]
+    assert (
+        head.tool_centre_error_mm(StereoHeadCalibration.model_validate(_tuples(records["stereo_head"])))
+        <= GOAL_MM
+    )
+    assert (folder / "baseline.json").is_file()
+    calibrations = read_theatre_file(new).calibration
+    assert calibrations is not None
+    assert calibrations.stereo_head.identifier == said.content["calibration"]
+    assert calibrations.stereo_head.expires - calibrations.stereo_head.created == timedelta(days=7)
+    assert calibrations.tracker_frame == read_theatre_file(theatre).calibration.tracker_frame
+
+
+def _tuples(value):
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def test_what_is_recorded_badly_is_refused_with_its_code(
+    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+) -> None:
+    few, one_way = tmp_path / "few", tmp_path / "one-way"
+    for folder in (few, one_way):
+        folder.mkdir()
+    recorded(head, few, calibration_looks(TOOL_DOWN, BALL_MM, 59))
+    recorded(head, one_way, of_one_orientation())
+    for folder, code in ((few, "CAL-002"), (one_way, "CAL-003"), (tmp_path / "nowhere", "CAL-005")):
+        said = stereo("calibrate", "--from", folder, "--out", tmp_path / "out")
+        assert said.code == 1
+        assert one_error(said.errors)[0].startswith(code)
+        assert said.out == ""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("measure",),
+        ("measure", "--sim", "--config", "theatre.toml"),
+        ("calibrate", "--sim", "--from", "somewhere"),
+        ("calibrate", "--sim", "--poses", "59"),
+        ("calibrate", "--sim", "--write", "theatre.toml"),
+        ("check", "--sim"),
+    ],
+)
+def test_a_mistaken_command_line_is_exit_code_two(
+    stereo: Callable[..., Said], arguments: tuple[str, ...]
+) -> None:
+    assert stereo(*arguments).code == 2
+
+
+def test_a_theatre_without_calibration_is_refused(
+    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+) -> None:
+    content = theatre_content(head.scene, ENDPOINTS, "host:", {}, 1.0)
+    del content["calibration"]
+    (tmp_path / "theatre.toml").write_text(tomli_w.dumps(content))
+    said = stereo("measure", "--config", tmp_path / "theatre.toml")
+    assert said.code == 2
+    assert one_error(said.errors)[0].startswith("PRO-006")
+
+
+def test_an_expired_calibration_is_refused_before_any_device_is_asked(
+    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+) -> None:
+    theatre = theatre_file(head, tmp_path, expires=datetime.now(UTC) - timedelta(days=1))
+    made = stereo("calibrate", "--from", recorded(head, tmp_path), "--out", tmp_path / "out", "--json")
+    for arguments in (("measure",), ("check", "--baseline", made.content["folder"])):
+        said = stereo(*arguments, "--config", theatre)
+        assert said.code == 3
+        assert one_error(said.errors)[0].startswith("CAL-001")
+
+
+@pytest.fixture(scope="module")
+def theatre(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A running mini theatre; the arm stands at home, where no ball is in view."""
+    folder = tmp_path_factory.mktemp("theatre")
+    with ChildProcess(
+        "theatre", command("sim.cli", "theatre", "--scene", "mini", "--out", str(folder)), timeout_s=30.0
+    ) as running:
+        yield Path(running.ready["file"])
+
+
+def test_a_ball_that_is_not_in_view_is_refused(
+    stereo: Callable[..., Said], theatre: Path, tmp_path: Path
+) -> None:
+    picture = tmp_path / "pair.png"
+    said = stereo("measure", "--config", theatre, "--picture", picture)
+    assert said.code == 1
+    assert one_error(said.errors)[0].startswith("STE-003")
+    assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
+
+
+def test_the_calibration_of_other_cameras_is_refused(stereo: Callable[..., Said], theatre: Path) -> None:
+    content = tomllib.loads(theatre.read_text())
+    content["calibration"]["stereo_head"]["left"]["serial"] = "21900000"
+    other = theatre.with_name("other.toml")
+    other.write_text(tomli_w.dumps(content))
+    said = stereo("measure", "--config", other)
+    assert said.code == 3
+    assert one_error(said.errors)[0].startswith("STE-010")
+
+
+@pytest.mark.parametrize(
+    ("ball", "exit_code", "code"),
+    [
+        (("720", "-10", "310"), 7, "PRO-002"),  # nobody confirms: no terminal
+        (("2000", "0", "300"), 3, "CAL-010"),  # nobody is even asked
+    ],
+)
+def test_nothing_moves_unconfirmed_or_out_of_reach(
+    stereo: Callable[..., Said],
+    theatre: Path,
+    tmp_path: Path,
+    ball: tuple[str, ...],
+    exit_code: int,
+    code: str,
+) -> None:
+    said = stereo("calibrate", "--config", theatre, "--ball", *ball, "--out", tmp_path)
+    assert said.code == exit_code
+    assert one_error(said.errors)[0].startswith(code)
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A calibration on the simulated theatre, through the wire."""
+
+    scene: Scene
+    scene_file: Path
+    said: dict
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def calibrated(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
+    folder = tmp_path_factory.mktemp("calibrated")
+    scene = with_ideal_arm()
+    file = write_scene(scene, folder / "scene.json")
+    done = shared_commands.run(
+        *("ronna-stereo", "calibrate", "--sim", "--scene", str(file), "--out", str(folder), "--json"),
+        timeout_s=280.0,
+    )
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    return Calibrated(scene, file, said, Path(said["folder"]))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_through_the_wire_the_tool_centre_is_within_three_hundredths_of_a_millimetre(
+    calibrated: Calibrated,
+) -> None:
+    records = tomllib.loads((calibrated.folder / "calibration.toml").read_text())["calibration"]
+    record = StereoHeadCalibration.model_validate(_tuples(records["stereo_head"]))
+    truth = TrueHead(calibrated.scene)
+    assert calibrated.said["poses"] >= 60
+    assert calibrated.said["tool_shift_mm"] > 0.5
+    assert truth.tool_centre_error_mm(record) <= GOAL_MM
+    assert calibrated.said["stated_error_mm"] <= GOAL_MM
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_through_the_wire_a_hundredth_of_a_degree_is_found_and_a_sound_head_passes(
+    calibrated: Calibrated, commands: Commands, tmp_path: Path
+) -> None:
+    turned = write_scene(with_turned_camera(calibrated.scene, 0.01), tmp_path / "turned.json")
+    for scene, code in ((calibrated.scene_file, 0), (turned, 3)):
+        done = commands.run(
+            *("ronna-stereo", "check", "--sim", "--scene", str(scene)),
+            *("--baseline", str(calibrated.folder), "--json"),
+            timeout_s=140.0,
+        )
+        assert done.returncode == code, done.stderr
+        assert json.loads(done.stdout)["passed"] is (code == 0)
+    assert one_error(done.stderr)[0].startswith("CAL-006")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_measure_shows_the_ball_and_its_picture(commands: Commands, tmp_path: Path) -> None:
+    picture = tmp_path / "pair.png"
+    done = commands.run(
+        *("ronna-stereo", "measure", "--sim", "--scene", "mini", "--picture", str(picture), "--json"),
+        timeout_s=140.0,
+    )
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["left"]["status"] == said["right"]["status"] == "OK"
+    assert said["radius_mm"] == pytest.approx(5.75, abs=0.05)
+    assert np.linalg.norm(said["position_mm"]) < 3.0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_where_no_ball_is_the_search_ends_in_a_refusal(commands: Commands, tmp_path: Path) -> None:
+    done = commands.run(
+        *("ronna-stereo", "calibrate", "--sim", "--scene", "mini", "--out", str(tmp_path)),
+        *("--ball", "600", "-150", "350"),
+        timeout_s=280.0,
+    )
+    assert done.returncode == 1
+    assert one_error(done.stderr)[0].startswith("STE-009")
