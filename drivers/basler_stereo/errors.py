@@ -130,3 +130,10 @@ class ReceptionEnded(DeviceError):
 
     code = "GEV-017"
     action = "Recover; the process is started anew. If it ends again, look for what ends it (memory, limits)."
+
+
+class NoPylon(ConfigurationError):
+    """The vendor's library that this driver stands on is not installed."""
+
+    code = "GEV-018"
+    action = "Install the optional extra: pip install 'ronna-hw[pylon]'; or use the driver basler_stereo."

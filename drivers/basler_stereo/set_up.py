@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Protocol
+
 from drivers.basler_stereo.errors import BadDescription, MissingFeature, OutOfRange
-from drivers.basler_stereo.features import FeatureMap
+from drivers.basler_stereo.features import Limits
 from drivers.basler_stereo.formula import Number
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.devices.readings import AreaOfInterest
@@ -29,9 +32,28 @@ _FIXED_CHOICES = (
 )
 
 
-def apply_known_state(features: FeatureMap, options: BaslerOptions) -> None:
+class Features(Protocol):
+    """A camera's features by name; unknown names and values raise GEV-010."""
+
+    def has(self, name: str) -> bool: ...
+
+    def whole(self, name: str) -> int: ...
+
+    def entries(self, name: str) -> Iterable[str]: ...
+
+    def limits(self, name: str) -> Limits: ...
+
+    def set_number(self, name: str, value: Number) -> None: ...
+
+    def choose(self, name: str, entry: str) -> None: ...
+
+    def execute(self, name: str) -> None: ...
+
+
+def apply_known_state(features: Features, options: BaslerOptions) -> None:
     """Everything but the area; raises GEV-010 for what the camera lacks, GEV-011 for impossible values."""
-    features.execute("AcquisitionStop")
+    if features.has("AcquisitionStop"):  # a library may hide it while nothing runs
+        features.execute("AcquisitionStop")
     lock_transport(features, False)  # a session that broke off may have left it
     if options.load_default_user_set and features.has("UserSetLoad"):
         features.choose("UserSetSelector", "Default")
@@ -45,13 +67,13 @@ def apply_known_state(features: FeatureMap, options: BaslerOptions) -> None:
     set_exposure(features, options.exposure_us, options.gain_raw)
 
 
-def lock_transport(features: FeatureMap, locked: bool) -> None:
+def lock_transport(features: Features, locked: bool) -> None:
     """Tell the camera that geometry and pixel format must stay while images are under way."""
     if features.has("TLParamsLocked"):
         features.set_number("TLParamsLocked", int(locked))
 
 
-def arm_trigger(features: FeatureMap, options: BaslerOptions) -> None:
+def arm_trigger(features: Features, options: BaslerOptions) -> None:
     """One frame per trigger of the wanted source, every other kind of trigger off; raises GEV-010.
 
     An old firmware may lack the action trigger: then its name is not among the entries.
@@ -73,7 +95,7 @@ def arm_trigger(features: FeatureMap, options: BaslerOptions) -> None:
     features.choose("TriggerMode", "On")
 
 
-def set_exposure(features: FeatureMap, exposure_us: float, gain_raw: int) -> None:
+def set_exposure(features: Features, exposure_us: float, gain_raw: int) -> None:
     """Exposure in microseconds and raw gain; raises GEV-011 with the camera's limits."""
     exposure, gain = _first(features, EXPOSURE_NAMES), _first(features, GAIN_NAMES)
     _require_within(features, exposure, exposure_us)
@@ -82,14 +104,14 @@ def set_exposure(features: FeatureMap, exposure_us: float, gain_raw: int) -> Non
     features.set_number(gain, gain_raw)
 
 
-def full_area(features: FeatureMap) -> AreaOfInterest:
+def full_area(features: Features) -> AreaOfInterest:
     """The whole sensor."""
     width = features.whole(_first(features, SENSOR_WIDTH_NAMES))
     height = features.whole(_first(features, SENSOR_HEIGHT_NAMES))
     return AreaOfInterest(0, 0, width, height)
 
 
-def set_area(features: FeatureMap, area: AreaOfInterest) -> None:
+def set_area(features: Features, area: AreaOfInterest) -> None:
     """Choose the part of the sensor that is read; raises GEV-011 with the limits.
 
     The offsets go to zero first: the camera refuses a size that does not fit beside its present offset.
@@ -108,12 +130,12 @@ def set_area(features: FeatureMap, area: AreaOfInterest) -> None:
         raise OutOfRange("the camera took another area", awaited=_shown(area), last=_shown(found))
 
 
-def present_area(features: FeatureMap) -> AreaOfInterest:
+def present_area(features: Features) -> AreaOfInterest:
     """The part of the sensor that the camera says it reads."""
     return AreaOfInterest(*(features.whole(name) for name in ("OffsetX", "OffsetY", "Width", "Height")))
 
 
-def payload_bytes(features: FeatureMap, area: AreaOfInterest, pixel_format: int) -> int:
+def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -> int:
     """Bytes of one image; raises GEV-009 when camera and arithmetic disagree."""
     expected = image_bytes(area, pixel_format)
     if features.has("PayloadSize") and (said := features.whole("PayloadSize")) != expected:
@@ -127,7 +149,7 @@ def image_bytes(area: AreaOfInterest, pixel_format: int) -> int:
     return -(-area.width * area.height * bits // 8)
 
 
-def _require_area(features: FeatureMap, area: AreaOfInterest, sensor: AreaOfInterest) -> None:
+def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfInterest) -> None:
     inside = (
         area.width > 0
         and area.height > 0
@@ -150,14 +172,14 @@ def _require_area(features: FeatureMap, area: AreaOfInterest, sensor: AreaOfInte
             raise OutOfRange(f"{name} {value}", limit=f"from {start} in steps of {step}", last=_shown(area))
 
 
-def _require_within(features: FeatureMap, name: str, value: Number) -> None:
+def _require_within(features: Features, name: str, value: Number) -> None:
     limits = features.limits(name)
     low, high = limits.minimum, limits.maximum
     if (low is not None and value < low) or (high is not None and value > high):
         raise OutOfRange(f"{name} {value}", limit=f"{low} to {high}")
 
 
-def _first(features: FeatureMap, names: tuple[str, ...]) -> str:
+def _first(features: Features, names: tuple[str, ...]) -> str:
     for name in names:
         if features.has(name):
             return name

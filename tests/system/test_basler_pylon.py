@@ -1,0 +1,150 @@
+"""The adapter of the vendor's library on the cameras that the library itself emulates."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from drivers.basler_stereo.errors import (
+    BadOptions,
+    NoCamera,
+    NoPylon,
+    OutOfRange,
+    TriggerMissed,
+    WrongModel,
+)
+from drivers.basler_stereo.pylon_pair import PylonStereoPair
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices import Lifecycle, StereoPair
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.readings import AreaOfInterest, Validity
+
+os.environ.setdefault("PYLON_CAMEMU", "2")  # read once, when the library is loaded
+AREA = AreaOfInterest(0, 0, 256, 128)  # the emulated sensors have 16 million pixels
+SERIALS = ("0815-0000", "0815-0001")
+pytestmark = pytest.mark.skipif(
+    find_spec("pypylon") is None, reason="the optional extra pylon is not installed"
+)
+
+
+@pytest.fixture
+def make_pair():
+    made = []
+
+    def make(**options) -> PylonStereoPair:
+        config = DeviceConfig(
+            driver="basler_pylon",
+            endpoints={"left": "gev://127.0.0.1", "right": "gev://127.0.0.2"},
+            options={
+                "device_class": "BaslerCamEmu",
+                "left_serial": SERIALS[0],
+                "right_serial": SERIALS[1],
+                "expected_model": "Emulation",
+                "gain_raw": 200,
+                **options,
+            },
+        )
+        made.append(PylonStereoPair("stereo", config, HostClock()))
+        return made[-1]
+
+    yield make
+    for pair in made:
+        pair.close()
+
+
+@pytest.fixture
+def pair(make_pair):
+    device = make_pair()
+    device.connect()
+    device.configure()
+    device.set_areas(AREA, AREA)
+    device.activate()
+    return device
+
+
+def node(pair, side, name):
+    return pair._pair[side]._camera.GetNodeMap().GetNode(name)
+
+
+def test_it_is_a_stereo_pair_that_follows_the_lifecycle(make_pair):
+    device = make_pair()
+    assert isinstance(device, StereoPair)
+    with pytest.raises(WrongState):
+        device.grab_pair()
+    assert device.connect().model == "Emulation"
+    assert device.serials == SERIALS
+    device.configure()
+    device.activate()
+    assert device.state is Lifecycle.ACTIVE
+    device.deactivate()
+    device.close()
+    assert device.state is Lifecycle.CLOSED
+
+
+def test_every_trigger_gives_one_pair(pair):
+    for number in (1, 2, 3):
+        reading = pair.grab_pair()
+        assert reading.validity is Validity.OK
+        assert reading.stamp.sequence == number
+        for image, serial, area in zip((reading.left, reading.right), SERIALS, pair.areas, strict=True):
+            assert image.serial == serial
+            assert image.pixels.shape == (area.height, area.width)
+            assert not image.pixels.flags.writeable
+            assert image.pixels.max() > 0
+
+
+def test_areas_and_exposure_are_set_on_a_running_stream(pair):
+    area = AreaOfInterest(64, 32, 128, 64)
+    pair.set_areas(area, area)
+    pair.set_exposure(3000.0, 200)
+    assert pair.grab_pair().left.pixels.shape == (64, 128)
+    assert [node(pair, side, "ExposureTimeAbs").GetValue() for side in (0, 1)] == [3000.0, 3000.0]
+    with pytest.raises(OutOfRange, match="GEV-011"):
+        pair.set_areas(area, AreaOfInterest(0, 0, 1_000_000, 128))
+    assert pair.areas == (area, area)
+    assert pair.grab_pair().validity is Validity.OK
+
+
+def test_twelve_bits_arrive_as_twelve_bits(make_pair):
+    device = make_pair(pixel_format="Mono12")
+    device.connect()
+    device.configure()
+    device.set_areas(AREA, AREA)
+    device.activate()
+    assert device.grab_pair().left.pixels.dtype == np.uint16
+
+
+def test_a_buffer_that_failed_leaves_its_partner_alone(pair):
+    node(pair, 1, "ForceFailedBufferCount").SetValue(1)
+    node(pair, 1, "ForceFailedBuffer").Execute()
+    reading = pair.grab_pair()
+    assert (reading.validity, reading.right) == (Validity.MISSING, None)
+    assert reading.left.validity is Validity.OK
+    assert pair.grab_pair().validity is Validity.OK
+
+
+def test_a_trigger_that_nobody_hears_is_told(pair, monkeypatch):
+    for camera in pair._pair:
+        monkeypatch.setattr(camera, "trigger", lambda: None)
+    with pytest.raises(TriggerMissed, match="GEV-013"):
+        pair.grab_pair(0.3)
+
+
+def test_wrong_cameras_are_told(make_pair):
+    with pytest.raises(NoCamera, match="GEV-001"):
+        make_pair(left_serial="0815-0009").connect()
+    with pytest.raises(WrongModel, match="GEV-002"):
+        make_pair(expected_model="acA2000-50gmNIR").connect()
+    with pytest.raises(BadOptions, match="GEV-016"):
+        make_pair(trigger="line1")
+
+
+def test_without_the_library_the_way_to_it_is_told(make_pair, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pypylon", None)
+    with pytest.raises(NoPylon, match=r"GEV-018.*ronna-hw\[pylon\]"):
+        make_pair()
