@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from sim.basler.optics.canvas import Area
-from sim.basler.optics.film import drawn_stains
-from sim.basler.optics.foreground import Disturbance, Occluder
+from sim.basler.optics.film import Stain, drawn_stains
+from sim.basler.optics.foreground import Disturbance, Glare, Occluder
 from sim.basler.optics.lens import Lens
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
@@ -36,6 +36,9 @@ FILMS = 5  # different grains
 CENTRED_MM = 0.05  # where the servo ends
 SERVO_MM = 2.5  # where the servo sees it
 SCENE_SEED, PLACES_SEED = 21, 3
+NONE = (0.0, 0.0)
+SECOND_DEPTH_MM = 4.0  # of a second sphere before or behind the first, largest
+GLARES = 2
 
 
 @dataclass(frozen=True)
@@ -44,14 +47,19 @@ class Case:
 
     `reach_mm` per axis around the tool centre point; `tilt` of the post against the tool axis, largest
     slope; `rim_lost` least and largest share of the rim that an occluder hides, for each camera its own.
+    What deceives has a least and a largest size too, and is left out at 0: two glares per camera by their
+    radius, one blot of blood by half its angle, a second sphere by its distance across the tool axis.
     """
 
     name: str
     reach_mm: float = CENTRED_MM
     tilt: float = 0.5
     deeper_mm: float = 0.0
-    rim_lost: tuple[float, float] = (0.0, 0.0)
+    rim_lost: tuple[float, float] = NONE
     stained: float = 0.0
+    glare_px: tuple[float, float] = NONE
+    blot_rad: tuple[float, float] = NONE
+    second_mm: tuple[float, float] = NONE
     area_px: tuple[int, int] = (800, 800)
 
 
@@ -73,6 +81,7 @@ class Pair:
     left: View
     right: View
     centre_mm: Array
+    second_mm: Array | None = None
 
     @property
     def views(self) -> tuple[View, View]:
@@ -94,18 +103,21 @@ class Studio:
         for number in range(count):
             place = generator.uniform(-case.reach_mm, case.reach_mm, 3) + np.array([0.0, 0.0, case.deeper_mm])
             post = np.array([*generator.uniform(-case.tilt, case.tilt, 2), -1.0])
+            stains = self._stains(case, number, generator)
+            second = _second(case, place, generator)
             views = []
             for camera, optic in zip(cameras, optics, strict=True):
                 lost, direction = generator.uniform(*case.rim_lost), generator.uniform(0.0, 2.0 * np.pi)
                 disturbance = Disturbance(
-                    stains=((number % FILMS, drawn_stains(number, number % FILMS, case.stained)),)
-                    if case.stained
-                    else (),
+                    stains=((number % FILMS, stains),) if stains else (),
                     occluders=(Occluder(lost, direction),) if lost else (),
+                    glares=_glares(case, camera, generator),
                 )
-                sphere = _seen(camera, place, post, number % FILMS)
-                views.append(self._view(camera, optic, sphere, disturbance, case, number))
-            yield Pair(views[0], views[1], place)
+                spheres = [_seen(camera, place, post, number % FILMS)]
+                if second is not None:
+                    spheres.append(_seen(camera, second, post, FILMS))
+                views.append(self._view(camera, optic, spheres, disturbance, case, number))
+            yield Pair(views[0], views[1], place, second)
 
     def calibration(self) -> StereoHeadCalibration:
         """What a laboratory without errors would have measured."""
@@ -133,25 +145,35 @@ class Studio:
             right=right,
         )
 
+    def _stains(self, case: Case, number: int, generator: np.random.Generator) -> tuple[Stain, ...]:
+        stains = drawn_stains(number, number % FILMS, case.stained) if case.stained else ()
+        if case.blot_rad == NONE:
+            return stains
+        x, y, z = generator.standard_normal(3)
+        length = float(np.sqrt(x * x + y * y + z * z))
+        # the sphere's z axis runs along the post towards the cameras: that half is seen
+        towards = (float(x) / length, float(y) / length, abs(float(z)) / length)
+        return (*stains, Stain(towards, float(generator.uniform(*case.blot_rad))))
+
     def _view(
         self,
         camera: CameraTruth,
         optics: Optics,
-        sphere: Sphere,
+        spheres: list[Sphere],
         disturbance: Disturbance,
         case: Case,
         number: int,
     ) -> View:
-        area = _area_around(optics.lens, sphere, case.area_px, camera.sensor_px)
+        area = _area_around(optics.lens, spheres[0], case.area_px, camera.sensor_px)
         pixels = Sensor(camera.read_noise_electrons, camera.full_well_electrons).read(
-            optics.light_on(area, [sphere], disturbance),
+            optics.light_on(area, spheres, disturbance),
             exposure_us=EXPOSURE_US,
             gain_raw=GAIN_RAW,
             black_level_raw=BLACK_LEVEL_RAW,
             bits=8,
             noise=noise(self.scene.seed, f"camera {camera.serial}", number),
         )
-        centre, radius = true_outline(optics.lens, sphere)
+        centre, radius = true_outline(optics.lens, spheres[0])
         lost = disturbance.occluders[0].rim_share if disturbance.occluders else 0.0
         return View(np.asarray(pixels, dtype=np.uint8), (area.x, area.y), centre, radius, lost)
 
@@ -165,6 +187,27 @@ def true_outline(lens: Lens, sphere: Sphere) -> tuple[Array, float]:
     a, b, c, d, e = np.linalg.lstsq(conic, np.ones(len(x)), rcond=None)[0]
     centre = np.linalg.solve([[2 * a, b], [b, 2 * c]], [-d, -e])
     return middle + centre, float(np.hypot(x - centre[0], y - centre[1]).mean())
+
+
+def _second(case: Case, place_mm: Array, generator: np.random.Generator) -> Array | None:
+    if case.second_mm == NONE:
+        return None
+    away, direction = generator.uniform(*case.second_mm), generator.uniform(0.0, 2.0 * np.pi)
+    deeper = generator.uniform(-SECOND_DEPTH_MM, SECOND_DEPTH_MM)
+    return place_mm + np.array([away * np.cos(direction), away * np.sin(direction), deeper])
+
+
+def _glares(case: Case, camera: CameraTruth, generator: np.random.Generator) -> tuple[Glare, ...]:
+    if case.glare_px == NONE:
+        return ()
+    columns, rows = camera.sensor_px
+    return tuple(
+        Glare(
+            (float(generator.uniform(0, columns)), float(generator.uniform(0, rows))),
+            float(generator.uniform(*case.glare_px)),
+        )
+        for _ in range(GLARES)
+    )
 
 
 def _seen(camera: CameraTruth, place_mm: Array, post: Array, number: int) -> Sphere:

@@ -17,8 +17,9 @@ from ronna_hw.frames import Frame
 Array = NDArray[np.float64]
 
 SPHERE_DIAMETER_MM = 11.5  # the thesis' retro-reflective spheres
-RAY_GAP_LIMIT_MM = 1.0  # a mount twisted by 0.2 degrees; two spheres are much further apart
-SIZE_TOLERANCE = 0.1  # of the radius: a sphere of 11.5 mm is never one of 10 or 13
+RAY_GAP_LIMIT_MM = 0.3  # a mount twisted by 0.07 degrees, or two things that are not one sphere
+SIZE_TOLERANCE = 0.04  # of the radius: film and lens cost less, another thing in one image costs more
+LIKENESS_TOLERANCE = 0.015  # between the radii that both images say: it is one sphere
 ITERATIONS = 5
 STEP_END_MM = 1e-9
 
@@ -84,6 +85,13 @@ def triangulate(
                 limit=f"{SIZE_TOLERANCE:.0%}",
                 last=f"{radius:.2f} mm",
             )
+    if abs(radii[0] - radii[1]) > LIKENESS_TOLERANCE * expected:
+        raise WrongSize(
+            "the two images do not show one sphere",
+            awaited="radii that agree",
+            limit=f"{LIKENESS_TOLERANCE:.1%}",
+            last=f"{radii[0]:.2f} and {radii[1]:.2f} mm",
+        )
     reliable = all(outline.status is SphereStatus.OK for outline in outlines)
     return StereoPoint(position, covariance, gap, sum(radii) / len(radii), reliable)
 

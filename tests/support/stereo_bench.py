@@ -9,6 +9,7 @@ ROOT = Path(__file__).resolve().parents[2]
 if str(ROOT) not in sys.path:
     sys.path.append(str(ROOT))
 
+from benchmarks.false_spheres import DECEIVING, SPHERE_SIZED_GLARE, deceive  # noqa: E402
 from benchmarks.servo_campaign import calibrated_cell, servo_campaign  # noqa: E402
 from benchmarks.sphere_campaign import (  # noqa: E402
     CENTRED,
@@ -24,16 +25,19 @@ from benchmarks.stereo_pictures import Case, Studio  # noqa: E402
 
 __all__ = [
     "CENTRED",
+    "DECEIVING",
     "DEFOCUSED",
     "HALF_HIDDEN",
     "JUST_HIDDEN",
     "OCCLUDED",
     "OFF_AXIS",
+    "SPHERE_SIZED_GLARE",
     "Case",
     "StereoCell",
     "Studio",
     "calibrated_cell",
     "campaign",
+    "deceive",
     "servo_campaign",
     "without_arm_errors",
 ]

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stereo_bench import CENTRED, DEFOCUSED, HALF_HIDDEN, JUST_HIDDEN, OCCLUDED, OFF_AXIS, Studio, campaign
+from stereo_bench import (
+    CENTRED,
+    DECEIVING,
+    DEFOCUSED,
+    HALF_HIDDEN,
+    JUST_HIDDEN,
+    OCCLUDED,
+    OFF_AXIS,
+    SPHERE_SIZED_GLARE,
+    Studio,
+    campaign,
+    deceive,
+)
 
 
 @pytest.mark.parametrize(
@@ -43,3 +55,13 @@ def test_hundreds_of_pairs_give_points_within_the_goal_and_honest_covariances(ca
 @pytest.mark.parametrize("case", [HALF_HIDDEN, JUST_HIDDEN])
 def test_hundreds_of_half_hidden_spheres_are_not_trusted(case):
     assert campaign(Studio(), case, 200, seed=11).distrusted_share >= 0.95
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+@pytest.mark.hazard(27)
+@pytest.mark.parametrize("case", [*DECEIVING, SPHERE_SIZED_GLARE], ids=lambda case: case.name)
+def test_of_what_deceives_nothing_becomes_a_wrong_point(case):
+    verdicts = deceive(Studio(), case, 150, seed=12)
+    assert verdicts.wrong == 0
+    assert verdicts.right + verdicts.second > verdicts.pairs // 4

@@ -168,6 +168,14 @@ def test_a_sphere_of_another_diameter_is_refused(head, radius_mm):
         triangulate(*exact_pair(head, np.zeros(3), radius_mm), head.calibration)
 
 
+@pytest.mark.hazard(27)
+def test_outlines_whose_sizes_do_not_agree_are_not_one_sphere(head):
+    left, right = exact_pair(head, np.zeros(3))
+    larger = replace(right, axes_px=tuple(1.02 * axis for axis in right.axes_px))
+    with pytest.raises(WrongSize, match="STE-006: the two images do not show one sphere"):
+        triangulate(left, larger, head.calibration)
+
+
 def test_an_unreliable_outline_makes_an_unreliable_point(head):
     left, right = exact_pair(head, np.zeros(3))
     point = triangulate(left, replace(right, status=SphereStatus.UNRELIABLE), head.calibration)
