@@ -24,6 +24,8 @@ FIELD_MM = (3.5, 9.0, 5.0)
 CHECK_TILT_RAD = float(np.radians(25.0))
 CHECK_TURN_RAD = float(np.radians(40.0))
 CHECK_ORIENTATIONS = 8
+# Shares of turn and tilt to fall back on, in this order, where an orientation cannot be taken.
+CHECK_VARIANTS = ((1.0, 1.0), (0.5, 1.0), (0.0, 1.0), (-0.5, 1.0), (-1.0, 1.0), (0.5, 0.7), (-0.5, 0.7))
 # Additive recurrence in six dimensions with the generalised golden ratio (x^7 = x + 1): even, never random.
 _RATIO = 1.1127756842787055
 _STEPS = np.array([_RATIO ** -(k + 1) for k in range(6)])
@@ -56,13 +58,23 @@ def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tu
 
 def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
     """The orientations of the self-check, ball in the tool centre: tilted to eight sides, turned by turns."""
-    looks = []
-    for number in range(CHECK_ORIENTATIONS):
-        turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
-        azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
-        orientation = _orientation(reference, CHECK_TILT_RAD, azimuth, turn)
-        looks.append(_look(orientation, np.asarray(ball_mm, dtype=float), np.zeros(3), number))
-    return tuple(looks)
+    return tuple(check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))
+
+
+def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
+    """One orientation of the self-check, and others that serve as well where it cannot be taken."""
+    turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
+    azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
+    ball = np.asarray(ball_mm, dtype=float)
+    return tuple(
+        _look(
+            _orientation(reference, tilt_share * CHECK_TILT_RAD, azimuth, turn_share * turn),
+            ball,
+            np.zeros(3),
+            number,
+        )
+        for turn_share, tilt_share in CHECK_VARIANTS
+    )
 
 
 def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
 from scipy.spatial.transform import Rotation
@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration import Baseline, Observation, ObservationSet
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
-from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, calibration_looks, check_looks
+from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, calibration_looks, check_variants
 from procedures.cli.stereo_ball import Triple, place_of_ball
 from procedures.cli.stereo_looks import BallWatcher, surround_ball
 from procedures.cli.stereo_room import activate, set_up
@@ -45,17 +45,20 @@ def observe_for_calibration(
     plan = calibration_looks(rotation, watcher.ball_mm, round(SPARE * poses))
     seen = watcher.observe_all(plan, poses, lambda count: progress(count / total))
     for round_number in range(visits):
-        for planned in check_looks(rotation, watcher.ball_mm):
-            one = _check_look(watcher, planned, seen)
+        for number in range(CHECK_ORIENTATIONS):
+            one = check_look(watcher, check_variants(rotation, watcher.ball_mm, number), seen)
             if one is not None:
                 seen.append(one)
-            progress((poses + CHECK_ORIENTATIONS * round_number + (planned.orientation or 0)) / total)
+            progress((poses + CHECK_ORIENTATIONS * round_number + number) / total)
     try:
         watcher.go_home()
     except NotClear as error:  # raised before anything moved; what was seen is worth keeping
         tell(f"the arm stays where it is: {error.what}")
     if watcher.rejected:
         tell(f"{watcher.rejected.total()} looks without a ball: {watcher.why_rejected()}")
+    checked = len({one.orientation for one in seen} - {None})
+    if checked < CHECK_ORIENTATIONS:
+        tell(f"warning: {checked} of {CHECK_ORIENTATIONS} orientations of the check were taken: no baseline")
     if len(seen) < LEAST_POSES:
         refuse_too_few(watcher, len(seen))
     calibrations = context.calibrations
@@ -151,12 +154,18 @@ def _bring_over_ball(
     return watcher, place.reference
 
 
-def _check_look(watcher: BallWatcher, planned: PlannedLook, seen: list[Observation]) -> Observation | None:
-    """A look of the check: from then on always at the joint angles of its first visit."""
+def check_look(
+    watcher: BallWatcher, variants: Sequence[PlannedLook], seen: Sequence[Observation]
+) -> Observation | None:
+    """A look of the check: the first that can be taken, and from then on always at its joint angles."""
     for one in seen:
-        if one.orientation is not None and one.orientation == planned.orientation:
+        if one.orientation is not None and one.orientation == variants[0].orientation:
             return watcher.observe_at(one.joints_rad, one.orientation)
-    return watcher.observe(planned)
+    for planned in variants:
+        found = watcher.observe(planned)
+        if found is not None:
+            return found
+    return None
 
 
 def refuse_too_few(watcher: BallWatcher, count: int) -> None:

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from head_looks import ENDPOINTS
+from scipy.spatial.transform import Rotation
 
 from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
-from procedures.calibration.pose_set import calibration_looks
+from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_variants
 from procedures.cli import stereo_ball, stereo_looks, stereo_session
 from procedures.cli.stereo_ball import BallPlace, place_of_ball
 from procedures.cli.stereo_looks import APPROACH_RAD, BallWatcher, surround_ball
+from procedures.cli.stereo_session import check_look
 from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.stereo_look import Look
 from ronna_hw.arm.errors import NotClear
@@ -149,3 +151,33 @@ def test_too_few_looks_are_told_by_their_commonest_reason(reason: str, error: ty
     watcher.rejected[reason] = 40
     with pytest.raises(error, match=f"40 x {reason}"):
         stereo_session.refuse_too_few(watcher, 30)
+
+
+class Watcher:
+    """Takes looks unless they are turned too far; notes the joint angles that it is sent back to."""
+
+    def __init__(self) -> None:
+        self.sent_back: list[tuple[float, ...]] = []
+
+    def observe(self, planned: PlannedLook) -> Any:
+        turned = planned.pose.rigid.rotation.as_euler("ZYX", degrees=True)[0]
+        return (
+            None
+            if abs(turned) > 30.0
+            else SimpleNamespace(orientation=planned.orientation, joints_rad=HOME_RAD)
+        )
+
+    def observe_at(self, joints: tuple[float, ...], orientation: int) -> Any:
+        self.sent_back.append(joints)
+        return SimpleNamespace(orientation=orientation, joints_rad=joints)
+
+
+def test_an_orientation_of_the_check_that_cannot_be_taken_gives_way_to_another_one() -> None:
+    watcher: Any = Watcher()
+    variants = check_variants(Rotation.identity(), BALL_MM, 0)
+    assert watcher.observe(variants[0]) is None
+    seen = [check_look(watcher, variants, [])]
+    assert seen[0] is not None
+    assert watcher.sent_back == []
+    assert check_look(watcher, variants, seen) is not None
+    assert watcher.sent_back == [HOME_RAD]  # the next visit is to the very same joint angles
