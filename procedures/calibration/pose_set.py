@@ -79,13 +79,14 @@ def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tupl
 
 def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
     """The looks so that each is the nearest in orientation to the one before, from the first on."""
-    rest = list(looks)
-    ordered = [rest.pop(0)]
+    rotations = np.array([look.pose.rotation_matrix for look in looks])
+    alike = np.einsum("nij,mij->nm", rotations, rotations)  # trace of the turn between two: larger is nearer
+    order, rest = [0], set(range(1, len(looks)))
     while rest:
-        here = ordered[-1].pose.rigid.rotation
-        turns = [(here.inv() * look.pose.rigid.rotation).magnitude() for look in rest]
-        ordered.append(rest.pop(int(np.argmin(turns))))
-    return ordered
+        nearest = max(rest, key=lambda number: float(alike[order[-1], number]))
+        rest.remove(nearest)
+        order.append(nearest)
+    return [looks[number] for number in order]
 
 
 def moved_to(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:

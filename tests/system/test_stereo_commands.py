@@ -218,6 +218,21 @@ def test_the_calibration_of_other_cameras_is_refused(stereo: Callable[..., Said]
     assert one_error(said.errors)[0].startswith("STE-010")
 
 
+def test_a_baseline_of_other_cameras_is_refused_before_anything_moves(
+    stereo: Callable[..., Said], theatre: Path, head: TrueHead, tmp_path: Path
+) -> None:
+    made = stereo("calibrate", "--from", recorded(head, tmp_path), "--out", tmp_path / "out", "--json")
+    baseline = Path(made.content["folder"]) / "baseline.json"
+    baseline.write_text(baseline.read_text().replace(head.scene.right.serial, "21900000"))
+    # Calibrated in the simulated past of `head`, the record would have expired: let it hold.
+    content = json.loads(baseline.read_text())
+    content["stereo_head"]["expires"] = (datetime.now(UTC) + timedelta(days=1)).isoformat()
+    baseline.write_text(json.dumps(content))
+    said = stereo("check", "--config", theatre, "--baseline", baseline)
+    assert said.code == 3
+    assert one_error(said.errors)[0].startswith("STE-010")
+
+
 @pytest.mark.parametrize(
     ("ball", "exit_code", "code"),
     [
