@@ -12,6 +12,7 @@ from functools import cache
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import Image
 from sim.basler.optics.grain import Grain
@@ -37,6 +38,10 @@ class Stain:
     direction: tuple[float, float, float]
     half_angle_rad: float
 
+    def may_be_seen(self, to_camera: NDArray[np.float64]) -> bool:
+        """False when it lies wholly on the far half; `to_camera` is a unit vector in the sphere's frame."""
+        return bool(np.dot(self.direction, to_camera) > -np.sin(self.half_angle_rad))
+
 
 class Film:
     """The film of one sphere with its stains."""
@@ -51,13 +56,15 @@ class Film:
         light = self._grain.at(x_mm, y_mm, z_mm)
         for stain in self._stains:
             x, y, z = (np.float32(part) for part in stain.direction)
+            height = x_mm * x
+            height += y_mm * y
+            height += z_mm * z
             # height above the plane of the spot's edge; over the edge it grows by the sine of the angle
-            height = x_mm * x + y_mm * y + z_mm * z
-            height -= np.float32(self._radius_mm * np.cos(stain.half_angle_rad))
-            height *= np.float32(1.0 / (STAIN_EDGE_MM * np.sin(stain.half_angle_rad)))
-            height += np.float32(0.5)
-            cover = np.clip(height, 0.0, 1.0, out=height)
-            light = light * (np.float32(1.0) - np.float32(1.0 - STAINED_BRIGHTNESS) * cover)
+            plane_mm = self._radius_mm * np.cos(stain.half_angle_rad)
+            soft_mm = STAIN_EDGE_MM * np.sin(stain.half_angle_rad)
+            spot = np.nonzero(height > np.float32(plane_mm - soft_mm / 2))
+            cover = np.clip((height[spot] - plane_mm) / soft_mm + 0.5, 0.0, 1.0)
+            light[spot] *= (1.0 - (1.0 - STAINED_BRIGHTNESS) * cover).astype(light.dtype)
         return light
 
 

@@ -70,9 +70,10 @@ def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigm
     towards = np.array([cos(occluder.direction_rad), sin(occluder.direction_rad)])
     # A chord at the cosine of half its arc leaves that arc beyond it.
     edge = radius * cos(pi * occluder.rim_share)
-    x = (canvas.area.x + np.arange(canvas.area.width) - middle[0]) * towards[0]
-    y = (canvas.area.y + np.arange(canvas.area.height) - middle[1]) * towards[1]
-    cover = _edge((y[:, None] + x[None, :] - edge) / sigma_px)
+    x = (canvas.area.x + np.arange(canvas.area.width) - middle[0]) * (towards[0] / sigma_px)
+    y = (canvas.area.y + np.arange(canvas.area.height) - middle[1]) * (towards[1] / sigma_px)
+    x -= edge / sigma_px
+    cover = _edge(y.astype(np.float32)[:, None] + x.astype(np.float32)[None, :])
     dark = np.float32(occluder.brightness * BACKGROUND_ELECTRONS_PER_US)
     canvas.light[:] += cover * (dark - canvas.light)
 
@@ -96,10 +97,12 @@ def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
     return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
 
 
-def _edge(sigmas: Array) -> Image:
+def _edge(sigmas: Array | Image) -> Image:
     """Share covered by what lies beyond an edge with normal blur, by the distance in its sigmas."""
-    at, cover = _edge_table()
-    return np.interp(sigmas, at, cover).astype(np.float32)
+    cover: Image = (sigmas > 0.0).astype(np.float32)
+    soft = np.abs(sigmas) < EDGE_REACH  # a thin band: the table is slow
+    cover[soft] = np.interp(sigmas[soft], *_edge_table())
+    return cover
 
 
 @cache

@@ -95,7 +95,9 @@ class Optics:
     def _film(self, sphere: Sphere, disturbance: Disturbance) -> Surface:
         if sphere.number not in self._grains:
             self._grains[sphere.number] = Grain(self._seed, sphere.number)
-        grain, stains = self._grains[sphere.number], disturbance.stains_of(sphere.number)
+        grain = self._grains[sphere.number]
+        to_camera = -sphere.camera_from_sphere.T @ sphere.centre_mm / sphere.distance_mm
+        stains = [each for each in disturbance.stains_of(sphere.number) if each.may_be_seen(to_camera)]
         return Film(grain, stains, sphere.radius_mm) if stains else grain
 
 
