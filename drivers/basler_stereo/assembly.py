@@ -7,18 +7,18 @@ packets are asked for again in growing intervals; when that is used up the frame
 from __future__ import annotations
 
 import struct
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivers.basler_stereo.gvsp import Leader, PacketHeader, decode_header, decode_leader
+from drivers.basler_stereo.gvsp import Leader, PacketHeader, decode_header, decode_leader, following
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
 
 RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet that came; then give up
 AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other a little
-OPEN_BLOCKS = 12  # at full rate the next images begin before the last packets of this one are repeated
-RANGES_PER_ROUND = 64  # a request each; more is a link that carries nothing
+OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets of this one are repeated
+PACKETS_PER_ROUND = 64  # asked for at a time: a burst of more could overrun the socket again
 _UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
 _GONE = frozenset(
     {
@@ -62,7 +62,8 @@ class _Block:
     leader: Leader | None = None
     left: int = 0
     resent: int = 0
-    rounds: int = 0
+    rounds: int = 0  # of requests since one was answered in full
+    asked: list[int] = field(default_factory=list)  # packets of the last request
     last_packet_s: float = 0.0
     gone: set[int] = field(default_factory=set)
 
@@ -85,7 +86,9 @@ class FrameAssembler:
         self._payload_packets = -(-payload_bytes // self._data_bytes)
         self._trailer_id = self._payload_packets + 1
         self._open: OrderedDict[int, _Block] = OrderedDict()
-        self._finished: list[int] = []  # the last few block ids; repeated packets of them are not a new block
+        self._newest = 0  # block id; 0 before the first
+        # the last block ids: repeated packets of them are not a new block
+        self._finished: deque[int] = deque(maxlen=2 * OPEN_BLOCKS)
         self.counters = StreamCounters()
 
     @property
@@ -108,6 +111,8 @@ class FrameAssembler:
         if header is None or header.packet_id > self._trailer_id or header.block_id in self._finished:
             self.counters.ignored += 1
             return None
+        if header.block_id not in self._open:
+            self._expect_skipped(header.block_id, now_s)
         pushed_out = self._give_way(header.block_id)
         block = self._block(header.block_id)
         block.last_packet_s = now_s
@@ -121,24 +126,44 @@ class FrameAssembler:
             if now_s - block.last_packet_s < self._pause_s(block):
                 continue
             missing = [i for i in range(self._trailer_id + 1) if not block.came[i] and i not in block.gone]
+            if self._answered(block):
+                block.rounds = 0
             used_up = block.rounds >= len(RESEND_INTERVALS_S)
             # an expected block of which nothing came may be late: it is asked for until it gives way
             if not missing or (used_up and block.left <= self._trailer_id):
                 return [], self._finish(block)
             block.rounds += not used_up
             block.last_packet_s = now_s
-            ranges = _ranges(missing)[:RANGES_PER_ROUND]
+            block.asked = missing[:PACKETS_PER_ROUND] if block.left <= self._trailer_id else missing
+            ranges = _ranges(block.asked)
             self.counters.resend_requests += len(ranges)
             return [(block.block_id, first, last) for first, last in ranges], None
         return [], None
 
     def _pause_s(self, block: _Block) -> float:
         """How long after its last packet a block is asked for again."""
+        if self._answered(block):
+            return AFTER_TRAILER_S
         if block.rounds == 0 and block.left <= self._trailer_id:
             newer_begun = next(reversed(self._open.values())) is not block
             if newer_begun or block.came[self._trailer_id]:
                 return AFTER_TRAILER_S
         return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
+
+    def _expect_skipped(self, block_id: int, now_s: float) -> None:
+        """Blocks between the newest one and this, of which not one packet came, are to be asked for."""
+        newest, self._newest = self._newest, block_id
+        skipped = (block_id - newest - 1) % gev.BLOCK_ID_LAST if newest else 0
+        if skipped >= OPEN_BLOCKS:
+            self._newest = max(newest, block_id)  # a straggler, or a wrap: nothing to conclude
+            return
+        for _ in range(skipped):
+            newest = following(newest)
+            self.expect(newest, now_s)
+
+    @staticmethod
+    def _answered(block: _Block) -> bool:
+        return bool(block.asked) and all(block.came[packet_id] for packet_id in block.asked)
 
     def _block(self, block_id: int) -> _Block:
         block = self._open.get(block_id)
@@ -210,7 +235,7 @@ class FrameAssembler:
         del self._open[block.block_id]
         if block.left > self._trailer_id:
             return None  # expected, never seen
-        self._finished = [*self._finished[-3:], block.block_id]
+        self._finished.append(block.block_id)
         missing = [i for i in range(1, self._trailer_id) if not block.came[i]] if block.left else []
         for packet_id in missing:
             begin, end = self._place(packet_id)

@@ -63,16 +63,20 @@ class PairGrabber:
             camera.stop(deadline_s)
 
     def grab(self, sequence: int, deadline_s: float) -> StereoReading:
-        """Trigger once and return the pair of that trigger; once more when neither camera sent an image.
+        """Trigger once and return the pair of that trigger.
 
-        After a pair that is not whole the streams begin anew, so that a late image is never taken for one
-        of the next trigger. Raises GEV-013 to GEV-015, GEV-017.
+        Once more when neither camera sent an image, or the images are not of one moment, as happens when
+        the computer stalls between the two commands. After a pair that is not whole the streams begin
+        anew, so that a late image is never taken for one of the next trigger. Raises GEV-013 to GEV-015,
+        GEV-017.
         """
         limit_s = deadline_s - time.monotonic()
         twice = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
         if twice:
             try:
-                return self._grab(sequence, time.monotonic() + FIRST_TRY_SHARE * limit_s)
+                reading = self._grab(sequence, time.monotonic() + FIRST_TRY_SHARE * limit_s)
+                if reading.validity not in (Validity.UNPAIRED, Validity.STALE):
+                    return reading
             except TriggerMissed:
                 pass  # the command or every packet was lost, or the camera was busy
         return self._grab(sequence, deadline_s)

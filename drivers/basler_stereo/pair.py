@@ -165,10 +165,10 @@ class BaslerStereoPair:
 
         A side of which no image came is None and the reading MISSING, as long as its camera answers; two
         images that are not of one moment are UNPAIRED, two that are older than the trigger STALE. Cameras
-        that both sent nothing are triggered once more. Raises GEV-013 when there is still nothing, and,
-        with FAULT latched, GEV-014 (a camera is gone), GEV-015 (control lost) or GEV-017 (our reception
-        ended). After a pair that is not whole the streams begin anew, so that a late image is never taken
-        for that of the next trigger.
+        that both sent nothing, or not at one moment, are triggered once more. Raises GEV-013 when there is
+        still nothing, and, with FAULT latched, GEV-014 (a camera is gone), GEV-015 (control lost) or
+        GEV-017 (our reception ended). After a pair that is not whole the streams begin anew, so that a
+        late image is never taken for that of the next trigger.
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
         return self._watched(lambda: self._grab(time.monotonic() + timeout_s))

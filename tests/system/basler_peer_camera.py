@@ -300,6 +300,8 @@ class PeerCamera:
 
     def resend(self, payload: bytes) -> None:
         _, block_id, first, last = struct.unpack(">HHII", payload)
+        if not self.destination[1]:
+            return  # the channel is closed
         for number in range(first, last + 1):
             header = struct.pack(">HI", block_id, number)
             if "refuse-resend" in self.faults or block_id not in self.sent:

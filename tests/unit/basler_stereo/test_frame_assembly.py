@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from drivers.basler_stereo.assembly import (
     AFTER_TRAILER_S,
     OPEN_BLOCKS,
+    PACKETS_PER_ROUND,
     RESEND_INTERVALS_S,
     FrameAssembler,
 )
@@ -209,3 +210,33 @@ def test_missing_packets_leave_no_pixels_of_an_earlier_frame():
             break
     assert frame.missing_packets == 1
     assert bytes(frame.data) == IMAGE[:300] + bytes(100) + IMAGE[400:]
+
+
+def test_a_request_that_was_answered_is_followed_by_the_next_almost_at_once():
+    payload = bytes(100 * 3 * PACKETS_PER_ROUND)
+    assembler = FrameAssembler(len(payload), PACKET)
+    sent = packets(image=payload)
+    again = packets(image=payload, status=0x0100)
+    feed(assembler, [sent[0], sent[1], sent[-1]])
+    now_s, first = 0.0, 2
+    while assembler.waiting:
+        now_s += 1.5 * AFTER_TRAILER_S
+        ranges, given_up = assembler.overdue(now_s)
+        last = min(first + PACKETS_PER_ROUND, 3 * PACKETS_PER_ROUND + 1) - 1
+        assert (ranges, given_up) == ([(1, first, last)], None)
+        feed(assembler, again[first : last + 1], now_s)
+        first = last + 1
+    assert assembler.counters.incomplete_frames == 0
+
+
+def test_a_block_that_was_lost_whole_between_two_others_is_asked_for(assembler):
+    assert [frame.block_id for frame in feed(assembler, [*packets(1), *packets(3)])] == [1, 3]
+    assert assembler.overdue(1.01 * RESEND_INTERVALS_S[0]) == ([(2, 0, 13)], None)
+    (frame,) = feed(assembler, packets(2, status=0x0100))
+    assert frame.block_id == 2
+
+
+def test_a_block_id_far_away_or_wrapped_tells_nothing(assembler):
+    for before, after in ((1, 5000), (5000, 2), (65535, 1)):
+        feed(assembler, [*packets(before), *packets(after)])
+        assert not assembler.waiting
