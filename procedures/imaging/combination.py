@@ -23,7 +23,7 @@ SLICE_PROFILE_ERROR_PER_MM = 0.001  # mm per mm²: a voxel is a box, the model b
 ERROR_CORRELATION = 0.6  # between the errors of the two estimators
 # Streaks bend as well as slope, only the slope is modelled: error (3-D) for a slope of one contrast per mm.
 # Measured on the phantom family `posts`.
-STREAK_ERROR_MM = 3.0
+STREAK_ERROR_MM = 3.5
 
 
 @dataclass(frozen=True, eq=False)
