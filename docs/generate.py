@@ -16,6 +16,7 @@ import drivers
 import procedures
 import ronna_hw
 import sim
+from drivers.basler_stereo.options import BaslerOptions
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
@@ -45,6 +46,7 @@ def pages() -> dict[str, str]:
         "state-chart.md": NOTE + f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
         "theatre-file.md": NOTE + _theatre_keys(),
         "robot-options.md": NOTE + _robot_options(),
+        "stereo-options.md": NOTE + _stereo_options(),
         "tracker-options.md": NOTE + _tracker_options(),
         "tracker-parameters.md": NOTE + _tracker_parameters(),
     }
@@ -120,6 +122,20 @@ def _robot_options() -> str:
     ]
     for key, field in KukaOptions.model_fields.items():
         default = "none" if field.default is None else str(field.default) or "empty"
+        lines.append(f"| `{key}` | {default} | {field.description} |")
+    return "\n".join(lines) + "\n"
+
+
+def _stereo_options() -> str:
+    lines = [
+        "# Options of the driver `basler_stereo`\n",
+        "They stand in `[stereo.options]` of the theatre file. Unknown ones are errors. The driver",
+        "`basler_pylon` takes them too, but packets, repetition and heartbeat are its library's affair.\n",
+        "| key | default | meaning |",
+        "|---|---|---|",
+    ]
+    for key, field in BaslerOptions.model_fields.items():
+        default = "none" if field.default is None else str(field.default)
         lines.append(f"| `{key}` | {default} | {field.description} |")
     return "\n".join(lines) + "\n"
 

@@ -25,22 +25,53 @@ SMALLEST_PACKET_BYTES = 576  # every IPv4 path carries it
 class BaslerOptions(Strict):
     """Everything that may be said about the pair; without serial numbers any two cameras are taken."""
 
-    left_serial: Annotated[str, Field(min_length=1)] | None = None
-    right_serial: Annotated[str, Field(min_length=1)] | None = None
-    expected_model: str | None = gev.ACA2000_50GM_NIR  # "" in the file stands for any
-    exposure_us: Annotated[float, Field(gt=0, le=gev.EXPOSURE_MAXIMUM_US)] = 2000.0
-    gain_raw: Annotated[int, Field(ge=0, le=gev.GAIN_RAW_MAXIMUM)] = gev.GAIN_RAW_MINIMUM
-    pixel_format: Literal["Mono8", "Mono12", "Mono12Packed"] = "Mono8"
-    packet_bytes: Annotated[int, Field(ge=SMALLEST_PACKET_BYTES, le=LARGEST_PACKET_BYTES)] | None = None
-    inter_packet_delay_ticks: Annotated[int, Field(ge=0)] = 0
-    heartbeat_ms: Annotated[int, Field(ge=gev.HEARTBEAT_MINIMUM_MS, le=60_000)] = 3000
-    resend: bool = True
-    trigger: Literal["software", "action", "line1"] = "software"
-    action_device_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 0x524F_4E4E  # "RONN"
-    action_group_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 1
-    pair_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 50.0  # between the exposures of one pair
-    receive_buffer_bytes: Annotated[int, Field(ge=65_536)] = 4 * 1024 * 1024
-    load_default_user_set: bool = True  # start from the camera's factory settings
+    left_serial: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None, description="Serial number of the left camera; none takes any."
+    )
+    right_serial: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None, description="Serial number of the right camera; none takes any."
+    )
+    expected_model: str | None = Field(
+        default=gev.ACA2000_50GM_NIR, description="Model of both cameras; empty for any."
+    )
+    exposure_us: Annotated[float, Field(gt=0, le=gev.EXPOSURE_MAXIMUM_US)] = Field(
+        default=2000.0, description="Exposure of both cameras, in microseconds."
+    )
+    gain_raw: Annotated[int, Field(ge=0, le=gev.GAIN_RAW_MAXIMUM)] = Field(
+        default=gev.GAIN_RAW_MINIMUM,
+        description="Gain of both, in the camera's own unit; 20 log10(raw/32) dB.",
+    )
+    pixel_format: Literal["Mono8", "Mono12", "Mono12Packed"] = Field(
+        default="Mono8", description="Mono8, Mono12 or Mono12Packed."
+    )
+    packet_bytes: Annotated[int, Field(ge=SMALLEST_PACKET_BYTES, le=LARGEST_PACKET_BYTES)] | None = Field(
+        default=None, description="Size of stream packets with IP and UDP headers; none takes what arrives."
+    )
+    inter_packet_delay_ticks: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Pause between stream packets, in ticks of the camera."
+    )
+    heartbeat_ms: Annotated[int, Field(ge=gev.HEARTBEAT_MINIMUM_MS, le=60_000)] = Field(
+        default=3000, description="Silence after which a camera gives up its controller."
+    )
+    resend: bool = Field(default=True, description="Ask for lost packets again.")
+    trigger: Literal["software", "action", "line1"] = Field(
+        default="software",
+        description="software: a command to each camera; action: an action command to each; line1: a pulse "
+        "on both lines, which grab_pair awaits.",
+    )
+    action_device_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = Field(
+        default=0x524F_4E4E, description="Key of our action commands."
+    )
+    action_group_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = Field(
+        default=1, description="Group of our action commands."
+    )
+    pair_skew_ms: Annotated[float, Field(gt=0, le=1000)] = Field(
+        default=50.0, description="How far apart the exposures of one pair may begin; beyond it is UNPAIRED."
+    )
+    receive_buffer_bytes: Annotated[int, Field(ge=65_536)] = Field(
+        default=4 * 1024 * 1024, description="Wanted size of a stream socket's buffer; the kernel may cap it."
+    )
+    load_default_user_set: bool = Field(default=True, description="Start from the camera's factory settings.")
 
     @model_validator(mode="after")
     def _checks(self) -> Self:
