@@ -58,12 +58,14 @@ def checked(laboratory: Laboratory, head: TrueHead, seed: int) -> CheckResult:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_a_sound_head_passes_in_at_least_99_of_100_checks(laboratory: Laboratory) -> None:
     alarms = sum(not checked(laboratory, laboratory[0], seed).passed for seed in range(TRIALS))
     assert alarms <= 1
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_twist_of_a_hundredth_of_a_degree_is_found_every_time(laboratory: Laboratory, side: str) -> None:
     missed = 0
