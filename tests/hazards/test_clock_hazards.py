@@ -24,6 +24,8 @@ DATING = {
     "procedures/engine/journal.py",
     "procedures/reporting/report.py",
     "procedures/cli/run_case.py",
+    "procedures/cli/stereo_room.py",
+    "procedures/cli/stereo_session.py",
     "procedures/exchange/sphere_files.py",
     "procedures/steps/set_up.py",
 }
