@@ -69,7 +69,8 @@ class BaslerOptions(Strict):
         default=50.0, description="How far apart the exposures of one pair may begin; beyond it is UNPAIRED."
     )
     receive_buffer_bytes: Annotated[int, Field(ge=65_536)] = Field(
-        default=4 * 1024 * 1024, description="Wanted size of a stream socket's buffer; the kernel may cap it."
+        default=16 * 1024 * 1024,
+        description="Wanted size of a stream socket's buffer; the kernel may cap it.",
     )
     load_default_user_set: bool = Field(default=True, description="Start from the camera's factory settings.")
 

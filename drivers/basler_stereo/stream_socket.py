@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 import time
@@ -9,13 +10,17 @@ import time
 from ronna_hw.wire import gige_vision as gev
 
 DATAGRAM_LIMIT_BYTES = 65_536
+SO_RCVBUFFORCE = 33  # from asm-generic/socket.h; not in Python's socket module
 
 
 def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.socket:
     """A socket for the stream on a free port of the host's address."""
     stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    # The kernel caps the size at net.core.rmem_max; what does not fit is lost and asked for again.
+    # The kernel caps the size at net.core.rmem_max, but not for the superuser; what does not fit is lost
+    # and asked for again.
     stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
+    with contextlib.suppress(OSError):
+        stream.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, receive_buffer_bytes)
     stream.bind((local_address, 0))
     return stream
 
