@@ -10,7 +10,9 @@ from camera_stream import lossy_cameras, stream_pairs
 LOST_PERCENT = 0.2
 
 
-@pytest.mark.parametrize("pairs", [30, pytest.param(3000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(
+    "pairs", [pytest.param(30, marks=pytest.mark.slow), pytest.param(3000, marks=pytest.mark.soak)]
+)
 def test_no_frame_is_lost_although_packets_are(tmp_path: Path, pairs: int) -> None:
     with lossy_cameras(tmp_path, LOST_PERCENT) as cameras:
         addresses = [cameras.ready["endpoints"][side].removeprefix("gev://") for side in ("left", "right")]

@@ -36,6 +36,7 @@ def _run_all(lines: list[str], commands: Commands, folder: Path) -> None:
         assert done.returncode == 0, f"{line}: {done.stderr}"
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_the_commands_of_the_tutorial_work_one_after_the_other(commands: Commands, tmp_path: Path) -> None:
     lines = _commands_of("docs/tutorial/one-case.md")

@@ -11,7 +11,9 @@ generate = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(generate)
 
 
-@pytest.mark.parametrize("name", ["error-codes.md", "state-chart.md", "theatre-file.md", "tracker-parameters.md"])
+@pytest.mark.parametrize(
+    "name", ["error-codes.md", "state-chart.md", "theatre-file.md", "tracker-parameters.md"]
+)
 def test_the_generated_page_is_up_to_date(name: str) -> None:
     committed = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")
     assert committed == generate.pages()[name], "run make docs"
