@@ -3,8 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# Many tests wait for processes and ports: three workers keep two cores busy.
-PYTEST := $(BIN)/python -m pytest -n 3
+# Many tests wait for processes and ports: four workers keep two cores busy.
+PYTEST := $(BIN)/python -m pytest -n 4
 
 .PHONY: setup demo test test-all soak lint bench docs lock clean
 

@@ -90,8 +90,8 @@ class Engine:
             raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
         step = self.steps[key.name]
         self._write(Entry.INTENT, step=str(key), moves=step.moves)
-        self.operator.announce(str(key))
         try:
+            self.operator.announce(str(key))
             outcome = step.run(self._context(key))
             record = self.case.add(key.name, outcome.payload, outcome.parents, key.trajectory)
             self._write(Entry.RESULT, step=str(key), record=record.identifier, sha256=record.sha256)

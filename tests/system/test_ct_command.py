@@ -206,7 +206,7 @@ def test_the_example_prints_the_centres(series: Path) -> None:
     np.testing.assert_allclose([float(words[index]) for index in (2, 4, 6)], CENTRES_MM[1], atol=0.02)
 
 
-@pytest.mark.parametrize("seed", [3, 11])
+@pytest.mark.parametrize("seed", [3, pytest.param(11, marks=pytest.mark.slow)])
 def test_the_spheres_of_a_scanned_phantom_are_found_where_they_are(tmp_path: Path, seed: int) -> None:
     phantom = [sys.executable, "-P", "-c", "from sim.cli import main; main()", "phantom"]
     out = tmp_path / "case"

@@ -104,8 +104,8 @@ def _process_of(commands: Commands, words: str) -> int:
 @pytest.mark.parametrize(
     ("words", "number"),
     [
-        pytest.param("sim.cli basler", signal.SIGKILL, marks=pytest.mark.slow),
-        ("sim.cli theatre", signal.SIGKILL),
+        ("sim.cli basler", signal.SIGKILL),
+        pytest.param("sim.cli theatre", signal.SIGKILL, marks=pytest.mark.slow),
         pytest.param("sim.cli kuka", signal.SIGSTOP, marks=pytest.mark.slow),
     ],
 )

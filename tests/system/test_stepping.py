@@ -3,6 +3,7 @@
 import subprocess
 from pathlib import Path
 
+import pytest
 from user_commands import Commands
 
 
@@ -40,6 +41,7 @@ def test_steps_are_listed_run_refused_with_reasons_and_left(commands: Commands, 
     assert "PRO-001" in done.stderr
 
 
+@pytest.mark.slow
 def test_an_unknown_step_is_told_and_the_case_goes_on(commands: Commands, tmp_path: Path) -> None:
     done = _step(commands, tmp_path, "run drilling", "next", "quit")
     assert done.returncode == 0

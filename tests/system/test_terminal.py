@@ -102,6 +102,7 @@ def test_ctrl_c_twice_stops_now(terminal: Terminal) -> None:
     assert "Traceback" not in terminal.text
 
 
+@pytest.mark.slow
 def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> None:
     terminal.await_text("✓ ct_import")
     terminal.type(CTRL_C)

@@ -79,6 +79,7 @@ def test_the_driver_of_the_page_passes_the_suite(package: Path, device: str, tmp
     assert report["identity"]["model"] == "Lumen-2000"
 
 
+@pytest.mark.slow
 def test_a_mistake_in_the_driver_of_the_page_is_found(
     package: Path, device: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
