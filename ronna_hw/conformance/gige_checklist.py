@@ -5,9 +5,9 @@ All lines are about the camera, on the wire; a case's number is G and its line.
 
 from __future__ import annotations
 
-import re
+from ronna_hw.conformance.checklist import Checklist
 
-LINES: dict[int, str] = {
+_LINES: dict[int, str] = {
     1: "listens on UDP 3956 on its own address and on the broadcast address",
     2: "DISCOVERY is answered with 0x0003, status 0, 248 bytes equal to memory 0, and the request id",
     3: "DISCOVERY is answered whether or not another application has control",
@@ -50,7 +50,7 @@ LINES: dict[int, str] = {
     40: "killing any client at any moment never needs a restart",
 }
 # What a line says beyond its cases, and where that is shown.
-REMARKS: dict[int, str] = {
+_REMARKS: dict[int, str] = {
     14: "that others' commands are none is shown by G15, where another client asks all the time",
     27: "the wrap takes 65,535 images: tests/unit/sim_basler/test_camera_stream.py",
     29: "the moment of the exposure needs a still clock: tests/unit/sim_basler/test_camera_stream.py",
@@ -58,13 +58,4 @@ REMARKS: dict[int, str] = {
     40: "a client that falls silent; one that is killed: tests/system/test_basler_driver_sim.py",
 }
 
-_OF_A_LINE = re.compile(r"G(\d+)[a-z]?")
-
-
-def cases_by_line(numbers: list[str]) -> dict[int, tuple[str, ...]]:
-    """Line -> numbers of the cases that look at it, for every line."""
-    found: dict[int, list[str]] = {line: [] for line in LINES}
-    for number in numbers:
-        if (match := _OF_A_LINE.fullmatch(number)) is not None:
-            found[int(match[1])].append(number)
-    return {line: tuple(cases) for line, cases in found.items()}
+GIGE_CHECKLIST = Checklist(letters="G", lines=_LINES, remarks=_REMARKS)

@@ -5,9 +5,9 @@ S lines are about the controller, on the wire (cases K), D lines about the drive
 
 from __future__ import annotations
 
-import re
+from ronna_hw.conformance.checklist import Checklist
 
-LINES: dict[int, str] = {
+_LINES: dict[int, str] = {
     1: "S: the controller sends first; nothing is expected from the client before",
     2: "S: a telegram every 4 or 12 ms on an absolute schedule, the median within 1 % over 1,000",
     3: "S: one source port within a run; D: answers to the sender",
@@ -50,7 +50,7 @@ LINES: dict[int, str] = {
     40: "S: a lost conversation is opened anew; D: connects again and reads the state, never assumes it",
     41: "S: an EKI memory that runs over (512) closes the connection",
 }
-ELSEWHERE: dict[int, str] = {
+_ELSEWHERE: dict[int, str] = {
     18: "needs a context of its own: tests/unit/sim_kuka",
     19: "needs contexts of its own: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     22: "our context reaches to the end switches; a narrow one: tests/unit/sim_kuka",
@@ -61,7 +61,7 @@ ELSEWHERE: dict[int, str] = {
     41: "no safe way on a running controller: tests/unit/sim_kuka, tests/system/test_kuka_sim.py",
 }
 # What a line says beyond its cases, and why no case shows it.
-REMARKS: dict[int, str] = {
+_REMARKS: dict[int, str] = {
     16: "HOLDON 0 needs a context of its own: tests/unit/sim_kuka",
     17: "needs --allow destructive; the second way of counting: tests/unit/sim_kuka",
     20: "RELATIVE needs a program of its own: tests/system/test_kuka_sim_rsipi.py",
@@ -69,13 +69,4 @@ REMARKS: dict[int, str] = {
     30: "needs --allow destructive: the controller ends the run as well",
 }
 
-_OF_A_LINE = re.compile(r"[KL](\d+)[a-z]?")
-
-
-def cases_by_line(numbers: list[str]) -> dict[int, tuple[str, ...]]:
-    """Line -> numbers of the cases that look at it, for every line."""
-    found: dict[int, list[str]] = {line: [] for line in LINES}
-    for number in numbers:
-        if (match := _OF_A_LINE.fullmatch(number)) is not None:
-            found[int(match[1])].append(number)
-    return {line: tuple(own) for line, own in found.items()}
+KUKA_CHECKLIST = Checklist(letters="KL", lines=_LINES, remarks=_REMARKS, elsewhere=_ELSEWHERE)

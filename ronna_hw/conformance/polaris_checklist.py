@@ -5,11 +5,9 @@ S lines are about the unit, on the wire; D lines about the driver. A case's numb
 
 from __future__ import annotations
 
-import re
+from ronna_hw.conformance.checklist import Checklist
 
-from ronna_hw.conformance.case import Case
-
-LINES: dict[int, str] = {
+_LINES: dict[int, str] = {
     1: "S: power-up and break give RESET with its CRC at 9600 baud, 8N1",
     2: "S: every text reply ends in four upper-case hex digits of CRC and CR",
     3: "S: a command with a wrong CRC gives ERROR04 and has no effect",
@@ -62,7 +60,7 @@ LINES: dict[int, str] = {
     50: "S: every fault can be switched on at run time without touching the link",
 }
 # Cases of any tracker that look at a line as well.
-ALSO: dict[int, tuple[str, ...]] = {
+_ALSO: dict[int, tuple[str, ...]] = {
     11: ("T18",),
     12: ("T20",),
     13: ("T22",),
@@ -72,12 +70,12 @@ ALSO: dict[int, tuple[str, ...]] = {
     39: ("T06", "T20"),
     41: ("T14", "T19"),
 }
-ELSEWHERE: dict[int, str] = {
+_ELSEWHERE: dict[int, str] = {
     48: "a client cannot show what other clients can do; tests/system/test_polaris_sim_strangers.py drives "
     "the simulator with both packages, each in a process of its own",
 }
 # What a line says beyond its cases, and why no case shows it.
-REMARKS: dict[int, str] = {
+_REMARKS: dict[int, str] = {
     1: "power-up itself cannot be brought about over the line; needs --allow destructive",
     9: "needs --allow destructive: the unit is reset first",
     40: "the command after COMM is the driver's own affair: tests/unit/ndi_polaris",
@@ -85,20 +83,4 @@ REMARKS: dict[int, str] = {
     50: "needs a control port: --sim has one, a unit of hardware has none",
 }
 
-_LINE = re.compile(r"[PD](\d+)[a-z]?")
-
-
-def line_of(case: Case) -> int | None:
-    """The line that a case looks at; None for cases of any tracker."""
-    match = _LINE.fullmatch(case.number)
-    return int(match[1]) if match else None
-
-
-def cases_by_line(cases: list[Case]) -> dict[int, tuple[str, ...]]:
-    """Line -> numbers of the cases that look at it, for every line."""
-    numbers = {case.number for case in cases}
-    found = {line: [case.number for case in cases if line_of(case) == line] for line in LINES}
-    return {
-        line: (*own, *(number for number in ALSO.get(line, ()) if number in numbers))
-        for line, own in found.items()
-    }
+POLARIS_CHECKLIST = Checklist(letters="PD", lines=_LINES, remarks=_REMARKS, elsewhere=_ELSEWHERE, also=_ALSO)

@@ -1,0 +1,46 @@
+"""A numbered checklist of what a device and its driver owe, and which cases look at which line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+
+@dataclass(frozen=True)
+class Checklist:
+    """The lines of one protocol, numbered from 1.
+
+    A case belongs to a line by its number: one of `letters`, the line, and a small letter where a line has
+    several cases. `also` names cases of any device of the kind that look at a line as well. A line without a
+    case stands in `elsewhere`, which says where it is shown. `remarks` say what a line's cases leave out.
+    """
+
+    letters: str
+    lines: Mapping[int, str]
+    remarks: Mapping[int, str] = field(default_factory=dict)
+    elsewhere: Mapping[int, str] = field(default_factory=dict)
+    also: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+
+    @cached_property
+    def _number(self) -> re.Pattern[str]:
+        return re.compile(rf"[{self.letters}](\d+)[a-z]?")
+
+    def line_of(self, number: str) -> int | None:
+        """The line that a case looks at; None for a case that belongs to none."""
+        match = self._number.fullmatch(number)
+        return int(match[1]) if match else None
+
+    def cases_by_line(self, numbers: Iterable[str]) -> dict[int, tuple[str, ...]]:
+        """Line -> numbers of the cases that look at it, for every line."""
+        known = tuple(numbers)
+        own = {line: [number for number in known if self.line_of(number) == line] for line in self.lines}
+        return {
+            line: (*own[line], *(number for number in self.also.get(line, ()) if number in known))
+            for line in self.lines
+        }
+
+    def remark(self, line: int) -> str:
+        """Where a line is shown, or what its cases leave out; empty when there is nothing to say."""
+        return self.elsewhere.get(line) or self.remarks.get(line, "")

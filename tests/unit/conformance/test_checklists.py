@@ -1,0 +1,81 @@
+"""Every line of a checklist has a case, or a place where it is shown; every case has its line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from ronna_hw.conformance import robot, stereo, tracker
+from ronna_hw.conformance.case import Suite
+from ronna_hw.conformance.checklist import Checklist
+from ronna_hw.conformance.gige_checklist import GIGE_CHECKLIST
+from ronna_hw.conformance.kuka_checklist import KUKA_CHECKLIST
+from ronna_hw.conformance.polaris_checklist import POLARIS_CHECKLIST
+
+ROOT = Path(__file__).parents[3]
+CHECKLISTS = [
+    pytest.param(POLARIS_CHECKLIST, tracker.SUITE, 50, id="polaris"),
+    pytest.param(KUKA_CHECKLIST, robot.SUITE, 41, id="kuka"),
+    pytest.param(GIGE_CHECKLIST, stereo.SUITE, 40, id="gige"),
+]
+of_each_checklist = pytest.mark.parametrize(("checklist", "suite", "lines"), CHECKLISTS)
+
+
+def numbers_of(suite: Suite) -> list[str]:
+    return [case.number for case in suite.cases]
+
+
+@of_each_checklist
+def test_every_line_has_a_case_or_says_where_it_is_shown(
+    checklist: Checklist, suite: Suite, lines: int
+) -> None:
+    found = checklist.cases_by_line(numbers_of(suite))
+    assert sorted(checklist.lines) == list(range(1, lines + 1))
+    assert {line for line, cases in found.items() if not cases} == set(checklist.elsewhere)
+    assert set(checklist.remarks) | set(checklist.also) <= set(checklist.lines)
+
+
+@of_each_checklist
+def test_every_case_of_the_protocol_belongs_to_a_line(checklist: Checklist, suite: Suite, lines: int) -> None:
+    for number in numbers_of(suite):
+        if number[0] in checklist.letters:
+            assert checklist.line_of(number) in checklist.lines, number
+        else:
+            assert re.fullmatch(r"[TRS]\d\d", number), number
+
+
+@of_each_checklist
+def test_what_is_also_looked_at_exists(checklist: Checklist, suite: Suite, lines: int) -> None:
+    assert {number for also in checklist.also.values() for number in also} <= set(numbers_of(suite))
+
+
+@of_each_checklist
+def test_no_number_is_given_twice(checklist: Checklist, suite: Suite, lines: int) -> None:
+    assert len(numbers_of(suite)) == len(set(numbers_of(suite)))
+
+
+@of_each_checklist
+def test_the_places_named_exist(checklist: Checklist, suite: Suite, lines: int) -> None:
+    for text in (*checklist.elsewhere.values(), *checklist.remarks.values()):
+        for place in re.findall(r"(?:tests|benchmarks)/[\w/.]+\w", text):
+            assert (ROOT / place).exists(), place
+
+
+@pytest.mark.parametrize(
+    ("checklist", "suite", "of_device"),
+    [(POLARIS_CHECKLIST, tracker.SUITE, "P"), (KUKA_CHECKLIST, robot.SUITE, "K")],
+    ids=["polaris", "kuka"],
+)
+def test_a_case_about_device_or_driver_stands_under_a_line_about_it(
+    checklist: Checklist, suite: Suite, of_device: str
+) -> None:
+    for number in numbers_of(suite):
+        if (line := checklist.line_of(number)) is not None:
+            assert f"{'S' if number[0] == of_device else 'D'}:" in checklist.lines[line], number
+
+
+def test_what_resets_the_tracker_is_not_run_unless_it_is_allowed() -> None:
+    resets = {case.number for case in tracker.SUITE.cases if "destructive" in case.needs}
+    assert resets == {"P01", "P01b", "P09"}
