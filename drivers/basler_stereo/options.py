@@ -42,7 +42,7 @@ class BaslerOptions(Strict):
         description="Gain of both, in the camera's own unit; 20 log10(raw/32) dB.",
     )
     pixel_format: Literal["Mono8", "Mono12", "Mono12Packed"] = Field(
-        default="Mono8", description="Mono8, Mono12 or Mono12Packed."
+        default="Mono8", description="Form of the pixels on the wire."
     )
     packet_bytes: Annotated[int, Field(ge=SMALLEST_PACKET_BYTES, le=LARGEST_PACKET_BYTES)] | None = Field(
         default=None, description="Size of stream packets with IP and UDP headers; none takes what arrives."
