@@ -58,7 +58,7 @@ def _runner(
         with _one_thread_each(), ProcessPoolExecutor(count, get_context("spawn")) as pool:
             try:
                 yield _on_pool(pool, study, units)
-            except BaseException:
+            except BaseException:  # an interruption too: what waits must not be begun after it
                 pool.shutdown(cancel_futures=True)
                 raise
 
