@@ -37,8 +37,8 @@ class Strict(BaseModel):
 class PoseRecord(Strict):
     """A rigid pose `target <- source`; which frames is said by the field that holds it."""
 
-    translation_mm: Numbers3
-    quaternion_wxyz: Numbers4
+    translation_mm: Numbers3 = Field(description="Origin of the source in the target.")
+    quaternion_wxyz: Numbers4 = Field(description="Rotation, scalar first, of norm 1.")
 
     @model_validator(mode="after")
     def _unit(self) -> Self:
@@ -63,22 +63,26 @@ class CameraCalibration(Strict):
     to the camera frame (z along the optical axis, x along columns, y down the rows).
     """
 
-    serial: str
-    focal_px: tuple[float, float]
-    principal_point_px: tuple[float, float]
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # k1 k2 p1 p2 k3
-    sensor_px: tuple[int, int] = (2048, 1088)
-    camera_from_tool: PoseRecord
+    serial: str = Field(description="Serial number that the camera itself tells.")
+    focal_px: tuple[float, float] = Field(description="Along columns and along rows.")
+    principal_point_px: tuple[float, float] = Field(description="Where the optical axis meets the sensor.")
+    distortion: tuple[float, float, float, float, float] = Field(
+        default=(0.0, 0.0, 0.0, 0.0, 0.0), description="k1 k2 p1 p2 k3."
+    )
+    sensor_px: tuple[int, int] = Field(default=(2048, 1088), description="Columns and rows.")
+    camera_from_tool: PoseRecord = Field(description="Pose camera <- tool centre.")
 
 
 class DatedRecord(Strict):
     """What every calibration says about itself."""
 
-    identifier: str
-    created: datetime
-    expires: datetime
-    made_by: str
-    stated_error_mm: Annotated[float, Field(ge=0)]
+    identifier: str = Field(description="Name of the record.")
+    created: datetime = Field(description="When it was measured.")
+    expires: datetime = Field(description="Until when it holds.")
+    made_by: str = Field(description="Who or what measured it.")
+    stated_error_mm: Annotated[float, Field(ge=0)] = Field(
+        description="One standard deviation, as its maker states it."
+    )
 
     def check_valid_at(self, moment: datetime) -> None:
         """Raise CAL-001 when the record has expired at `moment`."""
@@ -93,20 +97,22 @@ class DatedRecord(Strict):
 class StereoHeadCalibration(DatedRecord):
     """Both cameras, and where the head's tool centre point is thought to sit on the flange."""
 
-    flange_from_tool: PoseRecord
-    left: CameraCalibration
-    right: CameraCalibration
+    flange_from_tool: PoseRecord = Field(description="Pose flange <- tool centre of the head.")
+    left: CameraCalibration = Field(description="The left camera.")
+    right: CameraCalibration = Field(description="The right camera.")
 
 
 class ToolTipCalibration(DatedRecord):
     """A surgical guide: where its tip is thought to sit on the flange, z along the guide's axis."""
 
-    tool_number: Annotated[int, Field(ge=1, le=16)]  # as the controller's inputs report it
-    flange_from_tool: PoseRecord
+    tool_number: Annotated[int, Field(ge=1, le=16)] = Field(
+        description="As the controller's inputs report it."
+    )
+    flange_from_tool: PoseRecord = Field(description="Pose flange <- tip, z along the guide.")
 
 
 class TrackerFrameCalibration(DatedRecord):
     """The reference frame M on the tool mount: its definition file's tool name and its pose."""
 
-    tool: str
-    tool_from_marker: PoseRecord
+    tool: str = Field(description="Name of the tool definition in the tracker's options.")
+    tool_from_marker: PoseRecord = Field(description="Pose tool centre <- reference frame.")

@@ -39,10 +39,10 @@ class BodyFrame(StrEnum):
 class BodyConfig(Strict):
     """A capsule: its axis from one point to another, and its radius."""
 
-    name: Annotated[str, Field(min_length=1)]
-    start_mm: Numbers3
-    end_mm: Numbers3
-    radius_mm: Millimetres
+    name: Annotated[str, Field(min_length=1)] = Field(description="As messages call it.")
+    start_mm: Numbers3 = Field(description="One end of the axis.")
+    end_mm: Numbers3 = Field(description="The other end.")
+    radius_mm: Millimetres = Field(description="About the axis, and round the ends.")
 
     @property
     def capsule(self) -> Capsule:
@@ -53,32 +53,34 @@ class BodyConfig(Strict):
 class ToolBody(BodyConfig):
     """A body of a tool, in the tool frame. Only what is meant to go into the head may say `enters_head`."""
 
-    enters_head: bool = False
+    enters_head: bool = Field(default=False, description="Whether it is meant to go into the head.")
 
 
 class RoomBody(BodyConfig):
     """A body around the arm, in the head frame or in the robot's."""
 
-    frame: Annotated[BodyFrame, Field(strict=False)] = BodyFrame.HEAD
+    frame: Annotated[BodyFrame, Field(strict=False)] = Field(
+        default=BodyFrame.HEAD, description="What its coordinates are relative to."
+    )
 
 
 class ArmThickness(Strict):
     """Radii of the arm's bodies about their axes: estimates on the safe side."""
 
-    column_mm: Millimetres = 150.0
-    upper_arm_mm: Millimetres = 85.0
-    forearm_mm: Millimetres = 70.0
-    wrist_mm: Millimetres = 45.0
-    hand_mm: Millimetres = 45.0
+    column_mm: Millimetres = Field(default=150.0, description="From the base to A2.")
+    upper_arm_mm: Millimetres = Field(default=85.0, description="From A2 to A3.")
+    forearm_mm: Millimetres = Field(default=70.0, description="From A3 to A5.")
+    wrist_mm: Millimetres = Field(default=45.0, description="About A5.")
+    hand_mm: Millimetres = Field(default=45.0, description="From A5 to the flange.")
 
 
 class HeadZone(Strict):
     """The largest speed of anything that moves, by its distance to the head: linear between two points."""
 
-    near_mm: NotNegative = 20.0
-    near_speed_mm_s: Speed = 60.0
-    far_mm: Millimetres = 400.0
-    far_speed_mm_s: Speed = 1000.0
+    near_mm: NotNegative = Field(default=20.0, description="At this distance and nearer ...")
+    near_speed_mm_s: Speed = Field(default=60.0, description="... this is the largest speed.")
+    far_mm: Millimetres = Field(default=400.0, description="At this distance and farther ...")
+    far_speed_mm_s: Speed = Field(default=1000.0, description="... this is the largest speed.")
 
     @model_validator(mode="after")
     def _rises(self) -> Self:
@@ -128,14 +130,22 @@ AROUND_THE_PATIENT = (
 class CellConfig(Strict):
     """Bodies and distances by which every path is checked before the arm moves."""
 
-    margin_mm: Millimetres = 10.0  # least distance along a planned path
-    live_margin_mm: NotNegative = 5.0  # least distance of a set-point; nearer, the arm stops
-    corridor_mm: Millimetres = 2.5  # radius of the way of the needle about a trajectory
-    arm: ArmThickness = ArmThickness()
-    zone: HeadZone = HeadZone()
-    stereo_head: tuple[ToolBody, ...] = STEREO_HEAD
-    guide: tuple[ToolBody, ...] = GUIDE
-    bodies: tuple[RoomBody, ...] = AROUND_THE_PATIENT
+    margin_mm: Millimetres = Field(default=10.0, description="Least distance along a planned path.")
+    live_margin_mm: NotNegative = Field(
+        default=5.0, description="Least distance of a set-point; nearer, the arm stops."
+    )
+    corridor_mm: Millimetres = Field(
+        default=2.5, description="Radius of the way of the needle about a trajectory."
+    )
+    arm: ArmThickness = Field(default=ArmThickness(), description="How thick the arm is.")
+    zone: HeadZone = Field(default=HeadZone(), description="How fast anything may move near the head.")
+    stereo_head: tuple[ToolBody, ...] = Field(
+        default=STEREO_HEAD, description="Bodies of the stereo head, in the tool frame."
+    )
+    guide: tuple[ToolBody, ...] = Field(default=GUIDE, description="Bodies of the guide, in the tool frame.")
+    bodies: tuple[RoomBody, ...] = Field(
+        default=AROUND_THE_PATIENT, description="What stands around the arm."
+    )
 
     @model_validator(mode="after")
     def _live_is_less(self) -> Self:

@@ -27,7 +27,9 @@ class BadTheatreFile(ConfigurationError):
 class ClockConfig(Strict):
     """Where the theatre's time comes from."""
 
-    endpoint: str = "host:"
+    endpoint: str = Field(
+        default="host:", description="Whose time: `host:` for the computer's own, `shm://` for a theatre's."
+    )
 
     @field_validator("endpoint")
     @classmethod
@@ -39,10 +41,15 @@ class ClockConfig(Strict):
 class DeviceConfig(Strict):
     """One device: its driver by name, its endpoint or endpoints, and the driver's own options."""
 
-    driver: str
-    endpoint: str | None = None
-    endpoints: dict[str, str] = Field(default_factory=dict)
-    options: dict[str, Any] = Field(default_factory=dict)
+    driver: str = Field(description="Name of the driver, as its package registers it.")
+    endpoint: str | None = Field(default=None, description="Where it answers, when it has one address.")
+    endpoints: dict[str, str] = Field(
+        default_factory=dict,
+        description="Role = address, when it has several: `rsi` and `eki`, `left` and `right`.",
+    )
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="The driver's own keys; its page lists them."
+    )
     _folder: Path | None = PrivateAttr(default=None)
 
     @property
@@ -75,33 +82,51 @@ class DeviceConfig(Strict):
 class Calibrations(Strict):
     """The calibration records that the procedure uses."""
 
-    stereo_head: StereoHeadCalibration
-    tool_tip: ToolTipCalibration
-    tracker_frame: TrackerFrameCalibration
+    stereo_head: StereoHeadCalibration = Field(description="Cameras and tool centre of the stereo head.")
+    tool_tip: ToolTipCalibration = Field(description="Tip of the surgical guide.")
+    tracker_frame: TrackerFrameCalibration = Field(
+        description="Reference frame that the tracker sees on the mount."
+    )
 
 
 class ProcedureSettings(Strict):
     """What the procedure may assume of this theatre, and how it works in it."""
 
-    arm_error_mm: Annotated[float, Field(ge=0)] = 0.15  # local error of the arm per axis, one sigma
-    servo_area_px: tuple[int, int] = (1024, 1024)  # part of each sensor that the visual servo reads
-    standoff_mm: Annotated[float, Field(gt=0)] = 60.0  # of approach and retreat, outside the entry
-    coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = 3.0  # beyond it the sphere is another one
+    arm_error_mm: Annotated[float, Field(ge=0)] = Field(
+        default=0.15, description="Local error of the arm per axis, one standard deviation."
+    )
+    servo_area_px: tuple[int, int] = Field(
+        default=(1024, 1024), description="Columns and rows of each sensor that the visual servo reads."
+    )
+    standoff_mm: Annotated[float, Field(gt=0)] = Field(
+        default=60.0, description="Where approach begins and retreat ends, outside the entry."
+    )
+    coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = Field(
+        default=3.0, description="Stereo head and tracker may differ so much; beyond, it is another sphere."
+    )
 
 
 class TheatreFile(Strict):
     """A whole theatre. Robots are named, never assumed to be one."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    theatre: str
-    banner: str = ""  # shown on the terminal and in the report, so that two kinds are never confused
-    clock: ClockConfig = ClockConfig()
-    tracker: DeviceConfig | None = None
-    robot: dict[str, DeviceConfig] = Field(default_factory=dict)
-    stereo: DeviceConfig | None = None
-    calibration: Calibrations | None = None
-    cell: CellConfig = CellConfig()
-    procedure: ProcedureSettings = ProcedureSettings()
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
+        default=1, description="Version of this form."
+    )
+    theatre: str = Field(description="Name of the theatre.")
+    banner: str = Field(
+        default="", description="Shown on terminal and report, so that two theatres are never confused."
+    )
+    clock: ClockConfig = Field(default=ClockConfig(), description="Where time comes from.")
+    tracker: DeviceConfig | None = Field(default=None, description="The optical tracker.")
+    robot: dict[str, DeviceConfig] = Field(
+        default_factory=dict, description="Name = arm; the procedure uses `master`."
+    )
+    stereo: DeviceConfig | None = Field(default=None, description="The stereo head.")
+    calibration: Calibrations | None = Field(default=None, description="What was measured before.")
+    cell: CellConfig = Field(default=CellConfig(), description="What stands around the arm.")
+    procedure: ProcedureSettings = Field(
+        default=ProcedureSettings(), description="What the procedure may assume here."
+    )
 
 
 def read_theatre_file(path: Path) -> TheatreFile:

@@ -28,30 +28,34 @@ SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
 class Fiducial(Strict):
     """A sphere on a bone screw. `post` is the unit vector from the skull to the sphere, CT frame."""
 
-    number: Count
-    centre_ct_mm: Numbers3
-    post_ct: Numbers3
-    radius_mm: Positive = SPHERE_RADIUS_MM
+    number: Count = Field(description="Name of the sphere in messages and truth.")
+    centre_ct_mm: Numbers3 = Field(description="Its centre.")
+    post_ct: Numbers3 = Field(description="Unit vector from the skull to the sphere.")
+    radius_mm: Positive = Field(default=SPHERE_RADIUS_MM, description="Of the sphere.")
 
 
 class Target(Strict):
     """A planned trajectory in the CT frame."""
 
-    identifier: Name
-    entry_ct_mm: Numbers3
-    target_ct_mm: Numbers3
-    free_angle_deg: float = 0.0
-    margin_mm: NotNegative = 2.0
+    identifier: Name = Field(description="Name of the trajectory.")
+    entry_ct_mm: Numbers3 = Field(description="Where it enters the head.")
+    target_ct_mm: Numbers3 = Field(description="Where it ends.")
+    free_angle_deg: float = Field(default=0.0, description="Of the guide about the trajectory.")
+    margin_mm: NotNegative = Field(default=2.0, description="As the plan states it.")
 
 
 class Head(Strict):
     """The patient: where the CT frame really lies in the room, and the head's ellipsoid in it."""
 
-    robot_from_ct: PoseRecord
-    centre_ct_mm: Numbers3
-    semi_axes_mm: tuple[Positive, Positive, Positive]
-    fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)]
-    targets: Annotated[tuple[Target, ...], Field(min_length=1)]
+    robot_from_ct: PoseRecord = Field(description="Pose robot <- CT: where the patient lies.")
+    centre_ct_mm: Numbers3 = Field(description="Middle of the ellipsoid.")
+    semi_axes_mm: tuple[Positive, Positive, Positive] = Field(description="Left, posterior, superior.")
+    fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)] = Field(
+        description="Spheres on bone screws."
+    )
+    targets: Annotated[tuple[Target, ...], Field(min_length=1)] = Field(
+        description="Trajectories of the plan."
+    )
 
     @model_validator(mode="after")
     def _told_apart(self) -> Self:
@@ -67,19 +71,19 @@ class Head(Strict):
 class CtProtocol(Strict):
     """How the CT is scanned: voxel size, grid and noise."""
 
-    pixel_mm: Positive = 0.5
-    slice_mm: Positive = 1.0
-    columns: Count = 512
-    rows: Count = 512
-    slices: Count = 200
-    noise_HU: NotNegative = 20.0
+    pixel_mm: Positive = Field(default=0.5, description="Within a slice.")
+    slice_mm: Positive = Field(default=1.0, description="From slice to slice.")
+    columns: Count = Field(default=512, description="Of a slice.")
+    rows: Count = Field(default=512, description="Of a slice.")
+    slices: Count = Field(default=200, description="Of the series.")
+    noise_HU: NotNegative = Field(default=20.0, description="One standard deviation.")
 
 
 class LinkError(Strict):
     """How one link of the true arm differs from the nominal one."""
 
-    translation_mm: Numbers3
-    rotation_rad: Numbers3
+    translation_mm: Numbers3 = Field(description="Displacement of the next joint.")
+    rotation_rad: Numbers3 = Field(description="Rotation vector of the next joint.")
 
 
 class ArmTruth(Strict):
@@ -89,28 +93,34 @@ class ArmTruth(Strict):
     backlash with the sign of the last motion; at rest a repeatability error is added.
     """
 
-    variant: Literal["kr6_r900_sixx", "kr6_r900_2"] = "kr6_r900_sixx"
-    home_deg: Numbers6
-    links: tuple[LinkError, LinkError, LinkError, LinkError, LinkError, LinkError]
-    joint_offset_rad: Numbers6
-    harmonic_1_rad: Numbers6
-    harmonic_1_phase_rad: Numbers6
-    harmonic_2_rad: Numbers6
-    harmonic_2_phase_rad: Numbers6
-    sag_rad: tuple[float, float]  # A2 and A3 when stretched out horizontally
-    backlash_rad: Numbers6
-    repeatability_mm: NotNegative  # per axis at the tool, one standard deviation
+    variant: Literal["kr6_r900_sixx", "kr6_r900_2"] = Field(
+        default="kr6_r900_sixx", description="Which arm stands there."
+    )
+    home_deg: Numbers6 = Field(description="Axes at the start.")
+    links: tuple[LinkError, LinkError, LinkError, LinkError, LinkError, LinkError] = Field(
+        description="Errors of the links."
+    )
+    joint_offset_rad: Numbers6 = Field(description="Constant error of each encoder.")
+    harmonic_1_rad: Numbers6 = Field(description="Once per turn: amplitude.")
+    harmonic_1_phase_rad: Numbers6 = Field(description="Once per turn: phase.")
+    harmonic_2_rad: Numbers6 = Field(description="Twice per turn: amplitude.")
+    harmonic_2_phase_rad: Numbers6 = Field(description="Twice per turn: phase.")
+    sag_rad: tuple[float, float] = Field(description="Of A2 and A3 when stretched out horizontally.")
+    backlash_rad: Numbers6 = Field(description="Half the dead way of each joint.")
+    repeatability_mm: NotNegative = Field(description="Per axis at the tool, one standard deviation.")
 
 
 class Mount(Strict):
     """The common mount on the flange and what can hang on it."""
 
-    flange_from_tool_nominal: PoseRecord
-    flange_from_tool_true: PoseRecord  # tool centre point of the stereo head
-    tool_from_tip_true: PoseRecord  # guide tip relative to the head's tool centre point
-    tool_from_marker_true: PoseRecord  # reference frame M, which stays on the mount
-    tool_number_stereo: ToolNumber = 1
-    tool_number_guide: ToolNumber = 2
+    flange_from_tool_nominal: PoseRecord = Field(description="Pose flange <- tool centre, as designed.")
+    flange_from_tool_true: PoseRecord = Field(description="The same, as it really is, of the stereo head.")
+    tool_from_tip_true: PoseRecord = Field(description="Pose of the guide's tip in the head's tool centre.")
+    tool_from_marker_true: PoseRecord = Field(
+        description="Pose of the reference frame M, which stays on the mount."
+    )
+    tool_number_stereo: ToolNumber = Field(default=1, description="As the controller reports the head.")
+    tool_number_guide: ToolNumber = Field(default=2, description="As they report the guide.")
 
     @model_validator(mode="after")
     def _two_tools(self) -> Self:
@@ -122,23 +132,23 @@ class Mount(Strict):
 class CameraTruth(Strict):
     """A camera as it really is: pinhole, distortion k1 k2 p1 p2 k3, and its place on the head."""
 
-    serial: str
-    focal_px: tuple[Positive, Positive]
-    principal_point_px: tuple[float, float]
-    distortion: tuple[float, float, float, float, float]
-    sensor_px: tuple[Count, Count] = (2048, 1088)
-    camera_from_tool: PoseRecord
-    read_noise_electrons: NotNegative = 13.5
-    full_well_electrons: Positive = 11900.0
+    serial: str = Field(description="Serial number that the camera tells.")
+    focal_px: tuple[Positive, Positive] = Field(description="Along columns and along rows.")
+    principal_point_px: tuple[float, float] = Field(description="Where the optical axis meets the sensor.")
+    distortion: tuple[float, float, float, float, float] = Field(description="k1 k2 p1 p2 k3.")
+    sensor_px: tuple[Count, Count] = Field(default=(2048, 1088), description="Columns and rows.")
+    camera_from_tool: PoseRecord = Field(description="Pose camera <- tool centre.")
+    read_noise_electrons: NotNegative = Field(default=13.5, description="One standard deviation per pixel.")
+    full_well_electrons: Positive = Field(default=11900.0, description="At which a pixel saturates.")
 
 
 class TrackerTool(Strict):
     """A passive tool: markers and their common normal in the tool's own frame."""
 
-    name: str
-    part_number: str
-    markers_mm: tuple[Numbers3, ...]
-    normal: Numbers3 = (0.0, 0.0, 1.0)
+    name: str = Field(description="Of the tool.")
+    part_number: str = Field(description="As its definition says it.")
+    markers_mm: tuple[Numbers3, ...] = Field(description="Centres of the spheres.")
+    normal: Numbers3 = Field(default=(0.0, 0.0, 1.0), description="Into which the markers face.")
 
 
 class TrackerTruth(Strict):
@@ -148,50 +158,63 @@ class TrackerTruth(Strict):
     volume: what makers state as its accuracy.
     """
 
-    robot_from_tracker: PoseRecord
-    tools: Annotated[
-        tuple[TrackerTool, ...], Field(min_length=1)
-    ]  # the first is the reference frame M on the mount
-    places: tuple[PoseRecord, ...] = ()  # tracker <- tool, for other loaded definitions, in order of loading
-    fiducials_visible: bool = True  # false on the bench, where there is no head
-    noise_xy_mm: NotNegative = 0.04
-    noise_z_mm: NotNegative = 0.14
-    bias_mm: NotNegative = 0.25  # over the pyramid, or the only volume of the unit
-    bias_extended_mm: NotNegative = 0.30  # over the extended pyramid
-    strays_mm: tuple[Numbers3, ...] = ()  # further stray markers, fixed in the tracker frame
-    line_separation_mm: NotNegative = 0.5  # rays that pass this near are one marker: phantoms; 0 makes none
-    reflections: Annotated[int, Field(ge=0)] = 0  # glints that come and go
+    robot_from_tracker: PoseRecord = Field(description="Pose robot <- tracker: where the unit stands.")
+    tools: Annotated[tuple[TrackerTool, ...], Field(min_length=1)] = Field(
+        description="Passive tools; the first is the reference frame M on the mount."
+    )
+    places: tuple[PoseRecord, ...] = Field(
+        default=(), description="Poses tracker <- tool for other loaded definitions, in the order of loading."
+    )
+    fiducials_visible: bool = Field(
+        default=True, description="Whether the tracker sees the spheres; the bench has no head."
+    )
+    noise_xy_mm: NotNegative = Field(default=0.04, description="Of one marker across, at mid volume.")
+    noise_z_mm: NotNegative = Field(default=0.14, description="The same in depth.")
+    bias_mm: NotNegative = Field(default=0.25, description="Over the pyramid, or the unit's only volume.")
+    bias_extended_mm: NotNegative = Field(default=0.30, description="Over the extended pyramid.")
+    strays_mm: tuple[Numbers3, ...] = Field(
+        default=(), description="Further stray markers, fixed in the tracker frame."
+    )
+    line_separation_mm: NotNegative = Field(
+        default=0.5, description="Rays that pass this near are one marker: phantoms; 0 makes none."
+    )
+    reflections: Annotated[int, Field(ge=0)] = Field(default=0, description="How many glints come and go.")
 
 
 class CalibrationError(Strict):
     """Stated errors of the calibration records that the theatre hands out, one standard deviation."""
 
-    camera_rotation_rad: NotNegative = 4e-5
-    camera_translation_mm: NotNegative = 0.01
-    focal_relative: NotNegative = 1e-4
-    tip_mm: NotNegative = 0.03  # per axis: 0.05 mm in space
-    marker_translation_mm: NotNegative = 0.2
-    marker_rotation_rad: NotNegative = 1e-3
+    camera_rotation_rad: NotNegative = Field(default=4e-5, description="Of each camera, per axis.")
+    camera_translation_mm: NotNegative = Field(default=0.01, description="Of each camera, per axis.")
+    focal_relative: NotNegative = Field(default=1e-4, description="Of the focal lengths.")
+    tip_mm: NotNegative = Field(default=0.03, description="Of the guide's tip per axis: 0.05 mm in space.")
+    marker_translation_mm: NotNegative = Field(default=0.2, description="Of the reference frame, per axis.")
+    marker_rotation_rad: NotNegative = Field(default=1e-3, description="Of the reference frame, per axis.")
 
 
 class Scene(Strict):
     """Everything that is true in the theatre."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    name: str
-    seed: Annotated[int, Field(ge=0)] = 0
-    head: Head
-    ct: CtProtocol = CtProtocol()
-    arm: ArmTruth
-    mount: Mount
-    tracker: TrackerTruth
-    left: CameraTruth
-    right: CameraTruth
-    servo_area_px: tuple[Count, Count] = (
-        1024,
-        1024,
-    )  # area of interest that holds a sphere with room to move
-    calibration_error: CalibrationError = CalibrationError()
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
+        default=1, description="Version of this form."
+    )
+    name: str = Field(description="Of the scene.")
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Of everything that is drawn at random later on."
+    )
+    head: Head = Field(description="The patient.")
+    ct: CtProtocol = Field(default=CtProtocol(), description="How the CT is scanned.")
+    arm: ArmTruth = Field(description="The true arm.")
+    mount: Mount = Field(description="What hangs on the flange.")
+    tracker: TrackerTruth = Field(description="The true tracker and what it sees.")
+    left: CameraTruth = Field(description="The left camera.")
+    right: CameraTruth = Field(description="The right camera.")
+    servo_area_px: tuple[Count, Count] = Field(
+        default=(1024, 1024), description="Area of interest that holds a sphere with room to move."
+    )
+    calibration_error: CalibrationError = Field(
+        default=CalibrationError(), description="How well the theatre's calibration records are known."
+    )
 
 
 def parse_scene(content: dict[str, Any], name: str) -> Scene:
