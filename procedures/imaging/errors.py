@@ -101,7 +101,7 @@ class CompressionUnknown(DataError):
     """The pixel data are compressed and nothing installed here can decompress them."""
 
     code = "CT-013"
-    action = "Export without compression, or install pylibjpeg with its plug-ins."
+    action = "Export without compression, or install the decoders: pip install 'ronna-hw[compressed]'."
 
 
 class PixelsUnusable(DataError):
@@ -155,3 +155,24 @@ class PickRefused(DataError):
     code = "CT-019"
     action = "Look at the images there; pick the middle of the sphere, or leave this sphere out."
     exit_code = EXIT_REFUSED
+
+
+class RescaleUnusable(DataError):
+    """The stored values cannot be made into Hounsfield units."""
+
+    code = "CT-020"
+    action = "Export the series again in Hounsfield units, with the intensities of the scanner."
+
+
+class ScoutView(DataError):
+    """A file is a scout view (localizer radiograph), which is no slice."""
+
+    code = "CT-021"
+    action = "Export the slices alone, without the scout view."
+
+
+class VolumeMalformed(DataError):
+    """A volume that was not read from a series, and whose voxels or geometry are not those of a CT."""
+
+    code = "CT-022"
+    action = "Give int16 voxels (slices, rows, columns) in HU and the geometry that belongs to them."

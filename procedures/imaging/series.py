@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.imaging.slice_headers import Progress, read_headers
 from procedures.imaging.slice_pixels import read_pixels_into
@@ -12,13 +13,15 @@ from procedures.imaging.slice_stack import accuracy_warnings, stack_slices
 from procedures.imaging.volume import Volume
 
 HEADER_SHARE = 0.4  # of the reading time
+AIR_BELOW_HU = -500  # every head stands in air
 
 
 def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     """Read the CT series whose files lie directly in `directory`.
 
     Returns voxels in HU with their place in patient coordinates (LPS, mm). `progress` is called with the
-    share done. Raises CT-001 to CT-015 for a series that cannot be trusted; nothing is guessed.
+    share done. Raises CT-001 to CT-015, CT-020, CT-021 for a series that cannot be trusted; nothing is
+    guessed.
     """
     directory = Path(directory)
     headers = read_headers(directory, _part(progress, 0.0, HEADER_SHARE))
@@ -35,8 +38,15 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
         series_instance_uid=slices[0].series_instance_uid,
         frame_of_reference_uid=slices[0].frame_of_reference_uid,
         patient_position=slices[0].patient_position,
-        warnings=accuracy_warnings(slices, geometry),
+        warnings=(*accuracy_warnings(slices, geometry), *_intensity_warnings(voxels)),
     )
+
+
+def _intensity_warnings(voxels: NDArray[np.int16]) -> tuple[str, ...]:
+    darkest = int(voxels.min())
+    if darkest <= AIR_BELOW_HU:
+        return ()
+    return (f"no air in the scan, the darkest voxel has {darkest} HU: these are perhaps no Hounsfield units",)
 
 
 def _part(progress: Progress | None, start: float, end: float) -> Progress:

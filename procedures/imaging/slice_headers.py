@@ -13,6 +13,8 @@ from procedures.imaging.errors import (
     AttributeMissing,
     FileDamaged,
     FramesMixed,
+    RescaleUnusable,
+    ScoutView,
     SeriesEmpty,
     SeriesMixed,
     SeriesNotFound,
@@ -35,7 +37,19 @@ _ENHANCED_CT_STORAGES = frozenset({"1.2.840.10008.5.1.4.1.1.2.1", "1.2.840.10008
 _STANDARD_ROOT = "1.2.840"  # classes of the standard; those of makers begin otherwise
 _PRIVATE_DOTS = 5  # fewer: the identifier itself is cut off
 
+_SCOUT_WORDS = frozenset(
+    {"LOCALIZER", "SCOUT", "TOPOGRAM"}
+)  # the first is the standard's (PS3.3 C.8.2.1.1.1)
+_DERIVED = "DERIVED"
+_LOSSY = "01"
+_HOUNSFIELD = frozenset({"", "HU"})
+_UNSPECIFIED = frozenset({"US", "HU_MOD"})  # perhaps HU: the reader is warned
+SLOPE_LIMITS = (0.0625, 10.0)  # 16 bits hold 4096 HU; steps no coarser than half the noise of a good scan
+INTERCEPT_LIMIT = 65536.0  # 16 bits, whichever sign
+
 _TAGS = (
+    "ImageType",
+    "LossyImageCompression",
     "SOPClassUID",
     "Modality",
     "SeriesInstanceUID",
@@ -50,6 +64,7 @@ _TAGS = (
     "Columns",
     "RescaleSlope",
     "RescaleIntercept",
+    "RescaleType",
 )
 
 
@@ -71,13 +86,14 @@ class SliceHeader:
     columns: int
     slope: float
     intercept: float
+    oddities: tuple[str, ...] = ()  # of its origin: what should make the reader doubt it
 
 
 def read_headers(directory: Path, progress: Progress | None = None) -> tuple[SliceHeader, ...]:
     """Headers of all CT slices directly in `directory`, in order of file name.
 
     Files that are not DICOM and DICOM objects without an image are left out. Raises CT-001 to CT-006 and
-    CT-012; the message names the file, the series or the frame at fault.
+    CT-012, CT-020, CT-021; the message names the file, the series or the frame at fault.
     """
     images = []
     files = _files_in(directory)
@@ -89,6 +105,7 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
             progress((number + 1) / len(files))
     if not images:
         raise SeriesEmpty(f"no DICOM image in {directory}")
+    _refuse_scouts(images)
     _refuse_several(
         SeriesMixed, "series", (_text(path, header, "SeriesInstanceUID") for path, header in images)
     )
@@ -168,14 +185,18 @@ def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
             raise WrongModality(f"{path.name} is a multi-frame (enhanced) CT", awaited="one slice per file")
 
 
+def _refuse_scouts(images: list[tuple[Path, FileDataset]]) -> None:
+    for path, header in images:
+        if scout := _SCOUT_WORDS.intersection(_image_type(path, header)):
+            raise ScoutView(f"{path.name} has image type {min(scout)}", awaited="slices")
+
+
 def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
     spacing = _numbers(path, header, "PixelSpacing", 2)
     rows, columns = int(header.Rows), int(header.Columns)
     if min(spacing) <= 0 or min(rows, columns) < 1:
         raise AttributeMissing(f"{path.name}: pixel spacing {spacing} mm, {rows} rows, {columns} columns")
-    slope = _numbers(path, header, "RescaleSlope", 1)[0]
-    if slope == 0:
-        raise AttributeMissing(f"{path.name}: RescaleSlope is 0")
+    slope, intercept = _rescale(path, header)
     thickness = _optional_number(path, header, "SliceThickness")
     return SliceHeader(
         path=path,
@@ -191,8 +212,45 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
         rows=rows,
         columns=columns,
         slope=slope,
-        intercept=_numbers(path, header, "RescaleIntercept", 1)[0],
+        intercept=intercept,
+        oddities=_oddities(path, header),
     )
+
+
+def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
+    """Slope and intercept that can be those of a CT; raises CT-012, CT-020."""
+    slope = _numbers(path, header, "RescaleSlope", 1)[0]
+    intercept = _numbers(path, header, "RescaleIntercept", 1)[0]
+    low, high = SLOPE_LIMITS
+    if not low <= slope <= high:
+        raise RescaleUnusable(
+            f"{path.name}: RescaleSlope is {slope:g}", limit=f"{low:g} to {high:g} HU per stored step"
+        )
+    if abs(intercept) > INTERCEPT_LIMIT:
+        raise RescaleUnusable(
+            f"{path.name}: RescaleIntercept is {intercept:g}", limit=f"{INTERCEPT_LIMIT:g} HU, whichever sign"
+        )
+    kind = _text(path, header, "RescaleType").upper()
+    if kind not in _HOUNSFIELD | _UNSPECIFIED:
+        raise RescaleUnusable(f"{path.name}: RescaleType is {kind}", awaited="HU")
+    return slope, intercept
+
+
+def _oddities(path: Path, header: FileDataset) -> tuple[str, ...]:
+    told = []
+    if _image_type(path, header)[:1] == (_DERIVED,):
+        told.append("derived images: another program resampled or filtered what the scanner made")
+    if _text(path, header, "LossyImageCompression") == _LOSSY:
+        told.append("images that were compressed with loss: edges are not where the scanner saw them")
+    if _text(path, header, "RescaleType").upper() in _UNSPECIFIED:
+        told.append("intensities of an unspecified unit: they are taken for Hounsfield units")
+    return tuple(told)
+
+
+def _image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
+    stated = _value(path, header, "ImageType") or ()
+    words = (stated,) if isinstance(stated, str) else stated
+    return tuple(str(word).strip().upper() for word in words)
 
 
 def _value(path: Path, header: Dataset, keyword: str) -> Any:

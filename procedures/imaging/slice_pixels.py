@@ -33,6 +33,8 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader) -> None:
         raise PixelsUnusable(f"{name} has colour or several frames")
     if data.get("PhotometricInterpretation", "MONOCHROME2") != "MONOCHROME2":
         raise PixelsUnusable(f"{name} has photometric interpretation {data.PhotometricInterpretation}")
+    if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
+        raise PixelsUnusable(f"{name} has pixels with a decimal point", awaited="whole numbers")
     if "PixelData" not in data:
         raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
     syntax = str(data.file_meta.get("TransferSyntaxUID", ""))

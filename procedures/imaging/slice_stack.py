@@ -81,6 +81,7 @@ def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) 
             f"pixels of {geometry.spacing_mm[1:].max():.2f} mm are larger than {COARSE_PIXEL_MM:g} mm: "
             "the centres will be less accurate"
         )
+    sentences += sorted({oddity for one in slices for oddity in one.oddities})
     return tuple(sentences)
 
 

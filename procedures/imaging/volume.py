@@ -8,7 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from procedures.imaging.errors import VolumeMalformed
+
 Array = NDArray[np.float64]
+
+AXES_TOLERANCE = 1e-6  # of the scalar products of the axes
 
 _LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))  # negative and positive end of the LPS axes
 
@@ -20,13 +24,24 @@ class VoxelGeometry:
     Voxel indices are (slice, row, column); whole numbers name voxel CENTRES, so the volume begins half a
     voxel before index 0. `axes` (3, 3) holds, as its columns, the unit directions in which the slice,
     row and column index grow; they are orthonormal and right- or left-handed. `spacing_mm` has the same
-    order. `origin_mm` is the centre of voxel (0, 0, 0).
+    order. `origin_mm` is the centre of voxel (0, 0, 0). Raises CT-022 for anything else.
     """
 
     shape: tuple[int, int, int]
     origin_mm: Array
     axes: Array
     spacing_mm: Array
+
+    def __post_init__(self) -> None:
+        sized = len(self.shape) == 3 and min(self.shape) > 0
+        shapes = [np.shape(value) for value in (self.origin_mm, self.axes, self.spacing_mm)]
+        if not sized or shapes != [(3,), (3, 3), (3,)]:
+            raise VolumeMalformed("a geometry of another shape", last=f"{self.shape}, {shapes}")
+        numbers = np.concatenate([self.origin_mm, np.ravel(self.axes), self.spacing_mm])
+        if not np.isfinite(numbers).all() or np.min(self.spacing_mm) <= 0:
+            raise VolumeMalformed("a geometry that is not finite, or a spacing that is not positive")
+        if np.abs(self.axes.T @ self.axes - np.eye(3)).max() > AXES_TOLERANCE:
+            raise VolumeMalformed("axes that are not perpendicular unit vectors")
 
     def to_patient_mm(self, indices: ArrayLike) -> Array:
         """Patient positions (..., 3) mm of voxel indices (..., 3), fractions allowed."""
@@ -61,7 +76,7 @@ class Volume:
 
     `voxels` is int16 HU, shape (slices, rows, columns), read-only. `patient_position` is the word of the
     scanner for how the patient lay (`HFS` is head first, supine), empty when it does not say.
-    `warnings` are sentences for the reader about what limits the accuracy.
+    `warnings` are sentences for the reader about what limits the accuracy. Raises CT-022 for other voxels.
     """
 
     voxels: NDArray[np.int16]
@@ -70,6 +85,14 @@ class Volume:
     frame_of_reference_uid: str
     patient_position: str = ""
     warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        # whole numbers: NaN cannot hide among the voxels
+        if self.voxels.dtype != np.int16 or self.voxels.shape != self.geometry.shape:
+            raise VolumeMalformed(
+                f"voxels of {self.voxels.dtype} and shape {self.voxels.shape}",
+                awaited=f"int16 and {self.geometry.shape}",
+            )
 
     @cached_property
     def extent_mm(self) -> Array:

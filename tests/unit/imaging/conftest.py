@@ -234,7 +234,7 @@ def dicom_series(tmp_path: Path) -> Callable[..., Path]:
     def write(
         voxels: NDArray[np.int16] | None = None, *args: Any, name: str = "series", **options: Any
     ) -> Path:
-        plain = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 100
+        plain = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000
         return write_series(tmp_path / name, plain if voxels is None else voxels, *args, **options)
 
     return write

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pydicom
 import pytest
+from pydicom.dataelem import RawDataElement
 from pydicom.dataset import Dataset
 from pydicom.encaps import encapsulate
+from pydicom.tag import Tag
 from pydicom.uid import (
     MPEG2MPML,
     DeflatedExplicitVRLittleEndian,
@@ -20,11 +24,11 @@ from pydicom.uid import (
     RLELossless,
 )
 
-from procedures.imaging import errors, read_series
+from procedures.imaging import Volume, VoxelGeometry, errors, read_series
 from ronna_hw.errors import DataError
 
 Write = Callable[..., Path]
-HU = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 100  # what the fixture writes by default
+HU = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000  # what the fixture writes by default
 
 
 def only(number: int, change: Callable[[Dataset], object]) -> Callable[[Dataset, int], None]:
@@ -174,6 +178,24 @@ def test_thick_slices_gaps_and_large_pixels_are_warned_about(dicom_series: Write
     assert "1.20 mm" in pixels
 
 
+@pytest.mark.hazard(8)
+@pytest.mark.parametrize(
+    ("attributes", "words"),
+    [
+        ({"ImageType": ["DERIVED", "SECONDARY", "REFORMATTED"]}, "derived images"),
+        ({"LossyImageCompression": "01"}, "compressed with loss"),
+        ({"RescaleType": "US"}, "unspecified unit"),
+        ({"RescaleIntercept": "0"}, "no air in the scan, the darkest voxel has 24 HU"),
+    ],
+    ids=["derived", "lossy", "unit", "no air"],
+)
+def test_a_series_of_doubtful_origin_is_warned_about(
+    dicom_series: Write, attributes: dict[str, object], words: str
+) -> None:
+    (warning,) = read_series(dicom_series(HU, edit=every(setting(**attributes)))).warnings
+    assert words in warning
+
+
 def test_progress_reaches_one(dicom_series: Write) -> None:
     shares: list[float] = []
     read_series(dicom_series(), progress=shares.append)
@@ -200,6 +222,21 @@ def cut_by(name: str, missing: int) -> Spoil:
 def moved(data: Dataset, sideways_mm: float, along_mm: float = 0.0) -> None:
     x, y, z = (float(value) for value in data.ImagePositionPatient)
     data.ImagePositionPatient = [x + sideways_mm, y, z + along_mm]
+
+
+def spelling(keyword: str, text: bytes) -> Callable[[Dataset], None]:
+    """An edit that no writer allows: the bytes of a value."""
+
+    def change(data: Dataset) -> None:
+        tag = pydicom.datadict.tag_for_keyword(keyword)
+        data[tag] = RawDataElement(Tag(tag), "DS", len(text), text, 0, False, True)
+
+    return change
+
+
+def decimal_pixels(data: Dataset) -> None:
+    data.FloatPixelData = np.full((data.Rows, data.Columns), np.nan, dtype="<f4").tobytes()
+    del data.PixelData
 
 
 EDITED = {
@@ -241,7 +278,38 @@ EDITED = {
         "0002.dcm",
     ),
     "no rescale": (only(2, lambda data: data.pop("RescaleSlope")), errors.AttributeMissing, "RescaleSlope"),
-    "slope zero": (only(2, setting(RescaleSlope="0")), errors.AttributeMissing, "RescaleSlope"),
+    "slope zero": (only(2, setting(RescaleSlope="0")), errors.RescaleUnusable, "0002.dcm: RescaleSlope is 0"),
+    "negative slope": (every(setting(RescaleSlope="-1")), errors.RescaleUnusable, "RescaleSlope is -1"),
+    "huge slope": (every(setting(RescaleSlope="1e9")), errors.RescaleUnusable, r"RescaleSlope is 1e\+09"),
+    "tiny slope": (every(setting(RescaleSlope="1e-9")), errors.RescaleUnusable, "RescaleSlope is 1e-09"),
+    "slope not a number": (
+        every(spelling("RescaleSlope", b"NaN ")),
+        errors.AttributeMissing,
+        "RescaleSlope is missing or not 1 finite",
+    ),
+    "intercept not a number": (
+        every(spelling("RescaleIntercept", b"inf ")),
+        errors.AttributeMissing,
+        "RescaleIntercept",
+    ),
+    "absurd intercept": (
+        every(setting(RescaleIntercept="-1e6")),
+        errors.RescaleUnusable,
+        "RescaleIntercept is -1e",
+    ),
+    "another quantity": (every(setting(RescaleType="ED")), errors.RescaleUnusable, "RescaleType is ED"),
+    "scout view": (
+        only(0, setting(ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"])),
+        errors.ScoutView,
+        "0000.dcm has image type LOCALIZER",
+    ),
+    "scouts alone": (
+        every(setting(ImageType=["DERIVED", "SECONDARY", "TOPOGRAM"])),
+        errors.ScoutView,
+        "TOPOGRAM",
+    ),
+    "several frames": (every(setting(NumberOfFrames=2)), errors.PixelsUnusable, "several frames"),
+    "decimal pixels": (every(decimal_pixels), errors.PixelsUnusable, "decimal point"),
     "no frame": (
         every(lambda data: data.pop("FrameOfReferenceUID")),
         errors.AttributeMissing,
@@ -364,3 +432,66 @@ def test_a_folder_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(errors.SeriesNotFound, match=name):
         read_series(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "spoiled",
+    [
+        {"voxels": np.full((5, 6, 7), np.nan)},
+        {"voxels": np.zeros((5, 6), dtype=np.int16)},
+        {"voxels": np.zeros((5, 6, 8), dtype=np.int16)},
+        {"origin_mm": np.array([0.0, np.nan, 0.0])},
+        {"origin_mm": np.zeros(2)},
+        {"axes": np.ones((3, 3))},
+        {"spacing_mm": np.array([1.0, 0.0, 1.0])},
+        {"shape": (5, 6, 0)},
+    ],
+    ids=[
+        "NaN",
+        "flat",
+        "other shape",
+        "origin NaN",
+        "origin of two",
+        "skew axes",
+        "no spacing",
+        "no columns",
+    ],
+)
+def test_a_volume_made_by_hand_is_checked_too(spoiled: dict[str, object]) -> None:
+    sound = {"shape": (5, 6, 7), "origin_mm": np.zeros(3), "axes": np.eye(3), "spacing_mm": np.ones(3)}
+    voxels = spoiled.get("voxels", HU)
+    geometry = sound | {name: value for name, value in spoiled.items() if name != "voxels"}
+    with pytest.raises(errors.VolumeMalformed) as caught:
+        Volume(voxels, VoxelGeometry(**geometry), "1.2.3", "1.2.4")
+    assert isinstance(caught.value, ValueError)
+
+
+ENCODERS = {
+    "JPEG lossless": ("dcmcjpeg", "+e1"),
+    "JPEG-LS": ("dcmcjpls", "+el"),
+}
+
+
+@pytest.mark.parametrize("syntax", ENCODERS)
+@pytest.mark.parametrize("decoder", ["installed", "missing"])
+def test_slices_that_another_toolkit_compressed_are_read_or_refused_with_the_extra_named(
+    dicom_series: Write, monkeypatch: pytest.MonkeyPatch, syntax: str, decoder: str
+) -> None:
+    program, lossless = ENCODERS[syntax]
+    if shutil.which(program) is None:
+        pytest.skip(f"proof by {program} not made: install Debian's dcmtk")
+    folder = dicom_series()
+    for path in folder.iterdir():
+        subprocess.run([program, lossless, str(path), str(path)], check=True, capture_output=True)
+    if decoder == "installed":
+        pytest.importorskip("gdcm", reason="proof not made: install the extra `compressed`")
+        np.testing.assert_array_equal(read_series(folder).voxels, HU)
+        return
+    monkeypatch.setattr("procedures.imaging.slice_pixels._can_decode", lambda syntax: False)
+    monkeypatch.setattr(pydicom.FileDataset, "pixel_array", property(_no_decoder))
+    with pytest.raises(errors.CompressionUnknown, match=r"ronna-hw\[compressed\]"):
+        read_series(folder)
+
+
+def _no_decoder(data: Dataset) -> None:
+    raise RuntimeError("no decoder")
