@@ -108,11 +108,17 @@ class GigeFeatures:
         return self._address(self._register(name)), value
 
     def addresses(self) -> list[int]:
-        """Every fixed register address that the description names."""
+        """Every fixed register address on the camera that the description names.
+
+        What lies on the port of an event is a place in a message.
+        """
+        events = {name for name, node in self.nodes.items() if _text(node, "EventID") is not None}
         return [
             int(text, 0)
             for node in self.nodes.values()
-            if _kind(node).endswith("Reg") and (text := _text(node, "Address")) is not None
+            if _kind(node).endswith("Reg")
+            and (text := _text(node, "Address")) is not None
+            and _text(node, "pPort") not in events
         ]
 
     def _node(self, name: str) -> Element:

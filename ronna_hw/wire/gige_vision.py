@@ -68,6 +68,9 @@ PACKETRESEND_COMMAND = ">HHII"  # stream channel, block id, first packet id, las
 PACKETRESEND_EXTENDED = ">HHIIQ"  # the same with 32-bit packet ids, then the 64-bit block id
 ACTION_COMMAND = ">III"  # device key, group key, group mask
 ACTION_SCHEDULED = ">IIIQ"  # the same, then the time
+# reserved, event id, stream channel, block id, time stamp in ticks. EVENT: repeated; EVENTDATA: data follow
+EVENT_ITEM = ">HHHHQ"
+EVENT_ITEM_BYTES = 16
 FORCEIP_BYTES = 56
 FORCEIP_MAC_OFFSET = 2  # 6 bytes
 FORCEIP_ADDRESS_OFFSET = 20
@@ -149,9 +152,13 @@ class Bootstrap(IntEnum):
     GVCP_CONFIGURATION = 0x0954
     PENDING_TIMEOUT_MS = 0x0958
     CCP = 0x0A00
-    MCP = 0x0B00
-    MCDA = 0x0B10
-    MCTT_MS = 0x0B14
+    PRIMARY_APPLICATION_PORT = 0x0A04  # whoever is in control; 0 when nobody is
+    PRIMARY_APPLICATION_ADDRESS = 0x0A14
+    MCP = 0x0B00  # host port in the low 16 bits; 0 closes the channel
+    MCDA = 0x0B10  # destination address
+    MCTT_MS = 0x0B14  # how long an acknowledge is awaited; 0: none is asked for
+    MCRC = 0x0B18  # how often a message is repeated
+    MCSP = 0x0B1C  # source port
     SCP = 0x0D00  # host port in the low 16 bits; 0 closes the channel
     SCPS = 0x0D04
     SCPD = 0x0D08  # inter-packet delay in ticks
@@ -192,6 +199,7 @@ SCPS_DO_NOT_FRAGMENT = 0x4000_0000
 SCPS_BIG_ENDIAN_PIXELS = 0x2000_0000
 SCPS_SIZE_MASK = 0x0000_FFFF  # packet size with the IP and UDP headers
 SCP_PORT_MASK = 0x0000_FFFF
+MCP_PORT_MASK = 0x0000_FFFF
 
 
 class GvcpCapability(IntFlag):
@@ -206,6 +214,7 @@ class GvcpCapability(IntFlag):
     ACTION = 1 << 6
     EXTENDED_STATUS = 1 << 22
     TEST_DATA = 1 << 25
+    CCP_APPLICATION = 1 << 27  # the registers of the primary application
     LINK_SPEED = 1 << 28
     HEARTBEAT_DISABLE = 1 << 29
     SERIAL_NUMBER = 1 << 30

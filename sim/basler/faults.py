@@ -17,7 +17,7 @@ from sim.theatre.world import World
 FLOOD = np.float32(1e6)  # times the light: beyond every exposure and gain
 SPOT_RADIUS_PX = 6.0
 WHOLE = 100.0
-LOSS_LANE, ORDER_LANE, DOUBLE_LANE, ANSWER_LANE = 0, 1, 2, 3  # of the noise
+LOSS_LANE, ORDER_LANE, DOUBLE_LANE, ANSWER_LANE, MESSAGE_LANE = 0, 1, 2, 3, 4  # of the noise
 
 Light = NDArray[np.float32]
 
@@ -70,6 +70,10 @@ class NoFaults:
         """True when the next answer to a command gets lost."""
         return False
 
+    def message_lost(self) -> bool:
+        """True when the next message with events gets lost."""
+        return False
+
 
 NO_FAULTS = NoFaults()
 
@@ -83,6 +87,7 @@ class CameraFaults(NoFaults):
         self._camera = camera
         self._board = FaultBoard(world, "camera")
         self._answers = 0
+        self._messages = 0
 
     @property
     def scripted(self) -> bool:
@@ -143,6 +148,13 @@ class CameraFaults(NoFaults):
             return False
         self._answers += 1
         return bool(self._noise(self._answers, ANSWER_LANE).uniform(0.0, WHOLE) < share)
+
+    def message_lost(self) -> bool:
+        share = self.amount("lose_events")
+        if not share:
+            return False
+        self._messages += 1
+        return bool(self._noise(self._messages, MESSAGE_LANE).uniform(0.0, WHOLE) < share)
 
     def on_lens(self) -> tuple[tuple[str, float], ...]:
         if self._board.empty:

@@ -15,6 +15,7 @@ from ipaddress import IPv4Address
 from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, PENDING_PAYLOAD, GevStatus, GvcpCommand
 from sim.basler.camera.device import Camera
 from sim.basler.control.privilege import Peer
+from sim.basler.message.channel import MessageChannel
 
 DATAGRAM_BYTES = 2048
 IDLE_CHECK_S = 0.5
@@ -42,13 +43,15 @@ class ControlServer:
             tuple[float, int, socket.socket, bytes, Peer]
         ] = []  # answers that a fault holds back
         self._numbers = itertools.count()
-        for each in (*sockets, *shared, self._sleeper):
+        for each in (*sockets, *shared, self._sleeper, self._waker):
             each.setblocking(False)
         for camera, own in self._cameras:
             self._selector.register(own, selectors.EVENT_READ, [(camera, own)])
+            self._selector.register(camera.messages.socket, selectors.EVENT_READ, camera.messages)
+            camera.messages.changed = self._wake
         for listener in shared:
             self._selector.register(listener, selectors.EVENT_READ, self._cameras)
-        self._selector.register(self._sleeper, selectors.EVENT_READ, [])
+        self._selector.register(self._sleeper, selectors.EVENT_READ, None)
 
     def serve(self) -> None:
         """Answer until `end`."""
@@ -57,6 +60,7 @@ class ControlServer:
             self._send_late()
             for camera, _ in self._cameras:
                 camera.befall()
+                camera.messages.repeat_overdue()
                 left_s = camera.privilege.seconds_left()
                 if left_s is not None and left_s <= 0.0:
                     # a sign of life may have come while this process had no time to look
@@ -66,6 +70,10 @@ class ControlServer:
     def end(self) -> None:
         """Make `serve` return. May be called from a signal handler or another thread."""
         self._ended = True
+        self._wake()
+
+    def _wake(self) -> None:
+        """Make the server look again at what is due. May be called from another thread."""
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
@@ -74,11 +82,18 @@ class ControlServer:
         left = [camera.privilege.seconds_left() for camera, _ in self._cameras]
         check_s = SCRIPTED_CHECK_S if self._cameras[0][0].faults.scripted else IDLE_CHECK_S
         due_s = [self._late[0][0] - time.monotonic()] if self._late else []
+        messages = (camera.messages.due_s() for camera, _ in self._cameras)
+        due_s += [each - time.monotonic() for each in messages if each is not None]
         return max(0.0, min([check_s, *due_s, *(each for each in left if each is not None)]))
 
     def _receive_all(self, patience_s: float) -> None:
         for key, _ in self._selector.select(patience_s):
-            if key.data:
+            if key.data is None:
+                with contextlib.suppress(OSError):
+                    self._sleeper.recv(DATAGRAM_BYTES)
+            elif isinstance(key.data, MessageChannel):
+                key.data.receive()
+            else:
                 self._receive(key.fileobj, key.data)  # type: ignore[arg-type]
 
     def _send_late(self) -> None:

@@ -26,6 +26,7 @@ from sim.basler.camera.timing import (
     shortest_period_us,
 )
 from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.message.events import EventKind
 from sim.basler.stream.block import Frame
 from sim.basler.stream.channel import StreamChannel
 
@@ -47,7 +48,8 @@ class _Exposure:
 class Acquisition:
     """Takes frames on a thread of its own and gives them to the stream channel.
 
-    `moments` is shared by the cameras of a pair. All public methods may be called from any thread.
+    `moments` is shared by the cameras of a pair; `report` is told what happens: kind, block id, theatre time
+    in ns. All public methods may be called from any thread.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Acquisition:
         clock: TheatreClock,
         ticks: Ticks,
         moments: TriggerMoments,
+        report: Callable[[EventKind, int, int], None],
         faults: NoFaults = NO_FAULTS,
     ) -> None:
         self._name = name
@@ -68,6 +71,7 @@ class Acquisition:
         self._clock = clock
         self._ticks = ticks
         self._moments = moments
+        self._report = report
         self._faults = faults
         self._changed = threading.Condition()
         self._waiting: deque[_Exposure] = deque()
@@ -158,15 +162,19 @@ class Acquisition:
             if self._faults.active("miss"):
                 return
             if which is Trigger.ACQUISITION_START:
-                if self._permitted == 0:
+                obeyed = self._permitted == 0
+                if obeyed:
                     self._permitted = settings.acquisition_frame_count
                     self._changed.notify_all()
+                kind = EventKind.ACQUISITION_START if obeyed else EventKind.ACQUISITION_START_OVERTRIGGER
+                self._report(kind, 0, self._clock.now_ns())
                 return
             self._fire_frame(settings, trigger)
 
     def _fire_frame(self, settings: Settings, trigger: TriggerSettings) -> None:
         if self._permitted == 0 or self._busy():
             self._missed_triggers += 1
+            self._report(EventKind.FRAME_START_OVERTRIGGER, 0, self._clock.now_ns())
             return
         late_us = trigger.delay_us + self._faults.amount("late") * 1e3
         moment_ns = self._moments.of(self._name) + round(late_us * 1e3)
@@ -185,6 +193,7 @@ class Acquisition:
             self._permitted -= 1
         if settings.acquisition_mode == AcquisitionMode.SINGLE_FRAME:
             self._running = False
+        self._report(EventKind.FRAME_START, 0, start_ns)
         return _Exposure(self._session, self._taken, start_ns, frame)
 
     def _work(self) -> None:
@@ -235,6 +244,7 @@ class Acquisition:
                 self._waiting.popleft()
             block = self._channel.block_of(Frame(frame, image, self._ticks.stamp(exposure.start_ns)))
         if block is not None:
+            self._report(EventKind.EXPOSURE_END, block.block_id, exposed_ns)
             self._channel.send(block, (read_ns - self._clock.now_ns()) / 1e9)
         if not triggered and not self._clock.paced:
             # Free running in lock-step advances the theatre, but never faster than life.

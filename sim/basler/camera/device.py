@@ -12,11 +12,14 @@ from sim.basler.camera.settings import Settings, UserSet
 from sim.basler.camera.timing import TheatreClock, Ticks, TriggerMoments
 from sim.basler.control.bootstrap import Identity, add_bootstrap
 from sim.basler.control.feature_registers import add_features
+from sim.basler.control.message_registers import add_message_channel
 from sim.basler.control.port import Actions, ControlPort
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Refusal, RegisterMap
 from sim.basler.control.replay import ReplayCache
 from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.message.channel import MessageChannel
+from sim.basler.message.reporter import EventReporter
 from sim.basler.stream.channel import StreamChannel
 
 
@@ -42,14 +45,24 @@ class Camera:
         self.privilege = Privilege(now_s, self._abandoned)
         self.faults = faults
         self.channel = StreamChannel(identity.address, self._owner_address, faults)
+        self.messages = MessageChannel(identity.address, self._owner_address, now_s, faults)
         ticks = self._ticks = Ticks(clock, faults)
         self.acquisition = Acquisition(
-            identity.user_name, lambda: self.settings, source, self.channel, clock, ticks, moments, faults
+            identity.user_name,
+            lambda: self.settings,
+            source,
+            self.channel,
+            clock,
+            ticks,
+            moments,
+            EventReporter(lambda: self.settings, self.messages, ticks).report,
+            faults,
         )
         self.registers = RegisterMap()
         add_bootstrap(
             self.registers, identity, self.privilege, self.channel, ticks, lambda: self.acquisition.running
         )
+        add_message_channel(self.registers, self.messages)
         add_features(self.registers, self)
         self.port = ControlPort(
             self.registers,
@@ -69,6 +82,7 @@ class Camera:
         """Stop at once and let go of everything."""
         self.acquisition.close()
         self.channel.shut()
+        self.messages.shut()
 
     @property
     def acquiring(self) -> bool:
@@ -133,6 +147,7 @@ class Camera:
         self.privilege.drop()
         self.acquisition.stop()
         self.channel.shut()
+        self.messages.shut()
         self.settings = Settings()
         self._ticks.reset()
 
@@ -144,6 +159,7 @@ class Camera:
         """Control has ended: nothing may go on without an owner."""
         self.acquisition.stop()
         self.channel.shut()
+        self.messages.shut()
         self.settings.parameters_locked = 0
 
     def _act(self, device_key: int, group_key: int, group_mask: int) -> bool:

@@ -14,6 +14,7 @@ from ronna_hw.wire.gige_vision import (
     SENSOR_WIDTH_PX,
     PixelFormat,
 )
+from sim.basler.message.events import EventKind
 from sim.basler.optics.canvas import Area
 
 DEFAULT_EXPOSURE_US = 4000
@@ -113,6 +114,8 @@ class Settings:
     action_selector: int = 1
     action_group_key: int = 0
     action_group_mask: int = 0
+    event_selector: int = EventKind.EXPOSURE_END
+    events_notified: frozenset[int] = frozenset()
     user_set_selector: int = UserSet.DEFAULT
     parameters_locked: int = 0
 

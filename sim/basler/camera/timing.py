@@ -92,6 +92,10 @@ class Ticks:
         self._last_stamp = max(self._at(moment_ns), self._last_stamp + 1)
         return self._last_stamp
 
+    def count(self, moment_ns: int) -> int:
+        """Ticks at a theatre time, for what is no frame."""
+        return self._at(moment_ns)
+
     def latch(self) -> None:
         """Keep the present value for reading."""
         self.latched = self._at(self._clock.now_ns())

@@ -45,14 +45,17 @@ SERIAL_DIGITS_IN_MAC = 24  # bits
 IP_CONFIGURATION_SUPPORTED, IP_CONFIGURATION = 7, 5  # persistent, DHCP, link-local; persistent, link-local
 NETMASK = 0xFF000000  # of the loopback network
 PENDING_TIMEOUT_MS = 5000
-STREAM_CHANNEL_CAPABILITY = 0x8000_0000
+CHANNEL_CAPABILITY = 0x8000_0000  # of streams and messages: the source port can be read
 DEVICE_VERSION = "1.0"
 CAPABILITIES = (
     GvcpCapability.MULTIPLE_REGISTERS
     | GvcpCapability.WRITEMEM
     | GvcpCapability.PACKETRESEND
+    | GvcpCapability.EVENT
+    | GvcpCapability.EVENTDATA
     | GvcpCapability.ACTION
     | GvcpCapability.EXTENDED_STATUS
+    | GvcpCapability.CCP_APPLICATION
     | GvcpCapability.SERIAL_NUMBER
     | GvcpCapability.USER_DEFINED_NAME
 )
@@ -153,10 +156,10 @@ def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
         Bootstrap.PERSISTENT_ADDRESS: 0,
         Bootstrap.PERSISTENT_MASK: 0,
         Bootstrap.PERSISTENT_GATEWAY: 0,
-        Bootstrap.MESSAGE_CHANNELS: 0,
+        Bootstrap.MESSAGE_CHANNELS: 1,
         Bootstrap.STREAM_CHANNELS: 1,
-        Bootstrap.MESSAGE_CHANNEL_CAPABILITY: 0,
-        Bootstrap.STREAM_CHANNEL_CAPABILITY: STREAM_CHANNEL_CAPABILITY,
+        Bootstrap.MESSAGE_CHANNEL_CAPABILITY: CHANNEL_CAPABILITY,
+        Bootstrap.STREAM_CHANNEL_CAPABILITY: CHANNEL_CAPABILITY,
         Bootstrap.GVCP_CAPABILITY: int(CAPABILITIES),
         Bootstrap.PENDING_TIMEOUT_MS: PENDING_TIMEOUT_MS,
     }
@@ -168,6 +171,14 @@ def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
 
     registers.add(Bootstrap.HEARTBEAT_TIMEOUT_MS, Word(lambda: privilege.heartbeat_ms, set_heartbeat))
     registers.add(Bootstrap.CCP, Word(lambda: privilege.value))
+
+    def owner_address() -> int:
+        return int.from_bytes(socket.inet_aton(privilege.owner[0]), "big") if privilege.owner else 0
+
+    registers.add(
+        Bootstrap.PRIMARY_APPLICATION_PORT, Word(lambda: privilege.owner[1] if privilege.owner else 0)
+    )
+    registers.add(Bootstrap.PRIMARY_APPLICATION_ADDRESS, Word(owner_address))
     configuration = _Stored(allowed=GVCP_CONFIGURATION_EXTENDED_STATUS)
     registers.add(Bootstrap.GVCP_CONFIGURATION, Word(configuration.read, configuration.write))
 

@@ -20,6 +20,7 @@ from ronna_hw.wire.gige_vision import (
 )
 from sim.basler.camera.feature_table import FEATURES
 from sim.basler.camera.features import Feature, Kind
+from sim.basler.control.event_xml import EVENT_DATA, add_event_data
 from sim.basler.control.feature_registers import (
     MAXIMUM_OFFSET,
     MINIMUM_OFFSET,
@@ -50,6 +51,10 @@ class Standard:
 
 def _text(name: str, address: Bootstrap, about: str, access: str = "RO") -> Standard:
     return Standard(name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address])
+
+
+def _message(name: str, address: Bootstrap, about: str, access: str = "RW") -> Standard:
+    return Standard(name, "TransportLayer", "Integer", address, about, access)
 
 
 STANDARD_FEATURES = (
@@ -103,6 +108,11 @@ STANDARD_FEATURES = (
         "The latched time stamp, ticks.",
         size=8,
     ),
+    _message("GevMCPHostPort", Bootstrap.MCP, "UDP port of the message channel's receiver; 0: closed."),
+    _message("GevMCDA", Bootstrap.MCDA, "Address of the message channel's receiver."),
+    _message("GevMCTT", Bootstrap.MCTT_MS, "How long an acknowledge of a message is awaited, ms."),
+    _message("GevMCRC", Bootstrap.MCRC, "How often a message is repeated."),
+    _message("GevMCSP", Bootstrap.MCSP, "UDP port that messages come from.", "RO"),
 )
 
 
@@ -134,8 +144,8 @@ def camera_xml() -> bytes:
         _standard(root, standard)
     for feature in FEATURES:
         _feature(root, feature)
-    port = _node(root, "Port", PORT)
-    port.set("NameSpace", "Standard")
+    add_event_data(root)
+    _node(root, "Port", PORT)
     ElementTree.indent(root, space=" ")
     text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     version = uuid.UUID(bytes=hashlib.sha256(text).digest()[:16], version=4)
@@ -146,6 +156,7 @@ def _categories(root: ElementTree.Element) -> None:
     members: dict[str, list[str]] = {}
     places = [(each.category, each.name) for each in STANDARD_FEATURES]
     places += [(feature.category, feature.name) for feature in FEATURES]
+    places += [(data.category, data.name) for data in EVENT_DATA]
     for category, name in places:
         members.setdefault(category, []).append(name)
     top = _node(root, "Category", "Root")

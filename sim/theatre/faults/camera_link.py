@@ -79,6 +79,7 @@ CONTROL_FAULTS = (
         "pend_answers", "announce answers NAME INT ms", "The same, each announced by a PENDING_ACK at once."
     ),
     _share("lose_answers", "lose answers NAME NUMBER %", "That share of the answers to commands is lost."),
+    _share("lose_events", "lose events NAME NUMBER %", "That share of the messages with events is lost."),
     _once("restart", "restart NAME", "The camera starts anew: power-on settings, nobody in control."),
 )
 TRIGGER_FAULTS = (

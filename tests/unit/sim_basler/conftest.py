@@ -167,6 +167,7 @@ def make_bench() -> Iterator[MakeBench]:
         bench.images.gate.set()
         bench.camera.close()
         bench.camera.channel.close()
+        bench.camera.messages.close()
         bench.receiver.close()
 
 

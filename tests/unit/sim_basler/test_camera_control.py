@@ -325,8 +325,8 @@ def test_force_ip_is_answered_only_by_the_camera_that_is_meant(bench: Any) -> No
 
 def test_capabilities_name_what_is_there(bench: Any) -> None:
     assert bench.read(Bootstrap.GVCP_CAPABILITY) == CAPABILITIES
-    assert bench.read(Bootstrap.MESSAGE_CHANNELS) == 0
-    assert not CAPABILITIES & 0b111000  # neither events nor PENDING
+    assert bench.read(Bootstrap.MESSAGE_CHANNELS) == 1
+    assert CAPABILITIES & 0b111000 == 0b011000  # events with and without data, no PENDING
 
 
 def test_no_datagram_whatever_breaks_the_camera(bench: Any) -> None:

@@ -1,0 +1,41 @@
+"""Features that choose which events are reported."""
+
+from __future__ import annotations
+
+from sim.basler.camera.features import Commands, Feature, Kind, setting
+from sim.basler.message.events import EventKind
+
+EVENTS = "EventsGeneration"
+OFF, ON = 0, 1
+
+
+def _notified(commands: Commands) -> int:
+    return int(commands.settings.event_selector in commands.settings.events_notified)
+
+
+def _notify(commands: Commands, value: int) -> None:
+    settings = commands.settings
+    others = settings.events_notified - {settings.event_selector}
+    settings.events_notified = others | {settings.event_selector} if value == ON else others
+
+
+EVENT_FEATURES: tuple[Feature, ...] = (
+    setting(
+        "EventSelector",
+        EVENTS,
+        "Event that EventNotification sets.",
+        "event_selector",
+        kind=Kind.ENUMERATION,
+        entries={kind.feature_name: int(kind) for kind in EventKind},
+        selects=("EventNotification",),
+    ),
+    Feature(
+        "EventNotification",
+        Kind.ENUMERATION,
+        EVENTS,
+        "Report the selected event on the message channel.",
+        read=_notified,
+        write=_notify,
+        entries={"Off": OFF, "On": ON},
+    ),
+)

@@ -1,0 +1,192 @@
+"""Sends events one message at a time, and again until it is acknowledged or the repetitions are used up."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ronna_hw.wire.gige_vision import (
+    EVENT_ITEM_BYTES,
+    GVCP_ACK_HEADER,
+    GVCP_COMMAND_HEADER,
+    GVCP_HEADER_BYTES,
+    GVCP_KEY,
+    GVCP_PAYLOAD_LIMIT,
+    IP_UDP_HEADER_BYTES,
+    REQUEST_ID_FIRST,
+    REQUEST_ID_LAST,
+    GvcpCommand,
+    GvcpFlag,
+)
+from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.message.events import Event
+
+DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # of the register map at power-on; the family's are unconfirmed
+EVENTS_KEPT = 32  # waiting behind a message under way; more are lost
+EVENTS_PER_MESSAGE = GVCP_PAYLOAD_LIMIT // EVENT_ITEM_BYTES
+DATAGRAM_BYTES = 2048
+
+
+@dataclass
+class _UnderWay:
+    """A message that has been sent and not acknowledged."""
+
+    request_id: int
+    datagram: bytes
+    repetitions_left: int
+    due_s: float
+
+
+class MessageChannel:
+    """Messages to one receiver. `owner_address` says who controls the camera, `now_s` is host monotonic time.
+
+    Events may be told from any thread; `receive` and `repeat_overdue` are the server's.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        owner_address: Callable[[], str | None],
+        now_s: Callable[[], float],
+        faults: NoFaults = NO_FAULTS,
+    ) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind((address, 0))
+        self.socket.setblocking(False)
+        self._owner_address = owner_address
+        self._now_s = now_s
+        self._faults = faults
+        self._lock = threading.Lock()
+        self._waiting: deque[Event] = deque()
+        self._under_way: _UnderWay | None = None
+        self._request_id = 0
+        self._port = 0
+        self.destination = "0.0.0.0"
+        self.timeout_ms = DEFAULT_TIMEOUT_MS
+        self.retries = DEFAULT_RETRIES
+        self.unacknowledged = 0  # messages that were given up
+        self.changed: Callable[[], None] = lambda: None
+        """Called when `due_s` may have become nearer."""
+
+    @property
+    def port(self) -> int:
+        """UDP port of the receiver; 0 while closed."""
+        return self._port
+
+    @port.setter
+    def port(self, value: int) -> None:
+        with self._lock:
+            self._forget()
+            self._port = value
+
+    @property
+    def source_port(self) -> int:
+        """UDP port that messages come from and acknowledges go to."""
+        return int(self.socket.getsockname()[1])
+
+    @property
+    def receiver(self) -> tuple[str, int] | None:
+        """Where messages go; None while closed. Destination 0.0.0.0 means the application in control."""
+        owner = self._owner_address()
+        if not self._port or owner is None:
+            return None
+        return (owner if self.destination == "0.0.0.0" else self.destination), self._port
+
+    def tell(self, event: Event, *, beyond_limit: bool = False) -> bool:
+        """Report an event; False when it is lost because too many wait. Nobody listening is no loss."""
+        with self._lock:
+            if self.receiver is None:
+                return True
+            if len(self._waiting) >= EVENTS_KEPT and not beyond_limit:
+                return False
+            self._waiting.append(event)
+            if self._under_way is None:
+                self._send_next()
+        self.changed()
+        return True
+
+    def due_s(self) -> float | None:
+        """When the message under way is to be repeated; None without one."""
+        under_way = self._under_way
+        return None if under_way is None else under_way.due_s
+
+    def receive(self) -> None:
+        """Take the acknowledges that have come."""
+        with contextlib.suppress(OSError):
+            while True:
+                datagram, _ = self.socket.recvfrom(DATAGRAM_BYTES)
+                self._acknowledged(datagram)
+
+    def repeat_overdue(self) -> None:
+        """Send the message under way again when its acknowledge is late; give it up after the last time."""
+        with self._lock:
+            waits = self._under_way
+            if waits is None or self._now_s() < waits.due_s:
+                return
+            if not waits.repetitions_left:
+                self.unacknowledged += 1
+                self._under_way = None
+                self._send_next()
+                return
+            waits.repetitions_left -= 1
+            waits.due_s = self._now_s() + self.timeout_ms / 1e3
+            self._put(waits.datagram)
+
+    def shut(self) -> None:
+        """Close the channel; what waits is forgotten."""
+        self.port = 0
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self.socket.close()
+
+    def _acknowledged(self, datagram: bytes) -> None:
+        if len(datagram) < GVCP_HEADER_BYTES:
+            return
+        _, code, _, request_id = struct.unpack_from(GVCP_ACK_HEADER, datagram)
+        with self._lock:
+            waits = self._under_way
+            wanted = (GvcpCommand.EVENT_ACK, GvcpCommand.EVENTDATA_ACK)
+            if waits is not None and code in wanted and request_id == waits.request_id:
+                self._under_way = None
+                self._send_next()
+
+    def _send_next(self) -> None:
+        """One message of what waits: an event with data alone, others together."""
+        while self._waiting and self._under_way is None:
+            together = [self._waiting.popleft()]
+            while (
+                not together[0].data
+                and self._waiting
+                and not self._waiting[0].data
+                and len(together) < EVENTS_PER_MESSAGE
+            ):
+                together.append(self._waiting.popleft())
+            self._send(together)
+
+    def _send(self, events: list[Event]) -> None:
+        self._request_id = self._request_id % REQUEST_ID_LAST + REQUEST_ID_FIRST
+        command = GvcpCommand.EVENTDATA if events[0].data else GvcpCommand.EVENT
+        payload = b"".join(event.encoded() for event in events)
+        flags = GvcpFlag.ACK_REQUIRED if self.timeout_ms else GvcpFlag(0)
+        head = struct.pack(GVCP_COMMAND_HEADER, GVCP_KEY, flags, command, len(payload), self._request_id)
+        if self.timeout_ms:
+            due_s = self._now_s() + self.timeout_ms / 1e3
+            self._under_way = _UnderWay(self._request_id, head + payload, self.retries, due_s)
+        self._put(head + payload)
+
+    def _put(self, datagram: bytes) -> None:
+        receiver = self.receiver
+        lost = self._faults.message_lost() or not self._faults.passes(len(datagram) + IP_UDP_HEADER_BYTES)
+        if receiver is not None and not lost:
+            with contextlib.suppress(OSError):  # a receiver that is gone
+                self.socket.sendto(datagram, receiver)
+
+    def _forget(self) -> None:
+        self._waiting.clear()
+        self._under_way = None

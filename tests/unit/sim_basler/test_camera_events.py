@@ -1,0 +1,334 @@
+"""Events of one camera on its message channel: what is told, when it is told again, what is lost."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import pytest
+
+from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
+from sim.basler.faults import NoFaults
+from sim.basler.message.channel import EVENTS_KEPT, EVENTS_PER_MESSAGE, MessageChannel
+from sim.basler.message.events import Event, EventKind
+
+OK, INVALID_PARAMETER, ACCESS_DENIED = 0, 0x8002, 0x8006
+OTHER = ("127.0.0.1", 40002)
+EVENT, EVENTDATA = 0xC0, 0xC2
+LIMIT_S = 30.0
+TIMEOUT_MS = 200
+
+
+class Message(NamedTuple):
+    """One message as it came: flags, command, request id, and its items as (id, block, ticks)."""
+
+    flags: int
+    command: int
+    request_id: int
+    items: list[tuple[int, int, int]]
+    data: bytes
+
+
+class Listener:
+    """The application's end of a message channel."""
+
+    def __init__(self) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(LIMIT_S)
+        self.port = int(self.socket.getsockname()[1])
+
+    def message(self) -> Message:
+        datagram, self.sender = self.socket.recvfrom(2048)
+        key, flags, command, length, request_id = struct.unpack_from(">BBHHH", datagram)
+        assert (key, length) == (0x42, len(datagram) - 8)
+        size = length if command == EVENTDATA else 16
+        items = []
+        for start in range(8, len(datagram), size):
+            reserved, kind, channel, block, ticks = struct.unpack_from(">HHHHQ", datagram, start)
+            assert (reserved, channel) == (0, 0)
+            items.append((kind, block, ticks))
+        return Message(flags, command, request_id, items, datagram[24:] if command == EVENTDATA else b"")
+
+    def acknowledge(self, message: Message) -> None:
+        answer = struct.pack(">HHHH", 0, message.command + 1, 0, message.request_id)
+        self.socket.sendto(answer, self.sender)
+
+    def nothing(self) -> bool:
+        """True when nothing has come. Messages go out in the call that causes them, on loopback at once."""
+        self.socket.settimeout(0.0)
+        try:
+            self.socket.recv(2048)
+        except BlockingIOError:
+            return True
+        finally:
+            self.socket.settimeout(LIMIT_S)
+        return False
+
+
+@pytest.fixture
+def listener() -> Iterator[Listener]:
+    made = Listener()
+    yield made
+    made.socket.close()
+
+
+def subscribe(bench: Any, listener: Listener, *kinds: EventKind) -> None:
+    """As a client does: control, where messages go, what is to be told."""
+    bench.take_control(stream=True)
+    bench.small_frames()
+    assert bench.write(Bootstrap.MCDA, 0x7F000001) == OK
+    assert bench.write(Bootstrap.MCTT_MS, TIMEOUT_MS) == OK
+    assert bench.write(Bootstrap.MCRC, 2) == OK
+    assert bench.write(Bootstrap.MCP, listener.port) == OK
+    for kind in kinds:
+        assert bench.set("EventSelector", int(kind)) == OK
+        assert bench.set("EventNotification", 1) == OK
+
+
+def streaming(bench: Any, *, triggers: bool = True) -> None:
+    assert bench.set("TriggerMode", int(triggers)) == bench.set("AcquisitionStart", 1) == OK
+
+
+def test_the_camera_says_that_it_has_a_message_channel(bench: Any) -> None:
+    assert bench.read(Bootstrap.MESSAGE_CHANNELS) == 1
+    assert bench.read(Bootstrap.MESSAGE_CHANNEL_CAPABILITY) == 0x8000_0000
+    wanted = GvcpCapability.EVENT | GvcpCapability.EVENTDATA
+    assert bench.read(Bootstrap.GVCP_CAPABILITY) & wanted == wanted
+    assert bench.read(Bootstrap.MCSP) == bench.camera.messages.source_port
+
+
+def test_the_message_channel_belongs_to_whoever_is_in_control(bench: Any) -> None:
+    assert bench.write(Bootstrap.MCP, 5000) == ACCESS_DENIED
+    bench.take_control()
+    assert bench.write(Bootstrap.MCP, 5000) == OK
+    assert bench.write(Bootstrap.MCP, 6000, peer=OTHER) == ACCESS_DENIED
+    assert bench.read(Bootstrap.MCP) == 5000
+    assert bench.write(Bootstrap.CCP, 0) == OK
+    assert bench.read(Bootstrap.MCP) == 0
+
+
+def test_a_time_out_out_of_range_is_refused(bench: Any) -> None:
+    bench.take_control()
+    assert bench.write(Bootstrap.MCTT_MS, 60_001) == INVALID_PARAMETER
+    assert bench.write(Bootstrap.MCRC, 101) == INVALID_PARAMETER
+
+
+def test_who_is_in_control_can_be_read(bench: Any) -> None:
+    assert bench.read(Bootstrap.PRIMARY_APPLICATION_PORT) == 0
+    bench.take_control()
+    assert bench.read(Bootstrap.PRIMARY_APPLICATION_PORT, peer=OTHER) == 40001
+    assert bench.read(Bootstrap.PRIMARY_APPLICATION_ADDRESS, peer=OTHER) == 0x7F000001
+
+
+def test_the_end_of_an_exposure_is_told_with_its_frame_and_moment(bench: Any, listener: Listener) -> None:
+    subscribe(bench, listener, EventKind.EXPOSURE_END)
+    streaming(bench)
+    exposure_us = bench.get("ExposureTimeRaw")
+    for number in (1, 2):
+        moment_ns = bench.clock.time_ns
+        assert bench.set("TriggerSoftware", 1) == OK
+        message = listener.message()
+        ticks = (moment_ns + exposure_us * 1000) // 8
+        assert (message.command, message.flags) == (EVENTDATA, 1)
+        assert message.items == [(EventKind.EXPOSURE_END, number, ticks)]
+        assert message.data == struct.pack(">I", number)
+        assert listener.sender == ("127.0.0.1", bench.camera.messages.source_port)
+        bench.frame()
+        listener.acknowledge(message)
+        bench.camera.messages.receive()
+
+
+def test_a_trigger_that_comes_too_early_is_told(bench: Any, listener: Listener) -> None:
+    subscribe(bench, listener, EventKind.FRAME_START_OVERTRIGGER)
+    streaming(bench)
+    bench.images.gate.clear()
+    moment_ns = bench.clock.time_ns
+    for _ in range(3):
+        assert bench.set("TriggerSoftware", 1) == OK
+    # one exposes, the next is refused
+    message = listener.message()
+    assert message.command == EVENT
+    assert message.items == [(EventKind.FRAME_START_OVERTRIGGER, 0, moment_ns // 8)]
+    assert bench.get("OvertriggerCount") == 2
+
+
+def test_triggers_of_the_acquisition_are_told_obeyed_or_not(bench: Any, listener: Listener) -> None:
+    subscribe(
+        bench,
+        listener,
+        EventKind.ACQUISITION_START,
+        EventKind.ACQUISITION_START_OVERTRIGGER,
+        EventKind.FRAME_START,
+    )
+    assert bench.set("TriggerSelector", 0) == bench.set("TriggerMode", 1) == OK
+    assert bench.set("AcquisitionStart", 1) == OK
+    bench.images.gate.clear()
+    assert bench.set("TriggerMode", 1) == OK
+    assert bench.set("TriggerSelector", 1) == bench.set("TriggerMode", 1) == OK
+    for selector in (0, 0, 1):
+        assert bench.set("TriggerSelector", selector) == bench.set("TriggerSoftware", 1) == OK
+    told: list[int] = []
+    while len(told) < 3:
+        message = listener.message()
+        told += [item[0] for item in message.items]
+        listener.acknowledge(message)
+        bench.camera.messages.receive()
+    assert told == [
+        EventKind.ACQUISITION_START,
+        EventKind.ACQUISITION_START_OVERTRIGGER,
+        EventKind.FRAME_START,
+    ]
+
+
+def test_only_what_was_asked_for_is_told(bench: Any, listener: Listener) -> None:
+    subscribe(bench, listener, EventKind.EXPOSURE_END)
+    assert bench.set("EventNotification", 0) == OK
+    streaming(bench)
+    assert bench.set("TriggerSoftware", 1) == OK
+    bench.frame()
+    assert listener.nothing()
+    assert bench.get("EventNotification") == 0
+
+
+def test_a_free_running_camera_tells_its_exposures_too(bench: Any, listener: Listener) -> None:
+    subscribe(bench, listener, EventKind.EXPOSURE_END)
+    streaming(bench, triggers=False)
+    assert listener.message().items[0][:2] == (EventKind.EXPOSURE_END, 1)
+
+
+def test_after_control_is_given_back_nothing_is_told(bench: Any, listener: Listener) -> None:
+    subscribe(bench, listener, EventKind.FRAME_START_OVERTRIGGER)
+    assert bench.write(Bootstrap.CCP, 0) == OK
+    assert bench.camera.messages.receiver is None
+    assert bench.camera.messages.tell(Event(EventKind.FRAME_START, 0, 1))
+    assert listener.nothing()
+
+
+class Channel:
+    """A message channel alone, on a clock that is moved by hand."""
+
+    def __init__(self, listener: Listener, faults: NoFaults | None = None) -> None:
+        self.now_s = 0.0
+        self.listener = listener
+        self.channel = MessageChannel(
+            "127.0.0.1", lambda: "127.0.0.1", lambda: self.now_s, faults or NoFaults()
+        )
+        self.channel.port = listener.port
+        self.channel.timeout_ms, self.channel.retries = TIMEOUT_MS, 2
+
+    def tell(self, kind: EventKind = EventKind.FRAME_START, block: int = 0, data: bytes = b"") -> bool:
+        return self.channel.tell(Event(kind, block, 8, data))
+
+    def later(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.channel.repeat_overdue()
+
+
+@pytest.fixture
+def channel(listener: Listener) -> Iterator[Channel]:
+    made = Channel(listener)
+    yield made
+    made.channel.close()
+
+
+def test_without_an_acknowledge_a_message_is_repeated_and_then_given_up(channel: Channel) -> None:
+    channel.tell(block=1)
+    channel.tell(block=2)
+    first = channel.listener.message()
+    channel.later(0.19)
+    assert channel.listener.nothing()
+    for _ in range(2):
+        channel.later(0.2)
+        assert channel.listener.message() == first
+    channel.later(0.2)
+    assert channel.channel.unacknowledged == 1
+    following = channel.listener.message()
+    assert following.request_id == first.request_id + 1
+    assert [item[1] for item in following.items] == [2]
+
+
+def test_an_acknowledge_ends_the_repetitions_and_lets_the_next_go(channel: Channel) -> None:
+    channel.tell(block=1)
+    for block in (2, 3):
+        channel.tell(block=block)
+    first = channel.listener.message()
+    assert channel.listener.nothing()
+    channel.listener.acknowledge(first._replace(request_id=first.request_id + 5))  # of another message
+    channel.channel.receive()
+    assert channel.listener.nothing()
+    channel.listener.acknowledge(first)
+    channel.channel.receive()
+    second = channel.listener.message()
+    assert [item[1] for item in second.items] == [2, 3]
+    channel.listener.acknowledge(second)
+    channel.channel.receive()
+    assert channel.channel.due_s() is None
+
+
+def test_without_a_time_out_no_acknowledge_is_asked_for(channel: Channel) -> None:
+    channel.channel.timeout_ms = 0
+    for block in (1, 2):
+        channel.tell(block=block)
+        message = channel.listener.message()
+        assert (message.flags, message.items[0][1]) == (0, block)
+
+
+def test_an_event_with_data_travels_alone(channel: Channel) -> None:
+    channel.tell(block=1)
+    for block, data in ((2, b""), (3, b"abcd"), (4, b"")):
+        channel.tell(block=block, data=data)
+    found = []
+    for _ in range(4):
+        message = channel.listener.message()
+        found.append((message.command, [item[1] for item in message.items], message.data))
+        channel.listener.acknowledge(message)
+        channel.channel.receive()
+    assert found == [(EVENT, [1], b""), (EVENT, [2], b""), (EVENTDATA, [3], b"abcd"), (EVENT, [4], b"")]
+
+
+def test_a_message_holds_no_more_than_a_datagram_may(channel: Channel) -> None:
+    assert EVENTS_PER_MESSAGE * 16 <= 540 < (EVENTS_PER_MESSAGE + 1) * 16
+
+
+@pytest.mark.parametrize("overruns", [True, False])
+def test_too_many_events_are_lost_and_one_warning_says_so(
+    bench: Any, listener: Listener, overruns: bool
+) -> None:
+    kinds = [EventKind.FRAME_START_OVERTRIGGER] + [EventKind.EVENT_OVERRUN] * overruns
+    subscribe(bench, listener, *kinds)
+    streaming(bench)
+    bench.images.gate.clear()
+    # one message under way, the queue behind it, and three that find it full
+    for _ in range(2 + 1 + EVENTS_KEPT + 3):
+        assert bench.set("TriggerSoftware", 1) == OK
+    told: list[int] = []
+    for _ in range(2 if EVENTS_KEPT < EVENTS_PER_MESSAGE else 3):
+        message = listener.message()
+        told += [item[0] for item in message.items]
+        listener.acknowledge(message)
+        bench.camera.messages.receive()
+    assert told.count(EventKind.FRAME_START_OVERTRIGGER) == 1 + EVENTS_KEPT
+    assert told.count(EventKind.EVENT_OVERRUN) == overruns
+
+
+class LosesFirst(NoFaults):
+    """The first message is lost."""
+
+    def __init__(self) -> None:
+        self.messages = 0
+
+    def message_lost(self) -> bool:
+        self.messages += 1
+        return self.messages == 1
+
+
+def test_a_message_that_the_network_loses_comes_again(listener: Listener) -> None:
+    channel = Channel(listener, LosesFirst())
+    channel.tell(block=7)
+    assert listener.nothing()
+    channel.later(0.2)
+    assert listener.message().items == [(EventKind.FRAME_START, 7, 8)]
+    channel.channel.close()
