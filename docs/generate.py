@@ -10,14 +10,12 @@ import pkgutil
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import drivers
 import procedures
 import ronna_hw
 import sim
 from procedures.engine.machine import mermaid
-from ronna_hw.config import TheatreFile
 from ronna_hw.errors import concrete_errors
 from sim.polaris.parameters import parameter_rows
 from sim.theatre.faults import FAULT_KINDS
@@ -25,6 +23,7 @@ from sim.theatre.faults import FAULT_KINDS
 sys.path.append(str(Path(__file__).parent))  # when this file is loaded by path, its neighbours are not found
 from checklists import checklist_pages
 from hazard_matrix import hazard_page
+from key_pages import key_pages
 from option_pages import option_pages
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -38,12 +37,12 @@ def pages() -> dict[str, str]:
         name: NOTE + content
         for name, content in {
             **checklist_pages(),
+            **key_pages(),
             **option_pages(),
             "error-codes.md": _error_codes(),
             "faults.md": _faults(),
             "hazards.md": hazard_page(),
             "state-chart.md": f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
-            "theatre-file.md": _theatre_keys(),
             "tracker-parameters.md": _tracker_parameters(),
         }.items()
     }
@@ -87,36 +86,6 @@ def _tracker_parameters() -> str:
     ]
     lines += [f"| `{name}` | {value} | {meaning} |" for name, value, meaning in parameter_rows()]
     return "\n".join(lines) + "\n"
-
-
-def _theatre_keys() -> str:
-    schema = TheatreFile.model_json_schema()
-    lines = ["# Keys of the theatre file\n", "All tables are strict: unknown keys are errors.\n"]
-    lines += _table("theatre file", schema)
-    for name, definition in sorted(schema["$defs"].items()):
-        lines += _table(name, definition)
-    return "\n".join(lines) + "\n"
-
-
-def _table(name: str, definition: dict[str, Any]) -> list[str]:
-    required = definition.get("required", [])
-    lines = [f"## {name}\n", definition.get("description", "").split("\n\n")[0] + "\n"]
-    lines += ["| key | type | needed |", "|---|---|---|"]
-    for key, value in definition.get("properties", {}).items():
-        lines.append(f"| `{key}` | {_type(value)} | {'yes' if key in required else ''} |")
-    return [*lines, ""]
-
-
-def _type(value: dict[str, Any]) -> str:
-    if "$ref" in value:
-        return str(value["$ref"]).rsplit("/", 1)[-1]
-    if "anyOf" in value:
-        return " or ".join(_type(one) for one in value["anyOf"])
-    if "additionalProperties" in value and isinstance(value["additionalProperties"], dict):
-        return f"table of {_type(value['additionalProperties'])}"
-    if value.get("type") == "array":
-        return f"{value.get('maxItems', '')} values".strip()
-    return str(value.get("format") or value.get("type") or value.get("const") or "any")
 
 
 if __name__ == "__main__":

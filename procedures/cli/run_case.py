@@ -45,6 +45,11 @@ class CaseRequest:
     config: Path | None = None  # a theatre file of configured endpoints, instead of a simulated theatre
     case: Path | None = None  # folder with ct/ and plan.toml, with `config`
 
+    @property
+    def seed(self) -> int | None:
+        """Seed of a simulated case; None on configured endpoints."""
+        return self.choice.own_seed if self.config is None else None
+
 
 @dataclass(frozen=True)
 class Watcher:
@@ -59,7 +64,7 @@ class Watcher:
 
 def new_run_folder(request: CaseRequest) -> Path:
     """Make `OUT/<run id>`; the id is the moment, the seed of a simulated case and four random hex digits."""
-    seed = f"s{request.choice.seed}-" if request.config is None else ""
+    seed = "" if request.seed is None else f"s{request.seed}-"
     folder = request.out / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
     folder.mkdir(parents=True)
     return folder
@@ -134,7 +139,7 @@ def _make_engine(
         theatre=theatre.theatre,
         banner=theatre.banner,
         strategy=request.strategy,
-        seed=request.choice.seed if request.config is None else None,
+        seed=request.seed,
     )
     return Engine(
         steps=STEPS,
@@ -172,7 +177,7 @@ def unfinished(request: CaseRequest, folder: Path, outcome: str, problem: BaseEx
     return {
         "run": folder.name,
         "outcome": outcome,
-        "seed": request.choice.seed if request.config is None else None,
+        "seed": request.seed,
         "strategy": request.strategy,
         "error": None if error is None else {"code": error.code, "what": error.what},
     }
@@ -248,7 +253,7 @@ def _outcome(
     return {
         "run": folder.name,
         "outcome": "done",
-        "seed": request.choice.seed if request.config is None else None,
+        "seed": request.seed,
         "strategy": request.strategy,
         "markers": results["markers"],
         "ct": truth["ct"],

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -21,3 +24,16 @@ class SceneChoice:
             if value is not None:
                 options += [name, str(value)]
         return options
+
+    @property
+    def own_seed(self) -> int:
+        """Seed of what is drawn: a scene file holds its own. Whether the file is good, its reader says."""
+        path = Path(self.scene)
+        if not path.suffix:
+            return self.seed
+        try:
+            text = path.read_text(encoding="utf-8")
+            content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+            return int(content.get("seed", 0))
+        except (OSError, ValueError, AttributeError, TypeError):
+            return self.seed

@@ -1,0 +1,31 @@
+"""What a scene choice says about the seed of the scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from procedures.cli.run_case import CaseRequest
+from procedures.cli.scene_choice import SceneChoice
+
+
+def test_a_built_in_scene_has_the_seed_that_was_asked_for() -> None:
+    assert SceneChoice("mini", seed=7).own_seed == 7
+
+
+@pytest.mark.parametrize(("name", "text"), [("scene.toml", "seed = 4\n"), ("scene.json", '{"seed": 4}')])
+def test_a_scene_file_has_its_own_seed(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    assert SceneChoice(str(tmp_path / name)).own_seed == 4
+
+
+@pytest.mark.parametrize("text", ["seed = ", "seed = [1]\n"])
+def test_a_bad_scene_file_is_left_to_its_reader(tmp_path: Path, text: str) -> None:
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    assert SceneChoice(str(tmp_path / "scene.toml")).own_seed == 0
+
+
+def test_a_case_on_configured_endpoints_has_no_seed(tmp_path: Path) -> None:
+    assert CaseRequest(out=tmp_path).seed == 0
+    assert CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml").seed is None
