@@ -1,6 +1,6 @@
 """A small GigE Vision camera for the driver's tests, written from the protocol alone. Runs as a process.
 
-    python basler_peer_camera.py ADDRESS SERIAL [--model MODEL] [--largest-packet BYTES]
+    python peer_camera_process.py ADDRESS SERIAL [--model MODEL] [--largest-packet BYTES]
 
 Prints READY, then reads faults from standard input, one per line, and answers each with DONE:
 mute, speak, no-frames, drop LIST (packet ids, once per frame), refuse-resend, no-trailer, mute-stream,
@@ -156,8 +156,6 @@ class PeerCamera:
     def serve(self) -> None:
         while True:
             ready, _, _ = select.select([self.socket, sys.stdin], [], [], 0.05)
-            if self.owner and time.monotonic() - self.last_owner_s > self.word(0x938) / 1000:
-                self.let_go()
             if sys.stdin in ready:
                 line = sys.stdin.readline()
                 if not line:
@@ -167,6 +165,8 @@ class PeerCamera:
                 datagram, peer = self.socket.recvfrom(65536)
                 if "mute" not in self.faults:
                     self.command(datagram, peer)
+            elif self.owner and time.monotonic() - self.last_owner_s > self.word(0x938) / 1000:
+                self.let_go()  # nothing from it waits to be read
 
     def command(self, datagram: bytes, peer: tuple[str, int]) -> None:
         if len(datagram) < 8 or datagram[0] != 0x42:

@@ -1,0 +1,65 @@
+"""What latches a fault in the stereo driver, and how it is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+from peer_cameras import HANG_LIMIT_S, wait_until
+
+from drivers.basler_stereo.errors import CameraLost, ControlLost, ReceptionEnded
+from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.readings import Validity
+
+
+@pytest.mark.hazard(4)
+def test_a_dead_camera_latches_a_fault_and_recover_brings_it_back(pair, peers, make_pair):
+    peers[1].fault("mute")
+    with pytest.raises(CameraLost, match="GEV-014"):
+        pair.grab_pair(1.0)
+    assert pair.state is Lifecycle.FAULT
+    with pytest.raises(WrongState, match="GEV-014"):
+        pair.grab_pair(1.0)
+    # it hears again, but its heartbeat has run out and the settings with it
+    peers[1].fault("normal")
+    pair.recover("a tester", HANG_LIMIT_S)
+    assert pair.state is Lifecycle.CONFIGURED
+    pair.activate(HANG_LIMIT_S)
+    assert pair.grab_pair(HANG_LIMIT_S).validity is Validity.OK
+
+
+def test_a_camera_that_lets_go_is_noticed_by_the_heartbeat(pair, peers):
+    peers[0].fault("let-go")
+    wait_until(lambda: any(camera.lost for camera in pair._pair))
+    with pytest.raises(ControlLost, match="GEV-015"):
+        pair.grab_pair(1.0)
+    assert pair.state is Lifecycle.FAULT
+
+
+def test_a_refused_trigger_means_that_control_is_lost(pair, peers):
+    peers[1].fault("taken")
+    with pytest.raises(ControlLost, match="GEV-015"):
+        pair.grab_pair(1.0)
+    peers[1].fault("normal")
+
+
+def test_a_recovery_needs_a_name(pair, peers):
+    peers[0].fault("let-go")
+    wait_until(lambda: any(camera.lost for camera in pair._pair))
+    with pytest.raises(ControlLost):
+        pair.grab_pair(1.0)
+    with pytest.raises(ValueError, match="name"):
+        pair.recover("  ")
+
+
+@pytest.mark.hazard(4)
+def test_the_end_of_our_own_reception_is_a_fault_and_recover_starts_it_anew(pair):
+    os.kill(pair._reception.pid, signal.SIGKILL)
+    with pytest.raises(ReceptionEnded, match="GEV-017"):
+        pair.grab_pair(HANG_LIMIT_S)
+    assert pair.state is Lifecycle.FAULT
+    pair.recover("a tester", HANG_LIMIT_S)
+    pair.activate(HANG_LIMIT_S)
+    assert pair.grab_pair(HANG_LIMIT_S).validity is Validity.OK
