@@ -68,7 +68,7 @@ def _on_terminal(columns: int) -> str:
             stdout=secondary,
             stderr=subprocess.PIPE,
             env={**os.environ, "COLUMNS": str(columns), "TERM": "xterm"},
-            timeout=30,
+            timeout=150,
             check=True,
         )
     finally:

@@ -61,7 +61,7 @@ def test_no_message_not_even_a_trace_carries_patient_data(series: Path, spoil: o
     spoil(series)
     program = [sys.executable, "-P", "-c", "from procedures.cli.ct import main; main()"]
     done = subprocess.run(
-        [*program, "localize", str(series), "--verbose"], capture_output=True, text=True, timeout=50
+        [*program, "localize", str(series), "--verbose"], capture_output=True, text=True, timeout=150
     )
     assert done.returncode != 0
     assert "CT-0" in done.stderr

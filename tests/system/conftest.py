@@ -12,8 +12,11 @@ from user_commands import Commands
 def commands() -> Iterator[Commands]:
     """Commands of one test; the test fails when any process outlives it."""
     started = Commands()
-    yield started
-    assert started.await_no_survivors() == []
+    try:
+        yield started
+        assert started.await_no_survivors() == []
+    finally:
+        started.end_all()
 
 
 @pytest.fixture(scope="session")

@@ -218,7 +218,7 @@ def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=50,
+        timeout=150,
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000)),
     )
@@ -257,7 +257,7 @@ def test_what_is_not_built_yet_says_so(commands: Commands, tmp_path: Path, optio
 def test_a_wrong_command_line(commands: Commands, tmp_path: Path, arguments: tuple[str, ...]) -> None:
     done = subprocess.run(
         commands.line("ronna-procedure", *arguments), env=commands.environment, cwd=tmp_path,
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=30, check=False,
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=150, check=False,
     )  # fmt: skip
     one_error(done.stderr)
     assert done.returncode == EXIT_USAGE, done.stderr

@@ -177,12 +177,12 @@ def test_aravis_gets_every_frame_although_packets_are_lost() -> None:
 
 
 def test_aravis_own_test_programme_grabs_free_running_frames(cameras: ChildProcess) -> None:
-    # The programme leaves the kernel's small receive buffer as it is: a moderate rate and size.
+    # The programme leaves the kernel's small receive buffer as it is: frames of which two fit into it.
     said = run(
-        *(CAMERA_TEST, "-n", addresses(cameras)[1], "-w", "640", "-h", "480", "-f", "20"),
+        *(CAMERA_TEST, "-n", addresses(cameras)[1], "-w", "320", "-h", "240", "-f", "10"),
         *("--gv-packet-size=8000", "--no-packet-socket", "--duration=2"),
     )
     completed = int(re.findall(r"n_completed_buffers\s*=\s*(\d+)", said)[0])
     failed = int(re.findall(r"n_failures\s*=\s*(\d+)", said)[0])
-    assert completed >= 8  # of some forty on a machine with nothing else to do
+    assert completed >= 8  # of some twenty on a machine with nothing else to do
     assert failed < completed / 2  # how many is a matter of that buffer and of what else runs here

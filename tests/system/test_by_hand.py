@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from user_commands import Commands, one_error
 
-CASE_S = 50.0
+CASE_S = 150.0
 
 
 @pytest.mark.slow

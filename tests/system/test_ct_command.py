@@ -55,7 +55,7 @@ def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def ronna_ct(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=50)
+    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=150)
 
 
 def test_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:

@@ -31,11 +31,11 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def ronna(name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     """One of the installed commands."""
     script = str(Path(sys.executable).with_name(name))
-    return subprocess.run([script, *map(str, arguments)], capture_output=True, text=True, timeout=50)
+    return subprocess.run([script, *map(str, arguments)], capture_output=True, text=True, timeout=150)
 
 
 def run(module: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(module, *map(str, arguments)), capture_output=True, text=True, timeout=50)
+    return subprocess.run(command(module, *map(str, arguments)), capture_output=True, text=True, timeout=150)
 
 
 def test_every_sphere_is_found_in_the_scan_and_nothing_else(case: Path) -> None:

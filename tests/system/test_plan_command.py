@@ -107,7 +107,7 @@ def ronna_plan(*arguments: object) -> subprocess.CompletedProcess[str]:
         *map(str, arguments),
     ]
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONWARNINGS"}
-    return subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment)
+    return subprocess.run(command, capture_output=True, text=True, timeout=150, env=environment)
 
 
 def one_line(done: subprocess.CompletedProcess[str]) -> str:

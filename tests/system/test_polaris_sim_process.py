@@ -185,7 +185,7 @@ def test_an_address_in_use_is_one_message_with_its_code() -> None:
     with socket.create_server(("127.0.0.1", 0)) as holder:
         taken = f"tcp://127.0.0.1:{holder.getsockname()[1]}"
         done = subprocess.run(
-            command("sim.cli", "polaris", "--endpoint", taken), capture_output=True, text=True, timeout=20
+            command("sim.cli", "polaris", "--endpoint", taken), capture_output=True, text=True, timeout=150
         )
     assert done.returncode == 4
     assert done.stdout == ""
@@ -205,7 +205,7 @@ def test_an_address_in_use_is_one_message_with_its_code() -> None:
 )
 def test_a_wrong_option_is_one_message_with_its_code(arguments: tuple[str, ...], code: str) -> None:
     done = subprocess.run(
-        command("sim.cli", "polaris", *arguments), capture_output=True, text=True, timeout=20
+        command("sim.cli", "polaris", *arguments), capture_output=True, text=True, timeout=150
     )
     assert done.returncode in (2, 4)
     assert done.stderr.startswith(code)
@@ -249,7 +249,7 @@ def test_a_stranger_who_loses_patience_gets_through_by_a_break(start: Callable[.
 
 def test_the_unconfirmed_behaviours_can_be_listed() -> None:
     done = subprocess.run(
-        command("sim.cli", "polaris", "--list-parameters"), capture_output=True, text=True, timeout=20
+        command("sim.cli", "polaris", "--list-parameters"), capture_output=True, text=True, timeout=150
     )
     assert done.returncode == 0
     assert "watch_dog=stop  What the watch dog does" in done.stdout
@@ -320,5 +320,5 @@ def test_it_loads_no_image_or_science_library() -> None:
         "    importlib.import_module(module.name)\n"
         "print(sorted({'scipy', 'cv2', 'pydicom', 'pinocchio'} & set(sys.modules)))\n"
     )
-    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, timeout=20)
+    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, timeout=150)
     assert done.stdout.strip() == "[]", done.stderr

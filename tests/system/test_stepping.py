@@ -16,7 +16,7 @@ def _step(commands: Commands, out: Path, *lines: str) -> subprocess.CompletedPro
         input="\n".join(lines) + "\n",
         capture_output=True,
         text=True,
-        timeout=50,
+        timeout=150,
         check=False,
     )
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from user_commands import Commands
 
-AWAITED_S = 40.0
+AWAITED_S = 100.0
 CTRL_C = "\x03"  # typed: the terminal signals every process of its foreground group
 STYLE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours and cursor moves
 
