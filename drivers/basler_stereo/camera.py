@@ -13,6 +13,8 @@ from drivers.basler_stereo.control import Command, ControlChannel, register_writ
 from drivers.basler_stereo.description import fetch_description, parse_description
 from drivers.basler_stereo.discovery import CameraIdentity, identify
 from drivers.basler_stereo.errors import CommandRefused, NoCamera
+from drivers.basler_stereo.event_listener import EventListener, has_events, subscribe
+from drivers.basler_stereo.events import WANTED, EventCounters, event_ids
 from drivers.basler_stereo.features import FeatureMap
 from drivers.basler_stereo.gvsp import following
 from drivers.basler_stereo.heartbeat import Heartbeat, require_control
@@ -46,6 +48,7 @@ class Camera:
         self._pulse: int | None = None
         self._next_block: int | None = None
         self._receiver: StreamReceiver | None = None
+        self._listener: EventListener | None = None
         self._packet_bytes = 0
         self._trigger: Command | None = None
         self.area = AreaOfInterest(0, 0, 0, 0)
@@ -78,6 +81,11 @@ class Camera:
         return self._receiver.counters if self._receiver else None
 
     @property
+    def event_counters(self) -> EventCounters | None:
+        """What the camera has reported, or None when it is not asked to."""
+        return self._listener.counters if self._listener else None
+
+    @property
     def trigger_command(self) -> Command | None:
         """What triggers one frame; None when a line does."""
         return self._trigger
@@ -108,6 +116,8 @@ class Camera:
             set_up.set_area(self._features, self.area)
             self._choose_packet_size(deadline_s)
             self.tick_frequency_hz = self._read_tick_frequency(deadline_s)
+            if self._options.events:
+                self._listen(event_ids(nodes), deadline_s)
         except BaseException:
             with contextlib.suppress(RonnaError, OSError):
                 self.release(deadline_s)
@@ -206,6 +216,7 @@ class Camera:
             if self._receiver is not None:
                 self.stop(deadline_s)
         finally:
+            self._end_listening()
             self.control.write_register(Bootstrap.CCP, gev.CCP_OPEN, deadline_s)
 
     def close(self, deadline_s: float) -> None:
@@ -216,6 +227,7 @@ class Camera:
             if self._heartbeat is not None:
                 self.release(deadline_s)
         self._rest()
+        self._end_listening()
         self._close_receiver()
         self._control.close()
         self._control = None
@@ -269,6 +281,21 @@ class Camera:
     def _until(self, deadline_s: float) -> None:
         assert self._access is not None, "the lifecycle allows this only while controlled"
         self._access.deadline_s = max(deadline_s, time.monotonic())
+
+    def _listen(self, names: dict[int, str], deadline_s: float) -> None:
+        if not names or not has_events(self.control, self.features, deadline_s):
+            self.notices.append(f"{self.side}: the camera reports no events")
+            return
+        own, peer = self.control.local_address, str(self.control.link.getpeername()[0])
+        self._listener = EventListener(own, peer, names, self.side)
+        told = subscribe(self.control, self.features, self._listener, deadline_s)
+        if missing := [name for name in WANTED if name not in told or name not in names.values()]:
+            self.notices.append(f"{self.side}: the camera does not report {', '.join(missing)}")
+
+    def _end_listening(self) -> None:
+        if self._listener is not None:
+            self._listener.close()  # giving control back closes the camera's end
+            self._listener = None
 
     def _rest(self) -> None:
         if self._pulse is not None and self._reception is not None:

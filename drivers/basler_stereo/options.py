@@ -72,6 +72,10 @@ class BaslerOptions(Strict):
         default=16 * 1024 * 1024,
         description="Wanted size of a stream socket's buffer; the kernel may cap it.",
     )
+    events: bool = Field(
+        default=False,
+        description="Have the cameras report exposures and missed triggers, and count them.",
+    )
     load_default_user_set: bool = Field(default=True, description="Start from the camera's factory settings.")
 
     @model_validator(mode="after")

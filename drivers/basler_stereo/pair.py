@@ -18,6 +18,7 @@ from drivers.basler_stereo.errors import (
     ReceptionEnded,
     WrongSerial,
 )
+from drivers.basler_stereo.events import EventCounters
 from drivers.basler_stereo.grabbing import PairGrabber
 from drivers.basler_stereo.options import read_options
 from drivers.basler_stereo.reception import Reception
@@ -97,6 +98,13 @@ class BaslerStereoPair:
         self._guard.require("counters", READABLE)
         left, right = self._pair
         return left.counters, right.counters
+
+    @property
+    def event_counters(self) -> tuple[EventCounters | None, EventCounters | None]:
+        """What the cameras have reported since `configure`, left and right; None without option `events`."""
+        self._guard.require("event_counters", READABLE)
+        left, right = self._pair
+        return left.event_counters, right.event_counters
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:

@@ -4,7 +4,8 @@
 driver = "basler_pylon"
 endpoints = { left = "gev://192.168.3.11", right = "gev://192.168.3.12" }
 
-The options are those of basler_stereo; heartbeat, packets and their repetition are the library's affair.
+The options are those of basler_stereo; heartbeat, packets and their repetition are the library's affair, and
+events are not asked for.
 """
 
 from __future__ import annotations

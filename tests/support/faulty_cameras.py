@@ -1,0 +1,56 @@
+"""The simulated cameras as a process, faults for them, and drivers that are connected to them."""
+
+from __future__ import annotations
+
+import json
+import socket
+
+from drivers.basler_stereo import BaslerStereoPair
+from ronna_hw.child_process import ChildProcess
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.readings import AreaOfInterest
+from ronna_hw.endpoints import parse_endpoint
+
+AREA = AreaOfInterest(896, 416, 256, 256)
+LIMIT_S = 30.0  # of host time; what takes longer hangs
+
+
+class Cameras:
+    """The simulated cameras, and pairs that are connected to them."""
+
+    def __init__(self, child: ChildProcess) -> None:
+        self._endpoints = dict(child.ready["endpoints"])
+        self._control = parse_endpoint(child.ready["control"]).require("tcp")
+        self._pairs: list[BaslerStereoPair] = []
+
+    def tell(self, **request: str) -> None:
+        with socket.create_connection((self._control.host, self._control.port), LIMIT_S) as door:
+            door.sendall(json.dumps(request).encode() + b"\n")
+            answer = json.loads(door.makefile("rb").readline())
+        assert answer["ok"], answer
+
+    def fault(self, phrase: str) -> None:
+        self.tell(do="fault", line=f"now: camera {phrase}")
+
+    def heal(self) -> None:
+        self.tell(do="clear_faults")
+
+    def new_pair(self, **options: object) -> BaslerStereoPair:
+        config = DeviceConfig(driver="basler_stereo", endpoints=self._endpoints, options=options)
+        self._pairs.append(BaslerStereoPair("stereo", config, HostClock()))
+        return self._pairs[-1]
+
+    def streaming(self, **options: object) -> BaslerStereoPair:
+        pair = self.new_pair(**options)
+        pair.connect(LIMIT_S)
+        pair.configure(LIMIT_S)
+        pair.set_areas(AREA, AREA)
+        pair.activate(LIMIT_S)
+        return pair
+
+    def close(self) -> None:
+        self.heal()
+        for pair in self._pairs:
+            pair.close()
+        self._pairs.clear()

@@ -1,0 +1,123 @@
+"""Which two images are a pair, on theatre time: what the host's computer does meanwhile is not in it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+from faulty_cameras import AREA, LIMIT_S
+
+from drivers.basler_stereo import BaslerStereoPair
+from drivers.basler_stereo.errors import TriggerMissed
+from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.clock import open_clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.readings import StereoReading, Validity
+from ronna_hw.wire.gige_vision import TICK_FREQUENCY_HZ
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.world import World
+
+# In lock-step two commands one after the other are dated at most 1 ms apart, as on a real network.
+SKEW_MS, LARGEST_SKEW_MS = 1.0, 1.5
+POWERED_ON_NS = 1_000_000_000
+
+
+class Theatre:
+    """Both cameras in lock-step, and drivers that live by the theatre's clock."""
+
+    def __init__(self, world: World, child: ChildProcess) -> None:
+        self.world = world
+        self._endpoints = dict(child.ready["endpoints"])
+        self._pairs: list[BaslerStereoPair] = []
+
+    def script(self, *phrases: str) -> None:
+        """These faults act from now on, and no others."""
+        now_s = self.world.clock.now_s()
+        self.world.set_fault_script("".join(f"at {now_s:.9f} s: camera {phrase}\n" for phrase in phrases))
+
+    def streaming(self, **options: object) -> BaslerStereoPair:
+        config = DeviceConfig(
+            driver="basler_stereo",
+            endpoints=self._endpoints,
+            options={"pair_skew_ms": LARGEST_SKEW_MS, **options},
+        )
+        pair = BaslerStereoPair("stereo", config, open_clock(self.world.clock_endpoint))
+        self._pairs.append(pair)
+        pair.connect(LIMIT_S)
+        pair.configure(LIMIT_S)
+        pair.set_areas(AREA, AREA)
+        pair.activate(LIMIT_S)
+        return pair
+
+    def close(self) -> None:
+        self.script()
+        for pair in self._pairs:
+            pair.close()
+        self._pairs.clear()
+
+
+@pytest.fixture
+def theatre() -> Iterator[Theatre]:
+    world = World.create(built_in_scene("bench"), paced=False)
+    world.clock.wait_until_ns(POWERED_ON_NS)  # counters that show zero could not be told from dead ones
+    with ChildProcess("ronna-sim basler", command("sim.cli", "basler", "--world", world.endpoint)) as child:
+        made = Theatre(world, child)
+        yield made
+        made.close()
+
+
+def skew_ms(reading: StereoReading) -> float:
+    """How far apart the cameras' own counters say that the two exposures began. Both count from one zero."""
+    assert reading.left is not None
+    assert reading.right is not None
+    return abs(reading.left.stamp.device_clock - reading.right.stamp.device_clock) / TICK_FREQUENCY_HZ * 1e3
+
+
+@pytest.mark.parametrize("trigger", ["software", "action"])
+def test_one_command_to_each_gives_one_pair_of_one_moment(theatre: Theatre, trigger: str) -> None:
+    pair = theatre.streaming(trigger=trigger)
+    for number in (1, 2, 3):
+        reading = pair.grab_pair(LIMIT_S)
+        assert reading.validity is Validity.OK
+        assert pair.block_ids == (number, number)
+        assert skew_ms(reading) <= SKEW_MS
+
+
+def test_one_pulse_on_the_line_gives_one_pair_of_one_moment(theatre: Theatre) -> None:
+    pair = theatre.streaming(trigger="line1")
+    with pytest.raises(TriggerMissed, match="GEV-013"):
+        pair.grab_pair(0.2)  # nobody pulses
+    for number in (1, 2):
+        pulse = threading.Timer(0.3, theatre.script, ["pulse line"])
+        pulse.start()
+        reading = pair.grab_pair(LIMIT_S)
+        pulse.join()
+        assert reading.validity is Validity.OK
+        assert pair.block_ids == (number, number)
+        assert skew_ms(reading) <= SKEW_MS
+
+
+@pytest.mark.parametrize(
+    "phrase", ["delay answers both 300 ms", "announce answers both 300 ms", "lose answers both 30 %"]
+)
+def test_answers_that_are_late_or_lost_delay_and_no_trigger_acts_twice(theatre: Theatre, phrase: str) -> None:
+    pair = theatre.streaming()
+    theatre.script(phrase)
+    for number in (1, 2):
+        reading = pair.grab_pair(LIMIT_S)
+        assert reading.validity is Validity.OK
+        assert pair.block_ids == (number, number)
+        assert skew_ms(reading) <= SKEW_MS
+        theatre.script()
+
+
+@pytest.mark.parametrize(("late_ms", "validity"), [(0.3, Validity.OK), (4.0, Validity.UNPAIRED)])
+def test_a_side_that_exposes_later_than_allowed_is_not_of_the_pair(
+    theatre: Theatre, late_ms: float, validity: Validity
+) -> None:
+    pair = theatre.streaming(trigger="action")
+    theatre.script(f"expose late right {late_ms} ms")
+    reading = pair.grab_pair(LIMIT_S)  # a second trigger does not help
+    assert reading.validity is validity
+    assert skew_ms(reading) >= late_ms - SKEW_MS
