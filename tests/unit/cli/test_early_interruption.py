@@ -1,0 +1,34 @@
+"""An interruption while a command still imports leaves one word and the documented exit code."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from ronna_hw.command_line import early_interruption
+from ronna_hw.errors import EXIT_FAILED, EXIT_INTERRUPTED
+
+
+def _ended(program: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-P", "-c", program], capture_output=True, text=True, timeout=150, check=False
+    )
+
+
+@pytest.mark.parametrize("package", ["procedures.cli", "sim.cli", "ronna_hw.conformance.cli"])
+def test_an_interrupted_import_is_told_in_one_word(package: str) -> None:
+    done = _ended(f"import {package}; raise KeyboardInterrupt")
+    assert (done.returncode, done.stdout, done.stderr) == (EXIT_INTERRUPTED, "", "interrupted\n")
+
+
+def test_any_other_mistake_keeps_its_trace() -> None:
+    done = _ended("import procedures.cli; raise ValueError('a mistake')")
+    assert done.returncode == EXIT_FAILED
+    assert "Traceback" in done.stderr
+    assert "ValueError: a mistake" in done.stderr
+
+
+def test_the_exit_code_is_the_one_of_all_commands() -> None:
+    assert early_interruption.EXIT_INTERRUPTED == EXIT_INTERRUPTED
