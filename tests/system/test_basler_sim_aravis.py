@@ -176,6 +176,42 @@ def test_aravis_gets_every_frame_although_packets_are_lost() -> None:
     assert all(0 <= pair[1]["stamp_ns"] - pair[0]["stamp_ns"] <= 1_000_000 for pair in result["pairs"])
 
 
+SUBSCRIBE = """
+import json, socket, struct, sys
+import gi
+gi.require_version("Aravis", "0.8")
+from gi.repository import Aravis
+
+listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+listener.bind(("127.0.0.1", 0))
+listener.settimeout(30.0)
+camera = Aravis.Camera.new(sys.argv[1])
+device = camera.get_device()
+camera.set_trigger("Software")
+device.set_string_feature_value("EventSelector", "FrameStart")
+device.set_string_feature_value("EventNotification", "On")
+device.set_integer_feature_value("GevMCDA", 0x7F000001)
+device.set_integer_feature_value("GevMCPHostPort", listener.getsockname()[1])
+camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+stream = camera.create_stream(None, None)
+camera.start_acquisition()
+camera.software_trigger()
+datagram, (_, port) = listener.recvfrom(2048)
+_, _, command, _, request_id, _, event_id = struct.unpack_from(">BBHHHHH", datagram)
+listener.sendto(struct.pack(">HHHH", 0, command + 1, 0, request_id), (sys.argv[1], port))
+print(json.dumps({"command": command, "id": event_id,
+                  "from": port, "said": device.get_integer_feature_value("GevMCSP")}))
+camera.stop_acquisition()
+"""
+
+
+def test_aravis_switches_events_on_through_the_description(cameras: ChildProcess) -> None:
+    # Aravis 0.8 receives no events itself; the message is looked at by a socket of the script.
+    told = json.loads(run(SYSTEM_PYTHON, "-c", SUBSCRIBE, addresses(cameras)[0]).splitlines()[-1])
+    assert (told["command"], told["id"]) == (0xC0, 0x9004)
+    assert told["from"] == told["said"]
+
+
 def test_aravis_own_test_programme_grabs_free_running_frames(cameras: ChildProcess) -> None:
     # The programme leaves the kernel's small receive buffer as it is: frames of which two fit into it.
     said = run(
