@@ -1,7 +1,7 @@
 """The set-points of one session: prepared between telegrams, judged, and one of them sent.
 
 Generator and monitor meet here and nowhere else. If the path's own stop does not please the monitor, a stop
-of the joints, made from what was really sent, takes its place.
+made from nothing but what was really sent takes its place: on along the way the arm goes.
 """
 
 from __future__ import annotations

@@ -26,6 +26,9 @@ RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 CLEARANCE, ZONE_SPEED = "clearance", "speed near the head"  # kinds that concern bodies, not axes
 
 
+History = tuple[JointVector, JointVector, JointVector, JointVector]
+
+
 class Violation(NamedTuple):
     """What was exceeded, on which axis (1..6), by which value over which limit; angles in rad.
 
@@ -97,7 +100,8 @@ class Monitor:
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits
         self._start = start_rad
-        self._last = (start_rad, start_rad, start_rad)  # newest first: the arm starts at rest
+        # Newest first: the arm starts at rest.
+        self._last: History = (start_rad, start_rad, start_rad, start_rad)
         self._held = start_rad
         self._watch: LiveWatch | None = None
 
@@ -111,8 +115,8 @@ class Monitor:
         return self._last[0]
 
     @property
-    def history_rad(self) -> tuple[JointVector, JointVector, JointVector]:
-        """The last three set-points sent, newest first."""
+    def history_rad(self) -> History:
+        """The last four set-points sent, newest first."""
         return self._last
 
     @property
@@ -123,7 +127,7 @@ class Monitor:
     def check(self, joints_rad: JointVector) -> Violation | None:
         """The first limit a set-point would exceed if it were sent next, or None."""
         limits = self.limits
-        one, two, three = self._last
+        one, two, three, _ = self._last
         for i in range(AXES):
             angle = joints_rad[i]
             low, high = limits.lower_rad[i] - RANGE_ROUNDING_RAD, limits.upper_rad[i] + RANGE_ROUNDING_RAD
@@ -155,8 +159,8 @@ class Monitor:
 
     def sent(self, joints_rad: JointVector) -> None:
         """This set-point was sent."""
-        one, two, _ = self._last
-        self._last = (joints_rad, one, two)
+        one, two, three, _ = self._last
+        self._last = (joints_rad, one, two, three)
         self._held = joints_rad
         if self._watch is not None:
             self._watch.sent(joints_rad)
@@ -176,7 +180,7 @@ class Monitor:
 
     def stands(self) -> None:
         """The arm has come to rest at the held set-point, and that was sent."""
-        self._last = (self._held, self._held, self._held)
+        self._last = (self._held, self._held, self._held, self._held)
         if self._watch is not None:
             self._watch.sent(self._held)
 

@@ -6,6 +6,7 @@ is left to compute, and a stop is never a jump.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import degrees
 from typing import NamedTuple, Protocol
 
@@ -16,7 +17,10 @@ from ronna_hw.arm.model import AXES, ArmModel
 from ronna_hw.arm.path import Path
 from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
 from ronna_hw.arm.progress import PathLimits, PathProgress, SpeedStep
+from ronna_hw.arm.stopping import halt
 from ronna_hw.devices.readings import JointVector
+
+LONGER_TOGETHER = 2.0  # times as long may a stop take that keeps the way; planned motions need 1.2
 
 
 class Prepared(NamedTuple):
@@ -193,12 +197,27 @@ class JointMotion:
 
 
 class StopMotion:
-    """Every joint to rest within its limits, from any state: the stop that trusts no path."""
+    """To rest from any state, trusting no path: straight on along the way the arm goes.
+
+    Where the joints cannot brake together in a reasonable time, which no planned motion brings about, each of
+    them brakes by itself.
+    """
 
     def __init__(self, start: State, limits: MotionLimits, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._profile = Profiler(AXES).stop(start, joint_bounds(limits))
+        self._halt = halt(start, limits)
+        if self._halt is not None:
+            if self._halt.profile.duration_s <= LONGER_TOGETHER * self._profile.duration_s:
+                self._profile = self._halt.profile
+            else:
+                self._halt = None
         self._time_s = 0.0
+
+    @property
+    def stays_on_way(self) -> bool:
+        """Whether the joints brake together."""
+        return self._halt is not None
 
     @property
     def finished(self) -> bool:
@@ -207,10 +226,10 @@ class StopMotion:
     def predicted_stop(self) -> tuple[float, JointVector]:
         """Duration in s that is left, and the joints it will rest at."""
         duration_s = self._profile.duration_s
-        return max(duration_s - self._time_s, 0.0), _vector(self._profile.at(duration_s))
+        return max(duration_s - self._time_s, 0.0), self._at(duration_s)
 
     def prepare(self) -> Prepared:
-        joints = _vector(self._profile.at(self._time_s + self._cycle_s))
+        joints = self._at(self._time_s + self._cycle_s)
         return Prepared(joints, joints)
 
     def take_go(self) -> None:
@@ -218,14 +237,22 @@ class StopMotion:
 
     take_stop = take_go
 
+    def _at(self, time_s: float) -> JointVector:
+        return _vector(self._profile.at(time_s)) if self._halt is None else self._halt.at(time_s)
 
-def state_from_history(history_rad: tuple[JointVector, JointVector, JointVector], cycle_s: float) -> State:
-    """State of motion from the last three set-points sent, newest first, by backward differences."""
+
+def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> State:
+    """State of motion at the last of four set-points, newest first: that of the cubic through them.
+
+    The third difference counts: without it an acceleration is a cycle old, and a stop gains too much speed.
+    """
     velocity, acceleration = [], []
-    for one, two, three in zip(*history_rad, strict=True):
-        bend = (one - 2.0 * two + three) / cycle_s**2
-        velocity.append((one - two) / cycle_s + 0.5 * bend * cycle_s)
-        acceleration.append(bend)
+    for one, two, three, four in zip(*history_rad, strict=True):
+        step = one - two
+        bend = step - (two - three)
+        twist = bend - (two - 2.0 * three + four)
+        velocity.append((step + bend / 2.0 + twist / 3.0) / cycle_s)
+        acceleration.append((bend + twist) / cycle_s**2)
     return State(list(history_rad[0]), velocity, acceleration)
 
 

@@ -97,7 +97,7 @@ def test_a_point_that_was_not_taken_is_judged_again_from_the_one_that_is_held() 
     assert monitor.held_rad == START
     monitor.sent_again()
     assert monitor.held_rad == near
-    assert monitor.history_rad == (near, START, START)
+    assert monitor.history_rad == (near, START, START, START)
     monitor = _monitor()
     monitor.sent(far)
     assert _kind(monitor.not_taken()) == ("step", 6)
@@ -109,7 +109,7 @@ def test_an_arm_that_stands_is_judged_from_rest_at_the_held_point() -> None:
     monitor.sent(step)
     monitor.not_taken()
     monitor.stands()
-    assert monitor.history_rad == (START, START, START)
+    assert monitor.history_rad == (START, START, START, START)
     assert _kind(monitor.check(step)) == ("acceleration", 6) or _kind(monitor.check(step)) == ("jerk", 6)
 
 

@@ -1,0 +1,113 @@
+"""To rest without trusting a path: straight on along the way the arm goes, as its last set-points tell it.
+
+Joints that brake each by itself turn the tool out of its way and can speed it up meanwhile. So they brake
+together: the arm goes on along the parabola through its last set-points, and only the speed along it falls.
+A path within the limits of its joints is left by the third order of the stopping distance only.
+
+With the direction u, the speed v and the acceleration split into a tangential part a and a normal one, the
+parabola is q(l) = q0 + u l + k l^2 / 2 with k = normal / v^2, and
+
+    q'' = u l'' + k (l'^2 + l l''),    q''' = u l''' + k (3 l' l'' + l l''').
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import hypot
+from typing import NamedTuple
+
+from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.model import AXES
+from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
+from ronna_hw.devices.readings import JointVector
+
+RESTING_RAD_S = 1e-9  # slower is no direction
+SPEED_MARGIN = 1.05  # over the limits, for the rounding of a state taken from set-points
+BRAKING_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)  # of the largest deceleration: more of it costs jerk
+
+
+class Parabola(NamedTuple):
+    """A way through joint space over its length in rad: `at` 0 it is where the arm is."""
+
+    origin_rad: Sequence[float]
+    direction: Sequence[float]
+    bend_per_rad: Sequence[float]
+
+    def at(self, length_rad: float) -> JointVector:
+        """The joints so far along."""
+        half = 0.5 * length_rad * length_rad
+        A1, A2, A3, A4, A5, A6 = (
+            q + u * length_rad + k * half
+            for q, u, k in zip(self.origin_rad, self.direction, self.bend_per_rad, strict=True)
+        )
+        return (A1, A2, A3, A4, A5, A6)
+
+
+class Halt(NamedTuple):
+    """A way and the profile of one axis along it, from the present speed to rest."""
+
+    way: Parabola
+    profile: Profile
+
+    def at(self, time_s: float) -> JointVector:
+        """The joints after a time."""
+        return self.way.at(self.profile.at(time_s).position[0])
+
+
+def halt(start: State, limits: MotionLimits) -> Halt | None:
+    """The stop along the way the arm goes, as short as the limits of the joints allow.
+
+    None where the arm has no direction, where its bend alone takes what the limits allow, or where a joint
+    would become too fast before the acceleration is taken back. Motions within the limits do none of this.
+    """
+    speed = hypot(*start.velocity)
+    if not speed > RESTING_RAD_S:
+        return None
+    direction = [v / speed for v in start.velocity]
+    tangential = sum(a * u for a, u in zip(start.acceleration, direction, strict=True))
+    bend = [
+        (a - tangential * u) / (speed * speed) for a, u in zip(start.acceleration, direction, strict=True)
+    ]
+    bounds = _braking(direction, bend, speed, limits)
+    if bounds is None:
+        return None
+    peak = speed + max(tangential, 0.0) ** 2 / (2.0 * bounds.jerk[0])
+    fastest = max(abs(u) * peak / most for u, most in zip(direction, limits.speed_rad_s, strict=True))
+    if fastest > SPEED_MARGIN:
+        return None
+    way = Parabola(start.position, direction, bend)
+    return Halt(way, Profiler(1).stop(State([0.0], [speed], [tangential]), bounds))
+
+
+def _braking(
+    direction: Sequence[float], bend: Sequence[float], speed: float, limits: MotionLimits
+) -> Bounds | None:
+    """Deceleration and jerk along a way with which every joint keeps its own, for the shortest stop."""
+    most = min(
+        (limits.acceleration_rad_s2[i] - abs(bend[i]) * speed * speed) / abs(direction[i])
+        for i in range(AXES)
+        if direction[i]
+    )
+    found: tuple[float, float, float] | None = None
+    for share in BRAKING_SHARES:
+        deceleration = share * most
+        if deceleration <= 0.0:
+            break
+        length = speed * speed / deceleration
+        jerk = min(
+            (limits.jerk_rad_s3[i] - 3.0 * abs(bend[i]) * speed * deceleration)
+            / (abs(direction[i]) + abs(bend[i]) * length)
+            for i in range(AXES)
+            if direction[i] or bend[i]
+        )
+        if jerk <= 0.0:
+            continue
+        # The deceleration is not reached in a short stop.
+        reached = min(deceleration, (speed * jerk) ** 0.5)
+        duration_s = speed / reached + reached / jerk
+        if found is None or duration_s < found[0]:
+            found = (duration_s, deceleration, jerk)
+    if found is None:
+        return None
+    _, deceleration, jerk = found
+    return Bounds([speed], [deceleration], [jerk])
