@@ -10,13 +10,20 @@ import itertools
 import math
 import socket
 import threading
-import time
 from math import degrees, radians
 from typing import Any
 
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.model import ArmModel
 from ronna_hw.arm.pose import Pose
+from ronna_hw.conformance.any_device import (
+    closes,
+    finds_nobody,
+    offers,
+    refuses_early,
+    refuses_unknown_options,
+    tells_who_answers,
+)
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
 from ronna_hw.conformance.kuka_driver_cases import KUKA_DRIVER
@@ -25,7 +32,7 @@ from ronna_hw.conformance.kuka_stream_cases import KUKA_STREAM
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
 from ronna_hw.devices.robot import RobotArm, StopKind
-from ronna_hw.errors import ConfigurationError, ConnectError, LimitError, RonnaError, StateError
+from ronna_hw.errors import LimitError, RonnaError, StateError
 from ronna_hw.registry import make_device
 
 HOLDING_S = 0.2  # theatre time over which an arm with zero corrections is watched
@@ -36,7 +43,7 @@ SMALL_TURN_RAD = radians(1.0)  # of the last axis: the hand turns, nothing else 
 STOPPED_TURN_RAD = radians(20.0)  # long enough to be stopped on the way
 SMALL_LINE_MM = 2.0
 CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
-SLACK_S = 1.0
+CONNECT_LIMIT_S = 3.0
 
 
 def _free_port() -> int:
@@ -78,28 +85,22 @@ def model_of(arm: Any) -> ArmModel:
 
 @SUITE.case("R01", "the driver offers the interface of a robot arm, and starts disconnected")
 def offers_the_interface(bench: Bench) -> None:
-    arm = bench.make()
-    check(isinstance(arm, RobotArm), "all calls of RobotArm", type(arm).__name__)
-    check(arm.state is Lifecycle.DISCONNECTED, "state disconnected", arm.state)
-    check(arm.name == bench.name, f"the name {bench.name}", arm.name)
+    offers(bench, RobotArm)
 
 
 @SUITE.case("R02", "connecting says who answers")
 def identity_is_answered(bench: Bench) -> None:
-    arm = bench.make()
-    identity = arm.connect()
-    check(bool(identity.vendor and identity.model), "vendor and model", identity)
-    check(arm.state is Lifecycle.CONNECTED, "state connected", arm.state)
+    tells_who_answers(bench)
 
 
 @SUITE.case("R03", "calls that come too early are refused")
 def early_calls_are_refused(bench: Bench) -> None:
-    arm = bench.make()
-    for call in ("configure", "activate", "deactivate", "read_state", "read_tool_identity", "resume"):
-        refused(getattr(arm, call), StateError, f"{call} while disconnected")
-    arm.connect()
+    arm = refuses_early(
+        bench,
+        disconnected=("configure", "activate", "deactivate", "read_state", "read_tool_identity", "resume"),
+        connected=("activate",),
+    )
     here = arm.read_state().joints_rad
-    refused(arm.activate, StateError, "activate while connected")
     refused(lambda: arm.move_joints(here), StateError, "move_joints while connected")
 
 
@@ -255,13 +256,7 @@ def protective_stop_is_latched(bench: Bench) -> None:
 
 @SUITE.case("R16", "closing is bounded, final, and may be repeated")
 def close_is_bounded(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
-    began_s = time.monotonic()
-    arm.close()
-    check(time.monotonic() - began_s < CLOSE_LIMIT_S, f"an end within {CLOSE_LIMIT_S} s")
-    check(arm.state is Lifecycle.CLOSED, "state closed", arm.state)
-    arm.close()
-    refused(arm.connect, StateError, "connect after close")
+    closes(bench.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 
 
 @SUITE.case("R17", "connecting again is a full new session with the same device, in the same place")
@@ -289,18 +284,12 @@ def nobody_there(bench: Bench) -> None:
         for name, address in bench.config.endpoints.items()
     }
     config = bench.config.model_copy(update={"endpoint": nowhere if single else None, "endpoints": elsewhere})
-    arm = make_device(bench.name, config, bench.clock)
-    began_s = time.monotonic()
-    error = refused(lambda: arm.connect(3.0), ConnectError, "connect to nobody")
-    check(isinstance(error, ConnectError) and bool(error.code and error.advice), "a code and advice", error)
-    check(time.monotonic() - began_s < 3.0 + SLACK_S, "an answer within 3 s")
-    arm.close()
+    finds_nobody(make_device(bench.name, config, bench.clock), CONNECT_LIMIT_S)
 
 
 @SUITE.case("R19", "an unknown option is refused before anything is opened")
 def unknown_option_is_refused(bench: Bench) -> None:
-    options = {**bench.config.options, "no_such_option": 1}
-    refused(lambda: bench.make(options=options), ConfigurationError, "an unknown option")
+    refuses_unknown_options(bench)
 
 
 def _stopped_on_the_way(

@@ -6,29 +6,31 @@ import contextlib
 import itertools
 import math
 import socket
-import time
 
+from ronna_hw.conformance.any_device import (
+    SLACK_S,
+    closes,
+    ends_within,
+    finds_nobody,
+    offers,
+    refuses_early,
+    refuses_unknown_options,
+    tells_who_answers,
+)
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
 from ronna_hw.conformance.polaris_unit import POLARIS_UNIT
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
 from ronna_hw.devices.tracker import OpticalTracker
-from ronna_hw.errors import (
-    ConfigurationError,
-    ConnectError,
-    LinkTimeout,
-    ProtocolError,
-    RonnaError,
-    StateError,
-)
+from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError, StateError
 
 FRAMES = 15
 CLOSE_LIMIT_S = 5.0
 NORM_TOLERANCE = 1e-6  # readings are normalised, whatever the wire rounds
 READ_LIMIT_S = 0.5
 PAUSE_S = 0.4
-SLACK_S = 1.0  # beyond a time limit, for a busy computer
+CONNECT_LIMIT_S = 3.0
 CARRY_POSE = frozenset({Validity.OK, Validity.PARTIAL})
 WITHOUT_POSE = frozenset({Validity.MISSING, Validity.CORRUPT})
 RECOVERY_READS = 12  # lost readings after which a line that is whole again must give frames
@@ -56,28 +58,21 @@ def tool_readings(bench: Bench) -> list[ToolReading]:
 
 @SUITE.case("T01", "the driver offers the interface of an optical tracker, and starts disconnected")
 def offers_the_interface(bench: Bench) -> None:
-    tracker = bench.make()
-    check(isinstance(tracker, OpticalTracker), "all calls of OpticalTracker", type(tracker).__name__)
-    check(tracker.state is Lifecycle.DISCONNECTED, "state disconnected", tracker.state)
-    check(tracker.name == bench.name, f"the name {bench.name}", tracker.name)
+    offers(bench, OpticalTracker)
 
 
 @SUITE.case("T02", "connecting says who answers")
 def identity_is_answered(bench: Bench) -> None:
-    tracker = bench.make()
-    identity = tracker.connect()
-    check(bool(identity.vendor and identity.model), "vendor and model", identity)
-    check(tracker.state is Lifecycle.CONNECTED, "state connected", tracker.state)
+    tells_who_answers(bench)
 
 
 @SUITE.case("T03", "calls that come too early are refused")
 def early_calls_are_refused(bench: Bench) -> None:
-    tracker = bench.make()
-    for call in ("configure", "activate", "deactivate", "read_frame"):
-        refused(getattr(tracker, call), StateError, f"{call} while disconnected")
-    tracker.connect()
-    for call in ("connect", "activate", "read_frame"):
-        refused(getattr(tracker, call), StateError, f"{call} while connected")
+    refuses_early(
+        bench,
+        disconnected=("configure", "activate", "deactivate", "read_frame"),
+        connected=("connect", "activate", "read_frame"),
+    )
 
 
 @SUITE.case("T04", "configuring loads the tools that the theatre file names")
@@ -173,13 +168,7 @@ def stop_and_start_again(bench: Bench) -> None:
 
 @SUITE.case("T14", "closing is bounded, final, and may be repeated")
 def close_is_bounded(bench: Bench) -> None:
-    tracker = bench.at(Lifecycle.ACTIVE)
-    began_s = time.monotonic()
-    tracker.close()
-    check(time.monotonic() - began_s < CLOSE_LIMIT_S, f"an end within {CLOSE_LIMIT_S} s")
-    check(tracker.state is Lifecycle.CLOSED, "state closed", tracker.state)
-    tracker.close()
-    refused(tracker.connect, StateError, "connect after close")
+    closes(bench.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 
 
 @SUITE.case("T15", "connecting again is a full new session with the same device")
@@ -200,18 +189,12 @@ def nobody_there(bench: Bench) -> None:
         port = free.getsockname()[1]
     scheme = (bench.config.endpoint or "tcp://").partition("://")[0]
     nowhere = "serial:///dev/no-such-port" if scheme == "serial" else f"tcp://127.0.0.1:{port}"
-    tracker = bench.make(endpoint=nowhere)
-    began_s = time.monotonic()
-    error = refused(lambda: tracker.connect(3.0), ConnectError, "connect to nobody")
-    check(isinstance(error, ConnectError) and bool(error.code and error.advice), "a code and advice", error)
-    check(time.monotonic() - began_s < 3.0 + SLACK_S, "an answer within 3 s")
-    tracker.close()
+    finds_nobody(bench.make(endpoint=nowhere), CONNECT_LIMIT_S)
 
 
 @SUITE.case("T17", "an unknown option is refused before anything is opened")
 def unknown_option_is_refused(bench: Bench) -> None:
-    options = {**bench.config.options, "no_such_option": 1}
-    refused(lambda: bench.make(options=options), ConfigurationError, "an unknown option")
+    refuses_unknown_options(bench)
 
 
 @SUITE.case("T18", "a reading from a silent line ends at its time limit", needs=("line faults",))
@@ -219,9 +202,8 @@ def silence_ends_a_reading(bench: Bench) -> None:
     with bench.disturbed_line() as line:
         tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
         line.silence()
-        began_s = time.monotonic()
-        refused(lambda: tracker.read_frame(READ_LIMIT_S), LinkTimeout, "read_frame on a silent line")
-        check(time.monotonic() - began_s < READ_LIMIT_S + SLACK_S, f"an end within {READ_LIMIT_S} s")
+        with ends_within(READ_LIMIT_S + SLACK_S):
+            refused(lambda: tracker.read_frame(READ_LIMIT_S), LinkTimeout, "read_frame on a silent line")
         line.silence(False)
         bench.release()
 
@@ -231,9 +213,8 @@ def close_on_a_dead_line(bench: Bench) -> None:
     with bench.disturbed_line() as line:
         tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
         line.silence()
-        began_s = time.monotonic()
-        tracker.close()
-        check(time.monotonic() - began_s < CLOSE_LIMIT_S, f"an end within {CLOSE_LIMIT_S} s")
+        with ends_within(CLOSE_LIMIT_S):
+            tracker.close()
         check(tracker.state is Lifecycle.CLOSED, "state closed", tracker.state)
 
 
