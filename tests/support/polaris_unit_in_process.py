@@ -310,3 +310,11 @@ def tracker_on(unit: UnitInProcess, clock: StillClock, endpoint: str, **options:
         monotonic=lambda: unit.now_s,
         pause=lambda duration_s: setattr(unit, "now_s", unit.now_s + duration_s),
     )
+
+
+def bring_up(device: PolarisTracker) -> PolarisTracker:
+    """The same device, tracking."""
+    device.connect()
+    device.configure()
+    device.activate()
+    return device

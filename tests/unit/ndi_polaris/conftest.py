@@ -7,7 +7,7 @@ from datetime import date
 from typing import Any
 
 import pytest
-from polaris_unit_in_process import StillClock, UnitInProcess, tracker_on
+from polaris_unit_in_process import StillClock, UnitInProcess, bring_up, tracker_on
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.rom import ToolDefinition, planar_tool
@@ -34,11 +34,7 @@ def make_tracker(unit: UnitInProcess, clock: StillClock) -> Callable[..., Polari
 @pytest.fixture
 def tracker(make_tracker: Callable[..., PolarisTracker]) -> PolarisTracker:
     """A tracker that is tracking."""
-    device = make_tracker()
-    device.connect()
-    device.configure()
-    device.activate()
-    return device
+    return bring_up(make_tracker())
 
 
 @pytest.fixture
