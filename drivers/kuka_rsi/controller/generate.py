@@ -9,8 +9,9 @@ import typer
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from ronna_hw.arm.model import arm_model, degrees6
+from ronna_hw.command_line import console
 from ronna_hw.wire import kuka_eki
-from ronna_hw.wire.kuka_context import RsiContext, context_hash, load_context
+from ronna_hw.wire.kuka_context import AXES, ContextInvalid, RsiContext, context_hash, load_context
 
 TEMPLATES = {
     "ethernet.xml.j2": "{name}_eth.xml",
@@ -23,6 +24,7 @@ TEMPLATES = {
 STOP_MODES = {"InfoMessage": 0, "PathNormal": 1, "Velocity": 2, "PathFast": 3, "ExitMoveCorr": 4}
 IPO_MODES = {4: "#IPO_FAST", 12: "#IPO"}
 OBJECT_IDS = {"AXISCORR": 33, "AXISCORRMON": 82, "ETHERNET": 64, "STOP": 18}
+OUTPUTS = {"Stat": 1}  # of a correction object, before its axes; RSI 3 files count from 1
 FIRST_UPPER_LIMIT_ID = 13  # parameter ids of AXISCORR: 1..6 lower A, 7..12 lower E, 13..18 upper A
 CONNECTED_FLAG = 951  # $FLAG numbers of the EKI channel; change both here when the cell uses them
 RECEIVED_FLAG = 952
@@ -34,7 +36,21 @@ REAL_VALUES = (
 
 
 def render(context: RsiContext) -> dict[str, str]:
-    """Name and content of every file. Raises jinja2's error when a template asks for what is not there."""
+    """Name and content of every file.
+
+    Raises WIR-001 for a context that uses objects these files have not, and jinja2's error when a template
+    asks for what is not there.
+    """
+    used = {wire.object for wire in context.wiring} | {wire.object for wire in context.feedback}
+    unknown = sorted(used - set(OBJECT_IDS))
+    if unknown:
+        raise ContextInvalid(
+            f"the controller's files have no {', '.join(unknown)}",
+            awaited="wiring and feedback of AXISCORR and STOP only",
+        )
+    axis_wires = {w.input: w.indx for w in context.wiring if w.object == "AXISCORR"}
+    if (axis_wires or context.feedback) and len(axis_wires) < AXES:
+        raise ContextInvalid("the wiring of AXISCORR is not complete", awaited="A1 to A6")
     environment = Environment(
         loader=PackageLoader("drivers.kuka_rsi.controller"),
         undefined=StrictUndefined,
@@ -48,7 +64,9 @@ def render(context: RsiContext) -> dict[str, str]:
         "context": context,
         "hash": context_hash(context),
         "axes": range(1, 7),
-        "axis_wires": {w.input: w.indx for w in context.wiring if w.object == "AXISCORR"},
+        "axis_wires": axis_wires,
+        "feedback": sorted(context.feedback, key=lambda wire: wire.indx),
+        "outputs": OUTPUTS,
         "stop_wire": next((w.indx for w in context.wiring if w.object == "STOP"), None),
         "lower_deg": degrees6(model.lower_rad),
         "upper_deg": degrees6(model.upper_rad),
@@ -87,4 +105,6 @@ def generate(
 
 
 if __name__ == "__main__":
-    typer.run(generate)
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
+    app.command()(generate)
+    console.run(app)

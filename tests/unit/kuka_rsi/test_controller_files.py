@@ -6,12 +6,20 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 
 from drivers.kuka_rsi.controller.generate import render
-from ronna_hw.wire.kuka_context import context_hash, load_context
+from ronna_hw.wire.kuka_context import (
+    ContextInvalid,
+    Feedback,
+    SendElement,
+    Wire,
+    context_hash,
+    load_context,
+)
 from ronna_hw.wire.kuka_eki import StateAttribute
 
 FILES = Path(__file__).parents[3] / "drivers" / "kuka_rsi" / "controller" / "files"
@@ -81,6 +89,35 @@ def test_the_context_wires_each_channel_to_its_object() -> None:
     assert parameters["Precision"] == "4"
     assert parameters["ConfigFile"] == "ronna_rsi_eth.xml"
     assert parameters["Mode"] == "4"
+
+
+def test_the_context_wires_what_is_told_back_to_its_channel() -> None:
+    told = CONTEXT.model_copy(
+        update={
+            "send": (*CONTEXT.send, SendElement(tag="Stat", type="LONG", indx=5)),
+            "feedback": (Feedback(indx=5, object="AXISCORR"),),
+        }
+    )
+    made = render(told)
+    ethernet = ElementTree.fromstring(made["ronna_rsi.rsi.xml"])[0]
+    assert ethernet.get("ObjType") == "ETHERNET"
+    (wire,) = ethernet.findall("Inputs/Input")
+    assert dict(wire.attrib) == {"InIdx": "5", "OutObjID": "AXISCORR1", "OutIdx": "1"}
+    assert '<ELEMENT TAG="Stat" TYPE="LONG" INDX="5"/>' in made["ronna_rsi_eth.xml"]
+    assert ElementTree.fromstring(MADE["ronna_rsi.rsi.xml"])[0].find("Inputs") is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"feedback": (Feedback(indx=5, object="POSCORR"),)}, "no POSCORR"),
+        ({"wiring": (*CONTEXT.wiring, Wire(indx=9, object="MAP2DIGOUT", input="In1"))}, "no MAP2DIGOUT"),
+        ({"wiring": tuple(w for w in CONTEXT.wiring if w.input != "A4")}, "not complete"),
+    ],
+)
+def test_a_context_that_the_files_cannot_carry_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ContextInvalid, match=words):
+        render(CONTEXT.model_copy(update=changes))
 
 
 def test_the_program_asks_for_the_agreed_mode_and_widens_every_limit() -> None:
