@@ -10,6 +10,7 @@ that an idle world costs nothing, unless somebody waits for theatre time.
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import time
@@ -68,6 +69,7 @@ class Station:
         self._tick_s = self._served_s = 0.0
         self._noticed: tuple[RsiState, bool] | None = None
         self._silent = False
+        self._shared_processor = len(os.sched_getaffinity(0)) == 1  # who stays awake keeps the client from it
         self._unchanged = 0
         self._last_command: list[float] = []
         self.cycles = 0
@@ -204,10 +206,14 @@ class Station:
                 self._wait(self._deadline_s)
             else:
                 self._clock.advance_cycle(round(cycle_s * 1e9))
+                self._end_stream_at_rest()  # before anybody is told that the motion is over
                 self._wait_once(0.0, None)  # a motion may be stopped on its way
+        self._end_stream_at_rest()
+        self._notice_change()
+
+    def _end_stream_at_rest(self) -> None:
         if not self._controller.moving:
             self._clock.end_stream()
-        self._notice_change()
 
     def _notice_change(self) -> None:
         """Tell a changed state to the channels at once, not when their period is over."""
@@ -244,8 +250,9 @@ class Station:
         assert self._rsi is not None
         budget = STALE_LIMIT
         self._datagram = None
+        awake = self._unchanged < UNCHANGED_CYCLES and not self._shared_processor
         while True:
-            data = self._rsi.await_datagram()
+            data, awake = self._rsi.await_datagram(awake=awake), False
             now_s = time.monotonic()
             if now_s - self._served_s > SERVE_S:
                 self._wait_once(0.0, None)
