@@ -55,15 +55,14 @@ class Replies:
         """Everything before the IPOC; corrections in deg with six decimals."""
         base = self._base_deg
         a, b, c, d, e, f = joints_rad
-        # The sum with zero turns a negative zero into a plain one.
         return self._writer.head(
             (
-                round(degrees(a) - base[0], 6) + 0.0,
-                round(degrees(b) - base[1], 6) + 0.0,
-                round(degrees(c) - base[2], 6) + 0.0,
-                round(degrees(d) - base[3], 6) + 0.0,
-                round(degrees(e) - base[4], 6) + 0.0,
-                round(degrees(f) - base[5], 6) + 0.0,
+                degrees(a) - base[0],
+                degrees(b) - base[1],
+                degrees(c) - base[2],
+                degrees(d) - base[3],
+                degrees(e) - base[4],
+                degrees(f) - base[5],
             ),
             stop,
         )

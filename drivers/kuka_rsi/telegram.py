@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from math import isfinite
+from operator import itemgetter
 from typing import NamedTuple
 from xml.parsers import expat
 
@@ -33,6 +34,7 @@ KEYWORD_ATTRIBUTES: dict[str, tuple[str, ...]] = {
 }
 GENERATOR_PARAMETERS = 10  # C1 of a Tech element is C11 .. C110
 REPLY_TAIL = b"</IPOC></Sen>"
+ZERO, NEGATIVE_ZERO = b"0.000000", b"-0.000000"  # what a rounded correction must not be written as
 ROOT, ROOT_TYPE = "Rob", "KUKA"
 LONGEST_TELEGRAM = 8192  # one datagram; the common ones are below 1000 bytes
 
@@ -193,12 +195,12 @@ class ReplyWriter:
         parts.append("<IPOC>")
         template = "".join(parts)
         order = re.findall(r"%\((\w+)\)s", template)
-        self._order = [(*AXIS_NAMES, "Stop").index(name) for name in order]
+        self._in_order = itemgetter(*((*AXIS_NAMES, "Stop").index(name) for name in order))
         for name in AXIS_NAMES:
             template = template.replace(f"%({name})s", "%.6f")
         self._template = template.replace("%(Stop)s", "%d").encode("ascii")
 
     def head(self, corrections_deg: JointVector, stop: bool = False) -> bytes:
         """Everything before the IPOC; corrections in deg with six decimals."""
-        values = (*corrections_deg, stop)
-        return self._template % tuple(values[k] for k in self._order)
+        head: bytes = self._template % self._in_order((*corrections_deg, stop))
+        return head.replace(NEGATIVE_ZERO, ZERO) if NEGATIVE_ZERO in head else head

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from drivers.kuka_rsi.errors import BadTelegram
@@ -127,6 +127,16 @@ def test_the_reply_has_the_declared_elements_in_order() -> None:
         b' A5="0.000000" A6="0.000001"/><IPOC>42</IPOC></Sen>'
     )
     assert b"<Stop>1</Stop>" in writer.head((0.0,) * 6, stop=True)
+
+
+@given(st.floats(-400.0, 400.0) | st.floats(-1e-5, 1e-5))
+@example(-4e-7)
+@example(-0.0)
+def test_a_correction_is_rounded_to_six_decimals_and_never_a_negative_zero(value: float) -> None:
+    writer = ReplyWriter("KROSHU", tuple(e.tag for e in CONTEXT.receive), AXES, "Stop")
+    head = writer.head((value, 0.0, 0.0, 0.0, 0.0, value))
+    assert head.count(b'"%.6f"' % (round(value, 6) + 0.0)) >= 2
+    assert b"-0.000000" not in head
 
 
 def test_received_tags_that_feed_nothing_are_sent_as_zero() -> None:
