@@ -22,12 +22,20 @@ from fcntl import ioctl
 from drivers.kuka_rsi.errors import BadTelegram
 from drivers.kuka_rsi.link_state import Command, Orders, Phase, Record
 from drivers.kuka_rsi.mailbox import Mailbox
+from drivers.kuka_rsi.reception import Address, Received, Reception
+from drivers.kuka_rsi.replies import Ready
 from drivers.kuka_rsi.session import SESSION_PHASES, Session
 from drivers.kuka_rsi.settings import LinkSettings
-from drivers.kuka_rsi.telegram import LONGEST_TELEGRAM, REPLY_TAIL, TelegramReader, read_strictly, telegram_of
+from drivers.kuka_rsi.telegram import (
+    LONGEST_TELEGRAM,
+    REPLY_TAIL,
+    Found,
+    TelegramReader,
+    read_strictly,
+    telegram_of,
+)
 from drivers.kuka_rsi.turnaround import bin_of
 
-IDLE_LOOK_S = 0.01  # how long to wait for a telegram before looking at orders, silence and parent
 QUIET_AFTER_PARENT_NS = 100_000_000  # no telegram for so long: nobody is left to answer
 LONGEST_ENDING_CYCLES = 250  # of Stop being sent after the parent is gone
 GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
@@ -35,22 +43,6 @@ RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
 AT_ONCE_NS = 30_000  # waited less for a telegram: it was in the queue already
 LATE_CYCLES = 1.5  # waited so many for a telegram: the host, or the network, was held up
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
-_TIMEVAL = struct.Struct("ll")
-
-Address = tuple[str, int]
-
-
-def bind(host: str, port: int) -> socket.socket:
-    """The socket that the controller sends to. No address reuse: a second listener would take telegrams."""
-    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        link.bind((host, port))
-    except OSError:
-        link.close()
-        raise
-    seconds, rest = divmod(IDLE_LOOK_S, 1.0)
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(seconds), int(rest * 1e6)))
-    return link
 
 
 class LinkLoop:
@@ -64,17 +56,20 @@ class LinkLoop:
         *,
         real_time: bool = False,
         locked: bool = False,
+        stays_awake: bool = False,
     ) -> None:
         self.session = Session(settings)
         self._reader = TelegramReader(settings.send_tags)
         self._link = link
+        lead_us = settings.poll_lead_us if stays_awake else 0
+        self._reception = Reception(link, lead_ns=lead_us * 1000, rehearse=self._rehearse)
         self._mailbox = mailbox
         self._event_fd = settings.event_fd
         self._granted = (real_time, locked)
         self._controller_host = settings.controller_host
         self._queued = bytearray(struct.calcsize("i"))  # FIONREAD: bytes of the next telegram in the queue
         self._received_ns = 0  # when the last telegram was there
-        self._waited_ns = 0  # for it
+        self._last_data = b""  # of the last telegram that was answered
         self._late_ns = round(LATE_CYCLES * settings.cycle_ms * 1e6)
         self._answered_ns = 0  # when the last telegram that was answered was there
         self._paced_ns = round(PACED_SHARE * settings.cycle_ms * 1e6)
@@ -95,27 +90,24 @@ class LinkLoop:
             else:
                 self._serve(*received)
 
-    def _receive(self) -> tuple[bytes, Address] | None:
+    def _receive(self) -> Received | None:
         """The controller's newest telegram, or None when none came for a while."""
-        begun_ns = time.monotonic_ns()
-        try:
-            received: tuple[bytes, Address] = self._link.recvfrom(LONGEST_TELEGRAM)
-        except OSError:  # the time ran out, or the network said something about an earlier reply
+        received = self._reception.next()
+        if received is None:
             return None
-        self._received_ns = received_ns = time.monotonic_ns()
-        self._waited_ns = waited_ns = received_ns - begun_ns
+        self._received_ns = self._reception.received_ns
         # The usual sender first: a call costs as much as the reading of a telegram.
         newest = None if received[1] != self._peer and self._is_foreign(received[1]) else received
         # One that was there at once, or came late, may have others behind it.
-        if not AT_ONCE_NS < waited_ns < self._late_ns:
+        if not AT_ONCE_NS < self._reception.waited_ns < self._late_ns:
             newest = self._drain(newest)
         return newest
 
-    def _drain(self, newest: tuple[bytes, Address] | None) -> tuple[bytes, Address] | None:
+    def _drain(self, newest: Received | None) -> Received | None:
         try:
             # Asked first: the exception of an empty queue would cost more than the question.
             while ioctl(self._link, termios.FIONREAD, self._queued) == 0 and any(self._queued):
-                received: tuple[bytes, Address] = self._link.recvfrom(LONGEST_TELEGRAM, socket.MSG_DONTWAIT)
+                received: Received = self._link.recvfrom(LONGEST_TELEGRAM, socket.MSG_DONTWAIT)
                 if not self._is_foreign(received[1]):
                     self.session.dropped += newest is not None
                     newest = received
@@ -135,14 +127,10 @@ class LinkLoop:
 
     def _serve(self, data: bytes, address: Address) -> None:
         session = self.session
-        found, ready = self._reader.match(data), session.ready
-        if (
-            ready is not None
-            and found is not None
-            and found.group("D", "IPOC") == ready.told
-            and self._mailbox.stop_word() == ready.stop_word
-        ):
+        found, ready = self._foreseen(data)
+        if found is not None and ready is not None:
             self._send(ready.reply, address)
+            self._last_data = data
             orders, telegram = self._mailbox.orders(), telegram_of(found)
             session.answered(telegram, orders, self._received_ns)
             self._after_reply(telegram.ipoc, orders)
@@ -164,6 +152,22 @@ class LinkLoop:
         self._send(head + telegram.ipoc + REPLY_TAIL, address)
         self._after_reply(telegram.ipoc, orders)
 
+    def _foreseen(self, data: bytes) -> tuple[Found | None, Ready | None]:
+        """A telegram of the usual form, and the reply made ready when that is the one to send."""
+        found, ready = self._reader.match(data), self.session.ready
+        if (
+            ready is None
+            or found is None
+            or found.group("D", "IPOC") != ready.told
+            or self._mailbox.stop_word() != ready.stop_word
+        ):
+            return found, None
+        return found, ready
+
+    def _rehearse(self) -> None:
+        """What comes between telegram and reply, without effect: so that it lies in the caches."""
+        self._foreseen(self._last_data)
+
     def _send(self, reply: bytes, address: Address) -> None:
         try:
             self._link.sendto(reply, address)
@@ -172,6 +176,9 @@ class LinkLoop:
         sent_ns = time.monotonic_ns()
         if self._received_ns - self._answered_ns > self._paced_ns:
             time.sleep(GIVEN_AWAY_S)
+            self._reception.paced()
+        else:
+            self._reception.hurried()
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 

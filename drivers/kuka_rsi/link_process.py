@@ -12,17 +12,19 @@ import sys
 import threading
 from types import FrameType
 
-from drivers.kuka_rsi.link_loop import LinkLoop, bind
+from drivers.kuka_rsi.link_loop import LinkLoop
 from drivers.kuka_rsi.link_state import NO_STATE, Phase
 from drivers.kuka_rsi.mailbox import Mailbox
 from drivers.kuka_rsi.real_time import (
     PARENT_DEATH_SIGNAL,
+    another_processor,
     lock_memory,
     run_first,
     sleep_exactly,
     stop_collecting,
     tell_parent_death,
 )
+from drivers.kuka_rsi.reception import bind
 from drivers.kuka_rsi.settings import LinkSettings
 
 EXIT_NOT_STARTED = 2
@@ -43,7 +45,14 @@ def main() -> int:
         os.eventfd_write(settings.event_fd, 1)
         return EXIT_NOT_STARTED
     locked = lock_memory()
-    loop = LinkLoop(settings, link, mailbox, real_time=run_first(settings.real_time_priority), locked=locked)
+    loop = LinkLoop(
+        settings,
+        link,
+        mailbox,
+        real_time=run_first(settings.real_time_priority),
+        locked=locked,
+        stays_awake=another_processor(),
+    )
     _watch_parent(loop, settings.parent_pid)
     sleep_exactly()
     stop_collecting()

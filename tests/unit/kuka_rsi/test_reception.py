@@ -1,0 +1,229 @@
+"""Reception stays awake for a telegram that is due, and at no other time. Time is told, never measured."""
+
+from __future__ import annotations
+
+import errno
+import socket
+from collections.abc import Iterable
+
+import pytest
+from rsi_loop import CYCLE_MS, FIRST_IPOC, InProcessLink, telegram
+
+from drivers.kuka_rsi.link_state import StopOrder
+from drivers.kuka_rsi.pace import MOST_MISSING, STEADY_ARRIVALS, Pace
+from drivers.kuka_rsi.reception import REST_TELEGRAMS, VAIN_IN_A_ROW, Reception
+
+CYCLE_NS = 4_000_000
+LEAD_NS = 150_000
+LOOK_NS = 1_000  # what one question costs
+IDLE_NS = 10_000_000  # a blocking call gives up
+CONTROLLER = ("127.0.0.1", 40000)
+BEGIN_NS = 1_000_000_000
+
+
+class ToldTime:
+    """A socket, a clock and sleep in one: telegrams come when the test says so."""
+
+    def __init__(self, arrivals_ns: Iterable[int]) -> None:
+        self.now_ns = BEGIN_NS
+        self.arrivals_ns = list(arrivals_ns)
+        self.awake_ns: list[int] = []  # moments of questions that were not answered
+        self.rehearsals = 0
+
+    def recvfrom(self, _size: int, flags: int = 0) -> tuple[bytes, tuple[str, int]]:
+        self.now_ns += LOOK_NS
+        if flags & socket.MSG_DONTWAIT:
+            if not self._is_there(self.now_ns):
+                self.awake_ns.append(self.now_ns)
+                raise BlockingIOError
+        elif not self._is_there(self.now_ns + IDLE_NS):
+            self.now_ns += IDLE_NS
+            raise OSError(errno.EAGAIN, "the time ran out")
+        self.now_ns = max(self.now_ns, self.arrivals_ns.pop(0))
+        return b"telegram", CONTROLLER
+
+    def sleep(self, _link: object, limit_s: float) -> bool:
+        end_ns = self.now_ns + round(limit_s * 1e9)
+        came = self._is_there(end_ns)
+        self.now_ns = max(self.now_ns, self.arrivals_ns[0]) if came else end_ns
+        return came
+
+    def rehearse(self) -> None:
+        self.rehearsals += 1
+
+    def reception(self, lead_ns: int = LEAD_NS) -> Reception:
+        return Reception(
+            self,  # type: ignore[arg-type]
+            lead_ns=lead_ns,
+            rehearse=self.rehearse,
+            now_ns=lambda: self.now_ns,
+            sleep=self.sleep,
+        )
+
+    def _is_there(self, moment_ns: int) -> bool:
+        return bool(self.arrivals_ns) and self.arrivals_ns[0] <= moment_ns
+
+
+def places(count: int, cycle_ns: int = CYCLE_NS) -> list[int]:
+    """An absolute schedule."""
+    return [BEGIN_NS + cycle_ns * k for k in range(1, count + 1)]
+
+
+def served(world: ToldTime, reception: Reception) -> int:
+    """Telegrams received until nothing has come three times; each after a whole cycle."""
+    count = nothing = 0
+    while nothing < 3:
+        if reception.next() is None:
+            nothing += 1
+        else:
+            count += 1
+            nothing = 0
+            reception.paced()
+    return count
+
+
+@pytest.mark.parametrize("cycle_ns", [1_000_000, 4_000_000])
+def test_awake_from_the_lead_on_before_each_telegram_once_the_pace_is_known(cycle_ns: int) -> None:
+    due_ns = places(60, cycle_ns)
+    world = ToldTime(due_ns)
+    reception = world.reception()
+    assert served(world, reception) == 60
+    learning = STEADY_ARRIVALS + 2
+    assert not [moment for moment in world.awake_ns if moment < due_ns[learning] - LEAD_NS]
+    for due in due_ns[learning:]:
+        looks = [moment for moment in world.awake_ns if abs(moment - due) <= LEAD_NS + LOOK_NS]
+        assert len(looks) == pytest.approx(LEAD_NS / LOOK_NS, abs=2)
+    assert world.rehearsals == len(due_ns[learning:]) + 1  # and once for the telegram that never came
+
+
+def test_when_the_telegrams_cease_one_more_is_waited_for_and_then_all_sleep() -> None:
+    due_ns = places(30)
+    world = ToldTime(due_ns)
+    reception = world.reception()
+    served(world, reception)
+    after = [moment for moment in world.awake_ns if moment > due_ns[-1]]
+    assert min(after) >= due_ns[-1] + CYCLE_NS - LEAD_NS
+    assert max(after) <= due_ns[-1] + CYCLE_NS + LEAD_NS + 2 * LOOK_NS
+    assert len(after) == pytest.approx(2 * LEAD_NS / LOOK_NS, abs=2)
+
+
+def test_orders_and_silence_are_looked_at_as_often_as_without() -> None:
+    world = ToldTime(places(30))
+    reception = world.reception()
+    served(world, reception)
+    begun_ns = world.now_ns
+    assert reception.next() is None
+    assert world.now_ns - begun_ns <= IDLE_NS + LOOK_NS
+
+
+def test_a_lead_of_zero_never_stays_awake() -> None:
+    world = ToldTime(places(40))
+    assert served(world, world.reception(lead_ns=0)) == 40
+    assert world.awake_ns == []
+    assert world.rehearsals == 0
+
+
+def test_telegrams_that_follow_on_the_heels_of_the_reply_are_slept_for() -> None:
+    world = ToldTime([BEGIN_NS + 120_000 * k for k in range(1, 200)])
+    reception = world.reception()
+    while world.arrivals_ns:
+        reception.next()
+        reception.hurried()
+    assert world.awake_ns == []
+
+
+def test_a_controller_that_begins_to_hurry_is_slept_for_from_then_on() -> None:
+    paced = places(20)
+    hurried = [paced[-1] + 120_000 * k for k in range(1, 100)]
+    world = ToldTime(paced + hurried)
+    reception = world.reception()
+    for _ in paced:
+        reception.next()
+        reception.paced()
+    for _ in hurried:
+        assert reception.next() is not None
+        reception.hurried()
+    assert [moment for moment in world.awake_ns if moment > paced[-1]] == []
+
+
+def test_an_early_telegram_is_taken_when_it_comes() -> None:
+    due_ns = places(30)
+    due_ns[-1] -= 700_000
+    world = ToldTime(due_ns)
+    reception = world.reception()
+    for _ in due_ns:
+        reception.next()
+        reception.paced()
+    assert reception.received_ns - due_ns[-1] <= LOOK_NS
+
+
+def test_in_vain_some_times_it_leaves_off_for_a_while_and_tries_again() -> None:
+    # Whoever sends needs this very processor: each telegram comes when reception has gone to sleep.
+    late_ns = LEAD_NS + 5 * LOOK_NS
+    world = ToldTime([])
+    reception = world.reception()
+    due_ns = BEGIN_NS
+    vain: list[int] = []
+    for number in range(2 * REST_TELEGRAMS):
+        due_ns += CYCLE_NS
+        before = len(world.awake_ns)
+        expected_ns = reception._pace.due_ns
+        will_be_awake = expected_ns and not reception._resting
+        world.arrivals_ns.append(expected_ns + late_ns if will_be_awake else due_ns)
+        assert reception.next() is not None
+        reception.paced()
+        if len(world.awake_ns) > before:
+            vain.append(number)
+    first = vain[:VAIN_IN_A_ROW]
+    assert first == list(range(first[0], first[0] + VAIN_IN_A_ROW))
+    assert vain[VAIN_IN_A_ROW] - first[-1] >= REST_TELEGRAMS
+    assert len(vain) <= 2 * VAIN_IN_A_ROW
+
+
+def test_the_schedule_survives_telegrams_that_never_come_and_those_that_come_late() -> None:
+    pace = Pace()
+    due_ns = places(80)
+    for number, due in enumerate(due_ns):
+        if number % 5 == 3:
+            continue
+        pace.arrived(due + 300_000 * (number % 7 == 2))
+    assert pace.due_ns - (due_ns[-1] + CYCLE_NS) == pytest.approx(0, abs=LEAD_NS / 2)
+
+
+def test_two_clocks_that_drift_apart_are_followed() -> None:
+    pace = Pace()
+    drifted_ns = [BEGIN_NS + round(CYCLE_NS * 1.0002 * k) for k in range(1, 2000)]
+    for moment in drifted_ns:
+        pace.arrived(moment)
+    assert pace.due_ns - (drifted_ns[-1] + CYCLE_NS * 1.0002) == pytest.approx(0, abs=2_000)
+
+
+@pytest.mark.parametrize("jump_ns", [CYCLE_NS // 2, (MOST_MISSING + 2) * CYCLE_NS])
+def test_another_schedule_is_learnt_anew(jump_ns: int) -> None:
+    pace = Pace()
+    for moment in places(20):
+        pace.arrived(moment)
+    assert pace.due_ns
+    pace.arrived(places(20)[-1] + jump_ns)
+    assert pace.due_ns == 0
+
+
+def test_a_rehearsal_changes_nothing_and_sends_nothing() -> None:
+    link = InProcessLink()
+    try:
+        link.open()
+        link.receive(telegram(FIRST_IPOC))
+        link.receive(telegram(FIRST_IPOC + CYCLE_MS))
+        session = link.loop.session
+        before = (session.state(real_time=False, locked=False), session.ready, session.cycles)
+        sent, memory = len(link.replies.sent), link.mailbox.read_state()
+        link.loop._rehearse()
+        assert (session.state(real_time=False, locked=False), session.ready, session.cycles) == before
+        assert (len(link.replies.sent), link.mailbox.read_state()) == (sent, memory)
+        link.stop(StopOrder.PROTECTIVE)
+        link.loop._rehearse()  # an order that has come meanwhile is not taken by it
+        assert session.state(real_time=False, locked=False) == before[0]
+        link.receive(telegram(FIRST_IPOC + 2 * CYCLE_MS))
+        assert session.state(real_time=False, locked=False).stop_number == 1
+    finally:
+        link.close()
