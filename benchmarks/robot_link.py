@@ -1,16 +1,18 @@
 """The robot link beside bare exchanges and peers, idle and with the machine's other processor at work.
 
-Lock-step: cycles per second through simulator and driver. Turnaround: telegram sent to matching reply read,
-as a controller sees it, 1 ms and 4 ms apart. Goals are held against an echo of the same minutes.
+Lock-step: cycles per second through simulator and driver while the arm moves, by the driver's own record; and
+of whole moves, where planning comes first and nothing passes meanwhile. Turnaround: telegram sent to matching
+reply read, as a controller sees it, 1 ms and 4 ms apart. Goals are held against an echo of the same minutes.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
@@ -18,6 +20,7 @@ from benchmarks.contest import contest, family_cpu_s, process_cpu_s
 from benchmarks.controller_probe import ControllerProbe, bare_telegram
 from benchmarks.figures import Figure, compared
 from benchmarks.robot_cell import RobotCell, peer
+from drivers.kuka_rsi.errors import RecordedCycle
 from ronna_hw.devices.readings import JointVector
 
 ETHERNET_FILE = (
@@ -29,27 +32,29 @@ SWING_RAD = 0.6
 BARE_EXCHANGES = 1000
 TELEGRAMS_PER_BLOCK = 500
 FAST_S, FAST_TELEGRAMS = 0.001, 20_000
-CYCLE_S, CYCLE_TELEGRAMS = 0.004, 2_500
-LOADED_TELEGRAMS = 5_000
+CYCLE_S, CYCLE_TELEGRAMS = 0.004, 2_000
+LOADED_TELEGRAMS, LOADED_CYCLE_TELEGRAMS = 5_000, 1_500
 LOCK_STEP_GOAL_HZ, LOADED_LOCK_STEP_GOAL_HZ = 8_000.0, 4_000.0
 MEDIAN_ABOVE_ECHO_GOAL_S = 15e-6
 P99_OVER_ECHO_GOAL = 3.0
 ECHO, LINK_AT_REST, LINK_MOVING, RSIPI = "bare UDP echo", "driver at rest", "driver moving", "RSIPI"
 BUSY_PARENT = "driver moving, its program busy"
+ASLEEP = "driver moving, never awake for a telegram"
 
 
 def measure() -> list[Figure]:
     """All of them."""
     figures = [*_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
     figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
-    figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
+    at_cycle = (LINK_AT_REST, LINK_MOVING, ASLEEP, RSIPI)
+    figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, at_cycle)
     with _image_load():
         name = "lock-step cycles per second beside an image load"
         figures += _lock_step(name, LOADED_ROUNDS, LOADED_LOCK_STEP_GOAL_HZ)
         name = "turnaround at 1 ms beside an image load"
         figures += _turnaround(name, FAST_S, LOADED_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, BUSY_PARENT))
         name = "turnaround at 4 ms beside an image load"
-        figures += _turnaround(name, CYCLE_S, CYCLE_TELEGRAMS, (LINK_MOVING, BUSY_PARENT))
+        figures += _turnaround(name, CYCLE_S, LOADED_CYCLE_TELEGRAMS, (LINK_MOVING, BUSY_PARENT))
     return figures
 
 
@@ -65,10 +70,11 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
         home = cell.arm.read_state().joints_rad
         away: JointVector = (home[0] + SWING_RAD, *home[1:])
         ends = [away, home]
-        link_pid = cell.arm._ways.open_link._process.pid if cell.arm._ways.open_link else 0
-        pids = {"simulator": cell.controller.process.pid, "driver's process": link_pid}
+        link = cell.arm._ways.link
+        pids = {"simulator": cell.controller.process.pid, "driver's process": link._process.pid}
         spent = {name: 0.0 for name in pids}
         cycles_seen = 0
+        whole_moves_hz: list[float] = []
 
         def move() -> float:
             nonlocal cycles_seen
@@ -81,7 +87,8 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
             for name, pid in pids.items():
                 spent[name] += process_cpu_s(pid) - before[name]
             cycles_seen += cycles
-            return cycles / elapsed
+            whole_moves_hz.append(cycles / elapsed)
+            return rate_in_motion(link.recorded_cycles())
 
         probe = ControllerProbe(int(echo.ready["port"]))
 
@@ -96,9 +103,20 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
         probe.close()
         figures = compared(measure, "1/s", samples, baseline)
         figures[0] = figures[0].with_goal(at_least=goal_hz)
+        figures.append(Figure(f"{measure}, planning included", figures[0].who, median(whole_moves_hz), "1/s"))
         for name, cpu_s in spent.items():
             figures.append(Figure(f"CPU per cycle of {measure}", name, cpu_s / cycles_seen * 1e6, "µs"))
         return figures
+
+
+def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
+    """Cycles per second of the host among those in which the set-point changed; 0 when none did."""
+    gaps_ns = [
+        later.received_ns - earlier.received_ns
+        for earlier, later in pairwise(cycles)
+        if later.cycle == earlier.cycle + 1 and later.sent_rad != earlier.sent_rad
+    ]
+    return len(gaps_ns) / sum(gaps_ns) * 1e9 if gaps_ns else 0.0
 
 
 def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[str, ...]) -> list[Figure]:
@@ -108,6 +126,7 @@ def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[
         LINK_AT_REST: ("rsi_link", "rest"),
         LINK_MOVING: ("rsi_link", "move"),
         BUSY_PARENT: ("rsi_link", "move", "busy"),
+        ASLEEP: ("rsi_link", "move", "asleep"),
         RSIPI: ("rsipi_client", str(ETHERNET_FILE)),
     }
     with ExitStack() as stack:
@@ -128,12 +147,18 @@ def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[
         rounds = telegrams // TELEGRAMS_PER_BLOCK
         samples = contest({name: partial(block, name) for name in peers}, rounds)
         figures = compared(measure, "µs", samples, ECHO, scale=1e6)
-        per_telegram = {name: [cpu_s[name] / len(probes[name].turnarounds_s)] for name in peers}
+        sent = {name: len(probe.turnarounds_s) + probe.unanswered for name, probe in probes.items()}
+        per_telegram = {name: [cpu_s[name] / sent[name]] for name in peers}
+        share = {name: [cpu_s[name] / (sent[name] * pace_s)] for name in peers}
         figures = [_with_tail(figure, probes[figure.who]) for figure in figures]
         return [
             *figures,
             *_held_against_echo(measure, probes),
             *compared(f"CPU per telegram, {measure}", "µs", per_telegram, ECHO, scale=1e6),
+            *(
+                Figure(f"share of one processor, {measure}", who, of[0] * 100.0, "%")
+                for who, of in share.items()
+            ),
         ]
 
 
@@ -143,7 +168,7 @@ def _held_against_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iter
     echo_median_s, echo_p99_s = echo.share(0.5), echo.share(0.99)
     for who, probe in probes.items():
         above_s, p99_s = probe.share(0.5) - echo_median_s, probe.share(0.99)
-        ours = who not in (ECHO, RSIPI)
+        ours = who not in (ECHO, RSIPI, ASLEEP)
         median_met = above_s <= MEDIAN_ABOVE_ECHO_GOAL_S if ours else None
         tail_met = p99_s <= P99_OVER_ECHO_GOAL * echo_p99_s if ours else None
         if who != ECHO:

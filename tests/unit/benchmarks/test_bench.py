@@ -10,8 +10,11 @@ from types import ModuleType
 
 import pytest
 
+from drivers.kuka_rsi.errors import RecordedCycle
+
 ROOT = Path(__file__).resolve().parents[3]
 RUN = ROOT / "benchmarks" / "run.py"
+REST_RAD = (0.0,) * 6
 BUSY = """
 import sys
 for _ in range(2):
@@ -25,10 +28,10 @@ for _ in range(2):
 def bench() -> dict[str, ModuleType]:
     sys.path.append(str(ROOT))
     try:
-        from benchmarks import contest, figures, run
+        from benchmarks import contest, figures, robot_link, run
     finally:
         sys.path.remove(str(ROOT))
-    return {"contest": contest, "figures": figures, "run": run}
+    return {"contest": contest, "figures": figures, "robot_link": robot_link, "run": run}
 
 
 def test_contestants_take_turns_and_the_first_rounds_do_not_count(bench: dict[str, ModuleType]) -> None:
@@ -65,6 +68,20 @@ def test_a_goal_is_for_the_value_or_for_the_ratio_and_a_miss_is_called_one(
     assert not ours.with_goal(at_least_ratio=0.5).met
     with pytest.raises(ValueError, match="baseline"):
         bare.with_goal(at_least_ratio=1.0)
+
+
+def test_the_rate_in_lock_step_is_of_the_cycles_in_which_the_arm_moves(bench: dict[str, ModuleType]) -> None:
+    def cycle(number: int, received_us: int, A1_rad: float) -> RecordedCycle:
+        return RecordedCycle(
+            number, 4 * number, received_us * 1000, 10.0, "go", REST_RAD, (A1_rad, *REST_RAD[1:])
+        )
+
+    waiting = [cycle(1, 0, 0.0), cycle(2, 4000, 0.0), cycle(3, 8000, 0.0)]
+    moving = [cycle(4, 8100, 0.1), cycle(5, 8200, 0.2), cycle(6, 8300, 0.3)]
+    afterwards = [cycle(7, 8400, 0.3), cycle(9, 19_000, 0.4)]
+    rate_hz = bench["robot_link"].rate_in_motion([*waiting, *moving, *afterwards])
+    assert rate_hz == pytest.approx(10_000.0)
+    assert bench["robot_link"].rate_in_motion(waiting) == 0.0
 
 
 def test_processor_time_of_a_process_grows_with_its_work(bench: dict[str, ModuleType]) -> None:
