@@ -30,22 +30,31 @@ def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) 
     return np.asarray(difference < tolerance_mm).reshape(nodes, nodes)
 
 
-def prune(adjacency: NDArray[np.bool_], smallest: int) -> NDArray[np.bool_]:
-    """Remove the edges that no clique of `smallest` nodes can hold: too few common neighbours.
+def prune(neighbours: list[int], smallest: int) -> list[int]:
+    """Rows of the graph without the edges that no clique of `smallest` nodes can hold.
 
-    Counted on packed bits: a matrix product would wake the threads of the linear algebra library.
+    Both ends of an edge of such a clique have all its other nodes as common neighbours.
     """
-    kept = np.triu(adjacency)
-    first, second = np.nonzero(kept)
-    while True:
-        both = kept | kept.T
-        rows = np.packbits(both, axis=1)
-        common = np.bitwise_count(rows[first] & rows[second]).sum(axis=1, dtype=np.intp)
-        enough = common >= smallest - 2
-        if enough.all():
-            return np.asarray(both)
-        kept[first[~enough], second[~enough]] = False
-        first, second = first[enough], second[enough]
+    kept = list(neighbours)
+    waiting = [node for node, row in enumerate(kept) if row]
+    while waiting:
+        touched = 0
+        for node in waiting:
+            row = kept[node]
+            if row.bit_count() < smallest - 1:
+                lost = row
+            else:
+                lost = 0
+                for other in bits(row):
+                    if (row & kept[other]).bit_count() < smallest - 2:
+                        lost |= 1 << other
+            if lost:
+                kept[node] ^= lost
+                touched |= kept[node] | lost
+                for other in bits(lost):
+                    kept[other] &= ~(1 << node)
+        waiting = bits(touched)
+    return kept
 
 
 @dataclass
@@ -66,15 +75,11 @@ class CliqueSearch:
 
     def run(self) -> list[int]:
         """The maximal cliques as bit masks over the nodes, of at least `fewest` and near the largest size."""
-        graph = prune(self.adjacency, self.fewest)
-        self._neighbours = bit_rows(graph)
-        self.largest = self._greedy(graph)
+        self._neighbours = prune(bit_rows(self.adjacency), self.fewest)
+        self.largest = self._greedy()
         if self._bound() > self.fewest:
-            graph = prune(graph, self._bound())
-            self._neighbours = bit_rows(graph)
-        nodes = 0
-        for node in np.flatnonzero(graph.any(axis=1)).tolist():
-            nodes |= 1 << node
+            self._neighbours = prune(self._neighbours, self._bound())
+        nodes = sum(1 << node for node, row in enumerate(self._neighbours) if row)
         if nodes:
             self._extend(0, 0, nodes, 0)
         bound = self._bound()
@@ -83,13 +88,12 @@ class CliqueSearch:
     def _bound(self) -> int:
         return max(self.fewest, self.largest - self.slack)
 
-    def _greedy(self, graph: NDArray[np.bool_]) -> int:
+    def _greedy(self) -> int:
         """Size of one large clique, grown from the best connected node; a first bound for the search."""
-        degrees = np.count_nonzero(graph, axis=1)
-        if not degrees.any():
+        best = max(self._neighbours, key=int.bit_count, default=0)
+        if not best:
             return 0
-        node = int(degrees.argmax())
-        candidates, size = self._neighbours[node], 1
+        candidates, size = best, 1
         while candidates:
             node = max(bits(candidates), key=lambda one: (candidates & self._neighbours[one]).bit_count())
             candidates &= self._neighbours[node]

@@ -44,9 +44,13 @@ class Prior:
 
     def allows(self, rotation: Array) -> bool:
         """Whether a rotation (3, 3) lies within the tolerance."""
-        turn = np.asarray(self.rotation.as_matrix(), dtype=float).T @ rotation
-        cosine = 0.5 * (float(np.trace(turn)) - 1.0)
-        return math.acos(min(1.0, max(-1.0, cosine))) <= self.tolerance_rad
+        return turn_rad(np.asarray(self.rotation.as_matrix(), dtype=float), rotation) <= self.tolerance_rad
+
+
+def turn_rad(one: Array, other: Array) -> float:
+    """Angle between two rotations (3, 3)."""
+    cosine = 0.5 * (float(np.vdot(one, other)) - 1.0)  # the trace of one^T other
+    return math.acos(min(1.0, max(-1.0, cosine)))
 
 
 @dataclass(frozen=True)

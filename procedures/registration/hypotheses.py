@@ -2,7 +2,8 @@
 
 All candidates of one size are fitted in one stack. Scores are natural logarithms (nats) of the odds
 against "all of these are unrelated points": residuals cost q/2, every pair beyond the second earns what
-the chance of hitting a point within the noise by accident is worth.
+the chance of hitting a point within the noise by accident is worth, and what is known beforehand: most
+points are spheres that both sides see, not strays.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 GATE_FALSE_ALARM = 1e-6  # probability that the gate rejects true pairs
 OUTLIER_BALL_RADIUS_MM = 300.0  # stray readings lie within this ball around the head
 LN_OUTLIER_VOLUME = math.log(4.0 / 3.0 * math.pi * OUTLIER_BALL_RADIUS_MM**3)
+LN_PAIR_ODDS = math.log(10.0)  # that two points which could be one sphere are, before looking closer
 LINE_RATIO = 1e-3  # second over first singular value: below it a set is a line and fixes no rotation
 
 
@@ -36,7 +38,7 @@ class Noise:
     @property
     def nats_per_pair(self) -> float:
         """What one more agreeing pair is worth."""
-        return LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
+        return LN_PAIR_ODDS + LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
 
     def most_nats(self, pairs: int) -> float:
         """The score that no candidate of this size can exceed."""
@@ -45,8 +47,15 @@ class Noise:
 
 @lru_cache(maxsize=64)
 def gate(pairs: int) -> float:
-    """Limit of the residual chi-square of a rigid fit of that many pairs."""
-    return float(chdtri(3 * pairs - 6, GATE_FALSE_ALARM))
+    """Limit of the residual chi-square of a rigid fit of that many pairs, for either shape of the noise.
+
+    An error that is normal on every axis leaves chi-square with 3k - 6 degrees of freedom. One whose length
+    is normal, in any direction, has the same variance and a longer tail: three times a chi-square with one
+    degree per point, of which the fit takes 6 parts in 3k.
+    """
+    per_axis = float(chdtri(3 * pairs - 6, GATE_FALSE_ALARM))
+    by_length = (3.0 - 6.0 / pairs) * float(chdtri(pairs, GATE_FALSE_ALARM))
+    return max(per_axis, by_length)
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.consistency import CLIQUE_SLACK, CliqueSearch, bits, consistency_graph
 from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
 from procedures.registration.hypotheses import Candidate, Noise, evaluate, gate, leave_one_out
 from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.rigid import as_transform
 
 Array = NDArray[np.float64]
 
-DISTANCE_GATE_SIGMAS = 5.0  # wide: with 28 distances per 8 fiducials a narrow gate loses true pairs
+# Wide: 8 fiducials have 28 distances, and one that is left out splits the set in two that contradict each
+# other. Five lose 2 runs of 1,000 when the length of an error is normal, not each axis; the fit decides.
+DISTANCE_GATE_SIGMAS = 7.0
 UNIQUE_MARGIN_NATS = math.log(1e4)
 DROPS_TRIED = 2  # a pairing that fails the gate is judged with up to this many pairs left out
 
@@ -45,7 +47,7 @@ class PairingSearch:
             held, failed = self._evaluate(cliques)
             allowed = [one for one in held if self.prior is None or self.prior.allows(one.rotation)]
             outside_prior = outside_prior or len(allowed) < len(held)
-            nearest = failed or held
+            nearest = held if outside_prior else failed or held
             ranked = sorted(allowed, key=_by_score)
             if search.exhausted:
                 return self._too_noisy(ranked)
@@ -87,13 +89,22 @@ class PairingSearch:
                 else:
                     failed.append(one)
                 tries = 1 if best > -math.inf else DROPS_TRIED
-                if over_full or (not one.passed and drops[one.nodes] < tries):
+                doubtful = not one.passed or self._carries_a_bad_pair(one)
+                if over_full or (doubtful and drops[one.nodes] < tries):
                     again.append(one.nodes)
             for parent in again if size > FEWEST_PAIRS else ():
                 for child in leave_one_out([parent]):
                     waiting.setdefault(size - 1, []).append(child)
                     drops[child] = max(drops.get(child, 0), drops[parent] + 1)
         return held, failed
+
+    def _carries_a_bad_pair(self, one: Candidate) -> bool:
+        """Whether some pair may cost more than it earns, so that the set without it must be looked at.
+
+        A planned pair is not doubted: that it exists is known beforehand.
+        """
+        planned = self.expected is not None and one.size <= self.expected
+        return not planned and 0.5 * one.chi_square > self.noise.nats_per_pair
 
     def _judge(self, ranked: list[Candidate], failed: list[Candidate]) -> Match:
         """UNIQUE when the best beats everything that contradicts it, else why not."""
@@ -195,7 +206,7 @@ class PairingSearch:
     def _hypothesis(self, one: Candidate) -> Hypothesis:
         nodes = np.array(bits(one.nodes), dtype=np.intp)
         pairs = np.stack([nodes // len(self.physical), nodes % len(self.physical)], axis=1)
-        transform = RigidTransform.from_components(one.translation_mm, Rotation.from_matrix(one.rotation))
+        transform = as_transform(one.rotation, one.translation_mm)
         return Hypothesis(pairs, transform, one.chi_square, gate(one.size), one.score_nats)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,16 @@ def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
         rotation @ np.swapaxes(image_centre, -1, -2), axis=-1
     )
     return RigidFit(rotation, translation, spread, np.asarray(mirrored))
+
+
+def as_transform(rotation: Array, translation_mm: Array) -> RigidTransform:
+    """The transform of one fit (3, 3) and (3,), taken as it is: a product of singular vectors is orthogonal.
+
+    To normalize it again would cost as much as the fit.
+    """
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation_mm
+    return RigidTransform(matrix, normalize=False, copy=False)
 
 
 def residuals(fit: RigidFit, image_mm: Array, physical_mm: Array) -> Array:

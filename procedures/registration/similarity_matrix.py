@@ -16,12 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import BadParameter
 from procedures.registration.points import FEWEST_PAIRS, checked_points
-from procedures.registration.rigid import fit_rigid
+from procedures.registration.rigid import as_transform, fit_rigid
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -210,7 +209,7 @@ def _answer(found: SimilarityPairs, image: Array, physical: Array) -> Match:
     transform = None
     if len(found.pairs):
         fit = fit_rigid(image[found.pairs[:, 0]], physical[found.pairs[:, 1]])
-        transform = RigidTransform.from_components(fit.translation_mm, Rotation.from_matrix(fit.rotation))
+        transform = as_transform(fit.rotation, fit.translation_mm)
     used_image, used_physical = set(found.pairs[:, 0].tolist()), set(found.pairs[:, 1].tolist())
     return Match(
         found.status,

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import Match, MatchStatus, Prior
 from procedures.registration.matching import match
 from procedures.registration.points import checked_points
-from procedures.registration.rigid import fit_rigid
+from procedures.registration.rigid import as_transform, fit_rigid
 
 TEMPLATE_SIGMA_MM = 0.05  # per axis: how exactly such a frame is made and measured
 
@@ -66,7 +66,7 @@ def match_by_template(
     return Match(
         MatchStatus.UNIQUE,
         pairs,
-        RigidTransform.from_components(fit.translation_mm, Rotation.from_matrix(fit.rotation)),
+        as_transform(fit.rotation, fit.translation_mm),
         f"all {len(template)} template points were found on both sides",
         runner_up=None,
         margin_nats=min(one.margin_nats for one in sides.values()),

@@ -1,7 +1,7 @@
 """The thesis' correspondence protocol: 3 patients, 3 to 8 fiducials, 0 to 4 outliers, both noises.
 
 Every run is solved by each method on the same points. A run succeeds when the exact pairs are returned; it
-is a false positive when others are; else it is unsuccessful.
+is a false positive when others are, even a part of the right ones; else it is unsuccessful.
 """
 
 from __future__ import annotations
@@ -11,28 +11,31 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.registration.correspondence import MatchStatus, Prior
+from procedures.registration.correspondence import (
+    DEFAULT_PRIOR_TOLERANCE_RAD,
+    Match,
+    MatchStatus,
+    Prior,
+    turn_rad,
+)
 from procedures.registration.matching import match
 from procedures.registration.similarity_matrix import match_many_by_similarity
 from procedures.studies.heads import (
-    DISPLACED_MM,
     IMAGE_SIGMA_MM,
-    OUTLIER_BALL_MM,
     PATIENTS,
     PHYSICAL_SIGMA_MM,
-    SITES,
     NoiseReading,
-    any_pose,
-    disturbance,
     in_balls,
     per_axis_mm,
     sites_mm,
 )
+from procedures.studies.readings import Readings, draw_readings
 from procedures.studies.unit import Sums, Unit, blocks, generator
 
 Array = NDArray[np.float64]
@@ -55,16 +58,6 @@ class Method(StrEnum):
 
 
 OURS = (Method.CLIQUE, Method.PRIOR, Method.COUNT)
-
-
-@dataclass(frozen=True)
-class Reading:
-    """Shuffled points of both sides with outliers, which belong together, and the true rotation."""
-
-    image_mm: Array
-    physical_mm: Array
-    pairs: Pairs
-    rotation: Rotation
 
 
 @dataclass(frozen=True)
@@ -100,16 +93,27 @@ class CorrespondenceStudy:
         """Outcomes of every method, as `method|e|outcome` -> count."""
         reading, patient, count, outliers = cell_of(unit.cell)
         random = generator(self.seed, unit)
-        sites = sites_mm(patient)
-        seen = [one_reading(sites, count, outliers, reading, random) for _ in range(unit.runs)]
-        tilts = [Rotation.from_rotvec(in_balls(1, PRIOR_DISTURBED_RAD, random)[0]) for _ in seen]
+        seen = draw_readings(sites_mm(patient), count, outliers, reading, unit.runs, random)
+        tilts = Rotation.from_rotvec(in_balls(unit.runs, PRIOR_DISTURBED_RAD, random))
+        priors = tilts * seen.rotations
+        prior_matrices = np.asarray(priors.as_matrix())
+        rights = [frozenset((i, j) for i, j in one) for one in seen.pairs.tolist()]
         sums: Counter[str] = Counter()
-        for method in self.methods:
-            if method in OURS:
-                for one, tilt in zip(seen, tilts, strict=True):
-                    sums[outcome_key(method, None, _by_clique(one, method, count, reading, tilt))] += 1
+        if any(method in OURS for method in self.methods):
+            for run, right in enumerate(rights):
+                solve = partial(_solve, seen.image_mm[run], seen.physical_mm[run], reading)
+                plain = solve()
+                for method in self.methods:
+                    if method is Method.THESIS:
+                        continue
+                    found = plain
+                    if method is Method.COUNT:
+                        found = solve(expected=count)
+                    elif method is Method.PRIOR and not _stands(plain, prior_matrices[run]):
+                        found = solve(prior=Prior(priors[run]))
+                    sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
         if Method.THESIS in self.methods:
-            sums += _by_thesis(seen, self.tolerances_mm)
+            sums += _by_thesis(seen, rights, self.tolerances_mm)
         return {key: float(value) for key, value in sums.items()}
 
 
@@ -129,47 +133,45 @@ def outcome_key(method: Method, tolerance_mm: float | None, outcome: str) -> str
     return f"{method.value}|{'' if tolerance_mm is None else tolerance_mm}|{outcome}"
 
 
-def one_reading(
-    sites: Array, count: int, outliers: int, noise: NoiseReading, random: np.random.Generator
-) -> Reading:
-    """One run of the protocol: displaced sites, a random subset, noise, outliers, both sides shuffled."""
-    displaced = sites + in_balls(SITES, DISPLACED_MM, random)
-    points = displaced[random.choice(SITES, count, replace=False)]
-    truth = any_pose(random)
-    image = points + disturbance((count, 3), IMAGE_SIGMA_MM, noise, random)
-    physical = truth.apply(points) + disturbance((count, 3), PHYSICAL_SIGMA_MM, noise, random)
-    image = np.vstack([image, image.mean(axis=0) + in_balls(outliers, OUTLIER_BALL_MM, random)])
-    physical = np.vstack([physical, physical.mean(axis=0) + in_balls(outliers, OUTLIER_BALL_MM, random)])
-    image_order, physical_order = random.permutation(len(image)), random.permutation(len(physical))
-    where_image, where_physical = np.argsort(image_order), np.argsort(physical_order)
-    pairs = frozenset((int(where_image[k]), int(where_physical[k])) for k in range(count))
-    return Reading(image[image_order], physical[physical_order], pairs, truth.rotation)
-
-
 def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
     """Exact pairs succeed; a unique answer with others is false."""
     if status is not MatchStatus.UNIQUE:
         return UNSUCCESSFUL
-    return SUCCESS if frozenset((int(i), int(j)) for i, j in pairs) == right else FALSE
+    return SUCCESS if frozenset((i, j) for i, j in pairs.tolist()) == right else FALSE
 
 
-def _by_clique(one: Reading, method: Method, count: int, noise: NoiseReading, tilt: Rotation) -> str:
-    found = match(
-        one.image_mm,
-        one.physical_mm,
+def _solve(
+    image_mm: Array,
+    physical_mm: Array,
+    noise: NoiseReading,
+    expected: int | None = None,
+    prior: Prior | None = None,
+) -> Match:
+    return match(
+        image_mm,
+        physical_mm,
         sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, noise),
         sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, noise),
-        expected=count if method is Method.COUNT else None,
-        prior=Prior(tilt * one.rotation) if method is Method.PRIOR else None,
+        expected=expected,
+        prior=prior,
     )
-    return verdict(found.status, found.pairs, one.pairs)
 
 
-def _by_thesis(seen: list[Reading], tolerances_mm: Sequence[float]) -> Counter[str]:
-    image, physical = np.array([one.image_mm for one in seen]), np.array([one.physical_mm for one in seen])
+def _stands(plain: Match, prior: Array) -> bool:
+    """Whether a prior (3, 3) leaves the answer without it as it is, so that no second solve is needed.
+
+    A prior takes hypotheses away. The one that beats all others beats those that are left, unless it is
+    itself taken away.
+    """
+    if plain.transform is None or plain.status is not MatchStatus.UNIQUE:
+        return False
+    return turn_rad(prior, plain.transform.as_matrix()[:3, :3]) <= DEFAULT_PRIOR_TOLERANCE_RAD
+
+
+def _by_thesis(seen: Readings, rights: Sequence[Pairs], tolerances_mm: Sequence[float]) -> Counter[str]:
     sums: Counter[str] = Counter()
     for tolerance_mm in tolerances_mm:
-        found = match_many_by_similarity(image, physical, np.full(len(seen), tolerance_mm))
-        for one, pairs in zip(seen, found, strict=True):
-            sums[outcome_key(Method.THESIS, tolerance_mm, verdict(pairs.status, pairs.pairs, one.pairs))] += 1
+        found = match_many_by_similarity(seen.image_mm, seen.physical_mm, np.full(len(seen), tolerance_mm))
+        for right, pairs in zip(rights, found, strict=True):
+            sums[outcome_key(Method.THESIS, tolerance_mm, verdict(pairs.status, pairs.pairs, right))] += 1
     return sums

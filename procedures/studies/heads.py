@@ -55,14 +55,14 @@ def in_balls(count: int, radius_mm: float, random: np.random.Generator) -> Array
 
 
 def disturbance(
-    shape: tuple[int, int], sigma_mm: float, reading: NoiseReading, random: np.random.Generator
+    shape: tuple[int, ...], sigma_mm: float, reading: NoiseReading, random: np.random.Generator
 ) -> Array:
-    """Noise (n, 3): normal on every axis, or a normal length in any direction."""
+    """Noise (..., 3): normal on every axis, or a normal length in any direction."""
     if reading is NoiseReading.PER_AXIS:
         return np.asarray(random.normal(size=shape) * sigma_mm)
     direction = random.normal(size=shape)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return np.asarray(direction * random.normal(size=(shape[0], 1)) * sigma_mm)
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    return np.asarray(direction * random.normal(size=(*shape[:-1], 1)) * sigma_mm)
 
 
 def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:

@@ -1,0 +1,68 @@
+"""Readings as the thesis' protocol draws them (5.3.1), many runs of a cell at once.
+
+Every run displaces the patient's sites, takes a random subset, disturbs both sides, adds outliers to both and
+shuffles them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from procedures.studies.heads import (
+    AWAY_MM,
+    DISPLACED_MM,
+    IMAGE_SIGMA_MM,
+    OUTLIER_BALL_MM,
+    PHYSICAL_SIGMA_MM,
+    SITES,
+    NoiseReading,
+    disturbance,
+    in_balls,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Points of both sides (runs, n, 3) mm, the indices (runs, k, 2) that belong together, true rotations."""
+
+    image_mm: Array
+    physical_mm: Array
+    pairs: NDArray[np.intp]
+    rotations: Rotation
+
+    def __len__(self) -> int:
+        return len(self.image_mm)
+
+
+def draw_readings(
+    sites_mm: Array, count: int, outliers: int, noise: NoiseReading, runs: int, random: np.random.Generator
+) -> Readings:
+    """`runs` readings of `count` fiducials at displaced sites (8, 3), with outliers on both sides."""
+    displaced = sites_mm + in_balls(runs * SITES, DISPLACED_MM, random).reshape(runs, SITES, 3)
+    chosen = random.permuted(np.tile(np.arange(SITES), (runs, 1)), axis=1)[:, :count]
+    points = np.take_along_axis(displaced, chosen[:, :, None], axis=1)
+    rotations, shifts = Rotation.random(runs, rng=random), random.normal(size=(runs, 1, 3)) * AWAY_MM
+    turned = points @ rotations.as_matrix().swapaxes(1, 2) + shifts
+    image, image_order = _shuffled(
+        points + disturbance(points.shape, IMAGE_SIGMA_MM, noise, random), outliers, random
+    )
+    physical, physical_order = _shuffled(
+        turned + disturbance(points.shape, PHYSICAL_SIGMA_MM, noise, random), outliers, random
+    )
+    where = [np.argsort(order, axis=1)[:, :count] for order in (image_order, physical_order)]
+    return Readings(image, physical, np.stack(where, axis=2), rotations)
+
+
+def _shuffled(points: Array, outliers: int, random: np.random.Generator) -> tuple[Array, NDArray[np.intp]]:
+    """Points and outliers about their centre in random order, and which point each place holds."""
+    runs, count, _ = points.shape
+    strays = in_balls(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
+    everything = np.concatenate([points, points.mean(axis=1, keepdims=True) + strays], axis=1)
+    order = random.permuted(np.tile(np.arange(count + outliers), (runs, 1)), axis=1)
+    return np.take_along_axis(everything, order[:, :, None], axis=1), order
