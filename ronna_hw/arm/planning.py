@@ -19,9 +19,13 @@ from ronna_hw.devices.readings import JointVector, Vector3
 
 SAMPLE_MM = 0.5  # spacing of the checks along a line
 SAMPLE_RAD = radians(0.2)
+SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples they may turn a little faster
 LEAST_SAMPLES = 16  # enough for the second differences of a short line
 LEAST_SPEED_FRACTION = (
     0.05  # of the line speed asked for; slower than that, the path is too near a singularity
+)
+PLANNED_SHARE = (
+    0.98  # of acceleration and jerk: what a stop that knows only set-points may err by is the rest
 )
 STANDSTILL_RAD = 1e-9  # a thousandth of what the wire can say; also taken as mm
 
@@ -132,12 +136,12 @@ def plan_along_tool(
 
 
 def _scaled(reach: list[float], limits: MotionLimits) -> PathLimits:
-    """Limits of s so that no joint exceeds its own when it travels `reach` rad over s = 0..1."""
+    """Limits of s for joints that travel `reach` rad over s = 0..1, so that each keeps its own."""
     longest = [max(r, STANDSTILL_RAD) for r in reach]
     return PathLimits(
         min(v / r for v, r in zip(limits.speed_rad_s, longest, strict=True)),
-        min(a / r for a, r in zip(limits.acceleration_rad_s2, longest, strict=True)),
-        min(j / r for j, r in zip(limits.jerk_rad_s3, longest, strict=True)),
+        PLANNED_SHARE * min(a / r for a, r in zip(limits.acceleration_rad_s2, longest, strict=True)),
+        PLANNED_SHARE * min(j / r for j, r in zip(limits.jerk_rad_s3, longest, strict=True)),
     )
 
 
@@ -168,7 +172,7 @@ def _slowed_for_joints(
             # The largest of each derivative beside this place, so that nothing falls between two samples.
             q1 = max(abs(first[k]), abs(first[k + 1]), abs(first[k + 2]))
             q2 = max(abs(second[k]), abs(second[k + 1]))
-            speed = q1 * v / limits.speed_rad_s[axis]
+            speed = q1 * v / (SAMPLED_SHARE * limits.speed_rad_s[axis])
             acceleration = (q1 * a + q2 * v * v) / limits.acceleration_rad_s2[axis]
             jerk = (q1 * j + 3.0 * q2 * v * a + abs(q3) * v**3) / limits.jerk_rad_s3[axis]
             slower = max(slower, speed, sqrt(acceleration), cbrt(jerk))

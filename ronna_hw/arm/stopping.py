@@ -22,6 +22,7 @@ from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
 from ronna_hw.devices.readings import JointVector
 
 RESTING_RAD_S = 1e-9  # slower is no direction
+SHARE = 0.99  # of acceleration and jerk: a state taken from set-points is not exact; more than plans use
 SPEED_MARGIN = 1.05  # over the limits, for the rounding of a state taken from set-points
 BRAKING_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)  # of the largest deceleration: more of it costs jerk
 
@@ -84,7 +85,7 @@ def _braking(
 ) -> Bounds | None:
     """Deceleration and jerk along a way with which every joint keeps its own, for the shortest stop."""
     most = min(
-        (limits.acceleration_rad_s2[i] - abs(bend[i]) * speed * speed) / abs(direction[i])
+        (SHARE * limits.acceleration_rad_s2[i] - abs(bend[i]) * speed * speed) / abs(direction[i])
         for i in range(AXES)
         if direction[i]
     )
@@ -95,7 +96,7 @@ def _braking(
             break
         length = speed * speed / deceleration
         jerk = min(
-            (limits.jerk_rad_s3[i] - 3.0 * abs(bend[i]) * speed * deceleration)
+            (SHARE * limits.jerk_rad_s3[i] - 3.0 * abs(bend[i]) * speed * deceleration)
             / (abs(direction[i]) + abs(bend[i]) * length)
             for i in range(AXES)
             if direction[i] or bend[i]

@@ -34,7 +34,7 @@ CELL = CellConfig()
 TOOL = Pose((220.0, 0.0, 60.0))
 HEAD_SEMI_AXES_MM = (75.0, 95.0, 90.0)
 MODES = (OperationMode.T1, OperationMode.AUT, OperationMode.EXT)
-ZONE_TOLERANCE = 1.0 + 1e-6  # rounding
+TOLERANCE = 1.0 + 1e-6  # rounding
 CLEARANCE_TOLERANCE_MM = 0.3  # half of the finest motion between two checks of a path
 UNTRUSTED_PATHS = 0.4  # share of the interruptions that do not trust the path
 
@@ -175,7 +175,6 @@ def faults_of(driven: Driven, every: int = 1) -> list[str]:
     # Before the first point and after the last one the arm rests.
     rested = np.concatenate([points[:1]] * 3 + [points] + [points[-1:]] * 3)
     steps = np.diff(rested, axis=0)
-    tolerance = 1.02 if plan.target is not None else 1.0 + 1e-6
     differences = (("speed", steps, limits.speed_rad_s),)
     for order, (name, most) in enumerate(
         (("acceleration", limits.acceleration_rad_s2), ("jerk", limits.jerk_rad_s3)), start=2
@@ -183,7 +182,7 @@ def faults_of(driven: Driven, every: int = 1) -> list[str]:
         differences += ((name, np.diff(rested, order, axis=0), most),)
     for order, (name, values, most) in enumerate(differences, start=1):
         share = float((np.abs(values) / CYCLE_S**order / np.array(most)).max())
-        if share > tolerance:
+        if share > TOLERANCE:
             found.append(f"{name} {share:.4f}")
     return found + _stop_faults(driven) + _room_faults(driven, points, every)
 
@@ -217,6 +216,6 @@ def _room_faults(driven: Driven, points: np.ndarray, every: int) -> list[str]:
         # The step into each place that was looked at, and the one out of it.
         shares = np.maximum(np.append(0.0, moved)[looked_at] / caps, np.append(moved, 0.0)[looked_at] / caps)
         worst = float(shares.max())
-        if worst > ZONE_TOLERANCE:
+        if worst > TOLERANCE:
             found.append(f"zone speed {worst:.4f}")
     return found
