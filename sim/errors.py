@@ -66,3 +66,10 @@ class RoomRefused(ConfigurationError):
 
     code = "SIM-009"
     action = "See ronna-sim mount --help, or ronna-sim fault for all kinds of fault."
+
+
+class BadDeviceParameter(ConfigurationError):
+    """A parameter for a device of the theatre cannot be understood."""
+
+    code = "SIM-010"
+    action = "Write --set robot.NAME=VALUE or --set tracker.NAME=VALUE."

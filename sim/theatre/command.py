@@ -28,6 +28,14 @@ def theatre(
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
     speed: Annotated[Speed, typer.Option(help="max: as fast as the devices go; 1: real time.")] = Speed.MAX,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="DEVICE.NAME=VALUE",
+            help="Change a parameter of the robot or the tracker, as robot.lag_s=0.03; repeatable.",
+        ),
+    ] = None,
 ) -> None:
     """Start all devices over one scene and write theatre.toml; runs until it is ended."""
     import threading
@@ -35,13 +43,15 @@ def theatre(
     from ronna_hw.errors import EXIT_FAILED
     from sim.theatre.faults import read_faults
     from sim.theatre.launch import Theatre
+    from sim.theatre.parameters import parameters_by_device
     from sim.theatre.process import announce, end_with_parent, fail, load_scene
 
     truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
     script = read_faults(faults, truth) if faults else ""
+    parameters = parameters_by_device(parameter or ())
     ended = threading.Event()
     end_with_parent(ended.set)
-    running = Theatre(truth, out, paced=speed is Speed.REAL, faults=script)
+    running = Theatre(truth, out, paced=speed is Speed.REAL, faults=script, parameters=parameters)
     reasons: list[str] = []
     try:
 

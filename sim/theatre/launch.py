@@ -6,7 +6,7 @@ import contextlib
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +29,22 @@ SILENCE_LIMIT_PACED_S = 0.25
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
 
 
+NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
+
+
 class Theatre:
     """A running theatre: world, control port and three device processes."""
 
-    def __init__(self, scene: Scene, folder: Path, *, paced: bool, faults: str = "") -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        folder: Path,
+        *,
+        paced: bool,
+        faults: str = "",
+        parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
+    ) -> None:
+        """`parameters`: NAME=VALUE by device command. Raises PRC-001 when a device does not become ready."""
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.file = folder / THEATRE_FILE
@@ -43,7 +55,7 @@ class Theatre:
         self._control = ControlPort(Room(self.world, folder))
         self._children: list[ChildProcess] = []
         try:
-            self.endpoints = self._start_devices()
+            self.endpoints = self._start_devices(parameters)
             limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S
             write_theatre_file(
                 theatre_content(
@@ -81,7 +93,7 @@ class Theatre:
             child.stop(max(0.0, deadline - time.monotonic()))
         self._control.close()
 
-    def _start_devices(self) -> dict[str, Any]:
+    def _start_devices(self, parameters: Mapping[str, Sequence[str]]) -> dict[str, Any]:
         world = ("--world", self.world.endpoint)
         rsi = f"udp://127.0.0.1:{_free_udp_port()}"
         free = "tcp://127.0.0.1:0"
@@ -91,7 +103,10 @@ class Theatre:
             "basler": world,
         }
         self._children = [
-            ChildProcess.begun(f"ronna-sim {name}", command("sim.cli", name, *more))
+            ChildProcess.begun(
+                f"ronna-sim {name}",
+                command("sim.cli", name, *more, *(f"--set={one}" for one in parameters.get(name, ()))),
+            )
             for name, more in arguments.items()
         ]
         endpoints: dict[str, Any] = {}

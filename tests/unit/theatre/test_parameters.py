@@ -1,0 +1,49 @@
+"""Parameters of single devices, given to the whole theatre."""
+
+from pathlib import Path
+
+import pytest
+
+from sim.errors import BadDeviceParameter
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.launch import Theatre
+from sim.theatre.parameters import parameters_by_device
+
+
+def test_settings_are_sorted_by_device() -> None:
+    given = ("robot.lag_s=0.03", "tracker.line_after_close=kept", "robot.timeout_counting=total")
+    assert parameters_by_device(given) == {
+        "kuka": ("lag_s=0.03", "timeout_counting=total"),
+        "polaris": ("line_after_close=kept",),
+    }
+    assert parameters_by_device(()) == {}
+
+
+@pytest.mark.parametrize("setting", ["lag_s=0.03", "camera.gain=2", "robot.lag_s", "robot", "=1", ""])
+def test_a_setting_of_no_device_is_refused_with_what_to_write(setting: str) -> None:
+    with pytest.raises(BadDeviceParameter, match=r"SIM-010: .*--set robot.NAME=VALUE") as caught:
+        parameters_by_device((setting,))
+    assert "\n" not in str(caught.value)
+
+
+def test_each_device_is_started_with_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    started: dict[str, list[str]] = {}
+
+    class Enough(Exception):
+        pass
+
+    def begun(name: str, arguments: list[str]) -> None:
+        started[name] = arguments
+        if len(started) == 3:
+            raise Enough
+
+    monkeypatch.setattr("sim.theatre.launch.ChildProcess.begun", begun)
+    with pytest.raises(Enough):
+        Theatre(
+            built_in_scene("mini", seed=1),
+            tmp_path,
+            paced=False,
+            parameters=parameters_by_device(("robot.lag_s=0.03", "robot.dead_time_cycles=3")),
+        )
+    assert started["ronna-sim kuka"][-2:] == ["--set=lag_s=0.03", "--set=dead_time_cycles=3"]
+    assert not any("--set" in word for word in (*started["ronna-sim polaris"], *started["ronna-sim basler"]))
