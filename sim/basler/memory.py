@@ -1,8 +1,8 @@
 """Keeps freed memory in the process, so that the next image finds it there.
 
-An image needs some thirty arrays of a few megabytes. The C library gives such memory back to the kernel
-when it is freed, and the kernel clears it page by page when it is asked for again: half of the time that
-drawing takes (measured: 15 of 30 ms for 1024 x 1024 pixels).
+An image needs some arrays of a few megabytes. The C library gives such memory back to the kernel when it
+is freed, and the kernel clears it page by page when it is asked for again. What can be drawn some rows at a
+time is (`row_bands`); this is for the rest: strong defocus, faults on the lens, the images themselves.
 """
 
 from __future__ import annotations

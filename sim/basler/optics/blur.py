@@ -7,7 +7,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Image
+from sim.basler.optics.canvas import Image, row_bands
 
 KERNEL_LIMIT_PX = 2.5  # above, three box filters are as good (their sum is nearly normal) and cheaper
 REACH_SIGMAS = 3.5  # what lies further away adds less than 0.05 %
@@ -25,7 +25,7 @@ def blurred(patch: Image, sigma_px: float) -> Image:
         steps = np.arange(-reach, reach + 1)
         kernel = np.exp(-0.5 * (steps / sigma_px) ** 2)
         kernel = (kernel / kernel.sum()).astype(np.float32)
-        return _convolved(_convolved(patch, kernel, 0), kernel, 1)
+        return _smoothed(patch, kernel)
     # Variance of a box of w pixels is (w^2 - 1) / 12; three of them add up. Only odd widths stay centred.
     ideal = (4.0 * sigma_px**2 + 1.0) ** 0.5
     small = int(ideal) - (1 - int(ideal) % 2)
@@ -37,22 +37,31 @@ def blurred(patch: Image, sigma_px: float) -> Image:
     return patch
 
 
-def _convolved(patch: Image, kernel: Image, axis: int) -> Image:
+def _smoothed(patch: Image, kernel: Image) -> Image:
+    """Down the columns, then along the rows, some rows at a time."""
     reach = len(kernel) // 2
-    padded = _continued(patch, reach, axis)
-    length = patch.shape[axis]
+    padded = _continued(patch, reach, 0)
+    smooth = np.empty_like(patch)
+    for rows in row_bands(*patch.shape):
+        down = _weighed(padded[rows.start : rows.stop + 2 * reach], kernel, 0)
+        smooth[rows] = _weighed(_continued(down, reach, 1), kernel, 1)
+    return smooth
+
+
+def _weighed(padded: Image, kernel: Image, axis: int) -> Image:
+    """The sum over the kernel along an axis, which gets shorter by the kernel's length less one."""
+    reach = len(kernel) // 2
+    length = padded.shape[axis] - 2 * reach
 
     def shifted(step: int) -> Image:
         return padded[step : step + length] if axis == 0 else padded[:, step : step + length]
 
-    total = np.zeros_like(patch)
-    pair = np.empty_like(patch)
+    total: Image = shifted(reach) * kernel[reach]
+    pair = np.empty_like(total)
     for step in range(reach):  # the kernel is symmetric: one multiplication for two taps
         np.add(shifted(step), shifted(2 * reach - step), out=pair)
         pair *= kernel[step]
         total += pair
-    np.multiply(shifted(reach), kernel[reach], out=pair)
-    total += pair
     return total
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, floor
@@ -15,6 +16,7 @@ Image = NDArray[np.float32]
 
 OUTLINE_MARGIN_PX = 3  # an outline is given by points, and a rim has a width
 NEAREST_POINT_MM = 30.0  # the lens is longer than that
+BAND_PIXELS = 1 << 16  # worked on at a time: what is computed of them fits into a processor's cache
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,16 @@ class Area:
     def empty(self) -> bool:
         """True when no pixel lies in it."""
         return self.width == 0 or self.height == 0
+
+
+def row_bands(height: int, width: int) -> Iterator[slice]:
+    """Rows of an image in portions.
+
+    An operation on a whole image writes megabytes of fresh memory, which costs more than the arithmetic.
+    """
+    rows = max(1, BAND_PIXELS // max(1, width))
+    for top in range(0, height, rows):
+        yield slice(top, min(top + rows, height))
 
 
 def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
@@ -84,6 +96,14 @@ class Rays:
         self._per_row = np.append(probe[2] - probe[0], 0.0)
         self._columns = np.arange(area.width) - (area.width - 1) / 2
         self._rows = np.arange(area.height) - (area.height - 1) / 2
+
+    def in_rows(self, rows: slice) -> Rays:
+        """The same rays of some rows only."""
+        part = object.__new__(Rays)
+        part.area = Area(self.area.x, self.area.y + rows.start, self.area.width, rows.stop - rows.start)
+        part._origin, part._per_column, part._per_row = self._origin, self._per_column, self._per_row
+        part._columns, part._rows = self._columns, self._rows[rows]
+        return part
 
     def dot(self, vector: NDArray[np.float64], offset: float = 0.0) -> Image:
         """`vector` (3,) times each ray, plus `offset`: (height, width)."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Area, Image, Rays
+from sim.basler.optics.canvas import Area, Image, Rays, row_bands
 from sim.basler.optics.film import Surface
 from sim.basler.optics.lens import Lens
 
@@ -78,10 +78,27 @@ class SphereImage:
 
 def image_of(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> SphereImage:
     """Draw a sphere of unit brightness over `area`."""
-    rays = Rays(lens, area)
+    shape = (area.height, area.width)
+    whole = Rays(lens, area)
+    image = SphereImage(area, *(np.empty(shape, np.float32) for _ in range(3)))
+    rims = []
+    for rows in row_bands(*shape):
+        inside_px = _draw_inside(sphere, lens, film, whole.in_rows(rows), image, rows)
+        below, right = np.nonzero(np.abs(inside_px) <= BAND_PX)
+        rims.append((below + rows.start, right))
+    if rims:
+        rim = tuple(np.concatenate(parts) for parts in zip(*rims, strict=True))
+        _sample_rim(sphere, lens, film, rim, image)
+    return image
+
+
+def _draw_inside(
+    sphere: Sphere, lens: Lens, film: Surface, rays: Rays, image: SphereImage, rows: slice
+) -> Image:
+    """Some rows of an image, one ray per pixel; returns how far inside the outline each pixel lies."""
     along = rays.dot(sphere.centre_mm)  # the centre along each ray, times the ray's length
     miss = _miss(rays, sphere)
-    inside_px = sphere.radius_mm - np.sqrt(miss / rays.squared)
+    inside_px: Image = sphere.radius_mm - np.sqrt(miss / rays.squared)
     inside_px *= np.float32(lens.focal_px[0] / sphere.tangent_mm)
     # Discriminant of the ray's intersections with the sphere; negative outside.
     discriminant = rays.squared * np.float32(sphere.radius_mm**2)
@@ -90,12 +107,15 @@ def image_of(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> SphereIma
     np.maximum(discriminant, np.float32(0.0), out=discriminant)
     depth = (along - np.sqrt(discriminant)) / rays.squared
     dots = (rays.dot(axis) for axis in sphere.camera_from_sphere.T)
-    light = _limb(discriminant, rays.squared, sphere) * film.at(*_surface(sphere, depth, dots))
+    np.multiply(
+        _limb(discriminant, rays.squared, sphere),
+        film.at(*_surface(sphere, depth, dots)),
+        out=image.light[rows],
+    )
     depth[outside] = np.inf
-    cover = (inside_px > 0.0).astype(np.float32)
-    image = SphereImage(area, cover, light, depth)
-    _sample_rim(sphere, lens, film, np.nonzero(np.abs(inside_px) <= BAND_PX), image)
-    return image
+    image.depth_mm[rows] = depth
+    image.cover[rows] = inside_px > 0.0
+    return inside_px
 
 
 def _miss(rays: Rays, sphere: Sphere) -> Image:

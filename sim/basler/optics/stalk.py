@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Area, Canvas, Image, Rays, bounds_of
+from sim.basler.optics.canvas import Area, Canvas, Image, Rays, bounds_of, row_bands
 from sim.basler.optics.lens import Lens
 from sim.basler.optics.sphere import Sphere
 
@@ -77,7 +77,14 @@ def image_of(sphere: Sphere, lens: Lens, area: Area) -> StalkImage:
 
 
 def _add(image: StalkImage, part: Area, sphere: Sphere, section: Section, lens: Lens) -> None:
-    rays = Rays(lens, part)
+    whole = Rays(lens, part)
+    kept = [Canvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
+    for rows in row_bands(part.height, part.width):
+        _add_rows([each[rows] for each in kept], whole.in_rows(rows), sphere, section, lens)
+
+
+def _add_rows(kept: Sequence[Image], rays: Rays, sphere: Sphere, section: Section, lens: Lens) -> None:
+    """Draw some rows of a section over what is kept there of cover, light and depth."""
     # From the skull end up to the sphere: the axis then points to the camera when seen from above.
     axis = sphere.camera_from_sphere[:, 2]
     foot = sphere.centre_mm - section.end_mm * axis
@@ -91,7 +98,6 @@ def _add(image: StalkImage, part: Area, sphere: Sphere, section: Section, lens: 
     on_end = end_cover > cover
     for whole, end in ((cover, end_cover), (light, end_light), (depth, end_depth)):
         np.copyto(whole, end, where=on_end)
-    kept = [Canvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
     nearer = (cover > 0.0) & (depth < kept[2])
     np.copyto(kept[0], np.maximum(cover, kept[0]), where=nearer)
     np.copyto(kept[1], light, where=nearer)
