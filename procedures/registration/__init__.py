@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from procedures.registration.clouds import CloudFit, register_clouds
     from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
     from procedures.registration.error_theory import (
         FreGate,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "CloudFit",
     "CtToRoom",
     "Finding",
     "FreGate",
@@ -61,10 +63,12 @@ __all__ = [
     "match_by_similarity",
     "match_by_template",
     "register",
+    "register_clouds",
     "verify_two_way",
 ]
 
 _HOMES = {
+    "clouds": ("CloudFit", "register_clouds"),
     "error_theory": (
         "FreGate",
         "expected_fre_mm",

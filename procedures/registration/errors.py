@@ -5,11 +5,12 @@ TooFewPoints         REG-002  a rigid fit needs three points
 CollinearPoints      REG-003  points on a line leave the rotation about it free
 DuplicatePoints      REG-004  two points of one set are nearer than two spheres can be
 BadCovariance        REG-005  a covariance is not (n, 3, 3), symmetric and positive definite
-NotConverged         REG-006  the weighted fit did not settle
+NotConverged         REG-006  a weighted fit or a fit of clouds did not settle
 BadParameter         REG-007  a standard deviation, a count, a prior or a confidence is impossible
 NoUniqueMatch        REG-008  a correspondence that is not unique was about to be used
 UnsoundRegistration  REG-009  a registration that is mirrored or ill-posed was about to be used
 ResidualTooLarge     REG-010  the residuals are larger than the known errors explain
+SymmetricCloud       REG-011  a cloud without partners fits in several orientations
 """
 
 from __future__ import annotations
@@ -53,10 +54,10 @@ class BadCovariance(DataError):
 
 
 class NotConverged(DataError):
-    """The covariance-weighted fit did not settle: residuals and covariances contradict each other."""
+    """A weighted fit or a fit of clouds did not settle: points, covariances or start contradict."""
 
     code = "REG-006"
-    action = "Check the pairing and the covariances; register without covariances to see the residuals."
+    action = "Check pairing and covariances, for clouds the start; without covariances the residuals show."
 
 
 class BadParameter(DataError):
@@ -85,3 +86,10 @@ class ResidualTooLarge(RefusedError):
 
     code = "REG-010"
     action = "Look for a fiducial that moved (leave-one-out residuals), or localize again."
+
+
+class SymmetricCloud(DataError):
+    """A cloud without partners fits in several orientations."""
+
+    code = "REG-011"
+    action = "Give an approximate transform as the start, or register paired fiducials."
