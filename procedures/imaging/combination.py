@@ -21,9 +21,9 @@ RAY_CORRELATION = 2.0  # neighbouring rays share voxels: variance against indepe
 INTERPOLATION_ERROR_PER_MM = 0.004  # mm of error per mm² of voxel size, left by interpolating between voxels
 SLICE_PROFILE_ERROR_PER_MM = 0.001  # mm per mm²: a voxel is a box, the model blurs with a Gaussian
 ERROR_CORRELATION = 0.6  # between the errors of the two estimators
-# Streaks bend as well as slope, only the slope is modelled: error (3-D) for a slope of one contrast per mm.
-# Measured on the phantom family `posts`.
-STREAK_ERROR_MM = 3.5
+# Streaks move the edges that rays find: 3-D error for bent terms as large as the contrast. From the tuning
+# families and synthetic bands and lobes on `plain`.
+EDGE_STREAK_ERROR_MM = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,8 @@ class CombinedCentre:
 def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedCentre:
     """The minimum-variance mean of both estimates (generalized least squares, cross-covariance included)."""
     interpolation = np.diag((INTERPOLATION_ERROR_PER_MM * spacing_mm**2) ** 2)
-    first = RAY_CORRELATION * edge.covariance_mm2 + interpolation
+    streaks_mm = EDGE_STREAK_ERROR_MM * ball.streak_hu / abs(ball.contrast_hu)
+    first = RAY_CORRELATION * edge.covariance_mm2 + interpolation + streaks_mm**2 / 3.0 * np.eye(3)
     second = ball.covariance_mm2 + np.diag((SLICE_PROFILE_ERROR_PER_MM * spacing_mm**2) ** 2)
     cross = ERROR_CORRELATION * _root(first) @ _root(second)
     difference = edge.centre_mm - ball.centre_mm
@@ -50,8 +51,6 @@ def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedC
     if excess > 0.0:
         direction = difference / np.linalg.norm(difference)
         covariance = covariance + 0.0625 * excess * (np.outer(direction, direction) + np.eye(3))
-    streak_mm = STREAK_ERROR_MM * float(np.linalg.norm(ball.slope_hu_per_mm)) / abs(ball.contrast_hu)
-    covariance = covariance + streak_mm**2 / 3.0 * np.eye(3)
     return CombinedCentre(
         centre_mm=centre_mm,
         covariance_mm2=0.5 * (covariance + covariance.T),

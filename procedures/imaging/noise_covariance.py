@@ -7,51 +7,75 @@ stationary noise model and a tapered window, after Conley, J. Econometrics 92 (1
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from procedures.imaging.robust_fit import products
+
 Array = NDArray[np.float64]
+Spectrum = NDArray[np.complex128]
 
 WINDOW_MM = 3.0  # noise of voxels further apart counts as independent
-MIN_GROWTH = 0.1
 MIN_VARIANCE_MM2 = 1e-8  # 0.1 µm: keeps the result positive definite on noise-free data
 
 
-def covariance_of_centre(
-    where: NDArray[np.int64], jacobian: Array, residuals: Array, weights: Array, spacing_mm: Array
-) -> Array:
-    """Covariance (3, 3) mm² of the first three unknowns of a weighted fit to n voxels.
+@dataclass(frozen=True, eq=False)
+class CorrelatedNoise:
+    """Noise that is alike everywhere and correlated between neighbours.
 
-    `where` (n, 3) are voxel indices, `jacobian` (n, m) the derivatives of the model in HU per unit,
-    `residuals` (n,) HU, `weights` (n,) the robust weights of the last step. Never smaller than for
-    independent noise.
+    `variance` is that of one voxel, `slow_variance` that of a sum over many neighbours, per voxel.
     """
-    weighted = weights[:, None] * jacobian
-    # how fast the pull of a residual grows: 2w² - w is the derivative of r·w(r) for Cauchy weights
-    growth = max(float(np.mean(2.0 * weights**2 - weights)), MIN_GROWTH)
-    inverse = np.linalg.pinv(weighted.T @ jacobian * (growth / float(np.mean(weights))), hermitian=True)
-    pull = weights * residuals
-    influence = jacobian @ inverse[:, :3]  # mm by which one HU of pull moves the centre
-    freedom = len(residuals) / max(len(residuals) - jacobian.shape[1], 1)
-    independent = freedom * float(np.mean(pull**2)) * (influence.T @ influence)
-    index = tuple((where - where.min(axis=0)).T)
-    extent = tuple(int(axis.max()) + 1 for axis in index)
-    lags = np.ceil(WINDOW_MM / spacing_mm).astype(int)
-    padded = tuple(int(fft.next_fast_len(n + int(k), real=True)) for n, k in zip(extent, lags, strict=True))
 
-    def spectrum(values: Array) -> NDArray[np.complex128]:
-        grid = np.zeros(extent)
-        grid[index] = values
-        return np.asarray(fft.rfftn(grid, s=padded))
+    index: tuple[NDArray[np.int64], ...]
+    padded: tuple[int, ...]
+    density: Array  # over the half spectrum
+    variance: float
+    slow_variance: float
 
-    products = fft.irfftn(np.abs(spectrum(pull)) ** 2, s=padded)
-    pairs = fft.irfftn(np.abs(spectrum(np.ones(len(pull)))) ** 2, s=padded)
-    correlation = freedom * products / np.maximum(pairs, 1.0) * _taper(padded, spacing_mm)
-    density = np.maximum(fft.rfftn(correlation).real, 0.0) * _multiplicity(padded) / float(np.prod(padded))
-    spectra = [spectrum(column) for column in influence.T]
-    correlated = np.array([[float(np.sum(density * (a * b.conj()).real)) for b in spectra] for a in spectra])
-    return _raised_to(correlated, independent) + MIN_VARIANCE_MM2 * np.eye(3)
+    @classmethod
+    def of_residuals(cls, where: NDArray[np.int64], pull: Array, unknowns: int, spacing_mm: Array) -> Self:
+        """From the weighted residuals (n,) of a fit of so many unknowns, at voxel indices (n, 3)."""
+        freedom = len(pull) / max(len(pull) - unknowns, 1)
+        index = tuple((where - where.min(axis=0)).T)
+        lags = np.ceil(WINDOW_MM / spacing_mm).astype(int)
+        padded = tuple(
+            int(fft.next_fast_len(int(axis.max()) + 1 + int(lag), real=True))
+            for axis, lag in zip(index, lags, strict=True)
+        )
+        sums = fft.irfftn(np.abs(_spectrum(index, padded, pull)) ** 2, s=padded)
+        pairs = fft.irfftn(np.abs(_spectrum(index, padded, np.ones(len(pull)))) ** 2, s=padded)
+        correlation = freedom * sums / np.maximum(pairs, 1.0) * _taper(padded, spacing_mm)
+        density = np.maximum(fft.rfftn(correlation).real, 0.0)
+        variance = freedom * float(np.mean(pull**2))
+        return cls(
+            index,
+            padded,
+            density * _multiplicity(padded) / float(np.prod(padded)),
+            variance,
+            max(float(correlation.sum()), variance),
+        )
+
+    def covariance_mm2(self, influence: Array) -> Array:
+        """Covariance (k, k) of what `influence` (n, k), in mm per HU, makes of the noise.
+
+        Never smaller than for independent noise.
+        """
+        spectra = [_spectrum(self.index, self.padded, column) for column in influence.T]
+        correlated = np.array(
+            [[float(np.sum(self.density * (a * b.conj()).real)) for b in spectra] for a in spectra]
+        )
+        independent = self.variance * products(influence, influence)
+        return _raised_to(correlated, independent) + MIN_VARIANCE_MM2 * np.eye(len(spectra))
+
+
+def _spectrum(index: tuple[NDArray[np.int64], ...], padded: tuple[int, ...], values: Array) -> Spectrum:
+    grid = np.zeros(padded)
+    grid[index] = values
+    return np.asarray(fft.rfftn(grid))
 
 
 def _taper(shape: tuple[int, ...], spacing_mm: Array) -> Array:

@@ -1,0 +1,90 @@
+"""Least squares that outliers cannot pull: Cauchy weights, Gauss-Newton with a damping that adapts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Model = Callable[[Array], tuple[Array, Array]]  # unknowns (m,) to values (n,) and derivatives (n, m)
+
+STEPS = 25
+DONE_MM = 5e-5
+CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
+MAD_TO_SIGMA = 1.4826
+MIN_NOISE_HU = 0.5  # rounding to whole HU alone gives 0.3
+MIN_GROWTH = 0.1
+START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6
+BLOCK = 512  # rows; BLAS starts threads for larger products, whose waiting costs more than they bring
+
+
+def minimise(
+    model: Model, values: Array, start: Array, stiffness: Array, limits: Callable[[Array], Array]
+) -> Array | None:
+    """The unknowns that fit `values` (n,) best, the first three being a place in mm; None if nothing settles.
+
+    `stiffness` (m,) draws each unknown towards 0 (the noise's variance over the unknown's own);
+    `limits` keeps unknowns in their range.
+    """
+    unknowns = start
+    damping = START_DAMPING
+    modelled, jacobian = model(unknowns)
+    residuals = values - modelled
+    moved_mm = np.inf
+    for _ in range(STEPS):
+        noise = scale(residuals)
+        weighted = cauchy_weights(residuals, noise)[:, None] * jacobian
+        normal = products(jacobian, weighted) + np.diag(stiffness)
+        gradient = weighted.T @ residuals - stiffness * unknowns
+        cost = _cost(residuals, noise, unknowns, stiffness)
+        while damping < MOST_DAMPING:
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
+            trial = limits(unknowns + step)
+            modelled, trial_jacobian = model(trial)
+            trial_residuals = values - modelled
+            if _cost(trial_residuals, noise, trial, stiffness) <= cost:
+                break
+            if np.abs(step[:3]).max() < DONE_MM:
+                return unknowns
+            damping *= 10.0
+        else:
+            return None
+        moved_mm = float(np.abs(trial[:3] - unknowns[:3]).max())
+        unknowns, jacobian, residuals = trial, trial_jacobian, trial_residuals
+        damping = max(damping / 10.0, LEAST_DAMPING)
+        if moved_mm < DONE_MM:
+            return unknowns
+    return unknowns if moved_mm < 20 * DONE_MM else None
+
+
+def scale(residuals: Array) -> float:
+    """Standard deviation of the bulk of the residuals."""
+    return max(MAD_TO_SIGMA * float(np.median(np.abs(residuals))), MIN_NOISE_HU)
+
+
+def cauchy_weights(residuals: Array, noise: float) -> Array:
+    """Weights (n,) from 1 down to almost nothing for outliers."""
+    return np.asarray(1.0 / (1.0 + (residuals / (CAUCHY * noise)) ** 2))
+
+
+def inverse_normal(jacobian: Array, weights: Array, stiffness: Array) -> Array:
+    """How the unknowns answer (m, m) to the pull w·r of the residuals on them, at the minimum."""
+    # how fast the pull grows with the residual: 2w² - w is the derivative of r·w(r) for Cauchy weights
+    growth = max(float(np.mean(2.0 * weights**2 - weights)), MIN_GROWTH) / float(np.mean(weights))
+    normal = products(jacobian, weights[:, None] * jacobian) * growth
+    return np.asarray(np.linalg.pinv(normal + np.diag(stiffness), hermitian=True))
+
+
+def products(one: Array, other: Array) -> Array:
+    """`one`ᵀ `other` for (n, k) and (n, m), in blocks of rows."""
+    total = np.zeros((one.shape[1], other.shape[1]))
+    for row in range(0, len(one), BLOCK):
+        total += one[row : row + BLOCK].T @ other[row : row + BLOCK]
+    return total
+
+
+def _cost(residuals: Array, noise: float, unknowns: Array, stiffness: Array) -> float:
+    width = CAUCHY * noise
+    return float(np.log1p((residuals / width) ** 2).sum() + stiffness @ unknowns**2 / width**2)
