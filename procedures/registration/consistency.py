@@ -31,30 +31,42 @@ def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) 
 
 
 def prune(neighbours: list[int], smallest: int) -> list[int]:
-    """Rows of the graph without the edges that no clique of `smallest` nodes can hold.
+    """Rows of the graph without the nodes and edges that no clique of `smallest` nodes can hold.
 
-    Both ends of an edge of such a clique have all its other nodes as common neighbours.
+    A node of such a clique has all its other nodes as neighbours, both ends of an edge have them in common.
     """
     kept = list(neighbours)
     waiting = [node for node, row in enumerate(kept) if row]
     while waiting:
+        _drop_lonely(kept, smallest - 1)
         touched = 0
         for node in waiting:
             row = kept[node]
-            if row.bit_count() < smallest - 1:
-                lost = row
-            else:
-                lost = 0
-                for other in bits(row):
-                    if (row & kept[other]).bit_count() < smallest - 2:
-                        lost |= 1 << other
+            lost = 0
+            for other in bits(row):
+                if (row & kept[other]).bit_count() < smallest - 2:
+                    lost |= 1 << other
             if lost:
-                kept[node] ^= lost
-                touched |= kept[node] | lost
+                kept[node] = row ^ lost
+                touched |= row
                 for other in bits(lost):
                     kept[other] &= ~(1 << node)
         waiting = bits(touched)
     return kept
+
+
+def _drop_lonely(kept: list[int], fewest: int) -> None:
+    """Remove, in place, nodes with fewer neighbours, until all have enough."""
+    lonely = [node for node, row in enumerate(kept) if row and row.bit_count() < fewest]
+    while lonely:
+        gone = 0
+        for node in lonely:
+            gone |= 1 << node
+            kept[node] = 0
+        for node, row in enumerate(kept):
+            if row & gone:
+                kept[node] = row & ~gone
+        lonely = [node for node, row in enumerate(kept) if row and row.bit_count() < fewest]
 
 
 @dataclass
@@ -75,10 +87,9 @@ class CliqueSearch:
 
     def run(self) -> list[int]:
         """The maximal cliques as bit masks over the nodes, of at least `fewest` and near the largest size."""
-        self._neighbours = prune(bit_rows(self.adjacency), self.fewest)
+        self._neighbours = bit_rows(self.adjacency)
         self.largest = self._greedy()
-        if self._bound() > self.fewest:
-            self._neighbours = prune(self._neighbours, self._bound())
+        self._neighbours = prune(self._neighbours, self._bound())
         nodes = sum(1 << node for node, row in enumerate(self._neighbours) if row)
         if nodes:
             self._extend(0, 0, nodes, 0)
