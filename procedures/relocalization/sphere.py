@@ -3,7 +3,8 @@
 Reduce, guess circles from edges, then refine the best on the full image: steepest falls along rays, a
 blurred step fitted to every ray, a robust ellipse through the edges. Rays whose edge is too weak, too
 blurred, misfitted or off the ellipse are not rim: post, occluders, stains and the border of the image cost
-rim, they do not pull the centre.
+rim, they do not pull the centre. Where a stain dims the film up to the rim, the outline is still seen: such
+rays do not carry the ellipse, but those that fall off on it count as rim in view.
 """
 
 from __future__ import annotations
@@ -53,10 +54,17 @@ MISFIT_SHARE = 0.25  # of the step
 OFF_RIM_SIGMAS = 4.0
 OFF_RIM_PX = 0.35  # never stricter than this: grain and small dents are still rim
 OFF_RIM_LIMIT_PX = 1.5
+# Rim below a stain: the fall from the dimmed film to the background, within a window too narrow for the
+# stain's own edge to matter. Blood and liquid leave 0.2 to 0.4 of the light (U).
+DIM_STEP_SHARE = 0.15
+DIM_NOISE_FACTOR = 6.0  # a fall of noise alone is smaller
+DIM_REACH_BLURS, DIM_REACH_PX = 3.0, 2.0
+DIM_OFF_RIM_PX = 0.7  # the stain's inner edge pulls the steepest place by about half a pixel
 
 LEAST_RIM = 0.25  # below this it is not a sphere at all
 RELIABLE_RIM = 0.625  # of the rim in view; 38 % lost must never pass
-RELIABLE_AXIS_RATIO = 0.93  # a sphere within these optics is rounder than 0.99
+CARRYING_RIM = 0.5  # of the rim must carry the ellipse, without what a stain dims
+RELIABLE_AXIS_RATIO = 0.99  # a sphere in the corner of the sensor has 0.996: then two things are one outline
 SPHERE_AXIS_RATIO = 0.75
 RELIABLE_SCATTER_PX = 0.6
 RELIABLE_CONTRAST_TO_NOISE = 6.0
@@ -214,15 +222,17 @@ def _refine(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
     fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
     if fit is None or not _near(fit.ellipse, guess, 2.0 * COARSE_REACH_PX * factor + reach):
         return None
-    rim_fraction = float(np.count_nonzero(rim)) / FINE_RAYS
-    return _judged(image, fit, edges, inner, rim_fraction)
+    return _judged(image, fit, edges, rim, inner)
 
 
 def _judged(
-    image: GreyImage, fit: EllipseFit, edges: RimEdges, rim: NDArray[np.bool_], rim_fraction: float
+    image: GreyImage, fit: EllipseFit, edges: RimEdges, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
 ) -> SphereImage | None:
+    """The outline with its quality; `rim` are the rays that carry it, `bright` those and their neighbours."""
     step, noise = float(np.median(edges.step_grey[rim])), float(np.median(edges.misfit_grey[rim]))
     major, minor = fit.ellipse.axes_px
+    dim = _dimmed(image, fit.ellipse, float(np.median(edges.blur_px[rim])), step, noise)
+    rim_fraction, carrying = float(np.mean(bright | dim)), float(np.mean(bright))
     if rim_fraction < LEAST_RIM or minor / major < SPHERE_AXIS_RATIO:
         return None
     if _filled_share(image, fit.ellipse, edges, rim) < FILLED_SHARE:
@@ -230,6 +240,7 @@ def _judged(
     contrast_to_noise = step / max(noise, 1e-6)
     reliable = (
         rim_fraction >= RELIABLE_RIM
+        and carrying >= CARRYING_RIM
         and minor / major >= RELIABLE_AXIS_RATIO
         and fit.sigma_px <= RELIABLE_SCATTER_PX
         and contrast_to_noise >= RELIABLE_CONTRAST_TO_NOISE
@@ -269,6 +280,18 @@ def _plausible(edges: RimEdges) -> NDArray[np.bool_]:
     blur = float(np.median(edges.blur_px[strong]))
     usual = (edges.blur_px < BLUR_RATIO * blur) & (edges.blur_px > blur / BLUR_RATIO)
     return np.asarray(strong & usual & (edges.misfit_grey < MISFIT_SHARE * edges.step_grey))
+
+
+def _dimmed(
+    image: GreyImage, ellipse: Ellipse, blur_px: float, step_grey: float, noise_grey: float
+) -> NDArray[np.bool_]:
+    """Rays (n,) on which the light falls on the ellipse itself, however dim the film is there."""
+    falls = steepest_falls(
+        sample_profiles(image, ellipse, FINE_RAYS, DIM_REACH_BLURS * blur_px + DIM_REACH_PX)
+    )
+    least_grey = max(DIM_STEP_SHARE * step_grey, DIM_NOISE_FACTOR * noise_grey)
+    on_rim = np.abs(falls.offset_px) < DIM_OFF_RIM_PX
+    return np.asarray(falls.found & on_rim & (falls.step_grey > least_grey))
 
 
 def _on_rim(fit: EllipseFit, points: NDArray[np.float64]) -> NDArray[np.bool_]:

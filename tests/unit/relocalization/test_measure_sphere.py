@@ -70,6 +70,32 @@ def test_the_visible_share_of_the_rim_is_counted(renderer, look):
     assert visible == pytest.approx(1.0 - np.arccos(1.0 - 0.4) / np.pi, abs=0.02)
 
 
+def with_blood_up_to(picture, column):
+    """Everything to the left of a column at a third of its brightness."""
+    stained = picture.astype(float)
+    stained[:, :column] = 12.0 + 0.3 * (stained[:, :column] - 12.0)
+    return np.rint(np.clip(stained, 0, 255)).astype(np.uint8)
+
+
+def test_rim_that_a_stain_dims_is_still_rim_in_view(renderer, look):
+    column = round(ellipse_centre(NOMINAL)[0]) - 100
+    sphere = measure_sphere(with_blood_up_to(renderer.sphere(NOMINAL, look()), column))
+    assert sphere.status is SphereStatus.OK
+    assert sphere.rim_fraction > 0.95
+    assert error_um(sphere, NOMINAL) < 3.0
+
+
+@pytest.mark.hazard(27)
+def test_an_outline_that_too_little_undimmed_rim_carries_is_unreliable(renderer, look):
+    picture = renderer.sphere(NOMINAL, look())
+    u, v = ellipse_centre(NOMINAL)
+    rows, columns = np.mgrid[:1088, :2048]
+    crust = (np.hypot(columns - u, rows - v) > 240) & (columns < u - 20)
+    stained = np.where(crust, with_blood_up_to(picture, 2048), picture)
+    stained[: round(v) - 155] = 12  # hides 0.3 of the rim: 0.33 is below the crust, 0.37 is left
+    assert measure_sphere(stained).status is SphereStatus.UNRELIABLE
+
+
 def test_half_a_sphere_at_the_border_is_unreliable(renderer, look):
     sphere = measure_sphere(renderer.sphere(np.array([22.0, 0.0, 250.0]), look()))
     assert sphere.status is SphereStatus.UNRELIABLE
