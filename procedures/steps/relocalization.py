@@ -109,8 +109,10 @@ def centre_on(context: StepContext, fiducial: int, expected: Transform, near: Jo
         if servo.converged:
             break
         _settle_onto(context, servo.next_pose(pose, seen.point.position_mm))
-        seen = look(context)
-        looks += 1
+        seen, looks = look(context), looks + 1
+        if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
+            _look_at_all(context)
+            seen, looks = look(context), looks + 1
     keep_picture(context, fiducial, seen)
     _move_linear(context, _standoff(context, pose))
     rotation = pose.rotation_matrix
@@ -134,7 +136,7 @@ def _first_look(context: StepContext, expected: Transform) -> tuple[Look, int]:
     seen, looks = look(context), 1
     if seen.point is not None:
         return seen, looks
-    stereo.set_areas(whole_sensor(calibration.left), whole_sensor(calibration.right))
+    _look_at_all(context)
     try:
         seen, looks = look(context), looks + 1
         while seen.point is None:
@@ -143,6 +145,11 @@ def _first_look(context: StepContext, expected: Transform) -> tuple[Look, int]:
     except SphereNotInView as error:
         raise SphereNotFound(f"{error.what}; the last look: {seen.reason}", limit=error.limit) from error
     return seen, looks
+
+
+def _look_at_all(context: StepContext) -> None:
+    head = context.calibrations.stereo_head
+    context.devices.stereo.set_areas(whole_sensor(head.left), whole_sensor(head.right))
 
 
 def _move_joints(context: StepContext, pose: Transform, near: JointVector) -> None:

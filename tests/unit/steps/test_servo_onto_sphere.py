@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from stereo_bench import StereoCell, calibrated_cell, servo_campaign, without_ar
 
 from procedures.engine.errors import SphereNotFound
 from procedures.relocalization.errors import Saturated
+from ronna_hw.devices.readings import StereoReading
 from sim.theatre.built_in import built_in_scene
 
 END_MM, STEPS = 0.03, 8
@@ -40,6 +42,19 @@ def cell(tmp_path: Path) -> StereoCell:
 
 def start_of(cell: StereoCell, away_mm: float, seed: int = 1):
     return cell.draw_start(np.random.default_rng(seed), away_mm)
+
+
+def black_out(cell: StereoCell, lost: set[int]) -> None:
+    """Make the pairs of these numbers black."""
+    grab = cell.stereo.grab_pair
+
+    def grab_pair(timeout_s: float = 5.0) -> StereoReading:
+        pair = grab(timeout_s)
+        assert pair.left is not None
+        dark = replace(pair.left, pixels=np.zeros_like(pair.left.pixels))
+        return replace(pair, left=dark) if cell.stereo.pairs in lost else pair
+
+    cell.stereo.grab_pair = grab_pair  # type: ignore[method-assign]
 
 
 def test_from_five_millimetres_the_servo_ends_within_eight_steps() -> None:
@@ -121,6 +136,24 @@ def test_a_hidden_rim_gives_no_point_however_often_it_is_looked_at(cell: StereoC
     cell.world.set_fault_script("now: camera occlude right 45 %")
     with pytest.raises(SphereNotFound, match=r"PRO-008.*(too much of the rim is hidden|no sphere in view)"):
         cell.centre(start)
+
+
+@pytest.mark.hazard(27)
+def test_a_look_that_is_lost_in_the_middle_is_taken_again(cell: StereoCell) -> None:
+    start = start_of(cell, 3.0)
+    black_out(cell, lost={2})
+    found = cell.centre(start)
+    assert found.residuals_mm[-1] <= END_MM
+    assert found.looks == len(found.residuals_mm) + 1
+
+
+@pytest.mark.hazard(27)
+def test_a_sphere_that_stays_lost_in_the_middle_is_refused(cell: StereoCell) -> None:
+    start = start_of(cell, 3.0)
+    black_out(cell, lost={2, 3})
+    with pytest.raises(SphereNotFound, match=r"PRO-008.*was lost during the servo.*dark all over"):
+        cell.centre(start)
+    assert cell.stereo.pairs == 3
 
 
 def test_blood_glare_and_a_fifth_of_the_rim_hidden_do_not_pull_the_servo(tmp_path: Path) -> None:
