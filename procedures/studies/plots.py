@@ -13,12 +13,20 @@ Curve = Sequence[tuple[float, float]]
 
 
 def curves(
-    title: str, x_label: str, y_label: str, lines: Mapping[str, Curve], *, logarithmic: bool = False
+    title: str,
+    x_label: str,
+    y_label: str,
+    lines: Mapping[str, Curve],
+    *,
+    logarithmic: bool = False,
+    bands: Mapping[str, tuple[float, float]] | None = None,
 ) -> bytes:
-    """Several named curves over one axis."""
+    """Several named curves over one axis, and named ranges of it."""
     figure, axes = _figure()
     for name, points in lines.items():
         axes.plot([x for x, _ in points], [y for _, y in points], marker=".", label=name)
+    for shade, (name, (left, right)) in enumerate((bands or {}).items(), start=1):
+        axes.axvspan(left, right, color="grey", alpha=0.12 * shade, label=name)
     axes.set_title(title)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)

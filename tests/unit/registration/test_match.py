@@ -173,6 +173,45 @@ def test_one_pair_too_many_is_judged_by_every_subset(random, fiducials, any_pose
     assert pairs_of(result) == {(k, k) for k in range(6) if k != 2}
 
 
+def test_an_error_whose_length_is_normal_splits_no_set(random, fiducials, any_pose):
+    """One sphere four standard deviations off: more than a normal error on every axis ever is."""
+    length_mm = 0.56
+    for _ in range(20):
+        points, truth = fiducials(8, random), any_pose(random)
+        physical = truth.apply(points) + random.normal(size=points.shape) * 0.1
+        direction = random.normal(size=3)
+        physical[3] += 4.0 * length_mm * direction / np.linalg.norm(direction)
+        result = match(points, physical, sigma_image_mm=0.1, sigma_physical_mm=length_mm / np.sqrt(3.0))
+        assert result.status is MatchStatus.UNIQUE, result.reason
+        assert len(result.pairs) == 8
+
+
+@pytest.mark.parametrize(("off_mm", "taken"), [(0.5, True), (6.0, False)])
+def test_strays_that_nearly_meet_are_a_pair_only_while_they_earn_more_than_they_cost(
+    off_mm, taken, random, fiducials, any_pose
+):
+    for _ in range(20):
+        points, truth = fiducials(6, random), any_pose(random)
+        stray = points.mean(axis=0) - np.array([0.0, 0.0, 60.0])
+        direction = random.normal(size=3)
+        image = np.vstack([points, stray])
+        physical = truth.apply(np.vstack([points, stray + off_mm * direction / np.linalg.norm(direction)]))
+        result = match(image, physical, **SIGMAS)
+        assert result.status is MatchStatus.UNIQUE, result.reason
+        assert ((6, 6) in pairs_of(result)) is taken
+        assert pairs_of(result) >= {(k, k) for k in range(6)}
+
+
+def test_between_the_two_it_is_left_open(random, fiducials, any_pose):
+    points, truth = fiducials(6, random), any_pose(random)
+    physical = truth.apply(points)
+    physical[5] += [3.5, 2.0, -2.0]
+    result = match(points, physical, **SIGMAS)
+    assert result.status is MatchStatus.AMBIGUOUS
+    assert {len(pairs_of(result)), len(pairs_of(result.runner_up))} == {5, 6}
+    assert match(points, physical, expected=6, **SIGMAS).status is MatchStatus.UNIQUE
+
+
 @pytest.mark.hazard(11)
 def test_a_marker_that_moved_is_left_out_after_the_fine_localization(random, fiducials, any_pose):
     points, truth = fiducials(5, random), any_pose(random)

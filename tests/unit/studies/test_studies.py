@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from procedures.registration.correspondence import Prior
+from procedures.studies import correspondence as study_module
+from procedures.studies import x_frame
 from procedures.studies.correspondence import CorrespondenceStudy, Method, cell_key
 from procedures.studies.correspondence_tables import shares, tables
 from procedures.studies.errors import LedgerUnreadable, OtherStudy, SchedulerUnreachable, UnitFailed
 from procedures.studies.heads import NoiseReading, disturbance, sites_mm
 from procedures.studies.ledger import FILE, Ledger
 from procedures.studies.publish import publish
+from procedures.studies.readings import draw_readings
 from procedures.studies.registration import RegistrationStudy
 from procedures.studies.table import Table
 from procedures.studies.unit import Unit, add_up, blocks, generator
@@ -114,7 +118,33 @@ def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path)
     assert [table.title for table in tables(results(SMALL, tmp_path, workers=1))] == [
         "Correspondence, noise per axis",
         "Correspondence, noise norm",
+        "Five to eight fiducials together",
     ]
+
+
+def test_what_is_known_beforehand_is_solved_anew_only_where_it_can_change_the_answer() -> None:
+    seen = draw_readings(sites_mm(1), 3, 2, NoiseReading.PER_AXIS, 60, np.random.default_rng(8))
+    changed = 0
+    for image, physical, truth in zip(seen.image_mm, seen.physical_mm, seen.rotations, strict=True):
+        plain = study_module._solve(image, physical, NoiseReading.PER_AXIS)
+        anew = study_module._solve(image, physical, NoiseReading.PER_AXIS, prior=Prior(truth))
+        if study_module._stands(plain, truth.as_matrix()):
+            assert (anew.status, anew.pairs.tolist()) == (plain.status, plain.pairs.tolist())
+        else:
+            changed += 1
+    assert 0 < changed < 30
+
+
+def test_readings_are_shuffled_pairs_in_one_pose() -> None:
+    seen = draw_readings(sites_mm(2), 4, 3, NoiseReading.NORM, 20, np.random.default_rng(9))
+    assert seen.image_mm.shape == seen.physical_mm.shape == (20, 7, 3)
+    for image, physical, pairs, truth in zip(
+        seen.image_mm, seen.physical_mm, seen.pairs, seen.rotations, strict=True
+    ):
+        turned = truth.apply(image[pairs[:, 0]])
+        shift = physical[pairs[:, 1]] - turned
+        assert np.abs(shift - shift.mean(axis=0)).max() < 3.0
+    assert len({tuple(one[:, 0].tolist()) for one in seen.pairs}) > 10
 
 
 def test_the_numbers_of_a_cell_do_not_depend_on_the_other_cells() -> None:
@@ -144,6 +174,18 @@ def test_the_x_frame_is_found_by_ours_and_for_a_middle_e_by_the_thesis() -> None
     assert sums["clique + planned count||success"] == 6
     assert sums["thesis|3.0|success"] >= 5
     assert sums.get("thesis|1.0|success", 0.0) < sums["thesis|3.0|success"]
+
+
+def test_the_x_frames_tables_and_plot_stand_beside_the_thesis_ranges() -> None:
+    study = XFrameStudy(4, seed=1)
+    sums = {unit.cell: study.run(unit) for unit in study.units()[:1]}
+    shown, ranges = x_frame.tables(sums)
+    assert (shown.rows[0][1], shown.rows[0][3:]) == ("clique + planned count", (4, 100.0))
+    ((_, best, low, high),) = ranges.rows
+    assert best == 100.0
+    assert 1.0 <= low <= high <= 6.0
+    assert "1.8-4.5 mm (phantom)" in ranges.note
+    assert x_frame.plots(sums)["success-against-e.png"].startswith(b"\x89PNG")
 
 
 def test_a_study_is_published_as_text_table_and_data(tmp_path: Path) -> None:
