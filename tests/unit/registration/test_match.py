@@ -173,14 +173,14 @@ def test_one_pair_too_many_is_judged_by_every_subset(random, fiducials, any_pose
     assert pairs_of(result) == {(k, k) for k in range(6) if k != 2}
 
 
-def test_an_error_whose_length_is_normal_splits_no_set(random, fiducials, any_pose):
-    """One sphere four standard deviations off: more than a normal error on every axis ever is."""
+def test_errors_whose_length_is_normal_split_no_set(random, fiducials, any_pose):
+    """Two spheres 2.6 standard deviations off, towards each other: their distance is 6 of its own off."""
     length_mm = 0.56
     for _ in range(20):
         points, truth = fiducials(8, random), any_pose(random)
-        physical = truth.apply(points) + random.normal(size=points.shape) * 0.1
-        direction = random.normal(size=3)
-        physical[3] += 4.0 * length_mm * direction / np.linalg.norm(direction)
+        physical = truth.apply(points) + random.normal(size=points.shape) * 0.05
+        towards = physical[4] - physical[3]
+        physical[[3, 4]] += np.outer([2.6, -2.6], length_mm * towards / np.linalg.norm(towards))
         result = match(points, physical, sigma_image_mm=0.1, sigma_physical_mm=length_mm / np.sqrt(3.0))
         assert result.status is MatchStatus.UNIQUE, result.reason
         assert len(result.pairs) == 8
