@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -15,10 +16,23 @@ from ronna_hw.command_line.errors import UsageMistake
 if TYPE_CHECKING:
     from procedures.imaging import Volume
     from procedures.planning.check import PlanCheck
+    from procedures.planning.clear_ways import PreviewedWay
     from procedures.planning.reach import ArmSetting
+    from procedures.planning.sight import StereoSight
+    from ronna_hw.cell import CellConfig
 
 READING_SHARE = 0.4  # of the work, when the markers are localized too
+SixNumbers = tuple[float, float, float, float, float, float]
 MASTER = "master"  # the arm that carries the tool, by its name in the theatre file
+
+
+class Theatre(NamedTuple):
+    """What a theatre file says of the arm and of what stands around it."""
+
+    arm: ArmSetting
+    cell: CellConfig
+    sight: StereoSight
+
 
 app = typer.Typer(
     name="ronna-plan",
@@ -41,59 +55,84 @@ def check(
         Path, typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was made on.")
     ],
     markers: Annotated[
-        bool, typer.Option("--markers", help="Localize the markers too and compare their number.")
+        bool, typer.Option("--markers", help="Localize the markers too: their number, and the ways to them.")
     ] = False,
     config: Annotated[
         Path | None,
-        typer.Option("--config", metavar="FILE", help="Theatre file: check the reach of its arm and tool."),
+        typer.Option(
+            "--config", metavar="FILE", help="Theatre file: check every way of its arm, with its cell."
+        ),
     ] = None,
     robot_from_ct: Annotated[
-        tuple[float, float, float, float, float, float] | None,
+        SixNumbers | None,
         typer.Option(
             metavar="X Y Z A B C", help="Where the CT frame will lie in $ROBROOT, mm and deg; with --config."
+        ),
+    ] = None,
+    home: Annotated[
+        SixNumbers | None,
+        typer.Option(
+            metavar="A1 .. A6",
+            help="Where the arm will begin, deg; with --config [default: 0 -75 99 0 66 180].",
         ),
     ] = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
 ) -> None:
-    """Check a plan against its CT series and, when told where the head will be, against the arm's reach.
+    """Check a plan against its CT series and, when told where the head will be, every way of the arm.
 
-    Exit codes: 0 the plan can be used, 1 it cannot, 2 usage or an unreadable file, 3 the arm does not reach,
-    130 interrupted. Everything that is wrong is reported at once.
+    The ways are those that the procedure drives, from home to every target and back;
+    with --markers also those of the stereo head to the markers. They are shown with duration, joint ranges,
+    smallest distance and distance from a singularity before anything moves.
+
+    Exit codes: 0 the plan can be used, 1 it cannot, 2 usage or an unreadable file, 3 the arm does not reach
+    or something stands in the way, 130 interrupted. Everything that is wrong is reported at once.
     """
     console.set_up_logging(verbose)
     began_s = time.perf_counter()
-    arm = _arm_setting(config, robot_from_ct)
+    theatre = _theatre(config, robot_from_ct, home)
     from procedures.planning.check import check_plan
     from procedures.planning.plan_file import read_plan
 
     planned = read_plan(plan_file)
     volume, fiducials_mm = _read_ct(series_dir, markers)
-    result = check_plan(planned, volume, fiducials_mm=fiducials_mm, arm=arm)
+    result = check_plan(
+        planned,
+        volume,
+        fiducials_mm=fiducials_mm,
+        arm=theatre and _in_the_room(theatre, volume, fiducials_mm),
+        sight=theatre and theatre.sight,
+    )
     for sentence in (*volume.warnings, *result.warnings):
         console.tell(f"warning: {sentence}")
     if as_json:
         console.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
     elif result.passed:
         _print_trajectories(result)
+        if result.ways:
+            _print_ways(result)
     result.require()
 
 
-def _arm_setting(
-    config: Path | None, robot_from_ct: tuple[float, float, float, float, float, float] | None
-) -> ArmSetting | None:
-    """The arm of a theatre file with the head at an assumed place; None when neither is given."""
-    if config is None and robot_from_ct is None:
+def _theatre(
+    config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None
+) -> Theatre | None:
+    """Arm and cell of a theatre file with the head at an assumed place; None when neither is given."""
+    if config is None and robot_from_ct is None and home_deg is None:
         return None
     if config is None or robot_from_ct is None:
-        raise UsageMistake("the reach needs both --config and --robot-from-ct")
-    if not all(math.isfinite(value) for value in robot_from_ct):
-        raise UsageMistake(
-            "--robot-from-ct needs finite numbers", last=" ".join(f"{value:g}" for value in robot_from_ct)
-        )
+        raise UsageMistake("the ways of the arm need both --config and --robot-from-ct")
+    for option, numbers in (("--robot-from-ct", robot_from_ct), ("--home", home_deg or ())):
+        if not all(math.isfinite(value) for value in numbers):
+            raise UsageMistake(
+                f"{option} needs finite numbers", last=" ".join(f"{value:g}" for value in numbers)
+            )
+    from procedures.planning.posture import HOME_DEG
     from procedures.planning.reach import ArmSetting
+    from procedures.planning.sight import StereoSight
     from procedures.strategies.catalogue import strategy_named
-    from ronna_hw.arm.model import ArmVariant, arm_model
+    from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+    from ronna_hw.arm.planning import require_in_range
     from ronna_hw.arm.pose import Pose
     from ronna_hw.config import read_theatre_file
     from ronna_hw.frames import Frame, Transform
@@ -106,8 +145,10 @@ def _arm_setting(
         raise UsageMistake(
             f"{config.name} names the arm variant {variant!r}", action=f"Use one of {', '.join(ArmVariant)}."
         )
+    start_rad = radians6(*(home_deg or HOME_DEG))
+    require_in_range(arm_model(variant), start_rad)
     pose = Pose.from_kuka(*robot_from_ct)
-    return ArmSetting(
+    arm = ArmSetting(
         model=arm_model(variant),
         robot_from_ct=Transform.of(
             Frame.ROBOT, Frame.CT, translation_mm=pose.position_mm, quaternion_wxyz=pose.quaternion()
@@ -117,7 +158,20 @@ def _arm_setting(
         flange_from_stereo=theatre.calibration.stereo_head.flange_from_tool.transform(
             Frame.FLANGE, Frame.TOOL
         ),
+        start_rad=start_rad,
+        approach_mm=theatre.procedure.standoff_mm,
     )
+    return Theatre(arm, theatre.cell, StereoSight.of(theatre.calibration.stereo_head))
+
+
+def _in_the_room(
+    theatre: Theatre, volume: Volume, fiducials_mm: list[tuple[float, float, float]] | None
+) -> ArmSetting:
+    """The arm with the head of this CT, its markers and the cell around it. Raises PLAN-014."""
+    from procedures.planning.clear_ways import Room
+    from procedures.planning.head_shape import head_shape
+
+    return replace(theatre.arm, room=Room(theatre.cell, head_shape(volume), tuple(fiducials_mm or ())))
 
 
 def _read_ct(series_dir: Path, with_markers: bool) -> tuple[Volume, list[tuple[float, float, float]] | None]:
@@ -152,6 +206,32 @@ def _print_trajectories(result: PlanCheck) -> None:
         ["trajectory", "entry LPS mm", "target LPS mm", "depth mm", "free angle deg", "margin mm"],
         rows,
     )
+
+
+def _print_ways(result: PlanCheck) -> None:
+    turned = [f"{name} by {math.degrees(turn):+.0f} deg" for name, turn in result.turns_rad if turn]
+    about = f"; turned about its axis: {', '.join(turned)}" if turned else ""
+    console.print_table(
+        f"ways of the arm, {sum(way.preview.duration_s for way in result.ways):.0f} s in all{about}",
+        ["from", "to", "way", "s", "smallest distance mm", "head mm", "singularity", "A1..A6 deg"],
+        [_way_row(way) for way in result.ways],
+    )
+
+
+def _way_row(way: PreviewedWay) -> list[str]:
+    seen = way.preview
+    closest, head = seen.closest, seen.nearest_to_head_mm
+    ranges = [f"{math.degrees(low):.0f}..{math.degrees(high):.0f}" for low, high in seen.joint_ranges_rad]
+    return [
+        way.way.start,
+        way.way.end,
+        way.way.kind,
+        f"{seen.duration_s:.1f}",
+        "-" if closest is None else f"{closest.distance_mm:.0f} {closest.first}, {closest.second}",
+        "-" if head is None else f"{head:.0f}",
+        f"{seen.singularity.least:.2f}",
+        " ".join(ranges),
+    ]
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -25,8 +26,11 @@ from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
+    from procedures.planning.clear_ways import PreviewedWay
     from procedures.planning.reach import ArmSetting
+    from procedures.planning.sight import StereoSight
 
+WITHIN_ROUNDING_MM = 0.5  # what the check of a path leaves open between two samples
 LEAST_SIDE_DIFFERENCE_MM = 6.0  # of a triangle of fiducials: below it three points are often ambiguous
 RECOMMENDED_MARKERS = 4  # with three, one that moved cannot be told from the others
 KNOWN_TOOLS = ("guide",)  # the calibration records of a theatre know this one only
@@ -34,11 +38,17 @@ KNOWN_TOOLS = ("guide",)  # the calibration records of a theatre know this one o
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """What a check found: `findings` refuse the plan, `warnings` are for the surgeon to weigh."""
+    """What a check found: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
+
+    `ways` are all motions of the procedure as the arm would drive them, when it was given and reaches all.
+    `turns_rad` say by trajectory how far it was turned about its axis for that.
+    """
 
     plan: Plan
     findings: tuple[RonnaError, ...]
     warnings: tuple[str, ...]
+    ways: tuple[PreviewedWay, ...] = ()
+    turns_rad: tuple[tuple[str, float], ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -60,6 +70,8 @@ class PlanCheck:
             ],
             "findings": [{"code": one.code, "what": one.what, "action": one.advice} for one in self.findings],
             "warnings": list(self.warnings),
+            "ways": [way.as_payload() for way in self.ways],
+            "free_angle_turns_rad": dict(self.turns_rad),
         }
 
 
@@ -69,8 +81,12 @@ def check_plan(
     *,
     fiducials_mm: ArrayLike | None = None,
     arm: ArmSetting | None = None,
+    sight: StereoSight | None = None,
 ) -> PlanCheck:
     """Check a plan against its CT series, and against the fiducials (n, 3) in LPS mm and the arm if given.
+
+    With `sight` the arm may turn trajectories about their axes, as the procedure does, so that the stereo
+    head sees the fiducials and all ways are clear.
 
     Never raises for a wrong plan: all findings come back together; `PlanCheck.require` raises them.
     """
@@ -115,10 +131,52 @@ def check_plan(
                 )
             )
         warnings += _side_warning(points)
+    ways: tuple[PreviewedWay, ...] = ()
+    turns: tuple[tuple[str, float], ...] = ()
     if arm is not None:
-        unmet = arm.check_reach(tuple(one.trajectory for one in plan.trajectories))
-        findings += [NotReachable(f"{one.pose}: {one.reason}") for one in unmet]
-    return PlanCheck(plan, tuple(findings), tuple(warnings))
+        refused, ways, turns = _driven(plan, fiducials_mm, arm, sight)
+        findings += refused
+        warnings += _too_near_from_the_start(ways)
+    return PlanCheck(plan, tuple(findings), tuple(warnings), ways, turns)
+
+
+def _driven(
+    plan: Plan, fiducials_mm: ArrayLike | None, arm: ArmSetting, sight: StereoSight | None
+) -> tuple[list[RonnaError], tuple[PreviewedWay, ...], tuple[tuple[str, float], ...]]:
+    """What keeps the arm from the plan; else its ways, where there is a room, and what was turned."""
+    from procedures.planning.clear_ways import previews_of
+    from procedures.planning.free_angle import TurnedPaths, choose_free_angles
+    from procedures.planning.reach import check_paths
+
+    trajectories = tuple(one.trajectory for one in plan.trajectories)
+    fiducials = np.zeros((0, 3)) if fiducials_mm is None else fiducials_mm
+    if sight is None:
+        check = check_paths(arm, trajectories, fiducials)
+        turned = TurnedPaths(check, trajectories, (0.0,) * len(trajectories))
+    else:
+        turned = choose_free_angles(arm, trajectories, fiducials, sight)
+    if not turned.check.passed:
+        unmet: list[RonnaError] = [NotReachable(f"{one.pose}: {one.reason}") for one in turned.check.unmet]
+        return unmet, (), ()
+    turns = tuple((one.identifier, turn) for one, turn in zip(trajectories, turned.turns_rad, strict=True))
+    if arm.room is None:
+        return [], (), turns
+    return [], previews_of(arm, arm.room, turned.check, turned.trajectories), turns
+
+
+def _too_near_from_the_start(ways: Sequence[PreviewedWay]) -> list[str]:
+    """Bodies that are nearer than the margin where a way begins may stay or leave: is that so meant?"""
+    told: dict[tuple[str, str], str] = {}
+    for one in ways:
+        closest = one.preview.closest
+        if closest is not None and closest.distance_mm < one.way.around.margin_mm - WITHIN_ROUNDING_MM:
+            pair = (closest.first, closest.second)
+            told.setdefault(
+                pair,
+                f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at"
+                f" {one.way.start} already: another place of head or home",
+            )
+    return list(told.values())
 
 
 def _unknown(plan: Plan) -> list[RonnaError]:

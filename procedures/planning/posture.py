@@ -16,6 +16,8 @@ from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 
 START_RAD: JointVector = radians6(0.0, -90.0, 90.0, 0.0, 90.0, 0.0)  # upright, forearm ahead, tool down
+# Where the arm of a theatre begins: as above, with the tool ahead of the wrist and not under the forearm.
+HOME_DEG = (0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 ALL_BRANCHES = tuple(
     Branch(overhead, elbow, flipped)
     for overhead in (False, True)

@@ -171,10 +171,6 @@ class ArmSetting:
         if self.flange_from_stereo is not None:
             require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
-    def check_reach(self, trajectories: Sequence[Trajectory]) -> tuple[Unmet, ...]:
-        """What keeps the arm from the targets, before any fiducial is known."""
-        return check_paths(self, trajectories, ()).unmet
-
 
 def visits_of(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike

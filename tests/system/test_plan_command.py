@@ -30,6 +30,8 @@ target_mm = [5.0, -20.0, 20.0]
 free_angle_deg = 0.0
 margin_mm = 1.5
 """
+HEAD_MM = 79.0
+NEAR, FAR = ("700", "0", "100", "-90", "0", "-90"), ("1500", "0", "250", "-90", "0", "-90")
 POSE = {"translation_mm": [220.0, 0.0, 60.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
 CAMERA = {
     "serial": "1",
@@ -41,16 +43,16 @@ CAMERA = {
 
 @pytest.fixture
 def case(tmp_path: Path) -> tuple[Path, Path]:
-    """A plan file and a coarse CT around it: 61 slices of 20 x 20 voxels of 10 mm, 2 mm apart.
+    """A plan file and a coarse CT around it: 61 slices of 20 x 20 voxels of 10 mm, 3 mm apart.
 
-    Tissue lies below a slanting plane through the entry, air above it.
+    The head is a ball; the entry lies on it.
     """
     (tmp_path / "plan.toml").write_text(PLAN)
     series = tmp_path / "series"
     series.mkdir()
-    rows_mm = np.arange(-95.0, 100.0, 10.0)[:, None]
+    grid_mm = np.arange(-95.0, 100.0, 10.0)
     for number in range(61):
-        in_tissue = 0.8 * (-20.0 + 2.0 * number) - 0.6 * rows_mm < 79.0
+        in_tissue = np.hypot(grid_mm[:, None], grid_mm) ** 2 + (-90.0 + 3.0 * number) ** 2 < HEAD_MM**2
         data = Dataset()
         data.file_meta, data.preamble = FileMetaDataset(), b"\0" * 128
         data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
@@ -61,9 +63,9 @@ def case(tmp_path: Path) -> tuple[Path, Path]:
         data.Modality, data.PatientPosition = "CT", "HFS"
         data.PatientName, data.PatientID = "Secret^Name", "SECRET-ID"
         data.InstanceNumber = number + 1
-        data.ImagePositionPatient = ["-95", "-95", str(-20.0 + 2.0 * number)]
+        data.ImagePositionPatient = ["-95", "-95", str(-90.0 + 3.0 * number)]
         data.ImageOrientationPatient = ["1", "0", "0", "0", "1", "0"]
-        data.PixelSpacing, data.SliceThickness = ["10", "10"], "2"
+        data.PixelSpacing, data.SliceThickness = ["10", "10"], "3"
         data.RescaleSlope, data.RescaleIntercept = "1", "-1024"
         data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
         data.Rows = data.Columns = 20
@@ -182,18 +184,80 @@ def test_markers_that_cannot_be_localized_are_the_localizers_error(case):
     assert one_line(done).startswith("CT-")
 
 
-def test_the_reach_is_checked_where_the_head_will_be(case, theatre):
-    near = ("640", "0", "250", "-90", "0", "-90")
-    done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *near)
+def test_the_ways_of_the_arm_are_shown_before_anything_moves(case, theatre):
+    done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR)
     assert done.returncode == 0, done.stderr
-    far = ("1500", "0", "250", "-90", "0", "-90")
-    done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *far)
+    header, *ways = done.stdout.splitlines()[-4:]
+    for word in ("s", "smallest distance mm", "singularity", "A1..A6 deg"):
+        assert word in header.split("\t")
+    assert [way.split("\t")[:3] for way in ways] == [
+        ["home", "T1/target", "move"],
+        ["T1/target", "T1/target", "line"],
+        ["T1/target", "home", "move"],
+    ]
+
+
+def test_every_way_has_its_preview_in_json(case, theatre):
+    done = ronna_plan(
+        "check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR, "--json"
+    )
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert [(way["from"], way["to"]) for way in document["ways"]] == [
+        ("home", "T1/target"),
+        ("T1/target", "T1/target"),
+        ("T1/target", "home"),
+    ]
+    for way in document["ways"]:
+        assert way["clear"]
+        assert way["duration_s"] > 0.5
+        assert len(way["joint_ranges_rad"]) == 6
+        assert way["closest"]["distance_mm"] >= 9.5  # the cell's margin, on a path of half a millimetre
+        assert 0.0 < min(way["singularity"].values()) <= 1.0
+    assert document["free_angle_turns_rad"].keys() == {"T1"}
+
+
+@pytest.mark.hazard(23)
+def test_a_target_out_of_reach_is_refused_with_code_reason_and_action(case, theatre):
+    done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *FAR)
     assert done.returncode == 3
-    assert "PLAN-007" in one_line(done)
-    assert "T1/target" in done.stderr
+    assert one_line(done).startswith("PLAN-007: T1/target: ")
+    assert "ARM-001" in done.stderr
+    assert "move the cart" in done.stderr
 
 
-def test_the_reach_needs_both_options(case, theatre):
+@pytest.mark.hazard(24)
+def test_a_body_of_the_cell_in_the_way_is_refused_by_name(case, theatre):
+    lamp = '\n[[cell.bodies]]\nname = "lamp"\nframe = "robot"\nradius_mm = 900.0\n'
+    ends = "start_mm = [800.0, 0.0, 900.0]\nend_mm = [800.0, 0.0, 900.0]\n"
+    theatre.write_text(theatre.read_text() + lamp + ends)
+    done = ronna_plan(
+        "check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR, "--json"
+    )
+    assert done.returncode == 3
+    assert "into the lamp" in one_line(done)
+    finding = json.loads(done.stdout)["findings"][0]
+    assert finding["code"] == "PLAN-007"
+    assert finding["action"]
+    assert json.loads(done.stdout)["ways"] == []
+
+
+def test_a_head_beside_the_arm_at_home_is_warned_about(case, theatre):
+    beside = ("640", "0", "250", "-90", "0", "-90")
+    done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *beside)
+    assert "warning: the upper arm is -45.0 mm from the torso at home already" in done.stderr
+
+
+def test_a_home_outside_the_joint_ranges_is_refused(case, theatre):
+    home = ("200", "-90", "90", "0", "60", "0")
+    done = ronna_plan(
+        "check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR, "--home", *home
+    )
+    assert done.returncode != 0
+    assert one_line(done).startswith("ARM-003: A1 would leave its range")
+
+
+def test_the_ways_need_both_options(case, theatre):
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre)
     assert done.returncode == 2
     assert "--robot-from-ct" in one_line(done)

@@ -122,8 +122,8 @@ def test_a_head_out_of_reach_leaves_every_pose_unmet(make_arm):
 
 
 def test_reach_is_checked_before_fiducials_are_known(make_arm):
-    assert make_arm().check_reach(TRAJECTORIES) == ()
-    unmet = make_arm((1500.0, 0.0, 250.0)).check_reach(TRAJECTORIES)
+    assert check_paths(make_arm(), TRAJECTORIES, ()).passed
+    unmet = check_paths(make_arm((1500.0, 0.0, 250.0)), TRAJECTORIES, ()).unmet
     assert [one.pose for one in unmet] == ["T1/target", "T2/target"]
 
 
