@@ -27,6 +27,7 @@ class Method(StrEnum):
 
 
 READING_SHARE = 0.4  # of the whole work
+PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look through
 
 app = typer.Typer(
     name="ronna-ct",
@@ -74,7 +75,11 @@ def localize(
     ] = False,
     pictures: Annotated[
         Path | None,
-        typer.Option("--pictures", metavar="DIR", help="Write a picture of each marker into this folder."),
+        typer.Option(
+            "--pictures",
+            metavar="DIR",
+            help="Write a picture of each marker into this folder; when refused, of the candidates.",
+        ),
     ] = None,
     write: Annotated[
         list[Path] | None,
@@ -89,7 +94,7 @@ def localize(
 
     Exit codes: 0 markers found, 1 the series is unusable or a file cannot be written, 2 usage,
     3 another number of markers than expected or none (the candidates are listed), 130 interrupted.
-    sigma is the predicted error of a centre, agree the distance between its two estimates, both in mm.
+    sigma is the predicted 3-D error of a centre (rms), agree the distance between its two estimates, in mm.
     elapsed_s is the time of the localization without reading the files.
     """
     console.set_up_logging(verbose)
@@ -119,27 +124,40 @@ def localize(
         except MarkerCountWrong as error:
             refused = error
         elapsed_s = time.perf_counter() - began_s
-    if refused is not None:
-        if show_candidates:
-            _print_candidates(refused.candidates)
-        raise refused
     for sentence in volume.warnings:
         console.tell(f"warning: {sentence}")
+    if refused is not None:
+        likely = _likely_first(refused.candidates)
+        if show_candidates and as_json:
+            console.print_json({"candidates": _listed(likely)})
+        elif show_candidates:
+            _print_candidates(likely)
+        if pictures is not None:
+            _write_candidate_pictures(pictures, volume, likely[:PICTURED_CANDIDATES])
+        raise refused
     if pictures is not None:
         _write_pictures(pictures, volume, result)
     write_spheres(result, write or ())
     if as_json:
         document = _document(result, elapsed_s)
         if show_candidates:
-            document["candidates"] = [
-                {"centre_mm": list(one.centre_mm), "accepted": one.accepted, "reason": one.reason}
-                for one in result.candidates
-            ]
+            document["candidates"] = _listed(_likely_first(result.candidates))
         console.print_json(document)
     else:
         _print_markers(result)
         if show_candidates:
-            _print_candidates(result.candidates)
+            _print_candidates(_likely_first(result.candidates))
+
+
+def _likely_first(candidates: Sequence[Candidate]) -> list[Candidate]:
+    return sorted(candidates, key=lambda one: (not one.accepted, -(one.surface_share or 0.0)))
+
+
+def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
+    return [
+        {"centre_mm": list(one.centre_mm), "accepted": one.accepted, "reason": one.reason}
+        for one in candidates
+    ]
 
 
 def _document(result: Localization, elapsed_s: float) -> dict[str, Any]:
@@ -203,6 +221,14 @@ def _write_pictures(folder: Path, volume: Volume, result: Localization) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for number, picture in enumerate(marker_pictures(volume, result), start=1):
         (folder / f"marker-{number}.png").write_bytes(picture)
+
+
+def _write_candidate_pictures(folder: Path, volume: Volume, candidates: Sequence[Candidate]) -> None:
+    from procedures.imaging.pictures import candidate_pictures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, picture in enumerate(candidate_pictures(volume, candidates), start=1):
+        (folder / f"candidate-{number}.png").write_bytes(picture)
 
 
 def main() -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.markers import Localization, Marker
+from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.region import cut_region
-from procedures.imaging.volume import Volume
+from procedures.imaging.volume import Volume, VoxelGeometry
 
 Array = NDArray[np.float64]
 
@@ -18,8 +19,12 @@ STEP_MM = 0.25  # of the interpolated picture
 WINDOW_HU = (-1000.0, 600.0)
 DOTS_PER_INCH = 100
 
-# planes of the voxel grid: name, axis across (picture left to right), axis down, axis through
-_PLANES = (("slice", 2, 1, 0), ("section along rows", 2, 0, 1), ("section along columns", 1, 0, 2))
+UNSCANNED_COLOUR = "#1f2f5f"  # not the black of air
+STRAIGHT_DEG = 10.0  # a plane turned further is called oblique
+
+# planes of the voxel grid: axis across (picture left to right), axis down, axis through
+_PLANES = ((2, 1, 0), (2, 0, 1), (1, 0, 2))
+_NAMES = {"L": "sagittal", "R": "sagittal", "P": "coronal", "A": "coronal", "S": "axial", "I": "axial"}
 _OPPOSITE = {"L": "R", "R": "L", "P": "A", "A": "P", "S": "I", "I": "S"}
 
 
@@ -27,7 +32,7 @@ def marker_pictures(volume: Volume, localization: Localization) -> tuple[bytes, 
     """A PNG for every marker, in the order of `localization.markers`.
 
     Each shows the three planes of the voxel grid through the centre with the fitted sphere. Letters name
-    the patient's sides.
+    the patient's sides; blue was not scanned.
     """
     return tuple(
         marker_picture(volume, marker, f"marker {number}")
@@ -37,56 +42,91 @@ def marker_pictures(volume: Volume, localization: Localization) -> tuple[bytes, 
 
 def marker_picture(volume: Volume, marker: Marker, title: str) -> bytes:
     """One PNG with three planes through a marker, HU window -1000 to 600."""
+    flags = f"\n{', '.join(marker.flags)}" if marker.flags else ""
+    sigma_mm = float(np.sqrt(marker.covariance_mm2.trace()))
+    heading = (
+        f"{title}   LPS {_place(marker.centre_mm)} mm   sigma {sigma_mm:.3f} mm   "
+        f"radius {marker.radius_mm:.2f} mm   quality {marker.quality:.2f}{flags}"
+    )
+    return _picture(volume, marker.centre_mm, marker.radius_mm, heading)
+
+
+def candidate_pictures(volume: Volume, candidates: Sequence[Candidate]) -> tuple[bytes, ...]:
+    """The same for candidates, in their order, with what became of each; a ring where a surface was found."""
+    return tuple(
+        _picture(
+            volume,
+            np.array(one.centre_mm),
+            one.radius_mm,
+            f"candidate {number}   LPS {_place(one.centre_mm)} mm\n{one.reason}",
+        )
+        for number, one in enumerate(candidates, start=1)
+    )
+
+
+def _place(centre_mm: Iterable[float]) -> str:
+    return f"({', '.join(f'{value:z.2f}' for value in centre_mm)})"
+
+
+def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading: str) -> bytes:
+    from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle
 
     geometry = volume.geometry
-    centre_mm = geometry.to_index(marker.centre_mm) * geometry.spacing_mm
+    centre_mm = geometry.to_index(middle_mm) * geometry.spacing_mm
     planes = _planes_through(volume, centre_mm)
     sides = geometry.orientation[::-1]  # along slices, rows, columns
     figure = Figure(figsize=(9.6, 3.6), dpi=DOTS_PER_INCH, layout="constrained")
     FigureCanvasAgg(figure)
-    for place, ((name, across, down, _), picture) in enumerate(zip(_PLANES, planes, strict=True)):
+    colours = colormaps["gray"].with_extremes(bad=UNSCANNED_COLOUR)
+    for place, ((across, down, through), picture) in enumerate(zip(_PLANES, planes, strict=True)):
         axes = figure.add_subplot(1, 3, place + 1)
         # index grows downwards in every picture; the slice axis is drawn upwards, head on top
         upwards = down == 0
         extent = (-HALF_WIDTH_MM, HALF_WIDTH_MM, -HALF_WIDTH_MM, HALF_WIDTH_MM)
         axes.imshow(
             picture,
-            cmap="gray",
+            cmap=colours,
             vmin=WINDOW_HU[0],
             vmax=WINDOW_HU[1],
             extent=extent,
             origin="lower" if upwards else "upper",
         )
-        axes.add_patch(Circle((0.0, 0.0), marker.radius_mm, fill=False, color="tab:orange", linewidth=1.2))
+        if radius_mm is not None:
+            axes.add_patch(Circle((0.0, 0.0), radius_mm, fill=False, color="tab:orange", linewidth=1.2))
         axes.plot([0.0], [0.0], "+", color="tab:cyan", markersize=9)
         right = sides[across]
         top = sides[down] if upwards else _OPPOSITE[sides[down]]
         axes.set_xlabel(f"{_OPPOSITE[right]}  ← mm →  {right}")
         axes.set_ylabel(f"{_OPPOSITE[top]}  ← mm →  {top}")
-        axes.set_title(name, fontsize="small")
-    x, y, z = marker.centre_mm
-    flags = f"   {', '.join(marker.flags)}" if marker.flags else ""
-    figure.suptitle(
-        f"{title}   LPS ({x:.2f}, {y:.2f}, {z:.2f}) mm   radius {marker.radius_mm:.2f} mm   "
-        f"quality {marker.quality:.2f}{flags}",
-        fontsize="medium",
-    )
+        axes.set_title(_plane_name(geometry, through), fontsize="small")
+    figure.suptitle(heading, fontsize="medium")
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()
 
 
 def _planes_through(volume: Volume, centre_mm: Array) -> list[Array]:
-    """HU of the three planes, (n, n) each: rows along the down axis, columns along the across axis."""
+    """HU of the three planes, (n, n) each: rows along the down axis, columns along the across axis.
+
+    NaN where nothing was scanned.
+    """
     region = cut_region(volume, centre_mm, HALF_WIDTH_MM + float(volume.geometry.spacing_mm.max()))
     offsets_mm = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM + STEP_MM / 2, STEP_MM)
     planes = []
-    for _, across, down, _through in _PLANES:
+    for across, down, _through in _PLANES:
         points_mm = np.tile(centre_mm, (len(offsets_mm), len(offsets_mm), 1))
         points_mm[:, :, across] += offsets_mm[None, :]
         points_mm[:, :, down] += offsets_mm[:, None]
-        planes.append(np.nan_to_num(region.sample(points_mm), nan=WINDOW_HU[0]))
+        planes.append(region.sample(points_mm))
     return planes
+
+
+def _plane_name(geometry: VoxelGeometry, through: int) -> str:
+    """What the plane across a grid axis is called in the patient."""
+    name = _NAMES[geometry.orientation[2 - through]]
+    along = float(np.abs(geometry.axes[:, through]).max())
+    oblique = along < np.cos(np.radians(STRAIGHT_DEG))
+    return f"oblique, nearly {name}" if oblique else name

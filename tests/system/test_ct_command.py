@@ -95,10 +95,17 @@ def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> N
     assert "leave --method out" in refused.stderr
 
 
-def test_a_wrong_count_shows_every_candidate_when_asked(series: Path) -> None:
-    done = ronna_ct("localize", series, "--expected", 3, "--candidates")
+def test_a_wrong_count_shows_every_candidate_when_asked(series: Path, tmp_path: Path) -> None:
+    done = ronna_ct("localize", series, "--expected", 3, "--candidates", "--pictures", tmp_path / "seen")
     assert done.returncode == 3
     assert done.stdout.count("is a marker") == 2
+    assert sorted(path.name for path in (tmp_path / "seen").iterdir()) == [
+        "candidate-1.png",
+        "candidate-2.png",
+    ]
+    as_json = ronna_ct("localize", series, "--expected", 3, "--candidates", "--json")
+    assert as_json.returncode == 3
+    assert [one["accepted"] for one in json.loads(as_json.stdout)["candidates"]] == [True, True]
 
 
 def test_off_a_terminal_the_table_is_lines_of_fields(series: Path) -> None:

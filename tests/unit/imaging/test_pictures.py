@@ -7,9 +7,10 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 
 from procedures.imaging import Volume, VoxelGeometry, localize
-from procedures.imaging.pictures import HALF_WIDTH_MM, _planes_through, marker_pictures
+from procedures.imaging.pictures import _PLANES, HALF_WIDTH_MM, _plane_name, _planes_through, marker_pictures
 
 
 def volume_with_balls(make_scan: Callable[..., Any]) -> Volume:
@@ -41,7 +42,28 @@ def test_each_plane_has_the_sphere_in_its_middle(make_scan: Callable[..., Any]) 
         np.testing.assert_allclose(len(bright) * step_mm**2, np.pi * 5.75**2, rtol=0.03)
 
 
-def test_the_ring_around_a_marker_at_the_border_shows_air(make_scan: Callable[..., Any]) -> None:
+def test_what_was_not_scanned_is_not_shown_as_air(make_scan: Callable[..., Any]) -> None:
     volume = volume_with_balls(make_scan)
-    planes = _planes_through(volume, np.array([20.0, 2.0, 20.0]))
-    assert all(np.isfinite(plane).all() for plane in planes)
+    _, _, along_columns = _planes_through(volume, np.array([20.0, 2.0, 20.0]))
+    across = np.linspace(-HALF_WIDTH_MM, HALF_WIDTH_MM, len(along_columns))
+    assert np.isnan(along_columns[:, across < -2.1]).all()
+    assert np.isfinite(along_columns[:, across > -1.9]).all()
+
+
+def turned(degrees: float) -> np.ndarray:
+    """Columns slice, row, column of an axial scan whose slices are tilted about the left-right axis."""
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[0.0, 0.0, 1.0], [-sine, cosine, 0.0], [cosine, sine, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("degrees", "names"),
+    [
+        (0.0, ["axial", "coronal", "sagittal"]),
+        (20.0, ["oblique, nearly axial", "oblique, nearly coronal", "sagittal"]),
+        (90.0, ["coronal", "axial", "sagittal"]),
+    ],
+)
+def test_planes_have_the_names_that_a_surgeon_gives_them(degrees: float, names: list[str]) -> None:
+    geometry = VoxelGeometry((4, 4, 4), np.zeros(3), turned(degrees), np.ones(3))
+    assert [_plane_name(geometry, through) for _, _, through in _PLANES] == names
