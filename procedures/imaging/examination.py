@@ -37,6 +37,7 @@ RADIUS_TOLERANCE = 0.061  # of the radius: 0.35 mm for the usual sphere
 AGREEMENT_MM = 0.06  # beyond this the two estimators contradict each other
 
 UNSCANNED_FLAG = 0.02  # share of rays that leave the field
+CUT_FLAG = 0.005  # share of rays that leave it before the sphere's edge: two of 400
 SURFACE_FLAG = 0.70  # share of the surface seen
 METAL_FLAG = 0.17  # share of the surface near metal; a post takes 0.10 to 0.13
 RADIUS_FLAG = 0.045  # of the radius: 0.26 mm
@@ -68,7 +69,7 @@ def examine(
         return _rejected(volume, peak, None, "shows no surface of a polymer sphere")
     if edge.surface_share < min_surface_share and not _is_half_covered(edge):
         seen = f"{edge.surface_share:.0%} of a sphere's surface"
-        cut = edge.unscanned_share > UNSCANNED_FLAG
+        cut = edge.cut_share > CUT_FLAG
         return _rejected(
             volume, peak, edge, f"is cut by the field, shows {seen}" if cut else f"shows only {seen}"
         )
@@ -140,7 +141,7 @@ def _flags(sphere: Sphere, others: list[Sphere], radius_mm: float) -> tuple[str,
     ]
     raised = {
         ESTIMATORS_DISAGREE: sphere.combined.agreement_mm > AGREEMENT_MM,
-        CUT_BY_FIELD: sphere.edge.unscanned_share > UNSCANNED_FLAG,
+        CUT_BY_FIELD: sphere.edge.cut_share > CUT_FLAG,
         NEAR_METAL: sphere.ball.metal_share > METAL_FLAG,
         SURFACE_HIDDEN: sphere.edge.surface_share < SURFACE_FLAG,
         RADIUS_UNUSUAL: abs(sphere.ball.radius_mm - radius_mm) > RADIUS_FLAG * radius_mm,

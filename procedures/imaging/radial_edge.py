@@ -28,6 +28,7 @@ MIN_CONTRAST_HU = 100.0
 SAME_LEVEL = 0.25  # of the contrast: a ray whose ends differ more from the usual levels is not used
 INLIER = 0.061  # of the nominal radius (0.35 mm): an edge point this near the sphere lies on it
 STEP_INSIDE, STEP_OUTSIDE = (0.70, 0.88), (1.15, 1.35)  # of the fitted radius, clear of the blur
+EDGE_TO = 1.10  # of the fitted radius: here the edge has been seen
 PASSES, REFINING_PASSES = 3, 2  # rays are cast again from each new centre
 FIT_STEPS = 12
 FIT_DONE_MM = 1e-6
@@ -42,7 +43,8 @@ class RadialEdge:
     """A sphere fitted to edge points. Centre and covariance in grid mm (slice, row, column).
 
     `surface_share` is the part of all rays whose edge lies on the sphere, `unscanned_share` the part that
-    leaves the scanned volume, `coherence` the part of the rays that end in the open (air, as a rule) whose
+    leaves the scanned volume somewhere, `cut_share` the part that does so before it has left the sphere's
+    edge behind, `coherence` the part of the rays that end in the open (air, as a rule) whose
     edge lies on the sphere. `covered_step_hu` is the usual fall of intensity at the sphere's radius along
     rays that end in something else, such as a bandage; 0 where there are none. `seen` (RAYS,) tells the rays
     on whose edge the sphere rests. `covariance_mm2` treats the rays as independent.
@@ -53,6 +55,7 @@ class RadialEdge:
     covariance_mm2: Array
     surface_share: float
     unscanned_share: float
+    cut_share: float
     inside_hu: float
     outside_hu: float
     coherence: float
@@ -116,12 +119,19 @@ def _fit_profiles(
         covariance_mm2=covariance_mm2,
         surface_share=float(on_sphere.sum()) / len(profiles),
         unscanned_share=1.0 - float(scanned.sum()) / len(profiles),
+        cut_share=_cut_share(profiles, radii_mm, radius_mm),
         inside_hu=inside_hu,
         outside_hu=outside_hu,
         coherence=float(on_sphere.sum()) / max(float(opens.sum()), 1.0),
         covered_step_hu=_covered_step(rays[~opens & (outer < inside_hu + margin_hu)], radii_mm, radius_mm),
         seen=seen,
     )
+
+
+def _cut_share(profiles: Array, radii_mm: Array, radius_mm: float) -> float:
+    """Share of rays without a value up to the sphere's edge and its blur."""
+    to_edge = profiles[:, radii_mm <= EDGE_TO * radius_mm]
+    return 1.0 - float(np.isfinite(to_edge).all(axis=1).mean())
 
 
 def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:

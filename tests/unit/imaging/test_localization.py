@@ -178,6 +178,15 @@ def test_a_ball_cut_by_the_field_is_flagged_or_rejected(
         assert all(not candidate.accepted for candidate in caught.value.candidates)
 
 
+def test_a_whole_ball_beside_the_end_of_the_field_is_not_called_cut(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    centre = np.array([20.0, 7.0, 20.0])
+    scan.ball(centre)
+    marker = localize(as_volume(scan), expected=1).markers[0]
+    assert "cut_by_field" not in marker.flags
+    np.testing.assert_allclose(marker.centre_mm, centre, atol=0.02)
+
+
 def test_padding_outside_the_round_field_counts_as_not_scanned(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 80))
     scan.ball(np.array([20.0, 14.0, 20.0]))
