@@ -103,6 +103,9 @@ def localization(
     tuning: Annotated[
         bool, typer.Option("--tuning", help="The families that the localizer may be tuned on.")
     ] = False,
+    frames: Annotated[
+        bool, typer.Option("--frames", help="The sets of the x-shaped frame alone (tables 2 and 3).")
+    ] = False,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -117,6 +120,8 @@ def localization(
     study = LocalizationStudy(volumes, sets, seed)
     if tuning:
         study = LocalizationStudy(volumes, sets, seed, TUNING, name="localization-tuning")
+    if frames:
+        study = LocalizationStudy(0, sets, seed, (), name="localization-frames")
     _run(study, tables, plots, workers, scheduler, out, as_json, verbose)
 
 

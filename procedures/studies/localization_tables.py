@@ -39,7 +39,11 @@ COLUMNS = (
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Pooled, by family, and the thesis' tables 2 and 3."""
+    frames = pooled(sums, [cell for cell in sums if cell.startswith(FRAMES)])
+    of_frames = [_fle_table(frames)] if frames else []
     cells = [cell for cell in sums if not cell.startswith(FRAMES)]
+    if not cells:
+        return of_frames
     protocols = list(dict.fromkeys(cell.split("|")[1] for cell in cells))
     together: list[Sequence[Cell]] = []
     for protocol in protocols:
@@ -66,8 +70,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             "Localization by family", COLUMNS, single, "Goals: 10 µm good, 25 poor; 35 and 50 with streaks."
         ),
     ]
-    frames = pooled(sums, [cell for cell in sums if cell.startswith(FRAMES)])
-    return [*found, _fle_table(frames)] if frames else found
+    return [*found, *of_frames]
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
@@ -85,7 +88,23 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
             if cell.endswith(f"|{protocol}")
         }
         pictures[f"error-{protocol}.png"] = bars(f"3-D error, {protocol} protocol", "rms, µm", groups)
+    if frames := pooled(sums, [cell for cell in sums if cell.startswith(FRAMES)]):
+        pictures["fle.png"] = bars("FLE, four spheres of the x-shaped frame", "mm", _fle_bars(frames))
     return pictures
+
+
+def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
+    """Ours and the thesis' figures side by side; what the thesis does not have stays empty."""
+    groups: dict[str, dict[str, float]] = {}
+    for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _fle_table(total).rows:
+        named = zip(
+            ("to the truth", "thesis, table 2", "between scans", "thesis, table 3"),
+            (truth_mm, table_2_mm, pair_mm, table_3_mm),
+            strict=True,
+        )
+        short = str(who).replace("thesis-", "").replace("person's picks ", "picks\n")
+        groups[short] = {name: value for name, value in named if isinstance(value, float)}
+    return groups
 
 
 def _rows(family: str, protocol: str, total: Sums) -> list[Sequence[Cell]]:

@@ -118,6 +118,12 @@ def test_the_published_human_average_is_the_mean_over_the_operators():
     assert round(float(np.mean(operators)), 4) == 0.4698
 
 
+@pytest.mark.parametrize(("people_mm", "fit_mm", "less"), [(0.3189, 0.1617, 49.29), (0.4698, 0.2541, 45.91)])
+def test_the_published_gains_over_people_follow_from_the_published_errors(people_mm, fit_mm, less):
+    # Tables 2 and 3, SphereFit. Only the FLE of table 3 are known here, not its ten rows of FRE.
+    assert round(100.0 * (1.0 - fit_mm / people_mm), 2) == less
+
+
 def test_two_points_have_no_residual_freedom():
     with pytest.raises(TooFewPoints, match="REG-002"):
         fle_from_fre_mm(0.1, 2)

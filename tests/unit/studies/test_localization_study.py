@@ -88,11 +88,17 @@ def test_the_protocols_of_tables_2_and_3_give_back_the_error_of_the_people() -> 
         scans = [frame + random.normal(size=frame.shape) * fle_mm / np.sqrt(3.0) for _ in range(5)]
         for key, value in study_module.fle_sums({"person 1": scans}).items():
             total[key] = total.get(key, 0.0) + value
-    *_, table = tables({"frames|usual": total})
+    (table,) = tables({"frames|usual": total})
     row = dict(zip(table.columns, table.rows[0], strict=True))
     assert (row["scans"], row["pairs"]) == (5 * sets, 10 * sets)
     assert row["FLE mm, truth"] == pytest.approx(fle_mm, rel=0.1)
     assert row["FLE mm, pairs"] == pytest.approx(fle_mm, rel=0.1)
+    assert plots({"frames|usual": total})["fle.png"].startswith(b"\x89PNG")
+
+
+def test_the_frame_alone_is_a_study_of_its_own() -> None:
+    units = LocalizationStudy(0, 3, families=()).units()
+    assert [unit.cell for unit in units] == ["frames|usual"] * 3
 
 
 def test_no_family_both_tunes_and_judges_and_the_phantom_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
