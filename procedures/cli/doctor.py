@@ -1,7 +1,7 @@
 """`ronna-procedure doctor`: what this computer offers, and what answers at a theatre file's endpoints.
 
-The tracker's line is looked at below its driver as well: a wrong rate, another program or a missing
-permission are the usual reasons for a tracker that does not answer.
+The tracker's line and the cameras' addresses are looked at below their drivers as well: a wrong rate, another
+program, a missing permission or a wrong subnet are the usual reasons for a device that does not answer.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 
 if TYPE_CHECKING:
+    from procedures.cli.camera_probe import About
     from procedures.cli.line_cause import Verdict
     from procedures.cli.line_probe import Probe
 
@@ -38,46 +39,65 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Awaited:
+    """A camera that is to be looked at, and which one it should be, where that is known."""
+
+    endpoint: Endpoint
+    serial: str | None = None
+    model: str | None = None
+
+
+@dataclass(frozen=True)
 class Report:
-    """All findings, and what was seen of each tracker's line in numbers and bytes."""
+    """All findings, and what was seen of each tracker's line and each camera in numbers and bytes."""
 
     findings: tuple[Finding, ...]
     lines: tuple[dict[str, Any], ...] = ()
+    cameras: tuple[dict[str, Any], ...] = ()
 
 
 def examine(
     config: Path | None, endpoints: Sequence[str] = (), progress: Progress = lambda share: None
 ) -> Report:
-    """Look at the computer, at a tracker's line at each endpoint, and at every device of a theatre file."""
-    trackers = [parse_endpoint(text).require("serial", "tcp") for text in endpoints]
+    """Look at the computer, at a tracker's line or a camera at each endpoint, and at a theatre's devices."""
+    asked = [parse_endpoint(text).require("serial", "tcp", "gev") for text in endpoints]
+    trackers = [endpoint for endpoint in asked if endpoint.scheme != "gev"]
+    cameras = [Awaited(endpoint) for endpoint in asked if endpoint.scheme == "gev"]
     theatre = None if config is None else read_theatre_file(config)
     findings = [_python(), _foreign_packages(), _receive_buffer(), _real_time(), *_serial_ports()]
     if theatre is not None and theatre.tracker is not None:
         trackers += _polaris_lines(theatre.tracker)
+    if theatre is not None and theatre.stereo is not None:
+        cameras += _gige_cameras(theatre.stereo)
     devices = [] if theatre is None else _devices(theatre)
+    everything = len(trackers) + len(cameras) + len(devices)
     probes = []
     for endpoint in trackers:
         probes.append(_probed(endpoint))
-        progress(len(probes) / (len(trackers) + len(devices)))
+        progress(len(probes) / everything)
     findings += [_line(probe) for probe in probes]
     causes = {str(probe.endpoint): _judged(probe).advice for probe in probes if not _judged(probe).well}
+    seen, documents = _look_at_cameras(cameras)
+    findings += seen
+    causes |= {each["endpoint"]: each["cause"] for each in documents if not each["well"]}
     for number, (name, device) in enumerate(devices, start=1):
         findings.append(_device(name, device, causes))
-        progress((len(trackers) + number) / (len(trackers) + len(devices)))
-    return Report(tuple(findings), tuple(_documented(probe) for probe in probes))
+        progress((everything - len(devices) + number) / everything)
+    return Report(tuple(findings), tuple(_documented(probe) for probe in probes), tuple(documents))
 
 
 def show(report: Report, *, as_json: bool) -> None:
     """Print the findings; ends with exit code 4 when a device of the theatre or a line did not answer."""
     if as_json:
-        print_json({"findings": [asdict(item) for item in report.findings], "lines": list(report.lines)})
+        findings = [asdict(item) for item in report.findings]
+        print_json({"findings": findings, "lines": list(report.lines), "cameras": list(report.cameras)})
     else:
         print_table(
             "Doctor",
             ("looked at", "", "seen", "what to do"),
             [(f.subject, "well" if f.well else "look", f.seen, f.advice) for f in report.findings],
         )
-    if any(not f.well and f.subject.startswith(("device ", "line ")) for f in report.findings):
+    if any(not f.well and f.subject.startswith(("device ", "line ", "camera gev:")) for f in report.findings):
         raise SystemExit(EXIT_NOT_FOUND)
 
 
@@ -183,6 +203,48 @@ def _line(probe: Probe) -> Finding:
     return Finding(f"line {probe.endpoint}", verdict.well, verdict.seen, verdict.advice)
 
 
+def _gige_cameras(stereo: DeviceConfig) -> list[Awaited]:
+    """The cameras of a stereo head whose driver speaks the protocol that the probe speaks."""
+    from ronna_hw.registry import load_driver
+
+    try:
+        protocol = getattr(load_driver(stereo.driver), "wire_protocol", None)
+        sides = {side: parse_endpoint(text) for side, text in stereo.endpoints.items()}
+    except RonnaError:  # told with the device itself
+        return []
+    if protocol != "gige-vision":
+        return []
+    awaited = []
+    for side, endpoint in sides.items():
+        serial, model = stereo.options.get(f"{side}_serial"), stereo.options.get("expected_model")
+        if endpoint.scheme == "gev":
+            texts = [each if isinstance(each, str) else None for each in (serial, model)]
+            awaited.append(Awaited(endpoint, *texts))
+    return awaited
+
+
+def _look_at_cameras(cameras: Sequence[Awaited]) -> tuple[list[Finding], list[dict[str, Any]]]:
+    """What answers on each network, then each camera's address; nothing without cameras to look for."""
+    if not cameras:
+        return [], []
+    from procedures.cli.camera_cause import document, judge
+    from procedures.cli.camera_probe import found_around, probe_camera
+
+    findings: list[Finding] = []
+    found: list[About] = []
+    for interface, answered in found_around([camera.endpoint for camera in cameras]):
+        found += answered
+        listed = ", ".join(f"{each.model} {each.serial} at {each.address}" for each in answered)
+        findings.append(Finding(f"cameras on {interface.name}", True, listed))
+    documents = []
+    for camera in cameras:
+        probe = probe_camera(camera.endpoint)
+        verdict = judge(probe, found, camera.serial, camera.model)
+        documents.append(document(probe, verdict))
+        findings.append(Finding(f"camera {camera.endpoint}", verdict.well, verdict.seen, verdict.advice))
+    return findings, documents
+
+
 def _devices(theatre: TheatreFile) -> list[tuple[str, DeviceConfig]]:
     devices = [(f"robot.{name}", device) for name, device in theatre.robot.items()]
     for name in ("tracker", "stereo"):
@@ -205,7 +267,9 @@ def _device(name: str, device: DeviceConfig, causes: dict[str, str]) -> Finding:
         finally:
             session.close()
     except RonnaError as error:
-        cause = causes.get(addresses) or _cause(device) or error.advice
+        own = [*device.endpoints.values()] or [str(device.endpoint)]
+        known = next((causes[text] for text in own if text in causes), "")
+        cause = known or _cause(device) or error.advice
         return Finding(f"device {name}", False, f"{addresses}: {error.code} {error.what}", cause)
     return Finding(
         f"device {name}", True, f"{addresses}: {identity.model} {identity.serial} {identity.firmware}"

@@ -1,9 +1,10 @@
-"""Who else has a serial port open, as far as this user may see."""
+"""Who else has a serial port open, or a UDP port of this computer, as far as this user may see."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,8 +45,24 @@ def holders_of(path: str) -> tuple[Holder, ...]:
     return tuple(sorted(found, key=lambda holder: holder.pid))
 
 
-def _open_files() -> Iterator[tuple[int, list[tuple[Path, str]]]]:
-    """(process, its open devices as path below /proc and name)."""
+def holder_of_udp_port(address: str, port: int) -> Holder | None:
+    """The process on this computer that has a UDP port; None for another computer's, or an unseen one."""
+    with contextlib.suppress(OSError):
+        for line in (PROCESSES / "net" / "udp").read_text().splitlines()[1:]:
+            fields = line.split()
+            own, own_port = fields[1].split(":")
+            bound = socket.inet_ntoa(bytes.fromhex(own)[::-1])
+            if int(own_port, 16) != port or bound not in (address, "0.0.0.0"):
+                continue
+            link = f"socket:[{fields[9]}]"
+            for pid, links in _open_files("socket:"):
+                if any(name == link for _, name in links):
+                    return Holder(pid, _name(pid))
+    return None
+
+
+def _open_files(prefix: str = "/dev/") -> Iterator[tuple[int, list[tuple[Path, str]]]]:
+    """(process, its open devices or sockets as path below /proc and name)."""
     with contextlib.suppress(OSError):
         for entry in PROCESSES.iterdir():
             if not entry.name.isdigit():
@@ -55,7 +72,7 @@ def _open_files() -> Iterator[tuple[int, list[tuple[Path, str]]]]:
                 for file in (entry / "fd").iterdir():
                     with contextlib.suppress(OSError):
                         link = os.readlink(file)
-                        if link.startswith("/dev/"):
+                        if link.startswith(prefix):
                             links.append((file, link))
             yield int(entry.name), links
 

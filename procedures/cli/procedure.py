@@ -203,14 +203,18 @@ def doctor_command(
     config: ConfigOption = None,
     endpoint: Annotated[
         list[str] | None,
-        typer.Option("--endpoint", help="A tracker's line to look at: serial:///dev/... or tcp://host:port."),
+        typer.Option(
+            "--endpoint",
+            help="A tracker's line or a camera to look at: serial:///dev/..., tcp://host:port or gev://host.",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Look at this computer and, with --config, at every endpoint of a theatre file.
 
     A tracker's line is asked at every rate, without changing anything: who answers, which bytes came, who
-    else holds the port, and what that means. Exit codes: 0 all answer, 4 a device or a line does not.
+    else holds the port, and what that means. A camera's address: what answers on each network, who controls
+    the camera, which packet size passes. Exit codes: 0 all answer, 4 a device, line or camera does not.
     """
     from procedures.cli.doctor import examine, show
     from ronna_hw.command_line.console import progress_bar
