@@ -14,7 +14,7 @@ import struct
 from drivers.basler_stereo.assembly import Frame, StreamCounters
 from drivers.basler_stereo.gvsp import Leader
 
-SLOTS = 24  # more than may be received at a time; the others are whole and not yet fetched
+SLOTS = 32  # more than may be received at a time; the others are whole and wait a third of a second
 _COUNTERS = struct.Struct("<6Q")
 _WORD = struct.Struct("<Q")
 _USES_AT = 64

@@ -16,7 +16,8 @@ from drivers.basler_stereo.reception import Reception
 from ronna_hw.child_process import ChildProcess, command
 
 START_LIMIT_S = 30.0
-FRAME_LIMIT_S = 10.0
+FRAME_LIMIT_S = 30.0
+OVERTAKING_FRAMES = 48  # how many later frames may come before one that is still being repaired
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
 
@@ -28,13 +29,30 @@ class Streamed:
     seconds: float
     reception_cpu_s: float
     driver_cpu_s: float
-    lost: int  # block ids that never came
-    broken: int  # frames that came with packets missing
+    lost: int  # images that never came
+    broken: int  # images that came with packets missing
     repeated: int  # requests for packets
+    packets: int
 
     @property
     def rate_hz(self) -> float:
         return self.pairs / self.seconds
+
+
+class _Side:
+    """The images of one camera, numbered from the first that is counted."""
+
+    def __init__(self, camera: Camera, pairs: int) -> None:
+        self._camera = camera
+        first = _frame(camera).block_id  # the first images are being drawn
+        self.wanted = set(range(first + 1, first + pairs + 1))
+        self.broken = 0
+
+    def take(self) -> None:
+        frame = _frame(self._camera)
+        if frame.block_id in self.wanted:
+            self.wanted.discard(frame.block_id)
+            self.broken += frame.missing_packets > 0 or frame.leader is None
 
 
 @contextmanager
@@ -47,7 +65,10 @@ def lossy_cameras(folder: Path, share_percent: float) -> Iterator[ChildProcess]:
 
 
 def stream_pairs(addresses: list[str], pairs: int, packet_bytes: int = 8000) -> Streamed:
-    """Receive so many pairs of full frames, in order, each frame copied out of the shared memory."""
+    """Receive so many pairs of full frames, each frame copied out of the shared memory.
+
+    An image counts as lost when its number has not come among the images wanted and those after them.
+    """
     options = BaslerOptions(packet_bytes=packet_bytes)
     reception = Reception()
     both = [
@@ -61,24 +82,27 @@ def stream_pairs(addresses: list[str], pairs: int, packet_bytes: int = 8000) -> 
             camera.features.choose("TriggerMode", "Off")
         for camera in both:
             camera.start(time.monotonic() + START_LIMIT_S)
-        ids = [{_frame(camera).block_id} for camera in both]  # the first images are being drawn
+        sides = [_Side(camera, pairs) for camera in both]
         began_s, driver_s, child_s = time.monotonic(), time.process_time(), _cpu_s(reception.pid)
-        broken = 0
         for _ in range(pairs):
-            for side, camera in enumerate(both):
-                frame = _frame(camera)
-                broken += frame.missing_packets > 0 or frame.leader is None
-                ids[side].add(frame.block_id)
-        # a frame that is still being repaired may be overtaken by the next
-        lost = sum(max(0, max(came) - min(came) - len(came)) for came in ids)
+            for side in sides:
+                side.take()
+        seconds = time.monotonic() - began_s
+        driver_s, child_s = time.process_time() - driver_s, _cpu_s(reception.pid) - child_s
+        for side in sides:
+            for _ in range(OVERTAKING_FRAMES):
+                if side.wanted:
+                    side.take()
+        counters = [camera.receiver.counters for camera in both]
         return Streamed(
             pairs,
-            time.monotonic() - began_s,
-            _cpu_s(reception.pid) - child_s,
-            time.process_time() - driver_s,
-            lost,
-            broken,
-            sum(camera.receiver.counters.resend_requests for camera in both),
+            seconds,
+            child_s,
+            driver_s,
+            lost=sum(len(side.wanted) for side in sides),
+            broken=sum(side.broken for side in sides),
+            repeated=sum(each.resend_requests for each in counters),
+            packets=sum(each.packets for each in counters),
         )
     finally:
         for camera in both:

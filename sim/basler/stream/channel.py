@@ -29,6 +29,7 @@ PACKET_SIZE_STEP = 4
 WIRE_BYTES_PER_S = 125e6  # 1 Gbit/s
 BURST_BYTES = 32 * 1024  # sent at once; a stock kernel buffers about six of them for a receiver
 SHORTEST_SLEEP_S = 2e-4  # below, sleeping costs more time than it takes
+LONGEST_CREDIT_S = 1.5e-3  # of the link's time that a late sender makes up for at once: the buffer above
 IP_MTU_DISCOVER = 10  # from linux/in.h; not in Python's socket module
 PMTU_DO, PMTU_DONT = 2, 0
 
@@ -106,12 +107,14 @@ class StreamChannel:
         pause_s = self.packet_size / WIRE_BYTES_PER_S + self.delay_ticks / TICK_FREQUENCY_HZ
         pause_s = max(pause_s, duration_s / packets)
         together = max(1, BURST_BYTES // self.packet_size)
-        begun_s = time.monotonic()
+        due_s = time.monotonic()
         for place, packet_id in enumerate(self._faults.order(block.block_id, packets)):
             if place % together == 0:
-                ahead_s = begun_s + place * pause_s - time.monotonic()
-                if ahead_s > SHORTEST_SLEEP_S:
-                    time.sleep(ahead_s)
+                now_s = time.monotonic()
+                if due_s - now_s > SHORTEST_SLEEP_S:
+                    time.sleep(due_s - now_s)
+                # a computer that stalled does not send what it owes faster than a link would
+                due_s = max(due_s, now_s - LONGEST_CREDIT_S) + together * pause_s
             if packet_id not in lost:
                 self._put(block, packet_id, GevStatus.SUCCESS, receiver)
 

@@ -1,0 +1,34 @@
+"""The driver's own client receives two free-running cameras; a process of its own, as Aravis' is.
+
+    python our_stream.py '{"addresses": [...], "pairs": N, "packet_bytes": 8000}'
+
+Prints one JSON line: seconds, CPU seconds (of them the reception's), frames lost and broken, requests.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[2])]
+
+from tests.support.camera_stream import stream_pairs  # noqa: E402
+
+
+def main(job: dict[str, object]) -> None:
+    """Receive, and tell what came."""
+    came = stream_pairs(job["addresses"], job["pairs"], job["packet_bytes"])  # type: ignore[arg-type]
+    told = {
+        "seconds": came.seconds,
+        "cpu_s": came.reception_cpu_s + came.driver_cpu_s,
+        "reception_cpu_s": came.reception_cpu_s,
+        "lost": came.lost,
+        "broken": came.broken,
+        "repeated": came.repeated,
+    }
+    print(json.dumps(told))
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]))
