@@ -84,7 +84,9 @@ def localize(
     write: Annotated[
         list[Path] | None,
         typer.Option(
-            "--write", metavar="FILE", help="Write the spheres: .dcm (Spatial Fiducials), .mrk.json or .csv."
+            "--write",
+            metavar="FILE",
+            help="Write the spheres: .dcm (Spatial Fiducials), .json, .mrk.json, .csv.",
         ),
     ] = None,
     as_json: console.JsonOption = False,

@@ -9,7 +9,7 @@ class UnknownForm(ConfigurationError):
     """No form of exchange has this file ending."""
 
     code = "EXC-001"
-    action = "End the name with .dcm, .mrk.json or .csv."
+    action = "End the name with .dcm, .json, .mrk.json or .csv."
 
 
 class NotWritable(DataError):

@@ -1,12 +1,17 @@
-"""Spheres as a Slicer markups file and as CSV."""
+"""Spheres as JSON, as a Slicer markups file and as CSV; registrations as CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.exchange.dicom_object import Origin
 from procedures.exchange.spatial_fiducials import Fiducial
 
 MARKUPS_SCHEMA = (
@@ -42,4 +47,28 @@ def table(fiducials: Sequence[Fiducial]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "L_mm", "P_mm", "S_mm", "uncertainty_mm"))
     writer.writerows((one.name, *one.centre_mm, one.uncertainty_mm) for one in fiducials)
+    return text.getvalue()
+
+
+def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
+    """JSON of the spheres as the localizer told them, M1 first, LPS in mm, and the series they lie in."""
+    content = {
+        "series_instance_uid": origin.series_instance_uid,
+        "frame_of_reference_uid": origin.frame_of_reference_uid,
+        "coordinate_system": "LPS",
+        "unit": "mm",
+        "spheres": [{"name": f"M{number}", **marker} for number, marker in enumerate(markers, 1)],
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def registration_table(fits: Mapping[str, tuple[NDArray[np.float64], Mapping[str, Any]]]) -> str:
+    """CSV, a row per trajectory: the rows of its matrix (4, 4) robot <- CT in mm, pairs, predicted error."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]
+    told = ("pairs", "fre_mm", "predicted_tre_mm", "predicted_tre_limit_mm", "confidence")
+    writer.writerow(("trajectory", *elements, *told))
+    for trajectory, (matrix, payload) in fits.items():
+        writer.writerow((trajectory, *matrix[:3].ravel().tolist(), *(payload[key] for key in told)))
     return text.getvalue()

@@ -12,7 +12,7 @@ import numpy as np
 
 from procedures.exchange.dicom_object import Origin, write
 from procedures.exchange.errors import NothingToExport, NotWritable
-from procedures.exchange.plain_files import slicer_markups, table
+from procedures.exchange.plain_files import document, registration_table, slicer_markups, table
 from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
 from procedures.exchange.spatial_registration import spatial_registration
 from procedures.steps.payloads import pose_from
@@ -37,18 +37,25 @@ def export_run(run: Path, out: Path) -> list[Path]:
     fits = {_trajectory(one): one for one in records if one.kind == REGISTRATION}
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
+    poses = {name: pose_from(fit.payload["robot_from_ct"]).rigid.as_matrix() for name, fit in fits.items()}
+    texts = {
+        "spheres.csv": table(spheres),
+        "spheres.json": document(found.payload["markers"], origin),
+        "spheres.mrk.json": slicer_markups(spheres),
+        "registrations.csv": registration_table({name: (poses[name], fits[name].payload) for name in fits}),
+        "registrations.json": _summary(fits),
+    }
     try:
         out.mkdir(parents=True, exist_ok=True)
-        (out / "spheres.csv").write_text(table(spheres), encoding="utf-8")
-        (out / "spheres.mrk.json").write_text(slicer_markups(spheres), encoding="utf-8")
-        (out / "registrations.json").write_text(_summary(fits), encoding="utf-8")
+        for name, text in texts.items():
+            (out / name).write_text(text, encoding="utf-8")
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
-    written = [out / "spheres.csv", out / "spheres.mrk.json", out / "registrations.json"]
+    written = [out / name for name in texts]
     written.append(write(spatial_fiducials(spheres, origin), out / "spheres.dcm"))
     for trajectory, fit in fits.items():
         made = spatial_registration(
-            pose_from(fit.payload["robot_from_ct"]).rigid.as_matrix(),
+            poses[trajectory],
             replace(origin, made=datetime.fromisoformat(fit.created), key=fit.sha256),
             spheres=origin,
             description=f"trajectory {trajectory}",

@@ -14,13 +14,13 @@ from ronna_hw.records import canonical_json, write_whole
 if TYPE_CHECKING:
     from procedures.imaging import Localization
 
-MARKUPS, CSV, DICOM = ".mrk.json", ".csv", ".dcm"
+MARKUPS, JSON, CSV, DICOM = ".mrk.json", ".json", ".csv", ".dcm"
 
 
 def check_names(paths: Sequence[Path]) -> None:
     """Raise EXC-001 for a name whose ending is no known form; cheap, for before the work."""
     for path in paths:
-        if not path.name.endswith((MARKUPS, CSV, DICOM)):
+        if not path.name.endswith((MARKUPS, JSON, CSV, DICOM)):
             raise UnknownForm(f"cannot tell the form of {path.name}")
 
 
@@ -30,22 +30,31 @@ def write_spheres(found: Localization, paths: Sequence[Path]) -> None:
     if not paths:
         return
     from procedures.exchange.dicom_object import Origin, write
-    from procedures.exchange.plain_files import slicer_markups, table
+    from procedures.exchange.plain_files import document, slicer_markups, table
     from procedures.exchange.run_export import fiducials
     from procedures.exchange.spatial_fiducials import spatial_fiducials
 
     markers = [
-        {"centre_mm": marker.centre_mm.tolist(), "covariance_mm2": marker.covariance_mm2.tolist()}
+        {
+            "centre_mm": marker.centre_mm.tolist(),
+            "covariance_mm2": marker.covariance_mm2.tolist(),
+            "radius_mm": marker.radius_mm,
+            "quality": marker.quality,
+            "flags": list(marker.flags),
+        }
         for marker in found.markers
     ]
     spheres = fiducials(markers)
+    key = hashlib.sha256(canonical_json(markers)).hexdigest()
+    origin = Origin(found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key)
     for path in paths:
         if path.name.endswith(DICOM):
-            key = hashlib.sha256(canonical_json(markers)).hexdigest()
-            origin = Origin(found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key)
             write(spatial_fiducials(spheres, origin), path)
             continue
-        text = slicer_markups(spheres) if path.name.endswith(MARKUPS) else table(spheres)
+        if path.name.endswith(MARKUPS):
+            text = slicer_markups(spheres)
+        else:
+            text = document(markers, origin) if path.name.endswith(JSON) else table(spheres)
         try:
             write_whole(path, text.encode())
         except OSError as error:

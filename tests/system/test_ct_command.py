@@ -77,8 +77,9 @@ def test_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
 
 
 def test_rough_picks_are_refined_and_flagged(series: Path, tmp_path: Path) -> None:
-    spheres = tmp_path / "spheres.csv"
-    assert ronna_ct("localize", series, "--write", spheres).returncode == 0
+    spheres, told = tmp_path / "spheres.csv", tmp_path / "spheres.json"
+    assert ronna_ct("localize", series, "--write", spheres, "--write", told).returncode == 0
+    assert [one["name"] for one in json.loads(told.read_text())["spheres"]] == ["M1", "M2"]
     done = ronna_ct("localize", series, "--pick", spheres, "--expected", 2, "--candidates", "--json")
     assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -55,7 +56,8 @@ def test_a_run_gives_its_spheres_and_the_last_registration_of_each_trajectory(fi
     out = finished / "export"
     names = {path.name for path in export_run(finished, out)}
     assert names == {
-        *("spheres.csv", "spheres.mrk.json", "spheres.dcm", "registrations.json"),
+        *("spheres.csv", "spheres.json", "spheres.mrk.json", "spheres.dcm"),
+        *("registrations.csv", "registrations.json"),
         *("registration-T1.dcm", "registration-T2.dcm"),
     }
     assert (out / "spheres.csv").read_text().splitlines()[1].startswith("M1,1.0,2.0,3.0,0.03")
@@ -64,6 +66,24 @@ def test_a_run_gives_its_spheres_and_the_last_registration_of_each_trajectory(fi
         ("T1", 3.0),
         ("T2", 2.0),
     ]
+
+
+def test_the_tables_hold_the_same_as_the_objects(finished: Path) -> None:
+    out = finished / "export"
+    export_run(finished, out)
+    spheres = json.loads((out / "spheres.json").read_text())
+    assert (spheres["series_instance_uid"], spheres["coordinate_system"]) == ("1.2.3", "LPS")
+    assert [(one["name"], one["centre_mm"]) for one in spheres["spheres"]] == [("M1", [1.0, 2.0, 3.0])]
+    assert np.array(spheres["spheres"][0]["covariance_mm2"]).shape == (3, 3)
+    rows = list(csv.DictReader((out / "registrations.csv").read_text().splitlines()))
+    assert [row["trajectory"] for row in rows] == ["T1", "T2"]
+    for row in rows:
+        read = dcmread(out / f"registration-{row['trajectory']}.dcm").RegistrationSequence[1]
+        step = read.MatrixRegistrationSequence[0].MatrixSequence[0]
+        matrix = np.array(step.FrameOfReferenceTransformationMatrix, dtype=float).reshape(4, 4)
+        told = [float(row[f"m{i}{j}"]) for i in range(1, 4) for j in range(1, 5)]
+        np.testing.assert_allclose(told, matrix[:3].ravel(), atol=1e-12)
+        assert float(row["predicted_tre_mm"]) == 0.2
 
 
 def test_the_registrations_name_the_spheres_that_are_beside_them(finished: Path) -> None:
