@@ -6,12 +6,14 @@ Full numbers come from the campaign; here the seeds are fixed and the bounds lea
 from __future__ import annotations
 
 from collections import Counter
+from itertools import permutations
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from procedures.registration import MatchStatus, match
+from procedures.registration.rigid import fit_rigid, residuals
 
 SIGMAS = {"sigma_image_mm": 0.17, "sigma_physical_mm": 0.56}
 OUTLIERS = range(5)
@@ -83,3 +85,24 @@ def test_four_fiducials_over_many_runs(tools):
     seen = outcomes([4], 2000, tools)
     assert share(seen, "unsuccessful") <= 0.007
     assert share(seen, "false") <= 0.0005
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_without_outliers_it_is_sure_exactly_when_every_other_order_is_ten_thousand_times_less_likely(
+    count, tools
+):
+    """An oracle tries every order: what is left open is open for anybody, not lost by the search."""
+    fiducials, reading, _ = tools
+    random = np.random.default_rng(4711)
+    orders = np.array(list(permutations(range(count))))
+    variance = SIGMAS["sigma_image_mm"] ** 2 + SIGMAS["sigma_physical_mm"] ** 2
+    seen = Counter()
+    for _ in range(60):
+        one = reading(fiducials(count, random), 0, random)
+        image, physical = np.tile(one.image_mm, (len(orders), 1, 1)), one.physical_mm[orders]
+        squares = np.square(residuals(fit_rigid(image, physical), image, physical)).sum(axis=(1, 2))
+        best, second = np.sort(squares)[:2] / variance
+        sure = match(one.image_mm, one.physical_mm, **SIGMAS).status is MatchStatus.UNIQUE
+        seen[sure, bool((second - best) / 2.0 >= np.log(1e4))] += 1
+    assert seen[True, False] == seen[False, True] == 0
+    assert seen[True, True] > 30
