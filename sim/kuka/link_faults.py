@@ -6,6 +6,7 @@ are drawn by cycle number and not one after another: the same cycles are met wha
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -16,6 +17,8 @@ from sim.theatre.faults import Fault
 from sim.theatre.noise import noise
 
 PERCENT = 100.0
+STAMP = re.compile(rb"(?<=<IPOC>)\d+(?=</IPOC>)")
+WRONG_BY = 1  # ms: no cycle ever has such a time stamp
 NOT_TEXT = 0xFF  # a byte that no XML holds: what it hits is no telegram and no reply any more
 
 
@@ -76,6 +79,8 @@ class LinkFaults:
             return before
         if self._meets("corrupt_replies"):
             datagram = self._broken(datagram, "corrupt_replies")
+        if self._meets("wrong_ipoc"):
+            datagram = STAMP.sub(lambda stamp: b"%d" % (int(stamp[0]) + WRONG_BY), datagram)
         copies = [datagram, datagram] if self._meets("duplicate_replies") else [datagram]
         delay_cycles = max(
             (int(fault.argument) for fault in self._acting.get("delay_replies", ())), default=0

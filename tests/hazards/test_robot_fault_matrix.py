@@ -32,6 +32,8 @@ class Case(NamedTuple):
     speed_fraction: float = 0.4
 
 
+# Its Timeout ends the run: EKI tells the message, or the telegrams cease.
+CONTROLLER_GAVE_UP = ("EKI-010", "RSI-003")
 WORKED_THROUGH = (
     Case("robot drop 20 % for 4 s", counter="late_cycles"),
     Case("robot drop 100 % for 0.3 s", counter="late_cycles"),
@@ -39,12 +41,16 @@ WORKED_THROUGH = (
     Case("robot duplicate 100 % for 4 s"),
     Case("robot reorder 5 % for 4 s", counter="late_cycles"),
     Case("robot corrupt replies 5 % for 4 s", counter="late_cycles"),
+    Case("robot wrong ipoc 5 % for 4 s", counter="late_cycles"),
     Case("robot corrupt telegrams 5 % for 4 s"),
     Case("robot lose telegrams 5 % for 4 s", counter="lost_cycles"),
     Case("robot foreign sender for 4 s", counter="foreign_telegrams"),
 )
 STOPPED = (
     Case("robot drop 50 % for 60 s", ("RSI-019",), "too few replies were taken"),
+    Case("robot corrupt replies 100 % for 60 s", CONTROLLER_GAVE_UP, ""),
+    Case("robot wrong ipoc 100 % for 60 s", CONTROLLER_GAVE_UP, ""),
+    Case("robot delay 2 cycles for 60 s", CONTROLLER_GAVE_UP, ""),
     Case("robot network cut for 60 s", ("RSI-003", "EKI-010"), ""),
     Case("robot emergency stop for 1 s", ("EKI-010",), "emergency stop is active"),
     Case("robot guard open for 1 s", ("EKI-010",), "guard is open"),

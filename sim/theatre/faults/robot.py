@@ -43,6 +43,7 @@ LINK_FAULTS = (
         "That share of the RSI replies arrives after the one that follows.",
     ),
     _share("corrupt_replies", "corrupt replies NUMBER %", "That share of the RSI replies arrives broken."),
+    _share("wrong_ipoc", "wrong ipoc NUMBER %", "That share of the RSI replies carries another time stamp."),
     _share("corrupt_telegrams", "corrupt telegrams NUMBER %", "That share of the telegrams leaves broken."),
     _share("lose_telegrams", "lose telegrams NUMBER %", "That share of the telegrams never leaves."),
     _lasting("network_cut", "network cut", "Nothing passes on the RSI link, either way."),

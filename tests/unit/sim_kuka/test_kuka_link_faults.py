@@ -83,6 +83,13 @@ def test_the_same_cycles_are_met_whatever_was_met_before(link: Any, read: Any) -
     assert arrivals(link("drop 20 %", seed=2), read, 200) != whole
 
 
+def test_a_wrong_time_stamp_is_that_of_no_cycle(link: Any, read: Any) -> None:
+    stamps = arrivals(link("wrong ipoc 50 %"), read, 400)
+    wrong = [stamp for cycle, stamp in enumerate(stamps) if stamp != cycle]
+    assert 100 < len(wrong) < 300
+    assert all(stamp == cycle + 1 for cycle, stamp in enumerate(stamps) if stamp != cycle)
+
+
 def test_a_broken_reply_is_none_and_a_broken_telegram_cannot_be_read(link: Any, read: Any) -> None:
     faults = link("corrupt replies 100 %", "corrupt telegrams 100 %")
     telegram = b'<Rob Type="KUKA"><AIPos A1="0.0" A2="0.0"/><IPOC>8</IPOC></Rob>'
