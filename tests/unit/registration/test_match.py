@@ -116,6 +116,15 @@ def test_a_nearly_flat_set_is_refused_when_its_mirror_image_fits_far_better(rand
     assert "mirror" in result.reason
 
 
+@pytest.mark.parametrize("expected", [None, 5])
+def test_a_sphere_that_was_detected_twice_is_ambiguous(expected, random, fiducials, any_pose):
+    points = fiducials(5, random)
+    twice = np.vstack([points, points[:1] + 0.2])
+    result = match(twice, any_pose(random).apply(points), expected=expected, **SIGMAS)
+    assert result.status is MatchStatus.AMBIGUOUS
+    assert len(pairs_of(result)) == len(pairs_of(result.runner_up)) == 5
+
+
 @pytest.mark.parametrize(("image", "physical"), [(0, 0), (0, 5), (2, 5), (5, 2)])
 def test_fewer_than_three_points_are_too_few(image, physical, random, fiducials):
     points = fiducials(5, random)

@@ -73,6 +73,22 @@ def test_three_fiducials_fail_rather_than_guess_and_a_prior_helps(tools):
     assert share(helped, "unsuccessful") <= 0.02
 
 
+def test_three_fiducials_whose_sides_differ_by_six_millimetres_are_paired(tools):
+    fiducials, reading, _ = tools
+    random = np.random.default_rng(6)
+    tried = 0
+    while tried < 200:
+        points = fiducials(3, random)
+        sides_mm = np.sort(np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1))
+        if np.diff(sides_mm).min() < 6.0:
+            continue
+        tried += 1
+        one = reading(points, 0, random)
+        result = match(one.image_mm, one.physical_mm, **SIGMAS)
+        assert result.status is MatchStatus.UNIQUE, sides_mm
+        assert {(int(i), int(j)) for i, j in result.pairs} == one.pairs
+
+
 @pytest.mark.slow
 def test_the_planned_count_leaves_no_false_pairing(tools):
     seen = outcomes(range(5, 9), 500, tools, expected=True)
