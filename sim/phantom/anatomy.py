@@ -104,6 +104,12 @@ def marker_on_post(fiducial: Fiducial, head: Head, generator: np.random.Generato
     return marker_on_foot(fiducial, to_skin - FLANGE_MM, to_tip, generator)
 
 
+def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> Marker:
+    """A sphere that nothing holds, without film."""
+    sphere_hu = float(generator.uniform(*SPHERE_HU))
+    return Marker(fiducial, sphere_hu, "none", (Ball(sphere_hu, fiducial.centre_ct_mm, fiducial.radius_mm),))
+
+
 def marker_on_foot(
     fiducial: Fiducial, flange_mm: float, tip_mm: float, generator: np.random.Generator
 ) -> Marker:

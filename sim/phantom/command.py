@@ -43,7 +43,7 @@ def phantom(
     """Write the CT series of a head phantom, a plan on it, and its truth.
 
     Families for tuning a localizer: plain, posts, dressing. For judging it: narrow, broad, clamp, electrodes,
-    bandage, crowded, edge, streaks.
+    bandage, crowded, edge, streaks, bare.
     """
     from sim.errors import BadScene
     from sim.phantom.case import write_case

@@ -60,6 +60,7 @@ class Family:
     post_streaks: PostStreaks | None = None
     pairs: int = 0  # spheres that get a neighbour
     distractors: int = 0  # balls and cylinders of polymer, so many each
+    bare: bool = False  # spheres without film and post
     edge: bool = False  # the field ends beside one sphere and cuts another
 
 
@@ -133,6 +134,14 @@ FAMILIES: dict[str, Family] = {
             "streaks of three to five lobes around every metal post",
             post_streaks=PostStreaks((200.0, 250.0), (2.0, 2.5), (3, 4, 5)),
             fillings=(6, 12),
+        ),
+        Family(
+            "bare",
+            Purpose.JUDGING,
+            "spheres without film and post, which no head has: what noise alone leaves",
+            headrest=Headrest.NONE,
+            cable=False,
+            bare=True,
         ),
     )
 }

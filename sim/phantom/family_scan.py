@@ -14,6 +14,7 @@ from sim.phantom.anatomy import (
     CABLE_GAP_MM,
     Anatomy,
     Marker,
+    bare_marker,
     jaw_teeth,
     marker_on_post,
     shifted,
@@ -65,6 +66,8 @@ def family_scan(
     covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
     around, distractors = _obstacles(family, head, placed, covering_mm, generator)
     built = frame_markers if fiducials == XFRAME else _standing
+    if family.bare:
+        built = _floating
     anatomy = _anatomy(family, head, built(head, generator), around, fiducials, generator)
     grid, marks = place_grid(head, scene.ct), _marks(head, covering_mm)
     if family.edge:
@@ -161,6 +164,10 @@ def _clear_of_cable(centre: Vector, head: Head) -> bool:
 
 def _standing(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
     return tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
+
+
+def _floating(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
+    return tuple(bare_marker(fiducial, generator) for fiducial in head.fiducials)
 
 
 def _obstacles(

@@ -46,7 +46,15 @@ def test_a_family_can_be_drawn_and_nothing_runs_into_its_spheres(name: str, seed
 def test_there_are_families_for_both_purposes_and_none_serves_both() -> None:
     purposes = [family.purpose for family in FAMILIES.values()]
     assert purposes.count(Purpose.TUNING) == 3
-    assert purposes.count(Purpose.JUDGING) == 8
+    assert purposes.count(Purpose.JUDGING) == 9
+
+
+def test_bare_spheres_are_nothing_but_polymer() -> None:
+    scan = family_scan("bare", "good", seed=1)
+    for marker in scan.anatomy.markers:
+        (ball,) = marker.shapes
+        assert isinstance(ball, Ball)
+        assert (marker.post, ball.radius) == ("none", marker.fiducial.radius_mm)
 
 
 def test_the_crowded_family_has_close_pairs_and_look_alikes_of_the_same_polymer() -> None:
