@@ -164,3 +164,33 @@ def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(
     arm.recover("Ana")
     assert process.poll() is not None
     arm.activate()
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize("stall_ms", [5, pytest.param(50, marks=pytest.mark.slow), 500])
+def test_a_stall_of_the_host_is_worked_through_or_named(
+    robot_cell: Any, awaited: Callable[..., None], stall_ms: int
+) -> None:
+    cell = robot_cell(paced=True)
+    arm = cell.active_arm(**LIMITS)
+    process = arm._ways.link._process
+    start = cell.true_joints_rad()
+
+    def stall() -> None:
+        os.kill(process.pid, signal.SIGSTOP)
+        begun_s = cell.world.clock.now_s()
+        awaited(lambda: cell.world.clock.now_s() - begun_s >= stall_ms / 1000.0)
+        os.kill(process.pid, signal.SIGCONT)
+
+    error = _moved_through(cell, arm, stall, awaited)
+    awaited(lambda: cell.world.arm().at_rest)
+    if error is None:
+        assert arm.state is Lifecycle.ACTIVE
+        assert cell.true_joints_rad()[0] == pytest.approx(start[0] + AWAY_RAD, abs=1e-3)
+        return
+    # The controller's Timeout is 0.4 s, and such a machine adds stalls of its own.
+    assert stall_ms >= 50, error
+    assert error.code in CONTROLLER_GAVE_UP
+    assert arm.state is Lifecycle.FAULT
+    assert "flight-record-robot.master.txt" in error.attachments
+    assert abs(cell.true_joints_rad()[0] - start[0]) < AWAY_RAD - 0.01

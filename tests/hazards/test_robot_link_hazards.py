@@ -80,12 +80,14 @@ def _largest_steps(tap: RsiTap) -> tuple[float, float]:
 
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("late", [False, True], ids=["told at once", "told a telegram late"])
-@pytest.mark.parametrize("lost_percent", [5, 20])
+@pytest.mark.parametrize(
+    "lost_percent", [pytest.param(1, marks=pytest.mark.slow), 5, pytest.param(10, marks=pytest.mark.slow), 20]
+)
 def test_while_replies_are_lost_at_full_working_speed_the_arm_arrives_without_a_jump(
     tapped_cell: Any, awaited: Callable[..., None], lost_percent: int, late: bool
 ) -> None:
     cell, tap = tapped_cell(late=late)
-    arm = cell.active_arm(silence_limit_s=GENEROUS_S)
+    arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S)
     start = arm.read_state().joints_rad
     cell.world.set_fault_script(f"at 0 s: robot drop {lost_percent} % for 1000 s")
     for target in (_away(start), start):
@@ -93,10 +95,10 @@ def test_while_replies_are_lost_at_full_working_speed_the_arm_arrives_without_a_
         assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
     assert arm.state is Lifecycle.ACTIVE
     assert max(_largest_steps(tap)) < (LATE_STEP_SHARE if late else WORKING_STEP_SHARE)
-    assert arm.degraded
+    assert arm.degraded or lost_percent == 1
     cell.world.set_fault_script("")
     awaited(lambda: arm.link_statistics().late_cycles == tap.lost)
-    assert tap.lost > 5
+    assert tap.lost > 0
     assert arm.link_statistics().lost_cycles == 0
 
 
@@ -107,7 +109,7 @@ def test_after_a_burst_of_lost_replies_at_full_working_speed_the_arm_goes_on_wit
     tapped_cell: Any, neighbours: int, late: bool
 ) -> None:
     cell, tap = tapped_cell(late=late)
-    arm = cell.active_arm(silence_limit_s=GENEROUS_S)
+    arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S)
     target = _away(arm.read_state().joints_rad)
 
     def begin_burst_at_full_speed() -> None:
