@@ -14,6 +14,7 @@ from procedures.calibration import Observation, Outline
 from procedures.calibration.pose_set import PlannedLook, moved_to
 from procedures.engine.step import StepContext
 from procedures.relocalization import search_pose
+from procedures.relocalization.errors import PairNotUsable
 from procedures.steps.arm_frames import model_of, stereo_tool_in_flange
 from procedures.steps.stereo_look import Look, look, whole_sensor
 from ronna_hw.arm.capsule import Capsule
@@ -126,7 +127,11 @@ class BallWatcher:
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
 
     def _observed(self, planned: PlannedLook, *, elsewhere: bool = False) -> Observation | None:
-        seen = self.last = look(self.context)
+        try:
+            seen = self.last = look(self.context)
+        except PairNotUsable as error:  # the next pose may have more luck
+            self.rejected[error.what] += 1
+            return None
         if seen.point is None or seen.left is None or seen.right is None:
             self.rejected[seen.reason] += 1
             return None

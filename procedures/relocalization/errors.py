@@ -81,3 +81,10 @@ class Saturated(DataError):
 
     code = "STE-011"
     action = "Shorten the exposure or lower the gain; look for a lamp or window that shines into the lens."
+
+
+class PairNotUsable(DataError):
+    """Again and again the two images are not whole, not of one moment, or one of them does not come."""
+
+    code = "STE-012"
+    action = "Look at both cameras with ronna-procedure doctor; check cables, trigger and network load."

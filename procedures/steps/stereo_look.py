@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 from procedures.engine.step import StepContext
 from procedures.relocalization.camera import Camera
-from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, WrongSize
+from procedures.relocalization.errors import (
+    NoContrast,
+    NoSphere,
+    PairNotUsable,
+    RaysDoNotMeet,
+    WrongSize,
+)
 from procedures.relocalization.pairing import AreaImage, locate_sphere
 from procedures.relocalization.sphere import SphereImage
 from procedures.relocalization.triangulation import StereoPoint
@@ -47,14 +53,21 @@ def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
 
 
 def look(context: StepContext) -> Look:
-    """Take a pair and measure the sphere in it; a pair that did not come whole is taken again."""
+    """Take a pair and measure the sphere in it; a pair that did not come whole is taken again.
+
+    Raises STE-012 when none does: to search for the sphere elsewhere would not help.
+    """
     reading = context.devices.stereo.grab_pair()
     for _ in range(FURTHER_TRIES):
         if reading.validity is Validity.OK:
             break
         reading = context.devices.stereo.grab_pair()
     if reading.validity is not Validity.OK or reading.left is None or reading.right is None:
-        return Look(reading, None, None, None, f"the pair is {reading.validity}")
+        raise PairNotUsable(
+            "no pair of images can be used",
+            limit=f"{1 + FURTHER_TRIES} pairs in a row",
+            last=f"the pair is {reading.validity}",
+        )
     images = (_placed(reading.left), _placed(reading.right))
     try:
         seen = locate_sphere(*images, context.calibrations.stereo_head)

@@ -10,8 +10,8 @@ import pytest
 from stereo_bench import StereoCell, calibrated_cell, servo_campaign, without_arm_errors
 
 from procedures.engine.errors import SphereNotFound
-from procedures.relocalization.errors import Saturated
-from ronna_hw.devices.readings import StereoReading
+from procedures.relocalization.errors import PairNotUsable, Saturated
+from ronna_hw.devices.readings import StereoReading, Validity
 from sim.theatre.built_in import built_in_scene
 
 END_MM, STEPS = 0.03, 8
@@ -128,6 +128,33 @@ def test_saturated_images_stop_at_once_without_a_search(cell: StereoCell) -> Non
     with pytest.raises(Saturated, match="STE-011: the image is saturated"):
         cell.centre(start)
     assert cell.stereo.pairs == 1
+
+
+@pytest.mark.hazard(25)
+@pytest.mark.parametrize("validity", [Validity.UNPAIRED, Validity.PARTIAL, Validity.MISSING])
+def test_pairs_that_never_come_right_stop_at_once_without_a_search(
+    cell: StereoCell, validity: Validity
+) -> None:
+    start = start_of(cell, 2.0)
+    grab = cell.stereo.grab_pair
+    cell.stereo.grab_pair = lambda timeout_s=5.0: replace(grab(timeout_s), validity=validity)  # type: ignore[method-assign]
+    with pytest.raises(PairNotUsable, match=f"STE-012.*the pair is {validity}") as caught:
+        cell.centre(start)
+    assert cell.stereo.pairs == 3
+    assert "ronna-procedure doctor" in caught.value.action
+
+
+@pytest.mark.hazard(25)
+def test_a_pair_that_is_out_of_step_once_is_taken_again(cell: StereoCell) -> None:
+    start = start_of(cell, 2.0)
+    grab = cell.stereo.grab_pair
+
+    def grab_pair(timeout_s: float = 5.0) -> StereoReading:
+        pair = grab(timeout_s)
+        return replace(pair, validity=Validity.UNPAIRED) if cell.stereo.pairs == 1 else pair
+
+    cell.stereo.grab_pair = grab_pair  # type: ignore[method-assign]
+    assert cell.centre(start).residuals_mm[-1] <= END_MM
 
 
 @pytest.mark.hazard(27)
