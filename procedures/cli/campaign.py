@@ -115,14 +115,15 @@ def localization(
 ) -> None:
     """Spheres in phantom CTs: error, detection and honesty, beside the thesis' methods and the bound."""
     from procedures.studies.localization import TUNING, LocalizationStudy
-    from procedures.studies.localization_tables import plots, tables
+    from procedures.studies.localization_goals import tables_and_goals
+    from procedures.studies.localization_tables import plots
 
     study = LocalizationStudy(volumes, sets, seed)
     if tuning:
         study = LocalizationStudy(volumes, sets, seed, TUNING, name="localization-tuning")
     if frames:
         study = LocalizationStudy(0, sets, seed, (), name="localization-frames")
-    _run(study, tables, plots, workers, scheduler, out, as_json, verbose)
+    _run(study, tables_and_goals, plots, workers, scheduler, out, as_json, verbose)
 
 
 def _run(

@@ -80,9 +80,9 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     for protocol in dict.fromkeys(cell.split("|")[1] for cell in cells):
         groups = {
             cell.split("|")[0]: {
-                method.value: 1e3 * sqrt(_of(sums[cell], method, "error2") / found)
+                method.value: 1e3 * sqrt(of_method(sums[cell], method, "error2") / found)
                 for method in AUTOMATIC
-                if (found := _of(sums[cell], method, "found"))
+                if (found := of_method(sums[cell], method, "found"))
             }
             for cell in cells
             if cell.endswith(f"|{protocol}")
@@ -110,10 +110,10 @@ def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
 def _rows(family: str, protocol: str, total: Sums) -> list[Sequence[Cell]]:
     rows: list[Sequence[Cell]] = []
     for method in AUTOMATIC:
-        spheres, found = _of(total, method, "spheres"), _of(total, method, "found")
+        spheres, found = of_method(total, method, "spheres"), of_method(total, method, "found")
         if not spheres:
             continue
-        rms_mm = sqrt(_of(total, method, "error2") / found) if found else None
+        rms_mm = sqrt(of_method(total, method, "error2") / found) if found else None
         bound_mm = sqrt(total["bound2"] / total["volumes"])
         rows.append(
             (
@@ -122,17 +122,17 @@ def _rows(family: str, protocol: str, total: Sums) -> list[Sequence[Cell]]:
                 method.value,
                 int(spheres),
                 100.0 * found / spheres,
-                int(_of(total, method, "false")),
+                int(of_method(total, method, "false")),
                 None if rms_mm is None else 1e3 * rms_mm,
-                _percentile_um(total, method, found),
+                percentile_um(total, method, found),
                 None if rms_mm is None else rms_mm / bound_mm,
-                _of(total, method, "chi2") / (3.0 * found) if found else None,
+                of_method(total, method, "chi2") / (3.0 * found) if found else None,
             )
         )
     return rows
 
 
-def _percentile_um(total: Sums, method: Method, found: float, share: float = 0.95) -> float | None:
+def percentile_um(total: Sums, method: Method, found: float, share: float = 0.95) -> float | None:
     """Upper end of the bin in which the share is reached."""
     prefix = f"{method}|bin "
     bins = sorted((int(key[len(prefix) :]), count) for key, count in total.items() if key.startswith(prefix))
@@ -146,10 +146,10 @@ def _percentile_um(total: Sums, method: Method, found: float, share: float = 0.9
 
 def _cut(sums: Mapping[str, Sums], cells: Sequence[str]) -> str:
     total = pooled(sums, cells)
-    cut = int(_of(total, Method.OURS, "cut"))
-    found = int(_of(total, Method.OURS, "cut found"))
-    large = int(_of(total, Method.OURS, "large"))
-    flagged = int(_of(total, Method.OURS, "large flagged"))
+    cut = int(of_method(total, Method.OURS, "cut"))
+    found = int(of_method(total, Method.OURS, "cut found"))
+    large = int(of_method(total, Method.OURS, "large"))
+    flagged = int(of_method(total, Method.OURS, "large flagged"))
     return (
         f"Of {cut} further spheres that the field cuts, ours finds {found}. Of {large} of our errors above"
         f" 0.1 mm, {flagged} are flagged."
@@ -188,5 +188,6 @@ def _fle_table(total: Sums) -> Table:
     )
 
 
-def _of(total: Sums, method: Method, key: str) -> float:
+def of_method(total: Sums, method: Method, key: str) -> float:
+    """One sum of one method; 0 where nothing was counted."""
     return total.get(f"{method}|{key}", 0.0)

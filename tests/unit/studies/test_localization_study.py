@@ -13,6 +13,7 @@ from procedures.studies import phantom_scans
 from procedures.studies.errors import NotForJudging, PhantomFailed, UnitFailed
 from procedures.studies.ledger import Ledger
 from procedures.studies.localization import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, Method
+from procedures.studies.localization_goals import goals
 from procedures.studies.localization_tables import plots, tables
 from procedures.studies.phantom_scans import PhantomScan, bound_mm, phantom_scan
 from procedures.studies.unit import Unit, add_up
@@ -76,6 +77,39 @@ def test_tables_and_plots_say_what_was_counted(monkeypatch: pytest.MonkeyPatch) 
     assert row["rms µm"] == pytest.approx(10.0 * np.sqrt(3.0), rel=0.5)
     assert row["rms / CRB"] == pytest.approx(row["rms µm"] / 2.0)
     assert plots(sums)["error-good.png"].startswith(b"\x89PNG")
+
+
+def sums_of(error_mm: float, sigma_mm: float, spheres: int, missed: int = 0) -> dict[str, float]:
+    """Ours on one family: all errors alike."""
+    found = spheres - missed
+    told = {"spheres": spheres, "found": found, "missed": missed, "false": 0.0}
+    told |= {"error2": found * error_mm**2, "chi2": found * (error_mm / sigma_mm) ** 2}
+    told[f"bin {int(1e3 * error_mm)}"] = found
+    return {f"combined|{key}": float(value) for key, value in told.items()}
+
+
+def test_goals_are_held_against_what_was_reached() -> None:
+    good = goals({"narrow|good": sums_of(0.006, 0.0035, 150), "streaks|good": sums_of(0.02, 0.012, 60)})
+    assert good is not None
+    assert {row[0]: row[3] for row in good.rows} == {
+        "rms µm, good, without streaks on posts": "yes",
+        "chi² / 3n, good, without streaks on posts": "yes",
+        "rms µm, good, with streaks on posts": "yes",
+        "95 % µm, good, with streaks on posts": "yes",
+        "chi² / 3n, good, with streaks on posts": "yes",
+        "spheres": "yes",
+        "missed": "yes",
+        "false": "yes",
+    }
+    bad = goals({"narrow|poor": sums_of(0.04, 0.01, 50, missed=1)})
+    assert bad is not None
+    assert {row[0] for row in bad.rows if row[3] == "NO"} == {
+        "rms µm, poor, without streaks on posts",
+        "chi² / 3n, poor, without streaks on posts",
+        "spheres",
+        "missed",
+    }
+    assert goals({"plain|good": sums_of(0.006, 0.0035, 150)}) is None
 
 
 def test_the_protocols_of_tables_2_and_3_give_back_the_error_of_the_people() -> None:
