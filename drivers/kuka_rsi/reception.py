@@ -3,8 +3,9 @@
 A processor that has nothing to do is halted, and its caches grow cold: both would be paid for in the
 turnaround, several times what the reply itself costs. So the process sleeps until shortly before the next
 telegram is due, then asks the socket again and again, and goes to sleep when none has come for as long after.
-It does so only while the controller keeps a pace, and leaves off for a while when it was in vain: whoever
-sends may be waiting for this very processor.
+
+It does so only while the controller keeps a pace. When it is in vain too often it leaves off for a while,
+each time for longer: whoever sends, or other work, may be waiting for this very processor.
 """
 
 from __future__ import annotations
@@ -19,8 +20,11 @@ from drivers.kuka_rsi.pace import Pace
 from drivers.kuka_rsi.telegram import LONGEST_TELEGRAM
 
 IDLE_LOOK_S = 0.01  # how long to wait for a telegram before looking at orders, silence and parent
-VAIN_IN_A_ROW = 3  # times awake without a telegram
-REST_TELEGRAMS = 250  # slept for after that (1 s at 4 ms)
+VAIN_COST = 4  # telegrams awaited with success that make up for one in vain
+MOST_COST = 6 * VAIN_COST
+REST_TELEGRAMS = 500  # slept for at first (2 s at 4 ms), then twice as many, ...
+LONGEST_REST = 32_000
+GOOD_TELEGRAMS = 1_000  # awaited without a rest: the next one is short again
 _NS = 1e9
 _TIMEVAL = struct.Struct("ll")
 
@@ -68,7 +72,9 @@ class Reception:
         self._now_ns = now_ns
         self._sleep = sleep
         self._pace = Pace()
-        self._vain = 0  # in a row
+        self._cost = 0
+        self._good = 0  # telegrams awaited since the last rest
+        self._rest = REST_TELEGRAMS
         self._resting = 0  # telegrams still to be slept for
         self.received_ns = 0  # when the last telegram was there
         self.waited_ns = 0  # for it
@@ -101,13 +107,11 @@ class Reception:
         due_ns = self._pace.due_ns
         until_due_ns = due_ns - now_ns
         lead_ns = self._lead_ns
-        if not -lead_ns < until_due_ns < IDLE_LOOK_S * _NS:
+        if self._resting or not -lead_ns < until_due_ns < IDLE_LOOK_S * _NS:
             return None
         if until_due_ns > lead_ns and self._sleep(self._link, (until_due_ns - lead_ns) / _NS):
             return None  # it has come early: it is taken as usual
         self._rehearse()
-        if self._resting:
-            return None
         end_ns = due_ns + lead_ns
         link, clock, at_once = self._link, self._now_ns, socket.MSG_DONTWAIT
         while True:
@@ -117,9 +121,20 @@ class Reception:
                 if clock() < end_ns:
                     continue
                 break
-            self._vain = 0
+            self._came_in_time()
             return received
-        self._vain += 1
-        if self._vain >= VAIN_IN_A_ROW:
-            self._vain, self._resting = 0, REST_TELEGRAMS
+        self._came_not()
         return None
+
+    def _came_in_time(self) -> None:
+        if self._cost:
+            self._cost -= 1
+        self._good += 1
+        if self._good == GOOD_TELEGRAMS:
+            self._rest = REST_TELEGRAMS
+
+    def _came_not(self) -> None:
+        self._cost += VAIN_COST
+        if self._cost >= MOST_COST:
+            self._resting, self._rest = self._rest, min(2 * self._rest, LONGEST_REST)
+            self._cost = self._good = 0

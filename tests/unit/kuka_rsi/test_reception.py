@@ -11,7 +11,7 @@ from rsi_loop import CYCLE_MS, FIRST_IPOC, InProcessLink, telegram
 
 from drivers.kuka_rsi.link_state import StopOrder
 from drivers.kuka_rsi.pace import MOST_MISSING, STEADY_ARRIVALS, Pace
-from drivers.kuka_rsi.reception import REST_TELEGRAMS, VAIN_IN_A_ROW, Reception
+from drivers.kuka_rsi.reception import GOOD_TELEGRAMS, MOST_COST, REST_TELEGRAMS, VAIN_COST, Reception
 
 CYCLE_NS = 4_000_000
 LEAD_NS = 150_000
@@ -157,27 +157,60 @@ def test_an_early_telegram_is_taken_when_it_comes() -> None:
     assert reception.received_ns - due_ns[-1] <= LOOK_NS
 
 
-def test_in_vain_some_times_it_leaves_off_for_a_while_and_tries_again() -> None:
-    # Whoever sends needs this very processor: each telegram comes when reception has gone to sleep.
-    late_ns = LEAD_NS + 5 * LOOK_NS
-    world = ToldTime([])
-    reception = world.reception()
-    due_ns = BEGIN_NS
-    vain: list[int] = []
-    for number in range(2 * REST_TELEGRAMS):
-        due_ns += CYCLE_NS
-        before = len(world.awake_ns)
-        expected_ns = reception._pace.due_ns
-        will_be_awake = expected_ns and not reception._resting
-        world.arrivals_ns.append(expected_ns + late_ns if will_be_awake else due_ns)
-        assert reception.next() is not None
-        reception.paced()
-        if len(world.awake_ns) > before:
-            vain.append(number)
-    first = vain[:VAIN_IN_A_ROW]
-    assert first == list(range(first[0], first[0] + VAIN_IN_A_ROW))
-    assert vain[VAIN_IN_A_ROW] - first[-1] >= REST_TELEGRAMS
-    assert len(vain) <= 2 * VAIN_IN_A_ROW
+class HeldUp:
+    """A controller whose telegrams come when reception has gone to sleep, where the test says so."""
+
+    def __init__(self) -> None:
+        self.world = ToldTime([])
+        self.reception = self.world.reception()
+        self.due_ns = BEGIN_NS
+
+    def telegram(self, *, in_vain: bool) -> bool:
+        """Send one; True when reception was awake for it."""
+        self.due_ns += CYCLE_NS
+        awake = len(self.world.awake_ns)
+        held_up_ns = LEAD_NS + 5 * LOOK_NS if in_vain and self.reception._pace.due_ns else 0
+        self.world.arrivals_ns.append(max(self.due_ns, self.reception._pace.due_ns) + held_up_ns)
+        assert self.reception.next() is not None
+        self.reception.paced()
+        if not held_up_ns:
+            self.due_ns = self.reception.received_ns
+        return len(self.world.awake_ns) > awake
+
+    def learn(self) -> None:
+        for _ in range(STEADY_ARRIVALS + 2):
+            self.telegram(in_vain=False)
+
+
+def test_in_vain_some_times_it_leaves_off_each_time_for_twice_as_long() -> None:
+    controller = HeldUp()
+    controller.learn()
+    trial = MOST_COST // VAIN_COST
+    for rest in (REST_TELEGRAMS, 2 * REST_TELEGRAMS, 4 * REST_TELEGRAMS):
+        assert all([controller.telegram(in_vain=True) for _ in range(trial)])
+        assert not any(
+            [controller.telegram(in_vain=False) for _ in range(rest - 1)]
+        )  # the last in vain counts
+
+
+def test_one_in_vain_now_and_then_is_no_reason_to_leave_off() -> None:
+    controller = HeldUp()
+    controller.learn()
+    assert all([controller.telegram(in_vain=n % (2 * VAIN_COST) == 0) for n in range(500)])
+
+
+def test_after_a_good_while_the_next_rest_is_short_again() -> None:
+    controller = HeldUp()
+    controller.learn()
+    trial = MOST_COST // VAIN_COST
+    for _ in range(2):
+        assert all([controller.telegram(in_vain=True) for _ in range(trial)])
+        while not controller.telegram(in_vain=False):
+            pass
+    assert all([controller.telegram(in_vain=False) for _ in range(GOOD_TELEGRAMS)])
+    assert all([controller.telegram(in_vain=True) for _ in range(trial)])
+    assert not any([controller.telegram(in_vain=False) for _ in range(REST_TELEGRAMS - 1)])
+    assert controller.telegram(in_vain=False)
 
 
 def test_the_schedule_survives_telegrams_that_never_come_and_those_that_come_late() -> None:
