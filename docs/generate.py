@@ -22,6 +22,8 @@ from sim.theatre.faults import FAULT_KINDS
 
 sys.path.append(str(Path(__file__).parent))  # when this file is loaded by path, its neighbours are not found
 from checklists import checklist_pages
+from disturbance_table import PAGE as DISTURBANCES
+from disturbance_table import disturbance_page
 from hazard_matrix import hazard_page
 from key_pages import key_pages
 from option_pages import option_pages
@@ -42,6 +44,7 @@ def pages() -> dict[str, str]:
             "error-codes.md": _error_codes(),
             "faults.md": _faults(),
             "hazards.md": hazard_page(),
+            DISTURBANCES: disturbance_page(),
             "state-chart.md": f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
             "tracker-parameters.md": _tracker_parameters(),
         }.items()

@@ -20,7 +20,7 @@ def test_a_million_mutants_are_read_or_refused(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(300, 300 + SHARES))
-def test_mutants_in_a_session_move_nothing(seed: int) -> None:
+def test_a_hundred_thousand_mutants_in_sessions_move_nothing(seed: int) -> None:
     answered, refused = answer_mutants(IN_A_SESSION // SHARES, seed)
     assert answered > 0
     assert refused > 0

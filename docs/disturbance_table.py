@@ -1,0 +1,74 @@
+"""What may happen on the robot's links, what is promised for it, and the tests that hold the promise.
+
+The promises stand in a data file; that every test named there exists, and tests the code that is named, is
+looked up in the tests' source.
+"""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+DISTURBANCE_FILE = ROOT / "docs" / "reference" / "link-disturbances.toml"
+TESTS = ROOT / "tests"
+PAGE = "link-disturbances.md"
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """One line of the table; `faults` are names of fault kinds, `tests` names of test functions."""
+
+    disturbance: str
+    arm: str
+    message: str
+    within: str
+    tests: tuple[str, ...]
+    codes: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+
+
+def read_disturbances(path: Path = DISTURBANCE_FILE) -> tuple[Disturbance, ...]:
+    """The disturbances of the data file; raises TypeError for a word too much or too few."""
+    entries = tomllib.loads(path.read_text(encoding="utf-8"))["disturbance"]
+    return tuple(
+        Disturbance(**{key: tuple(value) if isinstance(value, list) else value for key, value in one.items()})
+        for one in entries
+    )
+
+
+def files_of_tests(tests: Path = TESTS) -> dict[str, tuple[Path, ...]]:
+    """The files in which there is a test function of a name."""
+    found: dict[str, tuple[Path, ...]] = {}
+    for path in sorted(tests.rglob("test_*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+                found[node.name] = (*found.get(node.name, ()), path)
+    return found
+
+
+def disturbance_page() -> str:
+    """The page in Markdown. Raises KeyError for a test that is not there."""
+    files = files_of_tests()
+    lines = [
+        "# Disturbances of the robot's links\n",
+        "Generated from `link-disturbances.toml` and from the tests. Each line is a promise: what the arm does,",
+        "what the operator reads, how soon; and the tests that hold it. FAULT is latched: it is left only by",
+        "`recover`, which acknowledges, reads everything anew and moves nothing. The last cycles are attached to",
+        "its error.\n",
+        "| disturbance | the arm | message | within | injected by `ronna-sim fault` | tests |",
+        "|---|---|---|---|---|---|",
+    ]
+    for one in read_disturbances():
+        message = f"{', '.join(one.codes)}: {one.message}" if one.codes else one.message
+        faults = ", ".join(fault.replace("_", " ") for fault in one.faults)
+        tests = "<br>".join(_link(name, files[name][0]) for name in one.tests)
+        lines.append(f"| {one.disturbance} | {one.arm} | {message} | {one.within} | {faults} | {tests} |")
+    return "\n".join(lines) + "\n"
+
+
+def _link(name: str, path: Path) -> str:
+    words = name.removeprefix("test_").replace("_", " ")
+    return f"[{words}](../../{path.relative_to(ROOT).as_posix()})"
