@@ -162,6 +162,18 @@ def test_a_camera_off_the_network_is_lost_and_recovered(cameras):
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
 
 
+@pytest.mark.hazard(4)
+def test_an_absence_shorter_than_the_heartbeat_needs_no_recovery(cameras):
+    pair = cameras.streaming(heartbeat_ms=10_000)
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+    cameras.fault("unplug both")
+    time.sleep(0.8)  # beats go unanswered meanwhile
+    cameras.heal()
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+    assert pair.block_ids == (2, 2)
+    assert pair.state is Lifecycle.ACTIVE
+
+
 def test_two_cameras_off_the_network_are_not_found(cameras):
     cameras.fault("unplug both")
     with pytest.raises(NoCamera, match="GEV-001"):
