@@ -59,7 +59,12 @@ class Theatre:
             limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S
             write_theatre_file(
                 theatre_content(
-                    scene, self.endpoints, self.world.clock_endpoint, self._write_tools(), limit_s
+                    scene,
+                    self.endpoints,
+                    self.world.clock_endpoint,
+                    self._write_tools(),
+                    limit_s,
+                    lock_step=not paced,
                 ),
                 self.file,
             )
