@@ -54,9 +54,10 @@ def disturbance_page() -> str:
     files = files_of_tests()
     lines = [
         "# Disturbances of the robot's links\n",
-        "Generated from `link-disturbances.toml` and the tests. Each line is a promise: what the arm does, what",
-        "the operator reads, how soon; and the tests that hold it. FAULT is latched: only `recover` leaves it,",
-        "which acknowledges, reads all anew and moves nothing. The last cycles are attached to its error.\n",
+        "Generated from `link-disturbances.toml` and the tests. Each line is a promise: what the arm does,",
+        "what the operator reads, how soon; and the tests that hold it. FAULT is latched: only `recover`",
+        "leaves it, which acknowledges, reads all anew and moves nothing. The last cycles are attached to",
+        "its error.\n",
         "| disturbance | the arm | message | within | injected by `ronna-sim fault` | tests |",
         "|---|---|---|---|---|---|",
     ]
