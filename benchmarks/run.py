@@ -37,6 +37,7 @@ MEASUREMENTS = {
     "set-points": "set_points",
     "tracker": "tracker",
     "stereo": "stereo",
+    "stereo-calibration": "stereo_calibration",
     "stereo-rate": "stereo_rate",
     "ct": "ct",
     "registration": "registration",

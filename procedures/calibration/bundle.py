@@ -7,21 +7,26 @@ leaves residuals of four pixels per look with the covariance
 
     C = S + s^2 J J^T        S: of both outlines, J: pixels by the ball's place, s: error of the arm per axis
 
+An arm that errs by more than it repeats to does so by its geometry, in all looks alike. Then the errors of
+its links and joints are found along with the head, each with the size that uncalibrated arms have.
+
 Nothing here needs the ball's diameter: the arm gives the scale.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from procedures.calibration.arm_geometry import UNCALIBRATED_MM, error_columns
 from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
 from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersected
 from procedures.calibration.observations import Observation
+from ronna_hw.arm.model import ArmModel
 from ronna_hw.calibration import StereoHeadCalibration
 
 Array = NDArray[np.float64]
@@ -29,6 +34,7 @@ Array = NDArray[np.float64]
 LEAST_POSES = 60
 LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms over the poses, about the direction that turns least
 BALL = 3
+HEAD = BALL + 2 * CAMERA_PARAMETERS
 # What head and lenses may differ from their record, one standard deviation. A good arm overrules it; it keeps
 # down what a small field hardly shows, and what the errors of a bad arm would put into orientation.
 TURN_SIGMA_RAD = 0.0035  # 0.2 degrees: a machined mount
@@ -37,9 +43,11 @@ KEPT = (0, 1, 2, 6, 7, 8, 9)  # of a camera's parameters: turn and lens
 ROUNDS = 6  # of estimating the arm's error, which settles in four
 STEPS = 20  # of each round; the next one goes on from there
 FIRST_ARM_ERROR_MM = 2.0  # while the tool frame is still that of a drawing
+REPEATABILITY_MM = 0.03  # KR 6 R900, ISO 9283; what goes beyond it repeats, and does not average out
 LEAST_ARM_ERROR_MM = 0.003  # a better arm does not exist
 ARM_ERROR_LIMIT_MM = 1.0  # far above an uncalibrated arm: then it is something else
 GAP_LIMIT_PX = 2.0  # of what one pair of outlines contradicts itself by
+DERIVATIVE_STEP = 1e-6  # rad, mm or px: all parameters are of the order of one
 HUBER = 2.0  # sigmas
 OUTLIER_CHI2 = 18.5  # 0.1 % of the good looks lie above it, with four degrees of freedom
 MOST_OUTLIERS = 0.2
@@ -50,7 +58,8 @@ MAD_TO_SIGMA = 1.4826
 class BundleFit:
     """The adjusted head. Covariance (23, 23) of ball (3, mm) and twice ten camera parameters.
 
-    `arm_error_mm` is the estimated error of the arm per axis, `image_sigma_px` that of an outline's centre,
+    `arm_error_mm` is the estimated error of the arm per axis, its geometry's part included; `arm_scatter_mm`
+    what differs from look to look without any rule; `image_sigma_px` the error of an outline's centre,
     `residuals_px` (n, 4) left x y, right x y with the arm's part still in them, `shifts_mm` (n, 3) that part
     in the robot frame; `used` (n,) marks the looks that are no outliers.
     """
@@ -59,6 +68,7 @@ class BundleFit:
     ball_mm: Array
     covariance: Array
     arm_error_mm: float
+    arm_scatter_mm: float
     image_sigma_px: float
     residuals_px: Array
     shifts_mm: Array
@@ -75,15 +85,20 @@ class _Looks:
     centres_px: Array  # (n, 2 cameras, 2)
     semi_minors_px: Array  # (n, 2)
     covariances_px2: Array  # (n, 4, 4)
+    arm_columns_mm: Array  # (n, 3, k) what the k errors of the arm's geometry do; k = 0 where none is sought
 
 
 def fit_bundle(
-    observations: Sequence[Observation], start: StereoHeadCalibration, *, least_poses: int = LEAST_POSES
+    observations: Sequence[Observation],
+    start: StereoHeadCalibration,
+    *,
+    arm: ArmModel | None = None,
+    least_poses: int = LEAST_POSES,
 ) -> BundleFit:
     """Adjust the head to the observations, from a record that is right to some millimetres and degrees.
 
-    Raises CAL-002 with too few looks, CAL-003 when their orientations do not differ enough, CAL-004 when
-    nothing fits.
+    With `arm` the errors of its geometry are sought when it errs by more than it repeats to. Raises CAL-002
+    with too few looks, CAL-003 when their orientations do not differ enough, CAL-004 when nothing fits.
     """
     if len(observations) < least_poses:
         raise TooFewPoses(
@@ -100,15 +115,55 @@ def fit_bundle(
     cameras = cameras_of(start)
     points, _ = intersected(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
     in_robot = np.einsum("nij,nj->ni", looks.rotations, points) + looks.translations_mm
-    values = np.zeros(BALL + 2 * CAMERA_PARAMETERS)
+    values = np.zeros(HEAD)
     values[:BALL] = np.median(in_robot, axis=0)
-    arm_error, image_scale = FIRST_ARM_ERROR_MM, 1.0
-    used = np.ones(len(observations), dtype=bool)
+    found = _adjusted(looks, cameras, values, FIRST_ARM_ERROR_MM)
+    arm_error = found.arm_error
+    if arm is not None and arm_error > REPEATABILITY_MM:
+        columns = error_columns(arm, [one.joints_rad for one in observations], found.values[:BALL])
+        looks = replace(looks, arm_columns_mm=columns * min(1.0, arm_error / UNCALIBRATED_MM))
+        values = np.concatenate([found.values, np.zeros(columns.shape[2])])
+        found = _adjusted(looks, cameras, values, arm_error)
+    _require_fit(found.used, arm_error, found.gaps, looks)
+    normal = _normal_matrix(looks, cameras, found.values, found.arm_error, found.image_scale, found.used)
+    return BundleFit(
+        cameras=_cameras(cameras, found.values),
+        ball_mm=found.values[:BALL].copy(),
+        covariance=np.asarray(np.linalg.inv(normal)[:HEAD, :HEAD], dtype=float),
+        arm_error_mm=arm_error,
+        arm_scatter_mm=found.arm_error,
+        image_sigma_px=found.image_scale
+        * float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2)))),
+        residuals_px=found.residuals,
+        shifts_mm=found.shifts,
+        used=found.used,
+        spread=spread,
+    )
+
+
+@dataclass(frozen=True)
+class _Found:
+    values: Array
+    arm_error: float
+    image_scale: float
+    residuals: Array
+    shifts: Array
+    gaps: Array
+    used: NDArray[np.bool_]
+
+
+def _adjusted(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Found:
+    """Adjust all values and estimate the sizes of the errors by turns; looks that do not fit drop out."""
+    image_scale = 1.0
+    used = np.ones(len(looks.rotations), dtype=bool)
+    residuals = shifts = gaps = np.empty(0)
     for _ in range(ROUNDS):
         whitening = _whitening(looks, cameras, values, arm_error, image_scale)
+        cost = _Cost(looks, cameras, whitening, used)
         solution = least_squares(
-            _Cost(looks, cameras, whitening, used),
+            cost,
             values,
+            jac=cost.slopes,
             x_scale="jac",
             loss="huber",
             f_scale=HUBER,
@@ -122,20 +177,7 @@ def fit_bundle(
             "nij,nj->ni", _whitening(looks, cameras, values, arm_error, image_scale), residuals
         )
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
-    _require_fit(used, arm_error, gaps, looks)
-    return BundleFit(
-        cameras=_cameras(cameras, values),
-        ball_mm=values[:BALL].copy(),
-        covariance=np.asarray(
-            np.linalg.inv(_normal_matrix(looks, cameras, values, arm_error, image_scale, used)), dtype=float
-        ),
-        arm_error_mm=arm_error,
-        image_sigma_px=image_scale * float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2)))),
-        residuals_px=residuals,
-        shifts_mm=shifts,
-        used=used,
-        spread=spread,
-    )
+    return _Found(values, arm_error, image_scale, residuals, shifts, gaps, used)
 
 
 def orientation_spread(rotations: Array) -> float:
@@ -157,20 +199,22 @@ def _arrays(observations: Sequence[Observation]) -> _Looks:
         np.array([[one.left.centre_px, one.right.centre_px] for one in observations]),
         np.array([[one.left.axes_px[1], one.right.axes_px[1]] for one in observations]),
         covariances,
+        np.zeros((len(observations), 3, 0)),
     )
 
 
 def _cameras(start: Cameras, values: Array) -> Cameras:
     middle = BALL + CAMERA_PARAMETERS
-    return start[0].changed(values[BALL:middle]), start[1].changed(values[middle:])
+    return start[0].changed(values[BALL:middle]), start[1].changed(values[middle:HEAD])
 
 
-def _in_flange(looks: _Looks, ball_mm: Array) -> Array:
-    return np.asarray(np.einsum("nji,nj->ni", looks.rotations, ball_mm - looks.translations_mm))
+def _in_flange(looks: _Looks, values: Array) -> Array:
+    from_flange = values[:BALL] - looks.translations_mm - looks.arm_columns_mm @ values[HEAD:]
+    return np.asarray(np.einsum("nji,nj->ni", looks.rotations, from_flange))
 
 
 def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
-    points = _in_flange(looks, values[:BALL])
+    points = _in_flange(looks, values)
     seen = [
         camera.seen(points, looks.semi_minors_px[:, side])
         for side, camera in enumerate(_cameras(start, values))
@@ -180,7 +224,7 @@ def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
 
 def _by_ball(looks: _Looks, start: Cameras, values: Array) -> Array:
     """Derivative (n, 4, 3) of the pixels by the ball's place in the robot frame."""
-    points = _in_flange(looks, values[:BALL])
+    points = _in_flange(looks, values)
     slopes = np.concatenate([camera.slopes(points) for camera in _cameras(start, values)], axis=1)
     return np.asarray(np.einsum("nij,nkj->nik", slopes, looks.rotations))
 
@@ -193,7 +237,7 @@ def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, i
 
 
 class _Cost:
-    """Whitened residuals of the looks that are used, and the priors of both cameras, as one vector."""
+    """Whitened residuals of the looks that are used, and the priors of cameras and arm, as one vector."""
 
     def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: NDArray[np.bool_]) -> None:
         self._looks, self._start, self._whitening, self._used = looks, start, whitening, used
@@ -203,11 +247,27 @@ class _Cost:
         whitened = np.einsum("nij,nj->ni", self._whitening[self._used], residuals)
         return np.concatenate([whitened.ravel(), _prior(values)])
 
+    def slopes(self, values: Array) -> Array:
+        """Derivative (m, 23 + k): by differences for the head, in closed form for the arm's k errors."""
+        here = self(values)
+        slopes = np.zeros((len(here), len(values)))
+        for column in range(HEAD):
+            step = np.zeros(len(values))
+            step[column] = DERIVATIVE_STEP
+            slopes[:, column] = (self(values + step) - here) / DERIVATIVE_STEP
+        errors = len(values) - HEAD
+        if errors:
+            by_errors = _by_ball(self._looks, self._start, values) @ self._looks.arm_columns_mm
+            whitened = (self._whitening @ by_errors)[self._used]
+            slopes[: -len(_prior(values)), HEAD:] = whitened.reshape(-1, errors)
+            slopes[-errors:, HEAD:] = np.eye(errors)
+        return slopes
+
 
 def _prior(values: Array) -> Array:
     sigmas = np.array([*3 * (TURN_SIGMA_RAD,), *LENS_SIGMA])
-    cameras = values[BALL:].reshape(2, CAMERA_PARAMETERS)
-    return np.asarray((cameras[:, KEPT] / sigmas).ravel())
+    cameras = values[BALL:HEAD].reshape(2, CAMERA_PARAMETERS)
+    return np.concatenate([(cameras[:, KEPT] / sigmas).ravel(), values[HEAD:]])
 
 
 def _split(
@@ -231,7 +291,7 @@ def _split(
 def _sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
     """Robust sizes of the arm's error per axis and of the images' error relative to their covariance."""
     count = int(used.sum())
-    freedom = np.sqrt(max(0.3, 1.0 - (BALL + 2 * CAMERA_PARAMETERS) / (4.0 * count)))
+    freedom = np.sqrt(max(0.3, 1.0 - HEAD / (4.0 * count)))
     arm = MAD_TO_SIGMA * float(np.median(np.abs(shifts[used]))) / freedom
     image = MAD_TO_SIGMA * float(np.median(np.abs(gaps[used]))) / freedom
     return max(arm, LEAST_ARM_ERROR_MM), max(image, 1.0)
@@ -265,7 +325,7 @@ def _normal_matrix(
     image_scale: float,
     used: NDArray[np.bool_],
 ) -> Array:
-    """Information (23, 23) of all parameters, without the robust weights."""
+    """Information of all parameters, without the robust weights."""
     cost = _Cost(looks, start, _whitening(looks, start, values, arm_error, image_scale), used)
-    slopes = least_squares(cost, values, x_scale="jac", max_nfev=1).jac
+    slopes = cost.slopes(values)
     return np.asarray(slopes.T @ slopes)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.calibration.bundle import BALL, BundleFit, fit_bundle
+from procedures.calibration.bundle import BALL, DERIVATIVE_STEP, BundleFit, fit_bundle
 from procedures.calibration.head_model import (
     CAMERA_PARAMETERS,
     Cameras,
@@ -23,6 +23,7 @@ from procedures.calibration.head_model import (
     pose_record,
 )
 from procedures.calibration.observations import ObservationSet
+from ronna_hw.arm.model import arm_model
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
 
@@ -31,8 +32,6 @@ Array = NDArray[np.float64]
 LIFE = timedelta(days=30)
 MADE_BY = "ronna-stereo calibrate"
 KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixels
-REPEATABILITY_MM = 0.03  # KR 6 R900, ISO 9283; what goes beyond it repeats, and does not average out
-DERIVATIVE_STEP = 1e-6  # rad, mm or px: all parameters are of the order of one
 
 
 @dataclass(frozen=True)
@@ -51,13 +50,20 @@ class HeadResult:
     frame_misfit_mm: float
 
 
-def calibrate_head(observed: ObservationSet, *, life: timedelta = LIFE, identifier: str = "") -> HeadResult:
-    """Records from observations, dated with these. Raises CAL-002 to CAL-004."""
+def calibrate_head(
+    observed: ObservationSet, *, life: timedelta = LIFE, identifier: str = "", arm_geometry: bool = True
+) -> HeadResult:
+    """Records from observations, dated with these. Raises CAL-002 to CAL-004.
+
+    Without `arm_geometry` every error of the arm is taken for a random one.
+    """
     before = observed.start
-    fit = fit_bundle(observed.observations, before)
+    fit = fit_bundle(
+        observed.observations, before, arm=arm_model(observed.arm_variant) if arm_geometry else None
+    )
     flange_from_tool, misfit = _kept_tool_frame(before, fit.cameras)
     covariance = _tool_covariance(before, fit)
-    stated_error_mm = float(np.sqrt(np.trace(covariance) + 3.0 * _hidden_error_mm(fit) ** 2))
+    stated_error_mm = float(np.sqrt(np.trace(covariance)))
     left, right = fit.cameras
     head = StereoHeadCalibration(
         identifier=identifier or new_identifier("stereo-head", observed.created),
@@ -85,16 +91,6 @@ def calibrate_head(observed: ObservationSet, *, life: timedelta = LIFE, identifi
 def new_identifier(name: str, created: datetime) -> str:
     """Name and moment."""
     return f"{name}-{created:%Y%m%dT%H%M%S}"
-
-
-def _hidden_error_mm(fit: BundleFit) -> float:
-    """What the arm's systematic errors may put into the tool centre, per axis, unseen by any residual.
-
-    An error of the arm that grows in proportion to the tilt looks like a tool centre elsewhere. Of what grows
-    otherwise the residuals tell the size; the proportional part is taken to be as large at the rms tilt.
-    """
-    systematic = max(0.0, fit.arm_error_mm**2 - REPEATABILITY_MM**2) ** 0.5
-    return float(systematic / fit.spread)
 
 
 def _moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:

@@ -81,6 +81,7 @@ def payload_of(result: HeadResult) -> dict[str, Any]:
         "outliers": np.flatnonzero(~fit.used).tolist(),
         "image_sigma_px": fit.image_sigma_px,
         "arm_error_mm": fit.arm_error_mm,
+        "arm_scatter_mm": fit.arm_scatter_mm,
         "stated_error_mm": head.stated_error_mm,
         "tool_covariance_mm2": result.tool_covariance_mm2.tolist(),
         "tool_shift_mm": result.tool_shift_mm,

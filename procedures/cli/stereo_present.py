@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from procedures.calibration import CheckResult, HeadResult
-from procedures.calibration.record import REPEATABILITY_MM
+from procedures.calibration.bundle import REPEATABILITY_MM
 from procedures.relocalization.errors import NoSphere
 from procedures.steps.stereo_look import Look
 from ronna_hw.command_line import console
@@ -23,6 +23,7 @@ def print_calibration(result: HeadResult, folder: Path) -> None:
             ["looks", f"{used} used, {len(fit.used) - used} left out"],
             ["one outline", f"{fit.image_sigma_px:.3f} px"],
             ["the arm", f"{fit.arm_error_mm:.3f} mm per axis and pose"],
+            ["of it without any rule", f"{fit.arm_scatter_mm:.3f} mm"],
             ["tool centre on the flange", " ".join(f"{v:.3f}" for v in head.flange_from_tool.translation_mm)],
             ["it moved by", f"{result.tool_shift_mm:.3f} mm"],
             ["its standard error", f"{head.stated_error_mm:.3f} mm"],
@@ -33,7 +34,8 @@ def print_calibration(result: HeadResult, folder: Path) -> None:
     if fit.arm_error_mm > REPEATABILITY_MM:
         console.tell(
             f"warning: over these poses the arm errs by {fit.arm_error_mm:.2f} mm per axis, more than the "
-            f"{REPEATABILITY_MM:g} mm it repeats to: the tool frame suits this arm near this place only"
+            f"{REPEATABILITY_MM:g} mm it repeats to. What its last link adds to the tool centre unseen is in "
+            "the standard error; for strategies that turn the tool calibrate the arm first"
         )
     console.tell(f"records and baseline in {folder}: put calibration.toml into the theatre file")
 

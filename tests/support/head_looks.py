@@ -1,123 +1,14 @@
-"""Looks of a true stereo head at a ball, made without the code that measures: for calibration tests.
-
-The outline of a ball is the section of its tangent cone by the image plane. With the unit direction u to the
-ball's centre and its angular radius a the cone is (x . u)^2 = cos^2 a; centre and axes follow from it.
-"""
+"""True stereo heads and what they see of a ball, from `benchmarks`, which is not an installed package."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from functools import cached_property
+import sys
+from pathlib import Path
 
-import numpy as np
+ROOT = Path(__file__).resolve().parents[2]
+if str(ROOT) not in sys.path:
+    sys.path.append(str(ROOT))
 
-from procedures.calibration.head_model import cameras_of, intersected
-from procedures.calibration.observations import Observation, ObservationSet, Outline
-from procedures.calibration.pose_set import PlannedLook
-from ronna_hw.calibration import StereoHeadCalibration
-from ronna_hw.config import parse_theatre
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
-from sim.theatre.scene import SPHERE_RADIUS_MM, CameraTruth, Scene
-from sim.theatre.theatre_file import theatre_content
+from benchmarks.head_looks import ENDPOINTS, TrueHead, observation_set, true_head  # noqa: E402
 
-ENDPOINTS = {
-    "polaris": "tcp://127.0.0.1:8765",
-    "kuka": {"rsi": "udp://127.0.0.1:59152", "eki_project": "tcp://127.0.0.1:54602"},
-    "basler": {"left": "gev://127.77.0.1", "right": "gev://127.77.0.2"},
-}
-JOINTS = (0.0, -1.3, 1.7, 0.0, 1.1, 3.1)
-
-
-@dataclass(frozen=True)
-class TrueHead:
-    """The truth of a scene, and the noises of arm (mm per axis) and outline (px)."""
-
-    scene: Scene
-    repeatability_mm: float = 0.015
-    outline_px: float = 0.02
-
-    @cached_property
-    def record(self) -> StereoHeadCalibration:
-        """What the theatre hands out."""
-        calibration = parse_theatre(theatre_content(self.scene, ENDPOINTS, "host:", {}, 1.0)).calibration
-        assert calibration is not None
-        return calibration.stereo_head
-
-    def twisted(self, side: str, turn_rad: tuple[float, float, float]) -> TrueHead:
-        """The same head with one camera turned in its mount, about its own axes."""
-        camera: CameraTruth = getattr(self.scene, side)
-        turned = matrix_from(np.zeros(3), rotation_from_vector(turn_rad)) @ matrix_of(camera.camera_from_tool)
-        changed = camera.model_copy(update={"camera_from_tool": pose_of(turned)})
-        return replace(self, scene=self.scene.model_copy(update={side: changed}))
-
-    def observe(self, look: PlannedLook, ball_mm, generator: np.random.Generator) -> Observation:
-        """One look: the arm goes where the record says the tool would take the pose, and misses a little."""
-        record = self.record.flange_from_tool
-        nominal = look.pose.as_matrix() @ inverse(matrix_of(record))
-        true = nominal.copy()
-        true[:3, 3] += generator.normal(0.0, self.repeatability_mm, 3)
-        tool = true @ matrix_of(self.scene.mount.flange_from_tool_true)
-        in_tool = inverse(tool) @ np.append(ball_mm, 1.0)
-        left, right = (
-            self._outline(camera, (matrix_of(camera.camera_from_tool) @ in_tool)[:3], generator)
-            for camera in (self.scene.left, self.scene.right)
-        )
-        return Observation(
-            joints_rad=JOINTS,
-            robot_from_flange=pose_of(nominal),
-            left=left,
-            right=right,
-            orientation=look.orientation,
-        )
-
-    def _outline(self, camera: CameraTruth, centre_mm, generator: np.random.Generator) -> Outline:
-        distance = np.linalg.norm(centre_mm)
-        u = centre_mm / distance
-        cosine_squared = 1.0 - (SPHERE_RADIUS_MM / distance) ** 2
-        conic = np.outer(u, u) - cosine_squared * np.eye(3)
-        block, side = conic[:2, :2], conic[:2, 2]
-        middle = -np.linalg.solve(block, side)
-        level = -(conic[2, 2] + side @ middle)
-        axes = np.sort(np.sqrt(level / np.linalg.eigvalsh(block)))[::-1]
-        k1 = camera.distortion[0]
-        seen = middle * (1.0 + k1 * (middle @ middle)) * camera.focal_px + camera.principal_point_px
-        seen = seen + generator.normal(0.0, self.outline_px, 2)
-        major, minor = axes * camera.focal_px[0] + generator.normal(0.0, self.outline_px)
-        variance = self.outline_px**2
-        return Outline(
-            centre_px=(float(seen[0]), float(seen[1])),
-            axes_px=(float(major), float(minor)),
-            covariance_px2=((variance, 0.0), (0.0, variance)),
-            quality=0.95,
-        )
-
-    def tool_centre_error_mm(self, record: StereoHeadCalibration) -> float:
-        """How far off a record places a ball that truly is in the tool centre, on the flange."""
-        pixels = []
-        for camera in (self.scene.left, self.scene.right):
-            x, y, z = matrix_of(camera.camera_from_tool)[:3, 3]
-            ideal = np.array([x / z, y / z])
-            k1 = camera.distortion[0]
-            pixels.append(
-                [ideal * (1.0 + k1 * (ideal @ ideal)) * camera.focal_px + camera.principal_point_px]
-            )
-        seen, _ = intersected(cameras_of(record), np.array(pixels[0]), np.array(pixels[1]))
-        return float(np.linalg.norm(seen[0] - matrix_of(self.scene.mount.flange_from_tool_true)[:3, 3]))
-
-
-def true_head(seed: int = 3, **noises: float) -> TrueHead:
-    """The head of a built-in scene."""
-    return TrueHead(built_in_scene("mini", seed=seed), **noises)
-
-
-def observation_set(head: TrueHead, observations) -> ObservationSet:
-    """As `calibrate` stores them."""
-    return ObservationSet(
-        created=datetime(2026, 11, 20, 9, 0, tzinfo=UTC),
-        serials=(head.scene.left.serial, head.scene.right.serial),
-        arm_variant="kr6_r900_sixx",
-        start=head.record,
-        observations=tuple(observations),
-    )
+__all__ = ["ENDPOINTS", "TrueHead", "observation_set", "true_head"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from datetime import timedelta
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 from head_looks import TrueHead, observation_set, true_head
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration import Observation, calibrate_head
+from procedures.calibration import Observation, ObservationSet, calibrate_head
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import BadObservations, DegeneratePoses, DoesNotFit, TooFewPoses
 from procedures.calibration.observations import OBSERVATIONS_FILE, read_observations
 from procedures.calibration.pose_set import PlannedLook, calibration_looks
+from ronna_hw.arm.errors import LimitError
 from ronna_hw.calibration import CalibrationExpired, ToolTipCalibration
 from ronna_hw.errors import EXIT_REFUSED
 from sim.theatre.rigid import inverse, matrix_of
@@ -54,6 +56,37 @@ def test_stated_errors_are_those_that_are_made() -> None:
         error_mm = head.tool_centre_error_mm(record)
         assert error_mm <= GOAL_MM
         ratios.append(error_mm / record.stated_error_mm)
+    assert 0.7 <= np.sqrt(np.mean(np.square(ratios))) <= 1.4
+
+
+def with_its_arm(seed: int) -> tuple[TrueHead, ObservationSet]:
+    head, looks = true_head(seed=seed, with_arm=True), []
+    generator = np.random.default_rng(seed)
+    for look in calibration_looks(TOOL_DOWN, BALL_MM, 96):
+        with contextlib.suppress(LimitError):
+            looks.append(head.observe(look, BALL_MM, generator))
+    return head, observation_set(head, looks[:64])
+
+
+def test_an_uncalibrated_arm_is_not_taken_for_a_tool_centre_elsewhere() -> None:
+    head, observed = with_its_arm(seed=0)
+    plain = calibrate_head(observed, arm_geometry=False).stereo_head
+    found = calibrate_head(observed)
+    assert found.fit.arm_error_mm > 0.1
+    assert found.fit.arm_scatter_mm == pytest.approx(head.repeatability_mm, rel=0.5)
+    error_mm = head.tool_centre_error_mm(found.stereo_head)
+    assert error_mm < 0.4 * head.tool_centre_error_mm(plain)
+    assert error_mm < 2.0 * found.stereo_head.stated_error_mm
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_with_uncalibrated_arms_the_stated_error_is_the_one_that_is_made() -> None:
+    ratios = []
+    for seed in range(40, 60):
+        head, observed = with_its_arm(seed)
+        record = calibrate_head(observed).stereo_head
+        ratios.append(head.tool_centre_error_mm(record) / record.stated_error_mm)
     assert 0.7 <= np.sqrt(np.mean(np.square(ratios))) <= 1.4
 
 
