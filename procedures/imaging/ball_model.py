@@ -39,7 +39,9 @@ def polynomial(places: Array, degrees: Iterable[int]) -> Array:
 def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[Array, Array]:
     """Intensities (n,) HU at points (n, 3) grid mm, and their derivatives (n, 8 + m) by the unknowns.
 
-    `background` (n, m) are the terms of the polynomial at the points.
+    `background` (n, m) are the terms of the polynomial at the points. The derivatives leave out that the
+    blur turns with the direction from the centre, and that it bends the edge: small, and a fit settles
+    without them.
     """
     offsets = points_mm - unknowns[:3]
     r = np.maximum(np.linalg.norm(offsets, axis=1), 1e-6)

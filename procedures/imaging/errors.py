@@ -146,7 +146,7 @@ class PicksUnreadable(DataError):
     """The file of picks is missing or is not a list of points."""
 
     code = "CT-018"
-    action = "Give CSV rows or a JSON list of L, P, S in mm, or a point list saved by 3D Slicer."
+    action = "Give CSV rows or a JSON list of L, P, S in mm, a file of --write, or a point list of 3D Slicer."
 
 
 class PickRefused(DataError):

@@ -1,4 +1,4 @@
-"""Read picks: CSV rows, a JSON list, or the point list that 3D Slicer saves (`.mrk.json`)."""
+"""Read picks: CSV rows, a JSON list, what `ronna-ct` wrote, or a point list of 3D Slicer (`.mrk.json`)."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from procedures.imaging.errors import PicksUnreadable
 Array = NDArray[np.float64]
 
 COLUMNS = ("L_mm", "P_mm", "S_mm")  # as `--write FILE.csv` names them
+OWN_LISTS = ("spheres", "markers", "candidates")  # as `--write FILE.json` and `--json` name them
 LPS_FROM_RAS = np.array([-1.0, -1.0, 1.0])
 
 
@@ -26,7 +27,7 @@ def read_picks(path: Path) -> Array:
         picks = np.array(rows, dtype=float)
     except OSError as error:
         raise PicksUnreadable(f"cannot read the picks in {path.name}: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise PicksUnreadable(f"{path.name} holds no picks: {error}") from error
     if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
         raise PicksUnreadable(f"{path.name} holds no picks", awaited="three finite numbers per pick")
@@ -46,6 +47,9 @@ def _from_csv(text: str) -> list[list[float]]:
 def _from_json(content: Any) -> list[Any]:
     if isinstance(content, list):
         return content
+    for name in OWN_LISTS:
+        if name in content:
+            return [one["centre_mm"] for one in content[name]]
     picks: list[Any] = []
     for markup in content["markups"]:
         system = str(markup.get("coordinateSystem", "LPS")).upper()

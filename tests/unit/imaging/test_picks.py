@@ -74,6 +74,8 @@ def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:
         ("plain.csv", "1,2,3\n-4,5.5,6\n"),
         ("named.csv", "name,S_mm,L_mm,P_mm\nM1,3,1,2\nM2,6,-4,5.5\n"),
         ("list.json", "[[1, 2, 3], [-4, 5.5, 6]]"),
+        ("own.json", '{"spheres": [{"centre_mm": [1, 2, 3]}, {"centre_mm": [-4, 5.5, 6]}]}'),
+        ("printed.json", '{"markers": [{"centre_mm": [1, 2, 3]}, {"centre_mm": [-4, 5.5, 6]}]}'),
         (
             "slicer.mrk.json",
             json.dumps(
@@ -104,6 +106,9 @@ def test_picks_are_read_from_the_files_people_have(tmp_path: Path, name: str, te
         ("empty.csv", ""),
         ("cut.json", "[[1, 2"),
         ("other.json", '{"points": []}'),
+        ("number.json", "7"),
+        ("flat.json", '{"markups": [1]}'),
+        ("none.json", '{"spheres": []}'),
         ("frame.json", '{"markups": [{"coordinateSystem": "ABC", "controlPoints": []}]}'),
     ],
 )
