@@ -1,7 +1,7 @@
 """Aravis, a client that we did not write, finds, configures, triggers and grabs from the simulated pair.
 
-Needs Debian's packages aravis-tools-cli, gir1.2-aravis-0.8 and python3-gi. Without them the tests are
-skipped and say so.
+Needs Debian's packages aravis-tools, aravis-tools-cli, gir1.2-aravis-0.8 and python3-gi. Without them the
+tests are skipped and say so.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from sim.theatre.world import World
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 TOOL, CAMERA_TEST = "arv-tool-0.8", "arv-camera-test-0.8"
+PACKAGES = {TOOL: "aravis-tools-cli", CAMERA_TEST: "aravis-tools"}
 LIMIT_S = 40.0
 
 
 def aravis_is_missing() -> str:
     """Why Aravis cannot be used; empty when it can."""
-    for name in (TOOL, CAMERA_TEST):
+    for name, package in PACKAGES.items():
         if shutil.which(name) is None:
-            return f"{name} is missing: install Debian's aravis-tools-cli"
+            return f"{name} is missing: install Debian's {package}"
     probe = "import gi; gi.require_version('Aravis', '0.8'); from gi.repository import Aravis"
     ended = subprocess.run([SYSTEM_PYTHON, "-c", probe], capture_output=True, text=True)
     return "" if ended.returncode == 0 else "install Debian's gir1.2-aravis-0.8 and python3-gi"

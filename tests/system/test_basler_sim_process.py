@@ -20,7 +20,7 @@ from ronna_hw.child_process import STOP_TIMEOUT_S, ChildProcess, command
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.world import World
 
-LIMIT_S = 5.0
+LIMIT_S = 30.0
 CCP, HEARTBEAT, SCP, SCPS, SCDA = 0xA00, 0x938, 0xD00, 0xD04, 0xD18
 RECEIVE_BUFFER_BYTES = 8 << 20
 SHARE = 8000 - 36

@@ -134,7 +134,7 @@ class Bench:
         except TimeoutError:
             return None
         finally:
-            self.receiver.settimeout(5.0)
+            self.receiver.settimeout(30.0)
 
     def nothing_comes(self) -> bool:
         """True when no packet comes for a while."""
@@ -151,7 +151,7 @@ def make_bench() -> Iterator[MakeBench]:
     def make(name: str = "left", serial: str = "21904411", beside: Bench | None = None) -> Bench:
         receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(5.0)
+        receiver.settimeout(30.0)
         clock = beside.clock if beside else StillClock()
         host_s, images = HostSeconds(), PlainImages()
         moments = beside.moments if beside else TriggerMoments(clock)  # type: ignore[attr-defined]

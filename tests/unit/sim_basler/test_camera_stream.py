@@ -39,7 +39,7 @@ def stamp(frame: list[bytes]) -> int:
 
 
 def awaited(condition: Any) -> None:
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 30.0
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.001)
