@@ -32,7 +32,7 @@ def publish(
     for name, png in plots.items():
         write_whole(folder / name, png)
     pictures = "".join(f"![{name}]({name})\n\n" for name in sorted(plots))
-    told = ", ".join(f"{key} {value}" for key, value in parameters.items())
+    told = ", ".join(f"{key} {json.dumps(value)}" for key, value in parameters.items())
     text = f"# {title}\n\n{told}\n\n" + "\n".join(table.markdown() for table in tables) + f"\n{pictures}"
     write_whole(folder / REPORT, text.encode())
     return folder / REPORT

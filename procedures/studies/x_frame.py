@@ -130,8 +130,7 @@ def _ranges(sums: Mapping[str, Sums]) -> Table:
         "The thesis' method on the x-shaped frame: the range of e",
         ("noise", "best success %", f"{percent} from e mm", f"{percent} to e mm"),
         rows,
-        f"The thesis pairs every reading at {told}, on real scans and readings. Strays in its readings are not"
-        " told.",
+        f"The thesis pairs every reading at {told}, on real scans and readings. It does not tell of strays.",
     )
 
 
