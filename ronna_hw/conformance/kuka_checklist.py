@@ -58,7 +58,7 @@ _ELSEWHERE: dict[int, str] = {
     26: "needs large motions: tests/unit/sim_kuka, tests/unit/arm",
     32: "needs that program: tests/system/test_kuka_link_rsipi.py",
     33: "needs that program: tests/system/test_kuka_sim_rsipi.py; the C++ ones are not on the index",
-    41: "no safe way on a running controller: tests/unit/sim_kuka, tests/system/test_kuka_sim.py",
+    41: "no safe way on a running controller: tests/unit/sim_kuka, tests/system/kuka_sim",
 }
 # What a line says beyond its cases, and why no case shows it.
 _REMARKS: dict[int, str] = {

@@ -1,0 +1,54 @@
+"""What the tests of the driver's arm share: targets, a long motion under way, the largest step sent."""
+
+from __future__ import annotations
+
+import threading
+import time
+from itertools import pairwise
+from typing import Any
+
+from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.devices import Lifecycle
+
+MODEL = arm_model("kr6_r900_sixx")
+THERE = radians6(10, -85, 85, 5, 65, -10)
+FAR = radians6(60, -60, 60, 30, 80, 90)
+
+
+def state_of(arm: Any) -> Lifecycle:
+    state: Lifecycle = arm.state
+    return state
+
+
+def eventually(condition: Any, limit_s: float = 30.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def largest_step(replies: list[tuple[int, tuple[float, ...], int]]) -> float:
+    """Largest step of a command over the working step of its axis."""
+    worst = 0.0
+    for (_, a, _), (_, b, _) in pairwise(replies):
+        for axis in range(6):
+            full = MODEL.full_speed_rad_s[axis] * 57.29578 * 0.004
+            worst = max(worst, abs(b[axis] - a[axis]) / full)
+    return worst
+
+
+def moving(arm: Any, controller: Any) -> tuple[threading.Thread, list[BaseException]]:
+    """A long motion in a thread of its own, well under way."""
+    controller.pace_s = 0.001
+    caught: list[BaseException] = []
+
+    def move() -> None:
+        try:
+            arm.move_joints(FAR)
+        except BaseException as error:
+            caught.append(error)
+
+    thread = threading.Thread(target=move)
+    thread.start()
+    eventually(lambda: len(controller.replies) > 2 and abs(controller.replies[-1][1][0]) > 2.0)
+    return thread, caught

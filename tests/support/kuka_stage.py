@@ -1,0 +1,69 @@
+"""One robot controller for many tests of its faults, in lock-step, brought back to rest between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from itertools import pairwise
+
+import pytest
+from kuka_clients import Cell, EkiClient, RsiClient
+
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.world import World
+
+CYCLE_S = 0.004
+
+
+class Stage:
+    """One controller for all tests, brought back to rest between them."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self.world = World.create(built_in_scene("mini", seed=5), paced=False)
+        self._cell = Cell(stack, world=self.world)
+        self.rsi: RsiClient = self._cell.rsi
+        self.eki: EkiClient = self._cell.project()
+
+    def begin(self) -> None:
+        """RSI streams, corrections act, nothing is wrong."""
+        self.world.set_fault_script("")
+        self.reconnect()
+        self.eki.state(Mode="EXT", EStop="0", Guard="0")
+        self.eki.command("CANCEL")
+        assert self.eki.command("ACK_ERRORS") == 0
+        self.eki.state(RSI="0", Moving="0")
+        self.rsi.forget()
+        self._cell.start(self.eki)
+        self.rsi.cycles(10)
+        self.eki.state(RSI="2")
+
+    def inject(self, fault: str, *others: str) -> None:
+        """Faults from now on, and only these."""
+        begin_s = self.world.clock.now_s() - CYCLE_S / 4  # in lock-step the time stands while a client works
+        lines = (f"at {begin_s:.6f} s: robot {line}" for line in (fault, *others))
+        self.world.set_fault_script("\n".join(lines))
+
+    def reconnect(self) -> EkiClient:
+        self.eki.close()
+        self.eki = self._cell.project()
+        return self.eki
+
+    def sdk(self) -> EkiClient:
+        return self._cell.sdk()
+
+    def move(self, goal_deg: float, cycles: int = 200, begin_deg: float = 0.0) -> list[float]:
+        """A1 to a correction; the measured angle of every telegram."""
+        return self.rsi.move_axis(goal_deg, cycles, begin_deg)
+
+
+def on_a1(value: float) -> tuple[float, ...]:
+    return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def largest_step(angles: Sequence[float]) -> float:
+    return max(abs(b - a) for a, b in pairwise(angles))
+
+
+def rests_at(stage: Stage, correction_deg: float, base_deg: float) -> bool:
+    stage.rsi.cycles(100, on_a1(correction_deg))
+    return stage.rsi.axes_deg[0] == pytest.approx(base_deg + correction_deg, abs=1e-4)

@@ -1,0 +1,146 @@
+"""A session of the real-time process and a controller around it, cycle by cycle, without any process."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from itertools import pairwise
+from math import degrees
+from typing import Any
+
+from drivers.kuka_rsi.link_state import (
+    Command,
+    CommandKind,
+    Fault,
+    Orders,
+    Phase,
+    Result,
+    StopOrder,
+)
+from drivers.kuka_rsi.session import Session
+from drivers.kuka_rsi.settings import LinkSettings
+from drivers.kuka_rsi.telegram import Telegram
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.planning import MotionPlan, plan_joint_move
+from ronna_hw.devices.readings import JointVector
+
+MODEL = arm_model("kr6_r900_sixx")
+LIMITS = working_limits(MODEL)
+START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
+START = radians6(*START_DEG)
+FAR = radians6(40, -60, 60, 30, 80, 90)
+AXES = tuple(f"AK.A{k}" for k in range(1, 7))
+SETTINGS = LinkSettings(
+    host="127.0.0.1",
+    port=1,
+    parent_pid=1,
+    mailbox_fd=0,
+    event_fd=0,
+    variant="kr6_r900_sixx",
+    cycle_ms=4,
+    sentype="KROSHU",
+    send_tags=("DEF_AIPos",),
+    receive_tags=("Stop", *AXES),
+    axis_tags=AXES,
+    stop_tag="Stop",
+    silence_limit_s=0.25,
+    heartbeat_limit_s=1.0,
+    settle_tolerance_deg=0.0002,
+    speed_fraction=0.12,
+    real_time_priority=0,
+)
+RAMP_DOWN_SHARE = 1.3  # a stop within the jerk limit still gains speed until its acceleration is gone
+NUMBERS = re.compile(rb'"(-?\d+\.\d{6})"')
+WORKING_STEP_DEG = [degrees(v) * 0.004 for v in LIMITS.speed_rad_s]
+
+
+class Cell:
+    """A session and the arm that follows it exactly, cycle by cycle."""
+
+    def __init__(self, **changes: Any) -> None:
+        self.session = Session(replace(SETTINGS, **changes))
+        self.now_ns = 1_000_000_000
+        self.ipoc = 1000
+        self.delay = 0
+        self.beat = 1
+        self.beats = True
+        self.stop_word = 0
+        self.commands = 0
+        self.axes: JointVector = START_DEG
+        self.follows = True
+        self.sent: list[tuple[JointVector, int]] = []
+        self.give(CommandKind.OPEN)
+
+    def give(self, kind: CommandKind, plan: MotionPlan | None = None, stop_number: int | None = None) -> None:
+        self.commands += 1
+        seen = self.stop_word >> 3 if stop_number is None else stop_number
+        self.pending: Command | None = Command(self.commands, kind, plan, seen)
+        if not self.sent:
+            self.session.take(self.pending)
+
+    def stop(self, kind: StopOrder) -> None:
+        self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind
+
+    def cycle(self, lost: int = 0) -> bool:
+        """One telegram; True when it was answered."""
+        self.now_ns += 4_000_000 * (1 + lost)
+        self.beat += self.beats
+        self.ipoc += 4 * (1 + lost)
+        telegram = Telegram(self.axes, self.delay, str(self.ipoc).encode())
+        head = self.session.answer(telegram, Orders(self.beat, self.stop_word, self.commands), self.now_ns)
+        if head is None:
+            return False
+        A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
+        corrections = (A1, A2, A3, A4, A5, A6)
+        self.sent.append((corrections, int(head[head.index(b"<Stop>") + 6 : head.index(b"</Stop>")])))
+        self.session.after_reply(self.pending)
+        if self.follows:
+            a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, corrections, strict=True))
+            self.axes = (a, b, c, d, e, f)
+        return True
+
+    def run(self, most: int = 3000) -> int:
+        """Cycles until the motion's result is there."""
+        for count in range(most):
+            if self.session.result is not Result.RUNNING:
+                return count
+            self.cycle()
+        raise AssertionError("no result")
+
+    def smooth(self, share: float = 1.05) -> bool:
+        """No step of a command beyond `share` of the working step, far from what a controller refuses."""
+        steps = (
+            (abs(y - x), limit)
+            for (a, _), (b, _) in pairwise(self.sent)
+            for x, y, limit in zip(a, b, WORKING_STEP_DEG, strict=True)
+        )
+        return all(step <= limit * share for step, limit in steps)
+
+
+def begun(cycles: int = 3, **changes: Any) -> Cell:
+    cell = Cell(**changes)
+    for _ in range(cycles):
+        cell.cycle()
+    return cell
+
+
+def moving(cycles: int = 120, target: JointVector = FAR) -> Cell:
+    cell = begun()
+    cell.give(CommandKind.MOVE, plan_joint_move(MODEL, START, target, LIMITS))
+    for _ in range(cycles):
+        cell.cycle()
+    assert cell.session.moving
+    return cell
+
+
+def result_of(cell: Cell) -> Result:
+    return cell.session.result
+
+
+def phase_of(cell: Cell) -> Phase:
+    return cell.session.phase
+
+
+def fault_of(cell: Cell) -> Fault:
+    return cell.session.fault

@@ -1,0 +1,96 @@
+"""The controller in a theatre whose time waits for the client."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import pytest
+from kuka_clients import LIMIT_S, Cell
+
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.world import World
+
+
+def test_lock_step_counts_cycles_and_not_host_time(cell: Callable[..., Cell], lock_step_world: World) -> None:
+    here = cell(world=lock_step_world)
+    eki, rsi = here.project(), here.rsi
+    here.start(eki)
+    rsi.cycles(5)
+    before_s = lock_step_world.clock.now_s()
+    rsi.move((5.0, 0.0, 0.0, 0.0, 0.0, 0.0), cycles=1000)
+    passed_s = lock_step_world.clock.now_s() - before_s
+    assert passed_s == pytest.approx(4.0, abs=0.009)
+    assert rsi.late == 0
+    # A reply that takes the host longer than many cycles is awaited and not late.
+    rsi.receive()
+    time.sleep(0.05)
+    rsi.answer((5.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    rsi.cycles(3, (5.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert rsi.late == 0
+
+
+def test_lock_step_waits_for_a_silent_client_and_then_lets_the_cycles_run_to_the_timeout(
+    cell: Callable[..., Cell], lock_step_world: World
+) -> None:
+    here = cell(world=lock_step_world)
+    eki, rsi = here.project(), here.rsi
+    here.start(eki)
+    rsi.cycles(10)
+    before_s, began_s = lock_step_world.clock.now_s(), time.monotonic()
+    state = eki.until(lambda element: element.get("RSI") == "3")
+    assert state.get("Err") == "29002"
+    assert time.monotonic() - began_s >= 2.0
+    assert lock_step_world.clock.now_s() - before_s == pytest.approx(0.4, abs=0.02)
+
+
+def test_dropped_replies_are_cycles_that_are_late(cell: Callable[..., Cell], lock_step_world: World) -> None:
+    here = cell(world=lock_step_world)
+    eki, rsi = here.project(), here.rsi
+    lock_step_world.set_fault_script("at 0 s: robot drop 10 % for 4 s")
+    here.start(eki)
+    rsi.move((5.0, 0.0, 0.0, 0.0, 0.0, 0.0), cycles=900)
+    lost = rsi.late
+    assert 50 <= lost <= 140
+    lock_step_world.set_fault_script("")
+    rsi.cycles(300, (5.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert rsi.late - lost <= 1
+    assert rsi.axes_deg[0] == pytest.approx(5.0, abs=1e-4)
+
+
+def test_an_idle_world_paces_itself_until_somebody_waits(
+    cell: Callable[..., Cell], lock_step_world: World
+) -> None:
+    here = cell(world=lock_step_world)
+    eki, rsi = here.project(), here.rsi
+    here.start(eki)
+    rsi.cycles(60)
+    began_s = time.monotonic()
+    rsi.cycles(50)
+    assert time.monotonic() - began_s >= 49 * 0.004
+    assert lock_step_world.clock.streaming()
+    assert eki.command("RSI_STOP") == 0
+    deadline = time.monotonic() + LIMIT_S
+    while lock_step_world.clock.streaming() and time.monotonic() < deadline:
+        eki.state(RSI="0", Moving="0")
+    assert not lock_step_world.clock.streaming()
+
+
+def test_the_true_pose_after_a_motion_is_the_same_bit_for_bit(cell: Callable[..., Cell]) -> None:
+    goal = (5.0, -4.0, 3.0, 2.0, 1.0, 8.0)
+    found = []
+    for idle in (3, 90):
+        world = World.create(built_in_scene("mini", seed=5), paced=False)
+        here = cell(world=world)
+        eki, rsi = here.project(), here.rsi
+        here.start(eki)
+        rsi.cycles(idle)
+        rsi.move(goal, cycles=400)
+        while not world.arm().at_rest:
+            rsi.cycles(5, goal)
+        found.append(world.arm())
+        here.child.stop()
+        world.clock.close()
+    assert found[0].motion_number == found[1].motion_number == 1
+    assert found[0].joints_rad == found[1].joints_rad
+    assert (found[0].robot_from_flange == found[1].robot_from_flange).all()

@@ -1,0 +1,162 @@
+"""What goes wrong on the EKI channel, and what the controller does not allow, is named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from driven_arm import THERE, eventually, state_of
+
+from drivers.kuka_rsi.errors import (
+    CommandRefused,
+    ControllerLost,
+    ControllerNotFound,
+    ControllerNotReady,
+    NoAnswer,
+    Unverified,
+    WrongController,
+)
+from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.errors import WrongState
+
+
+def test_nobody_at_the_address_is_told(controller: Any, make_arm: Any) -> None:
+    arm = make_arm(eki_port=1)
+    with pytest.raises(ControllerNotFound, match="refused") as caught:
+        arm.connect(timeout_s=1.0)
+    assert caught.value.code == "EKI-001"
+    assert caught.value.exit_code == 4
+    assert state_of(arm) is Lifecycle.DISCONNECTED
+
+
+def test_somebody_who_does_not_answer_is_no_controller(controller: Any, make_arm: Any) -> None:
+    controller.mute_commands.add("STATUS")
+    with pytest.raises(ControllerNotFound, match="no KR C4 answers"):
+        make_arm().connect(timeout_s=0.2)
+
+
+@pytest.mark.parametrize(
+    ("fact", "value", "said"),
+    [
+        ("Cycle", "12", "cycle in ms is 12, not 4"),
+        ("Ref", "REL", "corrections is REL, not ABS"),
+        ("HoldOn", "0", "HOLDON is False"),
+        ("CtxHash", "0123456789abcdef", "context hash is 0123456789abcdef"),
+        ("Variant", "kr6_r900_2", "arm is kr6_r900_2, not kr6_r900_sixx"),
+    ],
+)
+@pytest.mark.hazard(20)
+def test_a_controller_set_up_otherwise_is_refused_at_connect(
+    controller: Any, make_arm: Any, fact: str, value: str, said: str
+) -> None:
+    controller.facts[fact] = value
+    arm = make_arm()
+    with pytest.raises(WrongController, match=said) as caught:
+        arm.connect()
+    assert caught.value.code == "EKI-005"
+    assert state_of(arm) is Lifecycle.DISCONNECTED
+
+
+@pytest.mark.hazard(20)
+def test_a_controller_that_cannot_say_is_unverified(controller: Any, make_arm: Any) -> None:
+    del controller.facts["CtxHash"]
+    with pytest.raises(Unverified, match="context hash") as caught:
+        make_arm().connect()
+    assert caught.value.code == "EKI-006"
+
+
+def test_a_controller_that_is_not_ready_is_not_started(controller: Any, make_arm: Any) -> None:
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    controller.facts["Err"] = "29002"
+    with pytest.raises(ControllerNotReady, match="message 29002") as caught:
+        arm.activate()
+    assert caught.value.code == "EKI-007"
+    assert state_of(arm) is Lifecycle.FAULT
+    assert "RSI_START" not in controller.commands
+    arm.recover("operator")
+    assert controller.facts["Err"] == "0"
+    arm.activate()
+
+
+def test_drives_that_are_off_are_switched_on(controller: Any, make_arm: Any) -> None:
+    controller.facts["Drives"] = "0"
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    arm.activate()
+    assert controller.facts["Drives"] == "1"
+
+
+def test_a_refused_start_is_told_with_the_controllers_code(controller: Any, make_arm: Any) -> None:
+    controller.ack_codes["RSI_START"] = 5
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    with pytest.raises(CommandRefused, match="NOT_READY") as caught:
+        arm.activate()
+    assert caught.value.code == "EKI-008"
+
+
+def test_a_lost_connection_is_latched_and_recovered_by_a_new_session(
+    controller: Any, active_arm: Any
+) -> None:
+    controller.drop_eki()
+    eventually(lambda: state_of(active_arm) is Lifecycle.FAULT)
+    with pytest.raises(ControllerLost) as caught:  # the first call that meets a fault is given it
+        active_arm.read_state()
+    assert caught.value.code == "EKI-002"
+    with pytest.raises(WrongState, match="EKI-002"):
+        active_arm.read_state()
+    active_arm.recover("operator")
+    active_arm.activate()
+    active_arm.move_joints(THERE)
+
+
+def test_an_unanswered_question_has_a_time_limit(controller: Any, make_arm: Any) -> None:
+    arm = make_arm()
+    arm.connect()
+    controller.mute_commands.add("STATUS")
+    with pytest.raises(NoAnswer) as caught:
+        arm.read_tool_identity(timeout_s=0.1)
+    assert caught.value.code == "EKI-003"
+
+
+@pytest.mark.slow
+def test_a_controller_that_ignores_the_stop_object_is_ended_by_eki(controller: Any, active_arm: Any) -> None:
+    controller.stop_honoured = False
+    active_arm.deactivate(timeout_s=2.0)
+    assert "RSI_STOP" in controller.commands
+    assert controller.facts["RSI"] == "0"
+
+
+def test_a_message_of_an_earlier_run_is_acknowledged_only_by_name(controller: Any, make_arm: Any) -> None:
+    controller.facts["Err"] = "29002"
+    arm = make_arm()
+    arm.connect()
+    assert "ACK_ERRORS" not in controller.commands
+    with pytest.raises(ValueError, match="name"):
+        arm.recover("  ")
+    assert controller.facts["Err"] == "29002"
+    arm.recover("operator")
+    assert controller.facts["Err"] == "0"
+    assert state_of(arm) is Lifecycle.CONNECTED
+    with pytest.raises(WrongState):  # nothing is pending any more
+        arm.recover("operator")
+    arm.configure()
+    arm.activate()
+    assert state_of(arm) is Lifecycle.ACTIVE
+
+
+def test_configure_acknowledges_nothing_and_the_error_names_the_call(controller: Any, make_arm: Any) -> None:
+    controller.facts["Err"] = "29002"
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    with pytest.raises(ControllerNotReady, match=r"recover\(acknowledged_by\)"):
+        arm.activate()
+    assert "ACK_ERRORS" not in controller.commands
+    arm.recover("operator")
+    arm.activate()
+    assert state_of(arm) is Lifecycle.ACTIVE

@@ -1,0 +1,138 @@
+"""The driver against a controller of bytes: sessions from connect to close."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from typing import Any
+
+import pytest
+from driven_arm import MODEL, THERE, largest_step, moving, state_of
+
+from ronna_hw.arm.errors import OutOfJointRange
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.model import radians6
+from ronna_hw.arm.pose import Pose
+from ronna_hw.devices import Lifecycle, RobotArm
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.readings import Validity
+
+
+def test_it_is_a_robot_arm(make_arm: Any) -> None:
+    assert isinstance(make_arm(), RobotArm)
+
+
+def test_a_session_from_connect_to_close(controller: Any, make_arm: Any) -> None:
+    arm = make_arm()
+    identity = arm.connect()
+    assert (identity.vendor, identity.model) == ("KUKA", "kr6_r900_sixx")
+    assert arm.read_state().commanded_rad is None
+    assert arm.read_tool_identity().number == 2
+    arm.configure()
+    arm.activate()
+    assert state_of(arm) is Lifecycle.ACTIVE
+    reading = arm.move_joints(THERE)
+    assert reading.joints_rad == pytest.approx(THERE, abs=4e-6)
+    assert reading.commanded_rad == THERE
+    assert not reading.moving
+    assert reading.validity is Validity.OK
+    here = forward(MODEL, THERE)
+    target = Pose((here.position_mm[0], here.position_mm[1] + 20, here.position_mm[2]), here.rotation)
+    reading = arm.move_linear(target, tool_in_flange_mm=(0.0, 0.0, 100.0))
+    assert forward(MODEL, reading.joints_rad).distance_mm(target) < 0.01
+    statistics = arm.link_statistics()
+    assert statistics.cycles > 100
+    assert statistics.lost_cycles == statistics.late_cycles == statistics.rejected_telegrams == 0
+    assert sum(statistics.histogram_counts) == statistics.cycles
+    assert len(statistics.histogram_edges_us) == len(statistics.histogram_counts) + 1
+    assert 0 < statistics.turnaround_median_us <= statistics.turnaround_p99_us
+    arm.deactivate()
+    assert state_of(arm) is Lifecycle.CONFIGURED
+    assert controller.facts["RSI"] == "0"
+    arm.close()
+    assert state_of(arm) is Lifecycle.CLOSED
+    arm.close()
+
+
+def test_the_first_correction_is_zero_and_no_step_is_large(controller: Any, active_arm: Any) -> None:
+    active_arm.move_joints(THERE)
+    assert controller.replies[0][1] == (0.0,) * 6
+    assert largest_step(controller.replies) < 1 / 8
+
+
+def test_the_stream_can_be_started_again_from_where_the_arm_is(controller: Any, active_arm: Any) -> None:
+    active_arm.move_joints(THERE)
+    active_arm.deactivate()
+    active_arm.activate()
+    assert controller.replies[0][1] == (0.0,) * 6
+    active_arm.move_joints(radians6(0, -90, 90, 0, 60, 0))
+    assert controller.axes_deg == pytest.approx((0, -90, 90, 0, 60, 0), abs=1e-5)
+
+
+@pytest.mark.slow
+def test_no_speed_fraction_goes_beyond_the_working_speed(controller: Any, active_arm: Any) -> None:
+    active_arm.move_joints(THERE, speed_fraction=0.2)
+    assert largest_step(controller.replies) < 0.2 / 8 + 1e-4
+
+
+@pytest.mark.hazard(23)
+def test_a_target_out_of_range_is_refused_before_motion(controller: Any, active_arm: Any) -> None:
+    with pytest.raises(OutOfJointRange):
+        active_arm.move_joints(radians6(0, -90, 90, 0, 130, 0))
+    assert state_of(active_arm) is Lifecycle.ACTIVE
+    assert {r[1] for r in controller.replies} == {(0.0,) * 6}
+
+
+def test_motion_is_refused_outside_active(make_arm: Any) -> None:
+    arm = make_arm()
+    with pytest.raises(WrongState):
+        arm.move_joints(THERE)
+    with pytest.raises(WrongState):
+        arm.read_state()
+
+
+def test_going_nowhere_returns_the_settled_reading(active_arm: Any) -> None:
+    here = active_arm.read_state().commanded_rad
+    assert active_arm.move_joints(here).commanded_rad == here
+
+
+def test_close_is_bounded_when_the_controller_is_gone(controller: Any, active_arm: Any) -> None:
+    controller.silent.set()
+    controller.drop_eki()
+    begun = time.monotonic()
+    active_arm.close()
+    assert time.monotonic() - begun < 8.0
+    assert state_of(active_arm) is Lifecycle.CLOSED
+
+
+@pytest.mark.slow
+def test_close_in_motion_brings_the_arm_to_rest_and_ends_the_program(
+    controller: Any, active_arm: Any
+) -> None:
+    thread, caught = moving(active_arm, controller)
+    active_arm.close()
+    thread.join()
+    assert caught
+    assert controller.facts["RSI"] == "0"
+    assert controller.replies[-1][2] == 1
+    assert controller.replies[-1][1] == controller.replies[-2][1]
+    assert largest_step(controller.replies) < 1 / 8
+
+
+def test_close_leaves_no_process(active_arm: Any) -> None:
+    pid = active_arm._ways.open_link._process.pid
+    active_arm.close()
+    assert not os.path.exists(f"/proc/{pid}")
+
+
+def test_the_real_time_process_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, drivers.kuka_rsi.link_process\n"
+        "heavy = {'scipy', 'cv2', 'pydicom', 'pydantic', 'structlog'} & set(sys.modules)\n"
+        "sys.exit(' '.join(sorted(heavy)) or 0)"
+    )
+    import sys
+
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

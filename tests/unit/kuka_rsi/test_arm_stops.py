@@ -1,0 +1,89 @@
+"""Stops of every kind, ordered while the arm moves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from driven_arm import FAR, THERE, largest_step, moving, state_of
+
+from drivers.kuka_rsi.errors import (
+    DrivesOff,
+    LinkStopped,
+    MotionNotFinished,
+    MotionRefused,
+    MotionStopped,
+    ProtectiveStop,
+)
+from ronna_hw.arm.model import radians6
+from ronna_hw.devices import Lifecycle, StopKind
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.errors import RonnaError
+
+
+@pytest.mark.hazard(32)
+def test_hold_stops_the_arm_smoothly_and_resume_moves_nothing(controller: Any, active_arm: Any) -> None:
+    thread, caught = moving(active_arm, controller)
+    active_arm.stop(StopKind.HOLD)
+    thread.join()
+    assert isinstance(caught[0], MotionStopped)
+    assert caught[0].code == "RSI-010"
+    assert state_of(active_arm) is Lifecycle.HOLD
+    with pytest.raises(WrongState):
+        active_arm.move_joints(FAR)
+    held = active_arm.read_state().commanded_rad
+    active_arm.resume()
+    assert active_arm.read_state().commanded_rad == held
+    active_arm.move_joints(THERE)
+    assert largest_step(controller.replies) < 1 / 8
+
+
+@pytest.mark.parametrize(
+    ("kind", "error"),
+    [
+        (StopKind.PROTECTIVE, ProtectiveStop),
+        pytest.param(StopKind.DRIVES_OFF, DrivesOff, marks=pytest.mark.slow),
+        pytest.param(StopKind.LINK, LinkStopped, marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.hazard(32)
+def test_a_stop_that_is_no_hold_is_latched_until_recovered(
+    controller: Any, active_arm: Any, kind: StopKind, error: type[RonnaError]
+) -> None:
+    thread, caught = moving(active_arm, controller)
+    active_arm.stop(kind)
+    thread.join()
+    assert type(caught[0]) is error
+    assert state_of(active_arm) is Lifecycle.FAULT
+    assert type(active_arm.fault) is error
+    assert largest_step(controller.replies) < 1 / 8
+    with pytest.raises(WrongState, match=error.code):  # later calls are refused and name it
+        active_arm.read_state()
+    if kind is StopKind.DRIVES_OFF:
+        assert controller.facts["Drives"] == "0"
+    active_arm.recover("operator")
+    assert state_of(active_arm) is Lifecycle.CONFIGURED
+    assert "ACK_ERRORS" in controller.commands
+    active_arm.activate()
+    active_arm.move_joints(THERE)
+
+
+@pytest.mark.slow
+def test_a_second_motion_while_one_runs_is_refused(controller: Any, active_arm: Any) -> None:
+    thread, _ = moving(active_arm, controller)
+    with pytest.raises(MotionRefused, match="another") as refused:
+        active_arm.move_joints(THERE)
+    assert refused.value.code == "RSI-012"
+    active_arm.stop()
+    thread.join()
+
+
+def test_an_arm_that_does_not_settle_is_told_after_its_time_in_cycles(make_arm: Any, controller: Any) -> None:
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    arm.activate()
+    controller.frozen = True
+    with pytest.raises(MotionNotFinished) as caught:
+        arm.move_joints(radians6(0, -90, 90, 0, 60, 0.5), timeout_s=0.5)
+    assert caught.value.code == "RSI-011"

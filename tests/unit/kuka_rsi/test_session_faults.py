@@ -1,0 +1,133 @@
+"""A session in which monitor, silence or the parent's heart stops the arm."""
+
+from __future__ import annotations
+
+from math import radians
+
+import pytest
+from session_cell import (
+    FAR,
+    MODEL,
+    RAMP_DOWN_SHARE,
+    START,
+    begun,
+    fault_of,
+    moving,
+)
+
+from drivers.kuka_rsi.link_state import (
+    CommandKind,
+    Fault,
+    Orders,
+    Phase,
+)
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.model import radians6
+from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.progress import PathLimits
+
+
+@pytest.mark.parametrize(
+    ("limits", "kind"),
+    [
+        (PathLimits(5.0, 5.0, 20.0), "step"),
+        (PathLimits(1.0, 10.0, 100.0), "acceleration"),
+        (PathLimits(0.5, 50.0, 5000.0), "jerk"),
+    ],
+)
+def test_a_generator_that_asks_too_much_is_stopped_by_the_monitor(limits: PathLimits, kind: str) -> None:
+    cell = begun()
+    cell.give(CommandKind.MOVE, MotionPlan(START, FAR, limits))
+    for _ in range(400):
+        cell.cycle()
+    assert cell.session.fault is Fault.MONITOR
+    assert cell.session.violation is not None
+    assert cell.session.violation.kind == kind
+    assert not cell.session.moving
+    assert cell.session.phase is Phase.FAULT
+    assert cell.smooth(RAMP_DOWN_SHARE)
+
+
+def test_a_path_that_leads_out_of_range_is_stopped_at_the_range() -> None:
+    beyond = radians6(0, -90, 90, 0, 125, 0)
+    cell = begun()
+    cell.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
+    for _ in range(1500):
+        cell.cycle()
+    assert cell.session.fault is Fault.MONITOR
+    assert cell.session.violation is not None
+    assert cell.session.violation.kind == "range"
+    assert cell.session.sent_rad[4] <= MODEL.upper_rad[4] + radians(2.0)
+    assert cell.smooth()
+
+
+def test_a_line_without_a_solution_on_the_way_is_stopped_by_the_joints() -> None:
+    here = forward(MODEL, START)
+    away = Pose((here.position_mm[0] + 900, here.position_mm[1], here.position_mm[2]), here.rotation)
+    cell = begun()
+    cell.give(CommandKind.MOVE, MotionPlan(START, (*START[:5], 0.1), PathLimits(0.1, 0.1, 1.0), away))
+    for _ in range(3000):
+        cell.cycle()
+        if cell.session.fault and not cell.session.moving:
+            break
+    assert cell.session.fault in (Fault.PATH, Fault.MONITOR)
+    assert not cell.session.moving
+    assert cell.smooth(RAMP_DOWN_SHARE)
+
+
+@pytest.mark.hazard(38)
+def test_an_axis_that_does_not_follow_stops_the_arm() -> None:
+    cell = moving()
+    cell.follows = False
+    for _ in range(300):
+        cell.cycle()
+    assert cell.session.fault is Fault.MONITOR
+    assert cell.session.violation is not None
+    assert cell.session.violation.kind == "following error"
+    assert cell.smooth()
+
+
+def test_silence_beyond_the_limit_is_latched_and_the_motion_forgotten() -> None:
+    cell = moving()
+    orders = Orders(cell.beat, 0, cell.commands)
+    cell.session.idle(orders, cell.now_ns + 240_000_000)
+    assert fault_of(cell) is Fault.NONE
+    cell.session.idle(orders, cell.now_ns + 260_000_000)
+    assert cell.session.fault is Fault.SILENCE
+    assert not cell.session.moving
+    before = cell.sent[-1][0]
+    cell.cycle(lost=70)
+    assert cell.sent[-1][0] == before
+
+
+@pytest.mark.hazard(30)
+def test_a_late_heartbeat_stops_the_arm_and_ends_the_program() -> None:
+    cell = moving(cycles=1)
+    cell.beats = False
+    for _ in range(600):
+        cell.cycle()
+    assert cell.session.fault is Fault.HEARTBEAT
+    assert cell.session.phase is Phase.ENDING
+    assert cell.sent[-1][1] == 1
+    assert cell.smooth()
+
+
+def test_a_heart_that_beats_now_and_then_keeps_the_session() -> None:
+    cell = begun()
+    for k in range(1000):
+        cell.beats = k % 200 == 0
+        cell.cycle()
+    assert cell.session.fault is Fault.NONE
+
+
+@pytest.mark.hazard(30)
+def test_without_its_parent_the_arm_stops_and_the_program_is_ended() -> None:
+    cell = moving()
+    cell.session.parent_gone = True
+    for _ in range(150):
+        cell.cycle()
+    assert cell.session.phase is Phase.ENDING
+    assert not cell.session.moving
+    assert cell.sent[-1][1] == 1
+    assert cell.smooth()

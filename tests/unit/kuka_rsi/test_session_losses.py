@@ -1,0 +1,133 @@
+"""A session in which telegrams are lost, late, repeated, or from somebody else."""
+
+from __future__ import annotations
+
+import pytest
+from session_cell import (
+    begun,
+    fault_of,
+    moving,
+)
+
+from drivers.kuka_rsi.link_state import (
+    Fault,
+    Orders,
+    Result,
+)
+from drivers.kuka_rsi.losses import Losses
+
+
+def test_more_than_three_lost_cycles_are_degraded_and_a_clean_second_later_forgotten() -> None:
+    losses = Losses(4)
+    ipoc = 0
+    for k in range(4):
+        assert not losses.degraded
+        ipoc += 8
+        assert losses.count(ipoc, k) == (1 if k else 0)
+    ipoc += 8
+    losses.count(ipoc, 4)
+    assert losses.degraded
+    assert losses.lost == 4
+    for _ in range(1000):
+        ipoc += 4
+        losses.count(ipoc, 4)
+    assert not losses.degraded
+
+
+def test_late_replies_count_as_well_even_without_a_gap() -> None:
+    losses = Losses(4)
+    for k in range(6):
+        losses.count(4 * k, k)
+    assert losses.late == 5
+    assert losses.lost == 0
+    assert losses.degraded
+
+
+def test_the_time_stamp_may_wrap_and_may_repeat_but_not_run_back() -> None:
+    losses = Losses(4)
+    assert losses.count(2**32 - 4, -1) == 0
+    assert losses.count(0, -1) == 0
+    assert losses.count(0, -1) == -1
+    assert losses.count(8, -1) == 1
+    assert losses.count(4, -1) == -1  # overtaken on the way
+    assert losses.count(12, -1) == 0
+    assert losses.count(60_000, -1) is None
+    assert losses.count(2**32 - 4000, -1) is None
+    for stale in (8, 4, 8):
+        assert losses.count(stale, -1) == -1
+    assert losses.count(8, -1) is None  # and again and again: that is no accident
+
+
+@pytest.mark.hazard(18)
+def test_overtaken_and_repeated_telegrams_get_no_reply_and_disturb_no_motion() -> None:
+    cell = moving()
+    for back in (4, 8, 12):
+        cell.ipoc -= back
+        assert not cell.cycle()
+        cell.ipoc += back - 4
+        assert cell.cycle()
+    cell.run()
+    assert cell.session.result is Result.DONE
+    assert cell.session.fault is Fault.NONE
+    assert cell.smooth()
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize("stall_ms", [8, 20, 50, 100, 250, 400, 500])
+def test_after_a_stall_of_the_host_the_motion_goes_on_smoothly_and_arrives(stall_ms: int) -> None:
+    cell = moving()
+    assert cell.cycle(lost=stall_ms // 4)
+    cell.run()
+    assert cell.session.result is Result.DONE
+    assert cell.session.fault is Fault.NONE
+    assert cell.smooth()
+    state = cell.session.state(real_time=False, locked=False)
+    assert state.lost == stall_ms // 4
+
+
+def test_a_repeated_telegram_gets_no_second_reply() -> None:
+    cell = begun()
+    cell.ipoc -= 4
+    assert not cell.cycle()
+
+
+@pytest.mark.hazard(18)
+def test_after_a_long_gap_the_held_point_is_sent_and_the_motion_begins_from_rest() -> None:
+    cell = moving()
+    before = cell.sent[-1][0]
+    cell.cycle(lost=6)
+    assert cell.sent[-1][0] == before
+    cell.cycle()
+    assert max(abs(b - a) for a, b in zip(before, cell.sent[-1][0], strict=True)) < 1e-3
+    cell.run()
+    assert cell.session.result is Result.DONE
+    assert cell.smooth()
+
+
+@pytest.mark.hazard(34)
+def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
+    cell = moving()
+    cell.ipoc = 12
+    assert not cell.cycle()
+    assert cell.session.fault is Fault.RESTARTED
+    assert not cell.cycle()
+
+
+@pytest.mark.hazard(34)
+def test_when_only_another_sender_is_left_the_controller_was_started_again() -> None:
+    cell = moving()
+    orders = Orders(cell.beat, 0, cell.commands)
+    cell.session.met_foreign("10.0.0.3")
+    cell.session.idle(orders, cell.now_ns + 240_000_000)
+    assert fault_of(cell) is Fault.NONE
+    cell.session.idle(orders, cell.now_ns + 260_000_000)
+    assert fault_of(cell) is Fault.RESTARTED
+
+
+def test_a_stranger_among_the_telegrams_changes_nothing() -> None:
+    cell = moving()
+    cell.session.met_foreign("10.0.0.3")
+    cell.run()
+    assert cell.session.result is Result.DONE
+    state = cell.session.state(real_time=False, locked=False)
+    assert (state.foreign, state.foreign_host) == (1, "10.0.0.3")
