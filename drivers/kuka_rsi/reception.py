@@ -22,7 +22,8 @@ from drivers.kuka_rsi.telegram import LONGEST_TELEGRAM
 IDLE_LOOK_S = 0.01  # how long to wait for a telegram before looking at orders, silence and parent
 VAIN_COST = 4  # telegrams awaited with success that make up for one in vain
 MOST_COST = 6 * VAIN_COST
-REST_TELEGRAMS = 500  # slept for at first (2 s at 4 ms), then twice as many, ...
+COST_ON_TRIAL = MOST_COST // 2  # at first and after a rest: half as many in vain are enough
+REST_TELEGRAMS = 1_000  # slept for at first (4 s at 4 ms), then twice as many, ...
 LONGEST_REST = 32_000
 GOOD_TELEGRAMS = 1_000  # awaited without a rest: the next one is short again
 _NS = 1e9
@@ -72,7 +73,7 @@ class Reception:
         self._now_ns = now_ns
         self._sleep = sleep
         self._pace = Pace()
-        self._cost = 0
+        self._cost = COST_ON_TRIAL
         self._good = 0  # telegrams awaited since the last rest
         self._rest = REST_TELEGRAMS
         self._resting = 0  # telegrams still to be slept for
@@ -137,4 +138,4 @@ class Reception:
         self._cost += VAIN_COST
         if self._cost >= MOST_COST:
             self._resting, self._rest = self._rest, min(2 * self._rest, LONGEST_REST)
-            self._cost = self._good = 0
+            self._cost, self._good = COST_ON_TRIAL, 0
