@@ -24,6 +24,7 @@ from ronna_hw.arm.limits import MotionLimits, working_limits
 from ronna_hw.arm.model import ArmModel, arm_model, radians6
 from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.preview import PathPreview, preview
 from ronna_hw.arm.speed_zones import with_speed_steps
 from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.clock import Clock
@@ -207,8 +208,8 @@ class KukaRsiArm:
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
                 stream.end_stream(ways.eki, link, time.monotonic() + CLOSING_STOP_S)
+        ways.close_eki()  # first: what its reader hears it judges beside the link's own memory
         ways.close_link()
-        ways.close_eki()
         self._guard.enter(Lifecycle.CLOSED)
 
     # Reading
@@ -266,6 +267,27 @@ class KukaRsiArm:
         start_rad = link.state.commanded_rad
         plan = self._clear(plan_line(self._model, start_rad, target, limits, tool_in_flange_mm), link)
         return self._reading(self._follower.follow(plan, stops, timeout_s))
+
+    def preview(
+        self,
+        target: JointVector | Pose,
+        *,
+        tool_in_flange_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        speed_fraction: float = 1.0,
+    ) -> PathPreview:
+        """What `move_joints` to joints, or `move_linear` to a pose, would do from here; nothing moves.
+
+        Raises as these do where there is no such path; one that is not clear is told in `refused`.
+        """
+        limits = self._motion_limits.slowed(speed_fraction)
+        here = self.read_state()
+        start_rad = here.commanded_rad or here.joints_rad  # nothing is commanded before the stream runs
+        if isinstance(target, Pose):
+            plan = plan_line(self._model, start_rad, target, limits, tool_in_flange_mm)
+        else:
+            plan = plan_joint_move(self._model, start_rad, target, limits)
+        around = replace(self._surroundings, most_mm_s=limits.body_speed_mm_s)
+        return preview(self._model, plan, around, limits)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""

@@ -220,3 +220,19 @@ def test_what_an_unverified_controller_does_say_must_be_right(controller: Any, m
     controller.facts["Variant"] = "kr6_r900_2"
     with pytest.raises(RonnaError, match="arm is kr6_r900_2"):
         make_arm(accept_unverified=True).connect()
+
+
+def test_at_the_end_nobody_hears_the_controller_when_the_links_memory_is_closed(
+    active_arm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reader, link = active_arm._ways.eki._reader, active_arm._ways.link
+    heard: list[bool] = []
+    close = link.close
+
+    def closing() -> None:
+        heard.append(reader.is_alive())
+        close()
+
+    monkeypatch.setattr(link, "close", closing)
+    active_arm.close()
+    assert heard == [False]
