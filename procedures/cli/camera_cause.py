@@ -75,6 +75,8 @@ def _who(control: Control) -> str:
 def _taken(control: Control) -> str:
     if control.holder is not None:
         return "End that program; a camera lets go of one that died within its heartbeat time-out."
+    if control.here:
+        return "That program has ended, or is another user's: wait for the heartbeat time-out, or ask for it."
     return "Close the program on the other computer, or wait for the heartbeat time-out of one that died."
 
 

@@ -59,6 +59,7 @@ class Control:
     address: str = ""
     port: int = 0
     holder: Holder | None = None  # the program, when it runs on this computer and may be seen
+    here: bool = False  # that address is this computer's
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,8 @@ def _control(link: _Link) -> Control:
     if not port or not address:
         return Control(taken=True)  # under exclusive access not even reading is allowed
     owner = socket.inet_ntoa(address.to_bytes(4, "big"))
-    return Control(True, owner, port, holder_of_udp_port(owner, port))
+    here = _is_loopback(owner) or owner in {each.address for each in interfaces()}
+    return Control(True, owner, port, holder_of_udp_port(owner, port) if here else None, here)
 
 
 def _largest_packet(link: _Link) -> int | None:
