@@ -44,10 +44,10 @@ class Candidate:
 class Marker:
     """One localized sphere.
 
-    `centre_mm` (3,) LPS; `covariance_mm2` (3, 3) of the centre in LPS, positive definite, from the noise
-    and the disagreement of the two estimators, without errors common to a whole scan such as table feed;
-    `agreement_mm` the distance between the two estimates of the centre; `quality` [0..1] the share of the
-    surface used, lowered by disagreement.
+    `centre_mm` (3,) LPS; `covariance_mm2` (3, 3) of the centre in LPS, positive definite, from the noise,
+    the streaks of metal and the disagreement of the two estimators, without errors common to a whole scan
+    such as table feed; `agreement_mm` the distance between the two estimates of the centre; `quality` [0..1]
+    the share of the surface used, lowered by disagreement.
 
     `radius_mm` is that of an even ball of the inner intensity that attenuates as much. The model takes the
     blur out; a retro-reflective film stays in: too thin to be resolved, a film of thickness t adds about
