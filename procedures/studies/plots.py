@@ -37,7 +37,9 @@ def curves(
     return _png(figure)
 
 
-def bars(title: str, y_label: str, groups: Mapping[str, Mapping[str, float]]) -> bytes:
+def bars(
+    title: str, y_label: str, groups: Mapping[str, Mapping[str, float]], *, logarithmic: bool = False
+) -> bytes:
     """Groups of bars: group -> series -> value."""
     figure, axes = _figure()
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
@@ -53,6 +55,8 @@ def bars(title: str, y_label: str, groups: Mapping[str, Mapping[str, float]]) ->
     axes.set_xticks(range(len(groups)), list(groups))
     axes.set_title(title)
     axes.set_ylabel(y_label)
+    if logarithmic:
+        axes.set_yscale("log")
     axes.legend(fontsize=8)
     return _png(figure)
 

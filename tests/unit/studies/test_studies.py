@@ -12,7 +12,7 @@ from procedures.registration.correspondence import Prior
 from procedures.studies import correspondence as study_module
 from procedures.studies import x_frame
 from procedures.studies.correspondence import CorrespondenceStudy, Method, cell_key
-from procedures.studies.correspondence_tables import shares, tables
+from procedures.studies.correspondence_tables import bars_beside_thesis, shares, tables
 from procedures.studies.errors import LedgerUnreadable, OtherStudy, SchedulerUnreachable, UnitFailed
 from procedures.studies.heads import NoiseReading, disturbance, sites_mm
 from procedures.studies.ledger import FILE, Ledger
@@ -113,6 +113,9 @@ def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path)
     found = shares(results(SMALL, tmp_path, workers=1))
     assert {key[1] for key in found} == {"clique", "clique + orientation", "thesis"}
     assert {runs for _, _, runs in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
+    pictures = bars_beside_thesis(results(SMALL, tmp_path, workers=1))
+    assert sorted(pictures) == ["unsuccessful-norm.png", "unsuccessful-per-axis.png"]
+    assert all(png.startswith(b"\x89PNG") for png in pictures.values())
     five = found[(NoiseReading.PER_AXIS, Method.CLIQUE.value, "", 5)]
     assert five[:2] == (0.0, 0.0)
     assert [table.title for table in tables(results(SMALL, tmp_path, workers=1))] == [
