@@ -126,8 +126,8 @@ def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         for (noise, method, _, fiducials), (lost, false, _) in found.items():
             if noise is reading:
                 groups.setdefault(str(fiducials), {})[method] = 100.0 * (lost + false)
-        for fiducials, group in groups.items():
-            group["the thesis reports, at most"] = float(THESIS_UNSUCCESSFUL[int(fiducials)].split("-")[1])
+        for number, group in groups.items():
+            group["the thesis reports, at most"] = float(THESIS_UNSUCCESSFUL[int(number)].split("-")[1])
         ordered = dict(sorted(groups.items()))
         name = f"unsuccessful-{reading.value.replace(' ', '-')}.png"
         pictures[name] = bars(
