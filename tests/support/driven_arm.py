@@ -5,11 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from itertools import pairwise
+from math import degrees
 from typing import Any
 
 from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.devices import Lifecycle
 
+CYCLE_S = 0.004
 MODEL = arm_model("kr6_r900_sixx")
 THERE = radians6(10, -85, 85, 5, 65, -10)
 FAR = radians6(60, -60, 60, 30, 80, 90)
@@ -28,11 +30,11 @@ def eventually(condition: Any, limit_s: float = 30.0) -> None:
 
 
 def largest_step(replies: list[tuple[int, tuple[float, ...], int]]) -> float:
-    """Largest step of a command over the working step of its axis."""
+    """Largest step of a command over the full-speed step of its axis."""
     worst = 0.0
     for (_, a, _), (_, b, _) in pairwise(replies):
         for axis in range(6):
-            full = MODEL.full_speed_rad_s[axis] * 57.29578 * 0.004
+            full = degrees(MODEL.full_speed_rad_s[axis]) * CYCLE_S
             worst = max(worst, abs(b[axis] - a[axis]) / full)
     return worst
 
