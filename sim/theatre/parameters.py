@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sim.errors import BadDeviceParameter
+from sim.kuka.parameters import changed_parameters
+from sim.polaris.parameters import UnitParameters
 
 COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by the names that fault scripts use
 
 
 def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """NAME=VALUE of each device, by its command; raises SIM-010 for a device without parameters.
+    """NAME=VALUE of each device, by its command.
 
-    Whether the device has the parameter is for the device to say.
+    Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for one that the device does not have.
     """
     found: dict[str, tuple[str, ...]] = {}
     for setting in settings:
@@ -23,4 +25,6 @@ def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
             )
         name = COMMANDS[device]
         found[name] = (*found.get(name, ()), assignment)
+    changed_parameters(found.get("kuka", ()))
+    UnitParameters.with_settings(list(found.get("polaris", ())))
     return found

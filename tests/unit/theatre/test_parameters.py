@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from ronna_hw.errors import EXIT_USAGE, ConfigurationError
 from sim.errors import BadDeviceParameter
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.launch import Theatre
@@ -24,6 +25,16 @@ def test_a_setting_of_no_device_is_refused_with_what_to_write(setting: str) -> N
     with pytest.raises(BadDeviceParameter, match=r"SIM-010: .*--set robot.NAME=VALUE") as caught:
         parameters_by_device((setting,))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "code"),
+    [("robot.lagg=3", "KRC-003"), ("robot.lag_s=x", "KRC-003"), ("tracker.x=1", "PSU-001")],
+)
+def test_a_parameter_that_the_device_has_not_is_refused_before_it_is_started(setting: str, code: str) -> None:
+    with pytest.raises(ConfigurationError, match=code) as caught:
+        parameters_by_device((setting,))
+    assert caught.value.exit_code == EXIT_USAGE
 
 
 def test_each_device_is_started_with_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
