@@ -17,7 +17,11 @@ from procedures.studies.heads import NoiseReading, sites_mm
 from procedures.studies.registration import ISOTROPIC, RegistrationStudy, tables
 from procedures.studies.unit import add_up
 
-RUNS_PER_CELL = 200
+RUNS_PER_CELL = {
+    "5 to 8 markers": 200,
+    "4 markers": 1000,
+    "3 markers": 200,
+}  # a share of 1 in 2,000 needs many
 FIT_RUNS = 5_000
 WEIGHTED_BLOCKS = 2  # of 500 runs: an iterated fit takes ten times as long
 SEED = 12
@@ -44,7 +48,7 @@ def _pairing() -> list[Figure]:
             ("3 markers", (3,), THREE[noise]),
         ):
             study = CorrespondenceStudy(
-                RUNS_PER_CELL, SEED, (Method.CLIQUE, Method.PRIOR), readings=(noise,), fiducials=counts
+                RUNS_PER_CELL[name], SEED, (Method.CLIQUE, Method.PRIOR), readings=(noise,), fiducials=counts
             )
             total: dict[str, float] = {}
             for unit in study.units():
