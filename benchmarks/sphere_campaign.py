@@ -43,6 +43,7 @@ class Tally:
     unreliable: int = 0
     absent: int = 0
     refused_pairs: int = 0
+    rim_shares: list[float] = field(default_factory=list)  # in view, of each image; 0 where no sphere is seen
     errors_mm: list[Array] = field(default_factory=list)
     squared_sigmas: list[float] = field(default_factory=list)  # of each point's error, by its covariance
     bounds_mm: list[float] = field(default_factory=list)
@@ -73,6 +74,10 @@ class Tally:
     def distrusted_share(self) -> float:
         """Share of the images that gave no centre to be trusted."""
         return 1.0 - self.trusted / self.images
+
+    def share_with_rim(self, least: float) -> float:
+        """Share of the images that show at least so much of the rim."""
+        return float(np.mean(np.array(self.rim_shares) >= least))
 
 
 OTHERS: dict[str, Callable[[NDArray[np.uint8], float], Array]] = {
@@ -117,7 +122,9 @@ def _measured(view: View, tally: Tally) -> SphereImage | None:
         tally.cpu_s.append(cpu_of(lambda: found.append(measure_sphere(view.picture))))
     except NoSphere:
         tally.absent += 1
+        tally.rim_shares.append(0.0)
         return None
+    tally.rim_shares.append(found[0].rim_fraction)
     if found[0].status is not SphereStatus.OK:
         tally.unreliable += 1
         return None

@@ -80,9 +80,20 @@ def test_sixty_starts_end_within_eight_steps() -> None:
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_of_a_thousand_starts_all_but_one_end_within_eight_steps() -> None:
-    found = servo_campaign(1000)
-    assert found.within >= 999, found.failures
+def test_of_a_thousand_starts_no_sphere_is_lost_and_all_but_a_few_end_within_eight_steps() -> None:
+    """At one in a thousand, four and more of a thousand are drawn once in fifty such runs."""
+    found = servo_campaign(1000, first_seed=300)
+    assert found.failures == []
+    assert found.within >= 997
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_of_five_thousand_starts_999_in_a_thousand_end_within_eight_steps() -> None:
+    """With looks that tell the truth: what keeps a servo from its end is that the arm does not repeat."""
+    found = servo_campaign(5000, drawn=False)
+    assert found.failures == []
+    assert found.within >= 4995
 
 
 @pytest.mark.soak
