@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ronna_hw.arm.model import ArmModel
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.arm.model import ArmModel, JointVector
 
 Array = NDArray[np.float64]
 

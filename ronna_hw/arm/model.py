@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.devices.readings import JointVector as JointVector
 
 AXES = 6
 
