@@ -13,7 +13,9 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from real_time import before_everything_else, used_s
 
 from drivers.ndi_polaris import PolarisTracker
@@ -34,6 +36,10 @@ GROWTH_LIMIT_BYTES = 4_000_000  # less than five bytes per frame
 WIRE_S = (12 + 193) * 10 / BAUD  # BX:1801 with its CRC, and its reply; ten bits a byte
 HELD_UP_S = 0.005  # of 16.7 ms between two frames the wire takes 9, and work on both sides less than 2
 MACHINES_SHARE_LIMIT = 0.02  # of the frames; beyond it the machine is too busy to tell
+# A virtual machine charges some of its own stalls to whatever runs: a bare loop was charged 8 to 10 ms for
+# 9 µs of work, three times in four minutes. Slow work of ours would not be as rare as this share of readings.
+CHARGED_TIMES = 5.0  # the usual processor time of a reading
+CHARGED_SHARE_LIMIT = 1e-3
 MORE_STRAYS_MM = (
     (60.0, -350.0, -1450.0),
     (-60.0, 350.0, -1550.0),
@@ -90,16 +96,16 @@ class Missed:
     took_s: float
     driver_used_s: float
     unit_used_s: float
-    waited_s: float
+    held_up_s: float  # by the machine: waited with nothing to wait for, or charged for what is no work
 
     @property
-    def held_up(self) -> bool:
-        """Whether the machine had something wait that had nothing to wait for."""
-        return self.waited_s > HELD_UP_S
+    def machines(self) -> bool:
+        """Whether it was the machine that made them be missed."""
+        return self.held_up_s > HELD_UP_S
 
 
 class Exchanges:
-    """Every reading: the frame it told, how long it took, and how much of that was neither work nor wire.
+    """Every reading: the frame it told, how long it took, and the processor time of both processes.
 
     Kept as bare numbers: objects by the ten thousand would be looked through by each full garbage collection,
     which then takes as long as a frame.
@@ -108,31 +114,33 @@ class Exchanges:
     def __init__(self) -> None:
         self.counts = array("q")
         self.took_s = array("d")
-        self.waited_s = array("d")
         self.driver_used_s = array("d")
         self.unit_used_s = array("d")
 
     def add(self, count: int, took_s: float, driver_used_s: float, unit_used_s: float) -> None:
-        used_s = driver_used_s + unit_used_s
         self.counts.append(count)
         self.took_s.append(took_s)
         self.driver_used_s.append(driver_used_s)
         self.unit_used_s.append(unit_used_s)
-        self.waited_s.append(max(0.0, took_s - used_s - WIRE_S))
 
-    def missed(self) -> Iterator[Missed]:
+    def charged_s(self) -> NDArray[np.float64]:
+        """Of each reading, the processor time that either process was charged beyond any work."""
+        used_s = np.array([self.driver_used_s, self.unit_used_s])
+        most_s = CHARGED_TIMES * np.median(used_s, axis=1, keepdims=True)
+        return np.asarray(np.maximum(used_s - most_s, 0.0).sum(axis=0))
+
+    def missed(self) -> list[Missed]:
         """Wherever frames were missed, in the order of time."""
+        took_s, driver_s, unit_s = map(np.asarray, (self.took_s, self.driver_used_s, self.unit_used_s))
+        charged_s = self.charged_s()
+        held_up_s = np.maximum(took_s - driver_s - unit_s - WIRE_S, 0.0) + charged_s
+        found = []
         for index, (before, count) in enumerate(pairwise(self.counts)):
             if count > before + 1:
                 both = slice(index, index + 2)
-                yield Missed(
-                    count - before - 1,
-                    at_s=sum(self.took_s[:index]),
-                    took_s=sum(self.took_s[both]),
-                    driver_used_s=sum(self.driver_used_s[both]),
-                    unit_used_s=sum(self.unit_used_s[both]),
-                    waited_s=sum(self.waited_s[both]),
-                )
+                numbers = (took_s[:index], *(each[both] for each in (took_s, driver_s, unit_s, held_up_s)))
+                found.append(Missed(count - before - 1, *(float(each.sum()) for each in numbers)))
+        return found
 
 
 @pytest.mark.timeout(900)
@@ -164,20 +172,23 @@ def test_at_230400_baud_no_frame_is_missed(
             assert len(frame.strays) == STRAYS
         statistics = tracker.statistics
         gc.unfreeze()
-    missed = list(exchanges.missed())
-    ours = [one for one in missed if not one.held_up]
-    machines = sum(one.frames for one in missed if one.held_up)
+    missed = exchanges.missed()
+    ours = [one for one in missed if not one.machines]
+    machines = sum(one.frames for one in missed if one.machines)
+    charged = int(np.count_nonzero(exchanges.charged_s()))
     frames = exchanges.counts[-1] - exchanges.counts[0]
     typical_s = median(exchanges.took_s)
     with capsys.disabled():
         print(
             f"\n{frames} frames, {statistics.frames} readings, {statistics.repeated} repeated, "
             f"missed {sum(one.frames for one in ours)}, and {machines} while the machine held something up; "
+            f"{charged} readings were charged for more than work; "
             f"a reading took {typical_s * 1e3:.1f} ms, {WIRE_S * 1e3:.1f} of them on the wire"
             f"{'' if preferred else '; without real-time priority'}"
         )
     assert frames >= 0.99 * minutes * 60.0 * FRAME_RATE_HZ
     assert ours == []
+    assert charged <= CHARGED_SHARE_LIMIT * statistics.frames
     assert machines <= MACHINES_SHARE_LIMIT * frames
     assert typical_s < WIRE_S + HELD_UP_S
 

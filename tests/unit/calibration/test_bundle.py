@@ -68,6 +68,7 @@ def with_its_arm(seed: int) -> tuple[TrueHead, ObservationSet]:
     return head, observation_set(head, looks[:64])
 
 
+@pytest.mark.slow
 def test_an_uncalibrated_arm_is_not_taken_for_a_tool_centre_elsewhere() -> None:
     head, observed = with_its_arm(seed=0)
     plain = calibrate_head(observed, arm_geometry=False).stereo_head
