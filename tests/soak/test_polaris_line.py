@@ -39,7 +39,7 @@ MACHINES_SHARE_LIMIT = 0.02  # of the frames; beyond it the machine is too busy 
 # A virtual machine charges some of its own stalls to whatever runs: a bare loop was charged 8 to 10 ms for
 # 9 µs of work, three times in four minutes. Slow work of ours would not be as rare as this share of readings.
 CHARGED_TIMES = 5.0  # the usual processor time of a reading
-CHARGED_SHARE_LIMIT = 1e-3
+CHARGED_SHARE_LIMIT = 5e-3
 MORE_STRAYS_MM = (
     (60.0, -350.0, -1450.0),
     (-60.0, 350.0, -1550.0),
