@@ -14,15 +14,12 @@ from __future__ import annotations
 
 import os
 import socket
-import struct
-import termios
 import time
-from fcntl import ioctl
 
 from drivers.kuka_rsi.errors import BadTelegram
 from drivers.kuka_rsi.link_state import Command, Orders, Phase, Record
 from drivers.kuka_rsi.mailbox import Mailbox
-from drivers.kuka_rsi.reception import Address, Received, Reception
+from drivers.kuka_rsi.reception import Address, Received, Reception, something_in
 from drivers.kuka_rsi.replies import Ready
 from drivers.kuka_rsi.session import SESSION_PHASES, Session
 from drivers.kuka_rsi.settings import LinkSettings
@@ -38,9 +35,9 @@ from drivers.kuka_rsi.turnaround import bin_of
 
 QUIET_AFTER_PARENT_NS = 100_000_000  # no telegram for so long: nobody is left to answer
 LONGEST_ENDING_CYCLES = 250  # of Stop being sent after the parent is gone
+BUNCH_S = 200e-6  # in which telegrams that were held up together come
 GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
-AT_ONCE_NS = 30_000  # waited less for a telegram: it was in the queue already
 LATE_CYCLES = 1.5  # waited so many for a telegram: the host, or the network, was held up
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
 
@@ -67,7 +64,6 @@ class LinkLoop:
         self._event_fd = settings.event_fd
         self._granted = (real_time, locked)
         self._controller_host = settings.controller_host
-        self._queued = bytearray(struct.calcsize("i"))  # FIONREAD: bytes of the next telegram in the queue
         self._received_ns = 0  # when the last telegram was there
         self._last_data = b""  # of the last telegram that was answered
         self._late_ns = round(LATE_CYCLES * settings.cycle_ms * 1e6)
@@ -98,15 +94,17 @@ class LinkLoop:
         self._received_ns = self._reception.received_ns
         # The usual sender first: a call costs as much as the reading of a telegram.
         newest = None if received[1] != self._peer and self._is_foreign(received[1]) else received
-        # One that was there at once, or came late, may have others behind it.
-        if not AT_ONCE_NS < self._reception.waited_ns < self._late_ns:
+        # What was held up comes in a bunch, one behind the other: only its end is worth an answer.
+        late = self._received_ns - self._answered_ns >= self._late_ns
+        if late:
+            time.sleep(BUNCH_S)
+        if late or self._reception.queued:
             newest = self._drain(newest)
         return newest
 
     def _drain(self, newest: Received | None) -> Received | None:
         try:
-            # Asked first: the exception of an empty queue would cost more than the question.
-            while ioctl(self._link, termios.FIONREAD, self._queued) == 0 and any(self._queued):
+            while something_in(self._link):
                 received: Received = self._link.recvfrom(LONGEST_TELEGRAM, socket.MSG_DONTWAIT)
                 if not self._is_foreign(received[1]):
                     self.session.dropped += newest is not None

@@ -97,9 +97,11 @@ def one_reply_each(bench: Bench) -> None:
         check(missing <= CYCLES // 4, "telegrams answered one by one", f"{missing} unanswered")
         _stall(tap)
         late = tap.heard()
-        answered = [stamp for stamp in _stamps(late.telegrams[:HELD]) if stamp in _stamps(late.replies)]
-        newest = _stamps(late.telegrams[:HELD])[-1]
-        check(newest in answered, "an answer to the newest telegram")
+        replies = _stamps(late.replies)
+        answered = [stamp for stamp in _stamps(late.telegrams[:HELD]) if stamp in replies]
+        # The next one on the schedule may have come so close behind that it was the newest.
+        newest = _stamps(late.telegrams[HELD - 1 : HELD + 1])
+        check(any(stamp in replies for stamp in newest), "an answer to the newest telegram")
         check(len(answered) <= HELD - 2, "no answers to those before it", f"{len(answered)} of {HELD}")
 
 
@@ -198,11 +200,11 @@ def conversation_is_lost(bench: Bench) -> None:
 
 
 def _stall(tap: RsiTap) -> None:
-    """Hold telegrams back until there are some, pass them on at once, and wait for what is answered."""
+    """Hold telegrams back until there are some, pass them on at once, and wait until more are answered."""
     tap.hold()
     check(wait_for(lambda: tap.holds >= HELD, LIMIT_S), f"{HELD} telegrams during a stall")
     tap.release()
-    check(wait_for(lambda: tap.replies >= 1, LIMIT_S), "an answer after a stall")
+    check(wait_for(lambda: tap.replies >= HELD, LIMIT_S), "answers after a stall")
 
 
 def _exchanges(tap: RsiTap) -> Heard:

@@ -65,6 +65,7 @@ class ToldTime:
             rehearse=self.rehearse,
             now_ns=lambda: self.now_ns,
             sleep=self.sleep,
+            lies_there=lambda _link: self._is_there(self.now_ns),
         )
 
     def _is_there(self, moment_ns: int) -> bool:
