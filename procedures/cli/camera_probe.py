@@ -155,7 +155,7 @@ class _Link:
                         return datagram[gev.GVCP_HEADER_BYTES :] if status == GevStatus.SUCCESS else None
             except ConnectionRefusedError:
                 self.refused = True
-                time.sleep(ANSWER_S / 10)
+                time.sleep(ANSWER_S / 10)  # it is said at once: without a pause all tries are one
         return None
 
     def read(self, address: int) -> int | None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import re
+import socket
 from collections.abc import Sequence
+from typing import Any
 
 from drivers.kuka_rsi.link_loop import LinkLoop
 from drivers.kuka_rsi.link_state import Command, CommandKind, StopOrder
 from drivers.kuka_rsi.mailbox import Mailbox
+from drivers.kuka_rsi.options import POLL_LEAD_US
 from drivers.kuka_rsi.settings import LinkSettings
 
 AXES = tuple(f"AK.A{k}" for k in range(1, 7))
@@ -39,7 +42,10 @@ class SentReplies:
 class InProcessLink:
     """A loop with an open session, given telegrams one by one."""
 
-    def __init__(self, *, heartbeat_limit_s: float = 60.0) -> None:
+    def __init__(
+        self, *, heartbeat_limit_s: float = 60.0, link: socket.socket | None = None, stays_awake: bool = False
+    ) -> None:
+        """Telegrams come by `receive`, or through `link` where one is given."""
         self._memory_fd = os.memfd_create("link under test")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK)
         Mailbox.initialise(self._memory_fd)
@@ -63,8 +69,10 @@ class InProcessLink:
             settle_tolerance_deg=0.0002,
             speed_fraction=0.12,
             real_time_priority=0,
+            poll_lead_us=POLL_LEAD_US if stays_awake else 0,
         )
-        self.loop = LinkLoop(settings, self.replies, self.mailbox)  # type: ignore[arg-type]
+        end: Any = self.replies if link is None else link
+        self.loop = LinkLoop(settings, end, self.mailbox, stays_awake=stays_awake)
         self.now_ns = 1_000_000_000
         self._commands = 0
         self._stops = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import socket
+import time
 from collections.abc import Iterable
 
 import pytest
@@ -18,6 +19,7 @@ from drivers.kuka_rsi.reception import (
     REST_TELEGRAMS,
     VAIN_COST,
     Reception,
+    bind,
 )
 
 CYCLE_NS = 4_000_000
@@ -276,3 +278,44 @@ def test_a_rehearsal_changes_nothing_and_sends_nothing() -> None:
         assert session.state(real_time=False, locked=False).stop_number == 1
     finally:
         link.close()
+
+
+def test_what_came_while_nobody_waited_is_known_from_what_was_waited_for() -> None:
+    due_ns = places(40)
+    world = ToldTime([*due_ns, *[due_ns[-1] + 5 * CYCLE_NS] * 5])
+    reception = world.reception()
+    for _ in due_ns:
+        assert reception.next() is not None
+        reception.paced()
+        assert not reception.queued
+    world.now_ns += 6 * CYCLE_NS  # the host stalls
+    for _ in range(5):
+        assert reception.next() is not None
+        assert reception.queued
+
+
+def slowly(_link: object, _limit_s: float) -> bool:
+    """Something has come; a busy computer takes long to say so."""
+    time.sleep(0.001)
+    return True
+
+
+@pytest.mark.parametrize("stays_awake", [False, True])
+@pytest.mark.parametrize("late", [False, True])
+def test_of_telegrams_that_were_held_up_only_the_newest_is_taken(stays_awake: bool, late: bool) -> None:
+    with bind("127.0.0.1", 0) as link, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
+        own = InProcessLink(link=link, stays_awake=stays_awake)
+        own.open()
+        now_ns = time.monotonic_ns()
+        for place in reversed(range(40)):  # the pace is known, and the next one due in a moment
+            own.loop._reception._pace.arrived(now_ns - place * CYCLE_NS)
+        own.loop._reception._sleep = slowly
+        own.loop._answered_ns = 0 if late else now_ns + CYCLE_NS
+        held = [telegram(FIRST_IPOC + CYCLE_MS * k) for k in range(5)]
+        for each in held:
+            controller.sendto(each, link.getsockname())
+        taken = own.loop._receive()
+        assert taken is not None
+        assert taken[0] == held[-1]
+        assert own.loop.session.dropped == 4
+        own.close()
