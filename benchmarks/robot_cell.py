@@ -45,7 +45,7 @@ class RobotCell:
         config = DeviceConfig(
             driver="kuka_rsi",
             endpoints={"rsi": ready["rsi"], "eki_project": ready["eki_project"]},
-            options={"silence_limit_s": SILENCE_LIMIT_S, "poll_lead_us": 0},  # as a theatre in lock-step
+            options={"silence_limit_s": SILENCE_LIMIT_S},
         )
         self.arm = KukaRsiArm("robot.master", config, open_clock(self.world.clock_endpoint))
         self._ending.callback(self.arm.close)

@@ -39,14 +39,14 @@ MEDIAN_ABOVE_ECHO_GOAL_S = 15e-6
 P99_OVER_ECHO_GOAL = 3.0
 ECHO, LINK_AT_REST, LINK_MOVING, RSIPI = "bare UDP echo", "driver at rest", "driver moving", "RSIPI"
 BUSY_PARENT = "driver moving, its program busy"
-ASLEEP = "driver moving, never awake for a telegram"
+UNREHEARSED = "driver moving, without rehearsal"
 
 
 def measure() -> list[Figure]:
     """All of them."""
     figures = [*_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
     figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
-    at_cycle = (LINK_AT_REST, LINK_MOVING, ASLEEP, RSIPI)
+    at_cycle = (LINK_AT_REST, LINK_MOVING, UNREHEARSED, RSIPI)
     figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, at_cycle)
     with _image_load():
         name = "lock-step cycles per second beside an image load"
@@ -126,7 +126,7 @@ def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[
         LINK_AT_REST: ("rsi_link", "rest"),
         LINK_MOVING: ("rsi_link", "move"),
         BUSY_PARENT: ("rsi_link", "move", "busy"),
-        ASLEEP: ("rsi_link", "move", "asleep"),
+        UNREHEARSED: ("rsi_link", "move", "unrehearsed"),
         RSIPI: ("rsipi_client", str(ETHERNET_FILE)),
     }
     with ExitStack() as stack:
@@ -168,7 +168,7 @@ def _held_against_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iter
     echo_median_s, echo_p99_s = echo.share(0.5), echo.share(0.99)
     for who, probe in probes.items():
         above_s, p99_s = probe.share(0.5) - echo_median_s, probe.share(0.99)
-        ours = who not in (ECHO, RSIPI, ASLEEP)
+        ours = who not in (ECHO, RSIPI, UNREHEARSED)
         median_met = above_s <= MEDIAN_ABOVE_ECHO_GOAL_S if ours else None
         tail_met = p99_s <= P99_OVER_ECHO_GOAL * echo_p99_s if ours else None
         if who != ECHO:

@@ -1,7 +1,7 @@
 """The driver's real-time process with its session open.
 
-Arguments: rest, or move for always in motion; busy for a main thread that never rests; asleep for a link that
-never stays awake for a telegram.
+Arguments: rest, or move for always in motion; busy for a main thread that never rests; unrehearsed for
+a link that never rehearses its reply.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def main() -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     options = KukaOptions(silence_limit_s=PATIENCE_S, heartbeat_limit_s=PATIENCE_S)
-    if "asleep" in sys.argv:
-        options = options.model_copy(update={"poll_lead_us": 0})
+    if "unrehearsed" in sys.argv:
+        options = options.model_copy(update={"rehearsal_lead_us": 0})
     link = LinkClient(link_settings(parse_endpoint(f"udp://127.0.0.1:{port}"), load_context(), options))
     try:
         number = link.command(CommandKind.OPEN)

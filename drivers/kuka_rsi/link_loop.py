@@ -17,14 +17,16 @@ import socket
 import time
 
 from drivers.kuka_rsi.errors import BadTelegram
+from drivers.kuka_rsi.link_sockets import Address, LinkSockets, Received
 from drivers.kuka_rsi.link_state import Command, Orders, Phase, Record
 from drivers.kuka_rsi.mailbox import Mailbox
-from drivers.kuka_rsi.reception import Address, Received, Reception, something_in
+from drivers.kuka_rsi.processor import Processor
+from drivers.kuka_rsi.reception import Reception
+from drivers.kuka_rsi.rehearsal import Rehearsal
 from drivers.kuka_rsi.replies import Ready
 from drivers.kuka_rsi.session import SESSION_PHASES, Session
 from drivers.kuka_rsi.settings import LinkSettings
 from drivers.kuka_rsi.telegram import (
-    LONGEST_TELEGRAM,
     REPLY_TAIL,
     Found,
     TelegramReader,
@@ -38,6 +40,7 @@ LONGEST_ENDING_CYCLES = 250  # of Stop being sent after the parent is gone
 BUNCH_S = 200e-6  # in which telegrams that were held up together come
 GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
+STRANGERS_AT_ONCE = 8  # looked at per cycle: whoever floods the port must not hold up the reply
 LATE_CYCLES = 1.5  # waited so many for a telegram: the host, or the network, was held up
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
 
@@ -53,13 +56,15 @@ class LinkLoop:
         *,
         real_time: bool = False,
         locked: bool = False,
-        stays_awake: bool = False,
     ) -> None:
         self.session = Session(settings)
         self._reader = TelegramReader(settings.send_tags)
-        self._link = link
-        lead_us = settings.poll_lead_us if stays_awake else 0
-        self._reception = Reception(link, lead_ns=lead_us * 1000, rehearse=self._rehearse)
+        self._sockets = LinkSockets(link)
+        self._reception = Reception(
+            self._sockets, lead_ns=settings.rehearsal_lead_us * 1000, rehearse=self._rehearse
+        )
+        self._rehearsal = Rehearsal()
+        self._processor = Processor(follows=real_time)
         self._mailbox = mailbox
         self._event_fd = settings.event_fd
         self._granted = (real_time, locked)
@@ -86,8 +91,15 @@ class LinkLoop:
             else:
                 self._serve(*received)
 
+    def close(self) -> None:
+        """Give the sockets back that are the loop's own."""
+        self._sockets.part()
+        self._rehearsal.close()
+
     def _receive(self) -> Received | None:
         """The controller's newest telegram, or None when none came for a while."""
+        if self._peer is not None and self.session.phase not in SESSION_PHASES:
+            self._part()
         received = self._reception.next()
         if received is None:
             return None
@@ -104,14 +116,34 @@ class LinkLoop:
 
     def _drain(self, newest: Received | None) -> Received | None:
         try:
-            while something_in(self._link):
-                received: Received = self._link.recvfrom(LONGEST_TELEGRAM, socket.MSG_DONTWAIT)
+            while self._sockets.something_there():
+                received = self._sockets.receive(socket.MSG_DONTWAIT)
                 if not self._is_foreign(received[1]):
                     self.session.dropped += newest is not None
                     newest = received
         except OSError:
             pass
         return newest
+
+    def _meet(self, peer: Address) -> None:
+        """A controller has opened a session."""
+        self._mailbox.clear_histograms()
+        self._peer = peer
+        self._sockets.meet(peer)
+
+    def _part(self) -> None:
+        """The session is over: the next may come from another port."""
+        self._peer = None
+        self._sockets.part()
+        self._processor.free()
+
+    def _look_at_strangers(self) -> None:
+        for _ in range(STRANGERS_AT_ONCE):
+            address = self._sockets.stranger()
+            if address is None:
+                return
+            if address != self._peer:  # its own may still lie there from before the session
+                self.session.met_foreign(address[0])
 
     def _is_foreign(self, address: Address) -> bool:
         session = self.session
@@ -141,8 +173,7 @@ class LinkLoop:
             self._look_around()
             return
         if session.phase is Phase.ARMED:
-            self._mailbox.clear_histograms()
-            self._peer = address
+            self._meet(address)
         head = session.answer(telegram, orders, self._received_ns)
         if head is None:
             self._look_around()
@@ -163,20 +194,23 @@ class LinkLoop:
         return found, ready
 
     def _rehearse(self) -> None:
-        """What comes between telegram and reply, without effect: so that it lies in the caches."""
+        """What comes between telegram and reply, without effect."""
+        self._rehearsal.exchange(self._last_data)
         self._foreseen(self._last_data)
 
     def _send(self, reply: bytes, address: Address) -> None:
         try:
-            self._link.sendto(reply, address)
+            self._sockets.send(reply, address)
         except OSError:
             self.session.rejected += 1
         sent_ns = time.monotonic_ns()
         if self._received_ns - self._answered_ns > self._paced_ns:
             time.sleep(GIVEN_AWAY_S)
             self._reception.paced()
+            self._processor.follow(self._sockets.processor())
         else:
             self._reception.hurried()
+            self._processor.free()
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 
@@ -199,9 +233,11 @@ class LinkLoop:
                     session.choice,
                 )
             )
+        self._look_at_strangers()
         self._publish()
 
     def _look_around(self) -> None:
+        self._look_at_strangers()
         orders = self._mailbox.orders()
         self.session.idle(orders, time.monotonic_ns())
         command = self._new_command(orders.command_number)

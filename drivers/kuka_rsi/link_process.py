@@ -13,18 +13,17 @@ import threading
 from types import FrameType
 
 from drivers.kuka_rsi.link_loop import LinkLoop
+from drivers.kuka_rsi.link_sockets import bind
 from drivers.kuka_rsi.link_state import NO_STATE, Phase
 from drivers.kuka_rsi.mailbox import Mailbox
 from drivers.kuka_rsi.real_time import (
     PARENT_DEATH_SIGNAL,
-    another_processor,
     lock_memory,
     run_first,
     sleep_exactly,
     stop_collecting,
     tell_parent_death,
 )
-from drivers.kuka_rsi.reception import bind
 from drivers.kuka_rsi.settings import LinkSettings
 
 EXIT_NOT_STARTED = 2
@@ -51,12 +50,12 @@ def main() -> int:
         mailbox,
         real_time=run_first(settings.real_time_priority),
         locked=locked,
-        stays_awake=another_processor(),
     )
     _watch_parent(loop, settings.parent_pid)
     sleep_exactly()
     stop_collecting()
     loop.run()
+    loop.close()
     link.close()
     return 0
 

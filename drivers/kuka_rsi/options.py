@@ -16,7 +16,7 @@ SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 SILENCE_LIMIT_S = 0.25
 HEARTBEAT_LIMIT_S = 1.0  # a program that does other work may be held up for tens of milliseconds
 FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
-POLL_LEAD_US = 150  # as long as a halted processor needs to wake up and to be warm again
+REHEARSAL_LEAD_US = 500  # over before whoever sends needs the processor, and the caches still warm
 LARGEST_SPEED_FRACTION = 0.125  # above it two prepared steps at once are more than a controller takes
 
 
@@ -61,11 +61,11 @@ class KukaOptions(BaseModel):
     real_time_priority: int = Field(
         FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 asks for none."
     )
-    poll_lead_us: int = Field(
-        POLL_LEAD_US,
+    rehearsal_lead_us: int = Field(
+        REHEARSAL_LEAD_US,
         ge=0,
-        le=1000,
-        description="Awake from so long before a telegram is due until as long after; 0 is never.",
+        le=2000,
+        description="The reply is rehearsed so long before its telegram is due; 0 is never.",
     )
 
 

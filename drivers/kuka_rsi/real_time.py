@@ -39,11 +39,6 @@ def run_first(priority: int) -> bool:
     return True
 
 
-def another_processor() -> bool:
-    """Whether the others can run while this process stays awake."""
-    return len(os.sched_getaffinity(0)) > 1
-
-
 def sleep_exactly() -> None:
     """Let short sleeps end when they are over, also for a process of ordinary priority."""
     with contextlib.suppress(OSError, AttributeError):

@@ -29,7 +29,7 @@ class LinkSettings:
     settle_tolerance_deg: float
     speed_fraction: float
     real_time_priority: int
-    poll_lead_us: int = 0  # awake so long before a telegram is due, and after; 0 is never
+    rehearsal_lead_us: int = 0  # the reply is rehearsed so long before its telegram is due; 0 is never
     controller_host: str = ""  # only telegrams from there open a session; "" for any
 
     def to_json(self) -> str:

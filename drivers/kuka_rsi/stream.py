@@ -113,7 +113,7 @@ def link_settings(
             settle_tolerance_deg=options.settle_tolerance_deg,
             speed_fraction=options.speed_fraction,
             real_time_priority=options.real_time_priority,
-            poll_lead_us=options.poll_lead_us,
+            rehearsal_lead_us=options.rehearsal_lead_us,
             controller_host=options.controller_host,
         )
 

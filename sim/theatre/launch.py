@@ -64,7 +64,6 @@ class Theatre:
                     self.world.clock_endpoint,
                     self._write_tools(),
                     limit_s,
-                    lock_step=not paced,
                 ),
                 self.file,
             )

@@ -35,12 +35,8 @@ def theatre_content(
     clock: str,
     tool_files: dict[str, str],
     silence_limit_s: float,
-    *,
-    lock_step: bool = False,
 ) -> dict[str, Any]:
     """The content of the theatre file as plain data, in the form of `ronna_hw.config.TheatreFile`."""
-    # Where nobody keeps a pace, no link need be awake for it: an idle world costs nothing.
-    asleep = {"poll_lead_us": 0} if lock_step else {}
     return {
         "schema": 1,
         "theatre": f"{scene.name} scene, seed {scene.seed}",
@@ -58,7 +54,6 @@ def theatre_content(
                 "options": {
                     "variant": scene.arm.variant,
                     "silence_limit_s": silence_limit_s,
-                    **asleep,
                 },
             }
         },

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from drivers.kuka_rsi.link_loop import LinkLoop
+from drivers.kuka_rsi.link_sockets import ANY_HOST
 from drivers.kuka_rsi.link_state import Command, CommandKind, StopOrder
 from drivers.kuka_rsi.mailbox import Mailbox
-from drivers.kuka_rsi.options import POLL_LEAD_US
+from drivers.kuka_rsi.options import REHEARSAL_LEAD_US
 from drivers.kuka_rsi.settings import LinkSettings
 
 AXES = tuple(f"AK.A{k}" for k in range(1, 7))
@@ -38,12 +39,15 @@ class SentReplies:
         self.sent.append(data)
         return len(data)
 
+    def getsockname(self) -> tuple[str, int]:
+        return ANY_HOST, 1  # never connected
+
 
 class InProcessLink:
     """A loop with an open session, given telegrams one by one."""
 
     def __init__(
-        self, *, heartbeat_limit_s: float = 60.0, link: socket.socket | None = None, stays_awake: bool = False
+        self, *, heartbeat_limit_s: float = 60.0, link: socket.socket | None = None, rehearses: bool = False
     ) -> None:
         """Telegrams come by `receive`, or through `link` where one is given."""
         self._memory_fd = os.memfd_create("link under test")
@@ -69,15 +73,16 @@ class InProcessLink:
             settle_tolerance_deg=0.0002,
             speed_fraction=0.12,
             real_time_priority=0,
-            poll_lead_us=POLL_LEAD_US if stays_awake else 0,
+            rehearsal_lead_us=REHEARSAL_LEAD_US if rehearses else 0,
         )
         end: Any = self.replies if link is None else link
-        self.loop = LinkLoop(settings, end, self.mailbox, stays_awake=stays_awake)
+        self.loop = LinkLoop(settings, end, self.mailbox)
         self.now_ns = 1_000_000_000
         self._commands = 0
         self._stops = 0
 
     def close(self) -> None:
+        self.loop.close()
         self.mailbox.close()
         os.close(self._memory_fd)
         os.close(self._event_fd)

@@ -70,15 +70,6 @@ def test_a_cameras_record_sees_the_tool_centre_within_a_tenth_of_a_millimetre(tm
     assert 0.0 < float(np.linalg.norm(shift)) < 0.1
 
 
-def test_only_in_lock_step_the_robots_link_need_not_be_awake_for_a_pace() -> None:
-    def robot_options(*, lock_step: bool) -> dict[str, object]:
-        content = theatre_content(built_in_scene("mini"), ENDPOINTS, "host:", {}, 2.0, lock_step=lock_step)
-        return dict(content["robot"]["master"]["options"])
-
-    assert robot_options(lock_step=True)["poll_lead_us"] == 0
-    assert "poll_lead_us" not in robot_options(lock_step=False)
-
-
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_calibration_that_is_no_number_is_refused(value: float) -> None:
     content = theatre_content(

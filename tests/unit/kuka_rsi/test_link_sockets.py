@@ -1,0 +1,130 @@
+"""In a session only its controller is heard; strangers are counted, and nobody else gets the port."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.kuka_rsi.link_sockets import Address, LinkSockets, bind
+
+FLOOD = 100
+
+
+@pytest.fixture
+def listening() -> Iterator[socket.socket]:
+    with bind("127.0.0.1", 0) as link:
+        yield link
+
+
+@pytest.fixture
+def controller(listening: socket.socket) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
+        controller.connect(listening.getsockname())
+        controller.settimeout(30.0)
+        yield controller
+
+
+@pytest.fixture
+def sockets(listening: socket.socket) -> Iterator[LinkSockets]:
+    sockets = LinkSockets(listening)
+    yield sockets
+    sockets.part()
+
+
+@pytest.fixture
+def stranger() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(("127.0.0.1", 0))
+        yield stranger
+
+
+def test_behind_a_flood_of_strangers_the_controllers_telegram_is_the_next(
+    sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
+) -> None:
+    peer: Address = controller.getsockname()
+    sockets.meet(peer)
+    for _ in range(FLOOD):
+        stranger.sendto(b"mine", listening.getsockname())
+    assert not sockets.something_there()
+    controller.send(b"telegram")
+    assert sockets.something_there()
+    assert sockets.receive() == (b"telegram", peer)
+    assert [sockets.stranger() for _ in range(FLOOD)] == [stranger.getsockname()] * FLOOD
+    assert sockets.stranger() is None
+
+
+def test_the_reply_comes_from_the_port_that_the_controller_sends_to(
+    sockets: LinkSockets, controller: socket.socket
+) -> None:
+    sockets.meet(controller.getsockname())
+    sockets.send(b"reply", controller.getsockname())
+    assert controller.recv(100) == b"reply"  # connected: it takes nothing from elsewhere
+
+
+def test_after_the_session_anybody_may_begin_the_next(
+    sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
+) -> None:
+    sockets.meet(controller.getsockname())
+    sockets.part()
+    stranger.sendto(b"telegram", listening.getsockname())
+    assert sockets.receive() == (b"telegram", stranger.getsockname())
+    sockets.send(b"reply", stranger.getsockname())
+    assert stranger.recv(100) == b"reply"
+
+
+def test_one_session_after_the_other_may_be_with_another_controller(
+    sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
+) -> None:
+    sockets.meet(controller.getsockname())
+    sockets.meet(stranger.getsockname())
+    controller.send(b"from the last session")
+    stranger.sendto(b"telegram", listening.getsockname())
+    assert sockets.receive() == (b"telegram", stranger.getsockname())
+    assert sockets.stranger() == controller.getsockname()
+
+
+@pytest.mark.parametrize("in_session", [False, True])
+def test_nobody_else_gets_the_port_not_even_who_asks_to_share_it(
+    sockets: LinkSockets, listening: socket.socket, controller: socket.socket, in_session: bool
+) -> None:
+    sockets.meet(controller.getsockname())
+    if not in_session:
+        sockets.part()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second:
+        second.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with pytest.raises(OSError, match="in use"):
+            second.bind(listening.getsockname())
+
+
+def test_a_link_at_all_addresses_hears_a_controller_that_sends_to_any_of_them() -> None:
+    with bind("0.0.0.0", 0) as everywhere, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
+        controller.bind(("127.0.0.1", 0))
+        sockets = LinkSockets(everywhere)
+        sockets.meet(controller.getsockname())
+        controller.sendto(b"telegram", ("127.0.0.2", everywhere.getsockname()[1]))
+        assert sockets.receive() == (b"telegram", controller.getsockname())
+        assert sockets.processor() == -1
+
+
+def test_the_processor_that_took_the_telegram_in_is_known_in_a_session(
+    sockets: LinkSockets, controller: socket.socket
+) -> None:
+    def sent_from(processor: int) -> int:
+        def send() -> None:
+            os.sched_setaffinity(0, {processor})  # of this thread
+            controller.send(b"telegram")
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        sender.join()
+        sockets.receive()
+        return sockets.processor()
+
+    assert sockets.processor() == -1
+    sockets.meet(controller.getsockname())
+    ours = os.sched_getaffinity(0)
+    assert {processor: sent_from(processor) for processor in ours} == {each: each for each in ours}
