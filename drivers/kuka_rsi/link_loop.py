@@ -206,8 +206,8 @@ class LinkLoop:
         sent_ns = time.monotonic_ns()
         if self._received_ns - self._answered_ns > self._paced_ns:
             time.sleep(GIVEN_AWAY_S)
-            self._reception.paced()
-            self._processor.follow(self._sockets.processor())
+            if self._reception.paced():
+                self._processor.follow(self._sockets.processor())
         else:
             self._reception.hurried()
             self._processor.free()

@@ -34,8 +34,9 @@ class Processor:
     def free(self) -> None:
         """Nobody keeps a pace: two that take turns do better side by side."""
         if self._at is not None:
-            self._at = None
+            self._keep(self._allowed - {self._at})  # left alone, it would stay where it is
             self._keep(self._allowed)
+            self._at = None
 
     def _keep(self, allowed: set[int]) -> None:
         try:

@@ -48,9 +48,13 @@ class Reception:
         self.received_ns = self._now_ns()
         return received
 
-    def paced(self) -> None:
-        """The last datagram was a telegram of the session, a whole cycle after the one before."""
+    def paced(self) -> bool:
+        """The last datagram was a telegram of the session, a whole cycle after the one before.
+
+        True when the controller's schedule is known by now.
+        """
         self._pace.arrived(self.received_ns)
+        return self._pace.due_ns > 0
 
     def hurried(self) -> None:
         """It was one that followed as soon as the reply was out: nobody keeps a pace."""

@@ -46,14 +46,16 @@ def test_one_telegram_by_another_processor_moves_nothing(monkeypatch: pytest.Mon
     assert system.kept == [{1}]
 
 
-def test_set_free_it_may_run_anywhere_it_might_before(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_set_free_it_goes_elsewhere_and_may_then_run_anywhere_it_might_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     system = System(monkeypatch)
     processor = Processor(follows=True)
     for _ in range(SURE_AFTER_TELEGRAMS):
         processor.follow(1)
     processor.free()
     processor.free()
-    assert system.kept == [{1}, EVERYWHERE]
+    assert system.kept == [{1}, EVERYWHERE - {1}, EVERYWHERE]
 
 
 @pytest.mark.parametrize("elsewhere", [-1, 7])
