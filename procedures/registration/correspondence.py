@@ -37,7 +37,7 @@ class Prior:
         """Raises REG-007."""
         if not isinstance(self.rotation, Rotation) or np.shape(self.rotation.as_quat()) != (4,):
             raise BadParameter("a prior needs one SciPy Rotation physical <- image")
-        if not (math.isfinite(self.tolerance_rad) and 0.0 < self.tolerance_rad <= math.pi):
+        if not (isinstance(self.tolerance_rad, int | float) and 0.0 < self.tolerance_rad <= math.pi):
             raise BadParameter(
                 "the prior's tolerance is impossible", limit="0 to pi rad", last=f"{self.tolerance_rad}"
             )
@@ -71,8 +71,8 @@ class Match:
     UNIQUE: `pairs` (k, 2) image and physical indices, ordered by image index, and `transform`
     physical <- image; `runner_up` is the best contradicting hypothesis, if any was near. AMBIGUOUS: the
     best hypothesis in `pairs` and `transform`, for display only, and its rival in `runner_up`. TOO_FEW
-    and INCONSISTENT: no pairs, no transform; `runner_up` is the nearest miss. `margin_nats` is the
-    logarithm of the odds of the best against its rival, at least.
+    and INCONSISTENT: no pairs, no transform; `runner_up` is the nearest miss, None where no three points
+    agree. `margin_nats` is the logarithm of the odds of the best against its rival, at least.
     """
 
     status: MatchStatus
@@ -85,7 +85,16 @@ class Match:
     unmatched_physical: tuple[int, ...]
 
     def require_unique(self) -> RigidTransform:
-        """The transform; raises REG-008 unless the correspondence is unique."""
+        """The transform; raises REG-008, with what was nearest, unless the correspondence is unique."""
         if self.status is not MatchStatus.UNIQUE or self.transform is None:
-            raise NoUniqueMatch(f"the correspondence is {self.status}: {self.reason}")
+            nearest = [_shown(self.pairs)] if len(self.pairs) else []
+            nearest += [_shown(self.runner_up.pairs)] if self.runner_up else []
+            raise NoUniqueMatch(
+                f"the correspondence is {self.status}: {self.reason}", last=", or ".join(nearest)
+            )
         return self.transform
+
+
+def _shown(pairs: NDArray[np.intp]) -> str:
+    """Pairs for a person, who counts from 1."""
+    return "image-physical " + " ".join(f"{i + 1}-{j + 1}" for i, j in pairs.tolist())

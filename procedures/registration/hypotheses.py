@@ -2,8 +2,8 @@
 
 All candidates of one size are fitted in one stack. Scores are natural logarithms (nats) of the odds
 against "all of these are unrelated points": residuals cost q/2, every pair beyond the second earns what
-the chance of hitting a point within the noise by accident is worth, and what is known beforehand: most
-points are spheres that both sides see, not strays.
+the chance of hitting a point within the noise by accident is worth. Two things are assumed beforehand: most
+points are spheres that both sides see, not strays; and the spheres are on one head.
 """
 
 from __future__ import annotations
@@ -25,20 +25,26 @@ Array = NDArray[np.float64]
 GATE_FALSE_ALARM = 1e-6  # probability that the gate rejects true pairs
 OUTLIER_BALL_RADIUS_MM = 300.0  # stray readings lie within this ball around the head
 LN_OUTLIER_VOLUME = math.log(4.0 / 3.0 * math.pi * OUTLIER_BALL_RADIUS_MM**3)
-LN_PAIR_ODDS = math.log(10.0)  # that two points which could be one sphere are, before looking closer
+# Assumed, not measured: decision 10 shows how the answers depend on these two odds.
+PAIR_ODDS = 10.0  # that two points which could be one sphere are, before looking closer
+WIDE_SET_ODDS = 1e-3  # that pairs which lie farther apart than a head is wide are all true
+WIDEST_HEAD_MM = 260.0  # between two spheres: a long head of 220 mm, at both ends a base and half a sphere
 LINE_RATIO = 1e-3  # second over first singular value: below it a set is a line and fixes no rotation
 
 
 @dataclass(frozen=True)
-class Noise:
-    """The pairwise error model: total variance per axis of both sets together, mm2."""
+class Evidence:
+    """What agreement is worth: the variance per axis of both sets together, mm2, and what is assumed."""
 
     variance_mm2: float
+    pair_odds: float = PAIR_ODDS
+    wide_set_odds: float = WIDE_SET_ODDS
 
     @property
     def nats_per_pair(self) -> float:
         """What one more agreeing pair is worth."""
-        return LN_PAIR_ODDS + LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
+        by_chance = LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
+        return math.log(self.pair_odds) + by_chance
 
     def most_nats(self, pairs: int) -> float:
         """The score that no candidate of this size can exceed."""
@@ -87,7 +93,9 @@ class Candidate:
         return not self.passed and not self.on_a_line and self.mirrored_chi_square < gate(self.size)
 
 
-def evaluate(masks: Sequence[int], image_mm: Array, physical_mm: Array, noise: Noise) -> list[Candidate]:
+def evaluate(
+    masks: Sequence[int], image_mm: Array, physical_mm: Array, evidence: Evidence
+) -> list[Candidate]:
     """Fit and score pairings that all have the same number of pairs."""
     if not masks:
         return []
@@ -96,9 +104,11 @@ def evaluate(masks: Sequence[int], image_mm: Array, physical_mm: Array, noise: N
     image, physical = image_mm[nodes // len(physical_mm)], physical_mm[nodes % len(physical_mm)]
     fit = fit_rigid(image, physical)
     squares = np.square(residuals(fit, image, physical)).sum(axis=(1, 2))
-    chi_squares = squares / noise.variance_mm2
-    mirrored = mirrored_sum_mm2(fit, squares) / noise.variance_mm2
-    most = noise.most_nats(size)
+    chi_squares = squares / evidence.variance_mm2
+    mirrored = mirrored_sum_mm2(fit, squares) / evidence.variance_mm2
+    widths_mm = np.linalg.norm(image[:, :, None] - image[:, None], axis=-1).max(axis=(1, 2))
+    known_nats = np.where(widths_mm > WIDEST_HEAD_MM, math.log(evidence.wide_set_odds), 0.0)
+    scores = evidence.most_nats(size) + known_nats - 0.5 * chi_squares
     on_a_line = fit.spread_mm2[:, 1] <= LINE_RATIO * fit.spread_mm2[:, 0]
     return [
         Candidate(
@@ -106,7 +116,7 @@ def evaluate(masks: Sequence[int], image_mm: Array, physical_mm: Array, noise: N
             size,
             float(chi_squares[row]),
             float(mirrored[row]),
-            most - 0.5 * float(chi_squares[row]),
+            float(scores[row]),
             fit.rotation[row],
             fit.translation_mm[row],
             bool(on_a_line[row]),

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import Match, MatchStatus, Prior
 from procedures.registration.errors import BadParameter, BadPoints
-from procedures.registration.hypotheses import Noise
+from procedures.registration.hypotheses import Evidence
 from procedures.registration.pairing_search import PairingSearch
 from procedures.registration.points import FEWEST_PAIRS, REAL_KINDS, checked_points
 
@@ -42,23 +42,24 @@ def match(
     for name, points in (("image", image), ("physical", physical)):
         if len(points) > MOST_POINTS:
             raise BadPoints(f"{len(points)} {name} points", limit=f"{MOST_POINTS} per set")
-    noise = _noise(sigma_image_mm, sigma_physical_mm)
+    evidence = _evidence(sigma_image_mm, sigma_physical_mm)
     _check_expected(expected)
     checked_prior = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
-    search = PairingSearch(image, physical, noise, expected, checked_prior)
-    fewest = FEWEST_PAIRS if expected is None else expected
-    if min(len(image), len(physical)) < fewest:
-        return search.no_match(
-            MatchStatus.TOO_FEW, f"{len(image)} image and {len(physical)} physical points, {fewest} needed"
-        )
+    search = PairingSearch(image, physical, evidence, expected, checked_prior)
+    fewest, seen = expected or FEWEST_PAIRS, min(len(image), len(physical))
+    counts = f"{len(image)} image and {len(physical)} physical points, {fewest} needed"
+    if seen < FEWEST_PAIRS:
+        return search.no_match(MatchStatus.TOO_FEW, counts)
+    if seen < fewest:
+        return search.too_few(counts)
     return search.answer()
 
 
-def _noise(sigma_image_mm: Any, sigma_physical_mm: Any) -> Noise:
+def _evidence(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
     variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
         raise BadParameter("at least one sigma must be positive", last=f"{variance} mm2")
-    return Noise(variance)
+    return Evidence(variance)
 
 
 def _variance_mm2(name: str, sigma_mm: Any) -> float:

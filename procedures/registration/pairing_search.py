@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.registration.consistency import CLIQUE_SLACK, CliqueSearch, bits, consistency_graph
 from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
-from procedures.registration.hypotheses import Candidate, Noise, evaluate, gate, leave_one_out
+from procedures.registration.hypotheses import Candidate, Evidence, evaluate, gate, leave_one_out
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid import as_transform
 
@@ -29,13 +29,13 @@ class PairingSearch:
 
     image: Array
     physical: Array
-    noise: Noise
+    evidence: Evidence
     expected: int | None
     prior: Prior | None
 
     def answer(self) -> Match:
         """Search near the largest cliques first; look at all of them only when none of those holds."""
-        tolerance_mm = DISTANCE_GATE_SIGMAS * math.sqrt(2.0 * self.noise.variance_mm2)
+        tolerance_mm = DISTANCE_GATE_SIGMAS * math.sqrt(2.0 * self.evidence.variance_mm2)
         graph = consistency_graph(self.image, self.physical, tolerance_mm)
         nearest: list[Candidate] = []
         outside_prior = False
@@ -52,7 +52,7 @@ class PairingSearch:
             if search.exhausted:
                 return self._too_noisy(ranked)
             smallest_seen = max(FEWEST_PAIRS, search.largest - slack)
-            unseen_nats = self.noise.most_nats(smallest_seen - 1)
+            unseen_nats = self.evidence.most_nats(smallest_seen - 1)
             if ranked and (
                 smallest_seen == FEWEST_PAIRS or ranked[0].score_nats - UNIQUE_MARGIN_NATS > unseen_nats
             ):
@@ -66,6 +66,12 @@ class PairingSearch:
             )
         return self._explain(nearest, outside_prior)
 
+    def too_few(self, counts: str) -> Match:
+        """An answer without pairs for points that are fewer than expected, with what agrees among them."""
+        found = self.answer()
+        nothing = self.no_match(MatchStatus.TOO_FEW, f"{counts}; {found.reason}")
+        return replace(nothing, runner_up=found.runner_up)
+
     def _evaluate(self, cliques: list[int]) -> tuple[list[Candidate], list[Candidate]]:
         """Candidates that pass the gate, and those that fail it; too weak ones are left out."""
         waiting: dict[int, list[int]] = {}
@@ -76,11 +82,11 @@ class PairingSearch:
         best = -math.inf
         drops = dict.fromkeys(cliques, 0)
         for size in range(max(waiting), FEWEST_PAIRS - 1, -1):
-            if self.noise.most_nats(size) < best - UNIQUE_MARGIN_NATS:
+            if self.evidence.most_nats(size) < best - UNIQUE_MARGIN_NATS:
                 break
             masks = list(dict.fromkeys(waiting.get(size, ())))
             again: list[int] = []
-            for one in evaluate(masks, self.image, self.physical, self.noise):
+            for one in evaluate(masks, self.image, self.physical, self.evidence):
                 over_full = self.expected is not None and size == self.expected + 1
                 if one.passed:
                     held.append(one)
@@ -104,7 +110,7 @@ class PairingSearch:
         A planned pair is not doubted: that it exists is known beforehand.
         """
         planned = self.expected is not None and one.size <= self.expected
-        return not planned and 0.5 * one.chi_square > self.noise.nats_per_pair
+        return not planned and one.score_nats < self.evidence.most_nats(one.size - 1)
 
     def _judge(self, ranked: list[Candidate], failed: list[Candidate]) -> Match:
         """UNIQUE when the best beats everything that contradicts it, else why not."""
@@ -137,7 +143,7 @@ class PairingSearch:
         rivals = [one for one in ranked[1:] if one.nodes & ~best.nodes]
         if not rivals:
             # Everything smaller was left out unseen; none of it can score more than this.
-            unseen = self.noise.most_nats(best.size - 1)
+            unseen = self.evidence.most_nats(best.size - 1)
             return self._found(best, None, max(best.score_nats - unseen, UNIQUE_MARGIN_NATS))
         margin = best.score_nats - rivals[0].score_nats
         if margin < UNIQUE_MARGIN_NATS:

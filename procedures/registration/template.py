@@ -34,7 +34,7 @@ def match_by_template(
     """Pair image points (n, 3) with physical points (m, 3) by a template (k, 3), k at least 3, all in mm.
 
     UNIQUE only when all k template points are found on both sides, each in one way. The reason of a failure
-    names the side. Raises REG-001 and REG-007.
+    names the side; its runner-up pairs template points with points of that side. Raises REG-001 and REG-007.
     """
     template = checked_points(template_mm, "template")
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")

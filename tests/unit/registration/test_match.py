@@ -50,8 +50,10 @@ def test_a_triangle_with_two_equal_sides_is_ambiguous_and_shows_both(random, any
         frozenset({(0, 0), (1, 1), (2, 2)}),
         frozenset({(0, 1), (1, 0), (2, 2)}),
     }
-    with pytest.raises(NoUniqueMatch, match=r"REG-008.*AMBIGUOUS"):
+    with pytest.raises(NoUniqueMatch, match=r"REG-008.*AMBIGUOUS") as refused:
         result.require_unique()
+    for shown in ("1-1 2-2 3-3", "1-2 2-1 3-3"):
+        assert shown in str(refused.value)
 
 
 def test_a_coarse_orientation_ends_the_ambiguity(random, any_pose):
@@ -134,6 +136,16 @@ def test_fewer_than_three_points_are_too_few(image, physical, random, fiducials)
     assert result.transform is None
 
 
+def test_fewer_points_than_expected_show_what_agrees_among_them(random, fiducials, any_pose):
+    points = fiducials(6, random)
+    result = match(points, any_pose(random).apply(points[[3, 0, 5, 1]]), expected=6, **SIGMAS)
+    assert result.status is MatchStatus.TOO_FEW
+    assert "6 needed; 4 pairs agree" in result.reason
+    assert result.pairs.shape == (0, 2)
+    assert result.transform is None
+    assert pairs_of(result.runner_up) == {(3, 0), (0, 1), (5, 2), (1, 3)}
+
+
 def test_no_common_distances_are_inconsistent(random):
     small, large = SCALENE, SCALENE * 1.5
     result = match(small, large, **SIGMAS)
@@ -209,6 +221,33 @@ def test_strays_that_nearly_meet_are_a_pair_only_while_they_earn_more_than_they_
         assert result.status is MatchStatus.UNIQUE, result.reason
         assert ((6, 6) in pairs_of(result)) is taken
         assert pairs_of(result) >= {(k, k) for k in range(6)}
+
+
+@pytest.mark.parametrize(("far_mm", "taken"), [(100.0, True), (280.0, False)])
+def test_a_pair_that_no_head_is_wide_enough_for_must_agree_better(far_mm, taken, random, fiducials, any_pose):
+    """Strays far away nearly meet by chance more often: a small turn of the head brings them together."""
+    for _ in range(20):
+        points, truth = fiducials(6, random), any_pose(random)
+        stray = points.mean(axis=0) - np.array([0.0, 0.0, far_mm])
+        image = np.vstack([points, stray])
+        physical = truth.apply(np.vstack([points, stray]))
+        away = physical[6] - physical[:6].mean(axis=0)
+        physical[6] += 3.7 * away / np.linalg.norm(away)  # no turn mends that
+        result = match(image, physical, **SIGMAS)
+        if taken:
+            assert result.status is MatchStatus.UNIQUE, result.reason
+            assert (6, 6) in pairs_of(result)
+        else:
+            assert result.status is MatchStatus.AMBIGUOUS
+            assert {len(pairs_of(result)), len(pairs_of(result.runner_up))} == {6, 7}
+
+
+def test_points_wider_than_a_head_are_paired_all_the_same(random, reading):
+    for _ in range(20):
+        seen = reading(random.uniform(-200.0, 200.0, (6, 3)), 2, random)
+        result = match(seen.image_mm, seen.physical_mm, **SIGMAS)
+        assert result.status is MatchStatus.UNIQUE, result.reason
+        assert pairs_of(result) == seen.pairs
 
 
 def test_between_the_two_it_is_left_open(random, fiducials, any_pose):
@@ -296,7 +335,7 @@ def test_impossible_parameters_are_refused(options, random, fiducials):
     assert isinstance(caught.value, ValueError)
 
 
-@pytest.mark.parametrize("tolerance_rad", [0.0, -1.0, 4.0, float("nan")])
+@pytest.mark.parametrize("tolerance_rad", [0.0, -1.0, 4.0, float("nan"), "wide", None])
 def test_an_impossible_prior_is_refused(tolerance_rad):
     with pytest.raises(BadParameter, match="REG-007"):
         Prior(Rotation.identity(), tolerance_rad)
