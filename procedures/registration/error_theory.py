@@ -33,26 +33,29 @@ def degrees_of_freedom(pairs: int) -> int:
 
 
 def fle_from_fre_mm(fre_mm: float, pairs: int) -> float:
-    """FLE of both spaces together from one FRE, eq. 36: FLE^2 = n/(n-2) FRE^2."""
+    """FLE of both spaces together from one FRE, eq. 36: FLE^2 = n/(n-2) FRE^2. Raises REG-002, REG-007."""
     degrees_of_freedom(pairs)
+    require_size("FRE", fre_mm)
     return fre_mm * math.sqrt(pairs / (pairs - 2))
 
 
 def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
     """FLE of each of two spaces of one kind, from the FREs of several registrations, eq. 37 and 38.
 
-    The squares are averaged over the registrations and halved between the two equal spaces.
+    The squares are averaged over the registrations and halved between the two equal spaces. Raises REG-002,
+    REG-007.
     """
     degrees_of_freedom(pairs)
-    squares = np.square(np.asarray(fre_mm, dtype=float))
-    if squares.size == 0 or not np.all(np.isfinite(squares)):
-        raise BadParameter("the FREs must be finite and at least one")
-    return math.sqrt(float(squares.mean()) * pairs / (2.0 * (pairs - 2)))
+    residuals_mm = np.asarray(fre_mm, dtype=float)
+    if residuals_mm.size == 0 or not np.all(np.isfinite(residuals_mm) & (residuals_mm >= 0.0)):
+        raise BadParameter("the FREs must be finite, not negative and at least one")
+    return math.sqrt(float(np.square(residuals_mm).mean()) * pairs / (2.0 * (pairs - 2)))
 
 
 def expected_fre_mm(fle_mm: float, pairs: int) -> float:
-    """Root of the expected squared FRE for a known FLE, eq. 36 read the other way."""
+    """Root of the expected squared FRE for a known FLE, eq. 36 the other way. Raises REG-002, REG-007."""
     degrees_of_freedom(pairs)
+    require_size("FLE", fle_mm)
     return fle_mm * math.sqrt((pairs - 2) / pairs)
 
 
@@ -106,10 +109,17 @@ class FreGate:
 
 
 def fre_gate(fre_mm: float, fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
-    """Judge an FRE against the known FLE (3-D rms, both spaces together)."""
+    """Judge an FRE against the known FLE (3-D rms, both spaces together). Raises REG-002, REG-007."""
+    require_size("FRE", fre_mm)
     limit_mm = fre_limit_mm(fle_mm, pairs, confidence)
     limit = chi_square_limit(degrees_of_freedom(pairs), confidence)
     return FreGate(fre_mm, limit * (fre_mm / limit_mm) ** 2, limit, confidence)
+
+
+def require_size(name: str, size_mm: float) -> None:
+    """Raises REG-007 for the size of an error that is not finite or negative."""
+    if not (math.isfinite(size_mm) and size_mm >= 0.0):
+        raise BadParameter(f"{name} must be finite and not negative", last=f"{size_mm} mm")
 
 
 def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) -> Array:

@@ -19,6 +19,7 @@ from procedures.registration.error_theory import (
     fle_from_fre_mm,
     fre_gate,
     pose_covariance,
+    require_size,
     target_covariance_mm2,
     tre_principal_axes_mm,
 )
@@ -126,7 +127,7 @@ class Registration:
 
         With covariances: their propagation through the weighted fit. Without: eq. 39 with `fle_mm` (3-D rms
         of both spaces together), or with the FLE that eq. 36 estimates from FRE; the limit then also carries
-        the uncertainty of that estimate. Raises REG-001.
+        the uncertainty of that estimate. Raises REG-001, REG-007.
         """
         targets = np.asarray(self.transform.apply(checked_targets(points)), dtype=float)
         fiducials = np.asarray(self.transform.apply(self.image_mm), dtype=float)
@@ -137,8 +138,8 @@ class Registration:
             return TargetError(
                 rms, error_limit_mm(covariance, confidence), confidence, covariance, "covariance propagation"
             )
-        if fle_mm is not None and not (math.isfinite(fle_mm) and fle_mm >= 0.0):
-            raise BadParameter("FLE must be finite and not negative", last=f"{fle_mm} mm")
+        if fle_mm is not None:
+            require_size("FLE", fle_mm)
         size_mm = fle_from_fre_mm(self.fre_mm, self.pairs) if fle_mm is None else fle_mm
         isotropic = np.broadcast_to(np.eye(3) * size_mm**2 / 3.0, (self.pairs, 3, 3))
         pose = pose_covariance(fiducials, isotropic, weighted=False)
@@ -182,7 +183,9 @@ def register(
     )
 
 
-def drop_one_explanations(registration: Registration, fle_mm: float | None = None) -> tuple[int, ...]:
+def drop_one_explanations(
+    registration: Registration, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE
+) -> tuple[int, ...]:
     """Pairs whose removal alone brings the residual under the chi-square gate, best first.
 
     For a registration that failed the gate: one such pair points at a fiducial that moved. FLE in mm, 3-D
@@ -198,7 +201,7 @@ def drop_one_explanations(registration: Registration, fle_mm: float | None = Non
             rest = register(image, physical, covariance_mm2=None if covariance is None else covariance[keep])
         except CollinearPoints:
             continue
-        if rest.gate(fle_mm).passed:
+        if rest.gate(fle_mm, confidence).passed:
             found.append((rest.fre_mm, index))
     return tuple(index for _, index in sorted(found))
 
