@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from procedures.engine.errors import GateFailed
 from procedures.engine.step import Outcome, StepContext, StepSpec
-from procedures.registration import Registration, RoomPoint, register, verify_two_way
+from procedures.registration import (
+    Registration,
+    RoomPoint,
+    drop_one_explanations,
+    register,
+    verify_two_way,
+)
 from procedures.registration.error_theory import FreGate
 from procedures.steps.payloads import points_from, pose_from, pose_payload
 from procedures.steps.plan_check import trajectory_of
@@ -52,7 +58,7 @@ def run(context: StepContext) -> Outcome:
             f"the fit does not agree with its own error budget at {context.key.trajectory}",
             limit=f"{gate.limit_mm:.3f} mm",
             last=f"{gate.fre_mm:.3f} mm",
-            action="A sphere has moved or the budget is wrong; localize again or leave that sphere out.",
+            action=_advice([fiducials[one] for one in moved_spheres(image, physical, measured, arm_mm)]),
         )
     predicted = fit.predict_tre(np.array([trajectory.target_mm]))
     tip_mm = context.calibrations.tool_tip.stated_error_mm
@@ -88,6 +94,7 @@ def run(context: StepContext) -> Outcome:
             "predicted_tre_mm": rms_mm,
             "predicted_tre_limit_mm": limit_mm,
             "confidence": predicted.confidence,
+            "formula": f"{predicted.formula}; guide, stereo head and arm added in squares",
             "two_way": table.as_payload(),
         },
         parents=(localization, fine, correspondence),
@@ -101,8 +108,28 @@ def residual_gate(image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_
     `measured_mm2` (n, 3, 3) is the covariance of CT and stereo head, `arm_mm` the arm's sigma per axis.
     Raises REG-001 to REG-006.
     """
+    return _fit_with_reserve(image_mm, physical_mm, measured_mm2, arm_mm).gate(confidence=GATE_CONFIDENCE)
+
+
+def moved_spheres(image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float) -> tuple[int, ...]:
+    """Pairs without one of which the others pass the gate, the likeliest first; see `residual_gate`."""
+    fit = _fit_with_reserve(image_mm, physical_mm, measured_mm2, arm_mm)
+    return drop_one_explanations(fit, confidence=GATE_CONFIDENCE)
+
+
+def _fit_with_reserve(
+    image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float
+) -> Registration:
     allowed = measured_mm2 + _arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)
-    return register(image_mm, physical_mm, covariance_mm2=allowed).gate(confidence=GATE_CONFIDENCE)
+    return register(image_mm, physical_mm, covariance_mm2=allowed)
+
+
+def _advice(moved: list[int]) -> str:
+    """What to do about spheres, named by their index in the CT, without one of which the others agree."""
+    if not moved:
+        return "More than one sphere has moved, or the error budget is wrong; localize again."
+    which = " or ".join(str(one + 1) for one in moved)
+    return f"Without sphere {which} the others agree: it has moved; localize again or leave it out."
 
 
 def _arm_covariance_mm2(arm_mm: float) -> Array:

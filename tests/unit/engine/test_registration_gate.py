@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from procedures.registration import register
-from procedures.steps.registration import GATE_CONFIDENCE, REPEATABILITY_MM, residual_gate
+from procedures.steps.registration import GATE_CONFIDENCE, REPEATABILITY_MM, moved_spheres, residual_gate
 
 ARM_MM = 0.1
 MEASURED_MM2 = np.broadcast_to(np.eye(3) * 0.02**2, (8, 3, 3))
@@ -25,7 +25,8 @@ def test_an_error_that_varies_slowly_over_the_arms_reach_passes() -> None:
 
 
 @pytest.mark.parametrize("moved", range(8))
-def test_a_sphere_that_moved_by_a_millimetre_and_a_half_is_refused(moved: int) -> None:
+def test_a_sphere_that_moved_by_a_millimetre_and_a_half_is_refused_and_named(moved: int) -> None:
     measured = SPHERES_MM.copy()
     measured[moved, 0] += 1.5
     assert not residual_gate(SPHERES_MM, measured, MEASURED_MM2, ARM_MM).passed
+    assert moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM)[0] == moved
