@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from procedures.planning.errors import (
     WrongSeries,
     raise_together,
 )
+from procedures.planning.layout import layout_warnings
 from procedures.planning.plan import FiducialKind, Plan
 from procedures.planning.tissue import way_into_head
 from ronna_hw.errors import RonnaError
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from procedures.planning.sight import StereoSight
 
 WITHIN_ROUNDING_MM = 0.5  # what the check of a path leaves open between two samples
-LEAST_SIDE_DIFFERENCE_MM = 6.0  # of a triangle of fiducials: below it three points are often ambiguous
-RECOMMENDED_MARKERS = 4  # with three, one that moved cannot be told from the others
+FEWEST_THAT_TELL_A_MOVE = 4  # with three, one that moved cannot be told from the others
 KNOWN_TOOLS = ("guide",)  # the calibration records of a theatre know this one only
 
 
@@ -118,7 +117,7 @@ def check_plan(
                 last=volume.patient_position,
             )
         )
-    if plan.implanted < RECOMMENDED_MARKERS:
+    if plan.implanted < FEWEST_THAT_TELL_A_MOVE:
         warnings.append(f"{plan.implanted} fiducials: one that moves cannot be found out")
     if fiducials_mm is not None:
         points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
@@ -130,7 +129,8 @@ def check_plan(
                     last=str(len(points)),
                 )
             )
-        warnings += _side_warning(points)
+        else:
+            warnings += layout_warnings(points)
     ways: tuple[PreviewedWay, ...] = ()
     turns: tuple[tuple[str, float], ...] = ()
     if arm is not None:
@@ -210,16 +210,3 @@ def _outside(plan: Plan, volume: Volume) -> list[RonnaError]:
                     OutsideField(f"the {name} of trajectory {one.id} at ({where}) mm is outside the CT")
                 )
     return found
-
-
-def _side_warning(points: np.ndarray) -> list[str]:
-    if len(points) != 3:
-        return []
-    sides = sorted(float(np.linalg.norm(points[a] - points[b])) for a, b in combinations(range(3), 2))
-    smallest = min(sides[1] - sides[0], sides[2] - sides[1])
-    if smallest >= LEAST_SIDE_DIFFERENCE_MM:
-        return []
-    return [
-        f"two sides of the triangle of fiducials differ by {smallest:.1f} mm"
-        f" (at least {LEAST_SIDE_DIFFERENCE_MM:g} mm tell them apart)"
-    ]

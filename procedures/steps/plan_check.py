@@ -23,6 +23,7 @@ def run(context: StepContext) -> Outcome:
     check = check_plan(plan, volume, fiducials_mm=centres)
     check.require()
     head = head_shape(volume)
+    summary = f"{len(plan.trajectories)} trajectories, {plan.implanted} spheres implanted"
     context.workspace.pop(VOLUME, None)  # the largest input is not needed after this
     return Outcome(
         payload={
@@ -32,7 +33,7 @@ def run(context: StepContext) -> Outcome:
             "warnings": list(check.warnings),
         },
         parents=(context.case.get("ct_import"), localization),
-        summary=f"{len(plan.trajectories)} trajectories, {plan.implanted} spheres implanted",
+        summary="; ".join((summary, *check.warnings)),
     )
 
 

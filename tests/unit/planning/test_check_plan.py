@@ -90,6 +90,13 @@ def test_three_fiducials_of_nearly_equal_sides_are_warned_about(plan_text, plan_
     assert not any("sides" in one for one in check_plan(plan, make_volume(), fiducials_mm=spread).warnings)
 
 
+@pytest.mark.hazard(10)
+def test_fiducials_that_look_alike_from_another_side_are_warned_about(plan, make_volume):
+    square = [[0, 0, 50], [90, 0, 50], [90, 90, 50], [0, 90, 50]]
+    warnings = check_plan(plan, make_volume(), fiducials_mm=square).warnings
+    assert warnings == ("the fiducials look alike from another side: 2 for 4, 4 for 2 could be taken",)
+
+
 @pytest.mark.hazard(23)
 def test_an_unreachable_target_is_refused(plan, make_volume, make_arm):
     with pytest.raises(NotReachable, match=r"PLAN-007.*T1/target.*ARM-001") as caught:

@@ -1,0 +1,37 @@
+"""Whether the places of the fiducials tell them apart, before anybody looks for them in the room."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.registration import MatchStatus, match
+
+LEAST_SIDE_DIFFERENCE_MM = 6.0  # of a triangle of fiducials: below it three points are often ambiguous
+ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker that the correspondence was studied with
+
+
+def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
+    """The smallest difference of two sides of a triangle of fiducials (3, 3) in mm."""
+    points = np.asarray(triangle_mm, dtype=float)
+    sides = np.sort([np.linalg.norm(points[a] - points[b]) for a, b in combinations(range(3), 2)])
+    return float(np.diff(sides).min())
+
+
+def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
+    """What may make the correspondence of fiducials (n, 3) in mm ambiguous; empty where nothing does."""
+    if len(fiducials_mm) == 3:
+        smallest = least_side_difference_mm(fiducials_mm)
+        if smallest >= LEAST_SIDE_DIFFERENCE_MM:
+            return []
+        return [
+            f"two sides of the triangle of fiducials differ by {smallest:.1f} mm"
+            f" (at least {LEAST_SIDE_DIFFERENCE_MM:g} mm tell them apart)"
+        ]
+    alike = match(fiducials_mm, fiducials_mm, sigma_image_mm=0.0, sigma_physical_mm=ROOM_SIGMA_MM)
+    if alike.status is not MatchStatus.AMBIGUOUS or alike.runner_up is None:
+        return []
+    taken = [f"{i + 1} for {j + 1}" for i, j in alike.runner_up.pairs.tolist() if i != j]
+    return [f"the fiducials look alike from another side: {', '.join(taken)} could be taken"]
