@@ -40,6 +40,7 @@ def write_report(folder: Path, outcome: dict[str, Any]) -> Path:
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         localization=_payload(by_kind, "fiducial_localization"),
         series=_payload(by_kind, "ct_import"),
+        plan=_payload(by_kind, "plan_check"),
         correspondence=_payload(by_kind, "correspondence"),
         registrations=[record.payload for record in by_kind.get("registration", [])],
         relocalizations=[record.payload for record in by_kind.get("relocalization", [])],
