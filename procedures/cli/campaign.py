@@ -87,9 +87,9 @@ def registration(
     verbose: console.VerboseOption = False,
 ) -> None:
     """The rigid fit: do its error formulas hold, and what does weighting gain?"""
-    from procedures.studies.registration import RegistrationStudy, tables
+    from procedures.studies.registration import RegistrationStudy, plots, tables
 
-    _run(RegistrationStudy(runs, seed), tables, lambda _: {}, workers, scheduler, out, as_json, verbose)
+    _run(RegistrationStudy(runs, seed), tables, plots, workers, scheduler, out, as_json, verbose)
 
 
 @app.command()

@@ -66,7 +66,7 @@ class CorrespondenceStudy:
 
     runs: int
     seed: int = 0
-    methods: tuple[Method, ...] = (Method.CLIQUE, Method.PRIOR, Method.THESIS)
+    methods: tuple[Method, ...] = tuple(Method)
     tolerances_mm: tuple[float, ...] = (3.0,)
     readings: tuple[NoiseReading, ...] = tuple(NoiseReading)
     fiducials: tuple[int, ...] = FIDUCIALS

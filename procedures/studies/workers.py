@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any
 
 from procedures.studies.errors import ExtraMissing, SchedulerUnreachable, UnitFailed
@@ -55,12 +56,26 @@ def _runner(
     else:
         count = workers or len(os.sched_getaffinity(0))
         # Fresh processes: a forked child would inherit locks of the libraries' threads.
-        with _one_thread_each(), ProcessPoolExecutor(count, get_context("spawn")) as pool:
+        spawn = get_context("spawn")
+        with _one_thread_each(), ProcessPoolExecutor(count, spawn, _end_with_parent) as pool:
             try:
                 yield _on_pool(pool, study, units)
             except BaseException:  # an interruption too: what waits must not be begun after it
                 pool.shutdown(cancel_futures=True)
                 raise
+
+
+def _end_with_parent() -> None:
+    """In a worker: end when the campaign was killed; idle, it would wait for its next unit for ever."""
+    parent = parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
 
 def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path) -> None:
     found = shares(results(SMALL, tmp_path, workers=1))
-    assert {key[1] for key in found} == {"clique", "clique + orientation", "thesis"}
+    assert {key[1] for key in found} == {one.value for one in Method}
     assert {runs for _, _, runs in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
     pictures = bars_beside_thesis(results(SMALL, tmp_path, workers=1))
     assert sorted(pictures) == ["unsuccessful-norm.png", "unsuccessful-per-axis.png"]
@@ -205,7 +205,8 @@ def test_weighting_gains_what_the_goals_ask_for(tmp_path: Path) -> None:
     from procedures.studies.registration import tables as of_registration
 
     formulas, gains = of_registration(results(RegistrationStudy(400, fiducials=(5,)), tmp_path, workers=1))
-    ((_, _, fle_ratio, _, tre_ratio, _),) = formulas.rows
+    ((_, _, fle_ratio, one_space_ratio, _, _, tre_ratio, _),) = formulas.rows
     assert fle_ratio == pytest.approx(1.0, abs=0.05)
+    assert one_space_ratio == pytest.approx(1.0, abs=0.05)
     assert tre_ratio == pytest.approx(1.0, abs=0.08)
     assert [row[4] > least for row, least in zip(gains.rows, (20.0, 40.0), strict=True)] == [True, True]

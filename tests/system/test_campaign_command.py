@@ -1,0 +1,76 @@
+"""`ronna-campaign` as a user meets it: files beside figures, going on after an end, refusals in one line."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+from user_commands import Commands
+
+STARTED_S = 60.0  # hang guard: the first units of a pool that has to import SciPy on a busy computer
+UNITS_BEFORE_THE_KILL = 10
+
+
+def units_in(folder: Path) -> int:
+    """Finished units in the record of a campaign; its first line says which one it is."""
+    path = folder / "units.jsonl"
+    return max(0, path.read_bytes().count(b"\n") - 1) if path.exists() else 0
+
+
+def test_a_campaign_leaves_tables_and_a_plot_and_knows_that_it_is_done(
+    commands: Commands, tmp_path: Path
+) -> None:
+    arguments = ("registration", "--runs", "2", "--seed", "3", "--workers", "1", "--out", str(tmp_path))
+    first = commands.run("ronna-campaign", *arguments, "--json")
+    assert first.returncode == 0, first.stderr
+    told = json.loads(first.stdout)
+    assert Path(told["report"]) == tmp_path / "report.md"
+    formulas = told["tables"][0]
+    assert [row[0] for row in formulas["rows"]] == [3, 4, 5, 6, 8]
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {
+        "report.md",
+        "results.json",
+        "units.jsonl",
+        "target-error.png",
+        "formulas-of-the-rigid-fit.csv",
+        "what-weighting-by-covariances-gains.csv",
+    }
+    again = commands.run("ronna-campaign", *arguments)
+    assert "going on from 7 of 7 units" in again.stderr
+    assert again.stdout.startswith("fiducials\truns\t")
+
+
+def test_another_study_in_the_folder_is_refused_in_one_line(commands: Commands, tmp_path: Path) -> None:
+    (tmp_path / "units.jsonl").write_text('{"study": "correspondence", "fingerprint": "0"}\n')
+    refused = commands.run("ronna-campaign", "registration", "--runs", "2", "--out", str(tmp_path))
+    assert refused.returncode == 2
+    assert refused.stdout == ""
+    assert refused.stderr.startswith("STU-001: ")
+    assert len(refused.stderr.splitlines()) <= 2
+
+
+@pytest.mark.slow
+def test_a_campaign_that_was_killed_half_way_goes_on_to_the_same_numbers(
+    commands: Commands, tmp_path: Path
+) -> None:
+    def arguments(folder: str, workers: int) -> tuple[str, ...]:
+        place = str(tmp_path / folder)
+        return ("correspondence", "--runs", "20", "--workers", str(workers), "--out", place, "--json")
+
+    killed = commands.start("ronna-campaign", *arguments("killed", 2))
+    deadline = time.monotonic() + STARTED_S
+    while units_in(tmp_path / "killed") < UNITS_BEFORE_THE_KILL and time.monotonic() < deadline:
+        time.sleep(0.02)
+    killed.kill()
+    killed.communicate()
+    assert commands.await_no_survivors() == []  # its workers end too
+    done = units_in(tmp_path / "killed")
+    assert UNITS_BEFORE_THE_KILL <= done < 180
+    resumed = commands.run("ronna-campaign", *arguments("killed", 2))
+    assert "going on from" in resumed.stderr
+    whole = commands.run("ronna-campaign", *arguments("whole", 1))
+    assert json.loads(resumed.stdout)["tables"] == json.loads(whole.stdout)["tables"]
+    assert units_in(tmp_path / "killed") == units_in(tmp_path / "whole") == 180
