@@ -1,7 +1,7 @@
 """Registration and fiducials as DICOM: read back by programs that we did not write.
 
-`dciodvfy` (Debian's dicom3tools) judges an object against the standard, `dcmdump` (dcmtk) reads it. Without
-them those tests are left out and say so.
+GDCM, which the tests need anyway, reads every object. `dciodvfy` (Debian's dicom3tools) judges it against
+the standard, `dcmdump` (dcmtk) reads it too; without these two programs their tests are left out and say so.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ import shutil
 import subprocess
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+import gdcm
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -25,6 +27,34 @@ from procedures.exchange.spatial_registration import spatial_registration
 ORIGIN = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", datetime(2026, 11, 20, 9, 30, tzinfo=UTC), "a hash")
 SPHERES = (Fiducial("M1", (12.345678, -1e-3, 100.0), 0.0123), Fiducial("M2", (-80.0, 33.3, 7.25), 0.02))
 POSE = RigidTransform.from_components([700.1, -20.2, 300.3], Rotation.from_rotvec([0.1, 2.0, -0.7]))
+
+
+REGISTRATIONS, MATRIX_REGISTRATIONS, MATRICES = (0x0070, 0x0308), (0x0070, 0x0309), (0x0070, 0x030A)
+MATRIX, FRAME_OF_REFERENCE = (0x3006, 0x00C6), (0x0020, 0x0052)
+FIDUCIAL_SETS, FIDUCIALS = (0x0070, 0x031C), (0x0070, 0x031E)
+NAME, CENTRE, UNIQUE_NAME = (0x0070, 0x0310), (0x3006, 0x0050), (0x0070, 0x031A)
+
+
+class GdcmObject:
+    """A DICOM object as GDCM reads it: items of sequences, and values as text."""
+
+    def __init__(self, path: Path) -> None:
+        self.reader = gdcm.Reader()  # owns what it read
+        self.reader.SetFileName(str(path))
+        assert self.reader.Read()
+        self.whole = self.reader.GetFile().GetDataSet()
+        self._text = gdcm.StringFilter()
+        self._text.SetFile(self.reader.GetFile())
+
+    def items(self, within: Any, tag: tuple[int, int]) -> list[Any]:
+        sequence = within.GetDataElement(gdcm.Tag(*tag)).GetValueAsSQ()
+        return [sequence.GetItem(k + 1).GetNestedDataSet() for k in range(sequence.GetNumberOfItems())]
+
+    def text(self, within: Any, tag: tuple[int, int]) -> str:
+        return str(self._text.ToString(within.GetDataElement(gdcm.Tag(*tag)))).strip("\0 ")
+
+    def numbers(self, within: Any, tag: tuple[int, int]) -> list[float]:
+        return [float(one) for one in self.text(within, tag).split("\\")]
 
 
 def needs(program: str) -> pytest.MarkDecorator:
@@ -53,6 +83,32 @@ def test_a_validator_of_the_standard_finds_no_error(kind: str, tmp_path: Path) -
     told = subprocess.run(["dciodvfy", "-new", str(path)], capture_output=True, text=True).stderr
     assert f"Spatial{kind.capitalize()}" in told
     assert "Error" not in told, told
+
+
+def test_gdcm_reads_the_same_matrix_between_the_same_frames(tmp_path: Path) -> None:
+    read = GdcmObject(write(registration(), tmp_path / "reg.dcm"))
+    robot, ct = read.items(read.whole, REGISTRATIONS)
+    assert read.text(robot, FRAME_OF_REFERENCE) == read.text(read.whole, FRAME_OF_REFERENCE)
+    assert read.text(ct, FRAME_OF_REFERENCE) == ORIGIN.frame_of_reference_uid
+    found = []
+    for item in (robot, ct):
+        (step,) = read.items(item, MATRIX_REGISTRATIONS)
+        (matrix,) = read.items(step, MATRICES)
+        found.append(np.array(read.numbers(matrix, MATRIX)).reshape(4, 4))
+    assert np.array_equal(found[0], np.eye(4))
+    points = np.array([sphere.centre_mm for sphere in SPHERES])
+    mapped = points @ found[1][:3, :3].T + found[1][:3, 3]
+    assert np.abs(mapped - POSE.apply(points)).max() < 1e-9
+
+
+def test_gdcm_reads_the_same_spheres(tmp_path: Path) -> None:
+    read = GdcmObject(write(spatial_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
+    (group,) = read.items(read.whole, FIDUCIAL_SETS)
+    assert read.text(group, FRAME_OF_REFERENCE) == ORIGIN.frame_of_reference_uid
+    spheres = read.items(group, FIDUCIALS)
+    assert [read.text(one, NAME) for one in spheres] == [one.name for one in SPHERES]
+    assert [tuple(read.numbers(one, CENTRE)) for one in spheres] == [one.centre_mm for one in SPHERES]
+    assert [read.text(one, UNIQUE_NAME) for one in spheres] == [fiducial_uid(ORIGIN, one) for one in SPHERES]
 
 
 @needs("dcmdump")
