@@ -14,9 +14,9 @@ from peer_cameras import SERIALS, Peer, free_address
 from procedures.cli.camera_cause import document, judge
 from procedures.cli.camera_probe import About, Access, CameraProbe, Control, found_around, probe_camera
 from procedures.cli.doctor import examine, show
-from procedures.cli.interfaces import Interface, interface_of, interfaces
 from procedures.cli.line_holders import Holder, holder_of_udp_port
 from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.networks import Interface, interface_of, interfaces
 from ronna_hw.wire.gige_vision import GVCP_PORT
 
 MODEL = "acA2000-50gmNIR"
