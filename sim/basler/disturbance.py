@@ -13,6 +13,7 @@ from sim.theatre.scene import CameraTruth
 from sim.theatre.world import World
 
 PERCENT = 0.01
+SECONDS_PER_MINUTE = 60.0
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,18 @@ class Disturbances:
             ),
             occluders=tuple(self._occluder(float(fault.arguments[1])) for fault in self._mine("occluder")),
             glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._mine("glare")),
-            twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._mine("twist")),
+            twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._mine("twist"))
+            + sum(self._crept_rad(fault) for fault in self._mine("creep")),
         )
 
     def _mine(self, kind: str) -> list[Fault]:
         return [fault for fault in self.board.active(kind) if fault.argument == self.side]
+
+    def _crept_rad(self, fault: Fault) -> float:
+        """Of a fault that acts: since its moment, or since its step was entered."""
+        begun_s = self.world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
+        acting_s = self.world.clock.now_s() - begun_s
+        return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE
 
     def _occluder(self, share_percent: float) -> Occluder:
         direction = noise(self.world.scene.seed, f"occluder of camera {self.camera.serial}", 0)

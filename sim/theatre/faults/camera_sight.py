@@ -60,4 +60,11 @@ SIGHT_FAULTS = (
         "The left or right camera turns so far in its mount, in the plane of both.",
         check=_side,
     ),
+    FaultKind(
+        "creep",
+        "camera",
+        "creep NAME SIGNED deg per min",
+        "The left or right camera goes on turning in its mount while this lasts, in the plane of both.",
+        check=_side,
+    ),
 )

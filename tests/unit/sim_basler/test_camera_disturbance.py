@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import FrameSettings, Settings
+from sim.basler.disturbance import Disturbances
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.film import STAINED_BRIGHTNESS, Stain, drawn_stains
 from sim.basler.optics.foreground import Disturbance, Glare, Occluder
@@ -169,6 +170,18 @@ def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
         # 0.25 m away a thousandth of a radian is a quarter of a millimetre, in the plane y z of both cameras
         assert np.linalg.norm(moved_in_tool) == pytest.approx(0.25, rel=0.01)
         assert abs(moved_in_tool[0]) < 1e-6
+
+
+def test_a_creeping_camera_turns_on_with_the_time_of_the_theatre() -> None:
+    world = World.create(built_in_scene("bench"), paced=False)
+    left, right = (Disturbances.of(world, truth) for truth in (world.scene.left, world.scene.right))
+    world.set_fault_script("at 10 s: camera creep left -0.02 deg per min for 60 s")
+    turned_deg = []
+    for _ in range(4):  # at 0, 25, 50 and 75 s
+        turned_deg.append(float(np.degrees(left.now().twist_rad)))
+        assert right.now().twist_rad == 0.0
+        world.clock.sleep(25.0)
+    assert turned_deg == pytest.approx([0.0, -0.005, -0.04 / 3.0, 0.0])
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,15 @@ import time
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import curve_fit
+from scipy.special import ndtr
 
 from sim.basler.optics import sphere as sphere_image
 from sim.basler.optics.blur import blurred
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.grain import CONTRAST, Grain
 from sim.basler.optics.lens import Lens
+from sim.basler.optics.light import Lighting
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sphere import Sphere
 from sim.theatre.built_in import built_in_scene
@@ -184,15 +187,58 @@ def test_the_light_on_the_sensor_has_its_rim_at_the_projected_outline(
     assert np.abs(found - wanted).max() < 0.02
 
 
-def test_a_sphere_out_of_focus_has_a_wider_rim() -> None:
-    widths = []
-    for depth_mm in (250.0, 258.0):
-        place = (0.0, 0.0, depth_mm)
-        light = Optics(bare_camera(), 0).light_on(FULL, [ball(place)])
-        centre, axes = expected_ellipse(place)
-        row = light[round(centre[1]), round(centre[0] + axes[0]) - 15 : round(centre[0] + axes[0]) + 15]
-        widths.append(int(((row > 0.3) & (row < 1.2)).sum()))
-    assert widths[1] >= 2 * widths[0]
+def thin_lens_sigma_px(depth_mm: float) -> float:
+    """Blur of a lens of 50 mm at f/8, focused at 250 mm: diffraction, and a disc of D / 4 rms per axis."""
+    focal_mm, pitch_mm = 50.0, 0.0055
+    focused_mm, image_mm = (1.0 / (1.0 / focal_mm - 1.0 / distance) for distance in (250.0, depth_mm))
+    disc_mm = focal_mm / 8.0 * abs(focused_mm - image_mm) / image_mm
+    airy_sigma_mm = 0.42 * 850e-6 * 8.0 * (1.0 + focused_mm / 250.0)
+    return float(np.hypot(disc_mm / 4.0, airy_sigma_mm) / pitch_mm)
+
+
+@pytest.mark.parametrize("depth_mm", [250.0, 244.0, 256.0, 264.0])
+def test_the_rim_is_as_soft_as_a_thin_lens_makes_it_at_that_depth(depth_mm: float) -> None:
+    # across the post's axis nothing but film and background meets at the rim
+    light = Optics(bare_camera(), 0).light_on(FULL, [ball((0.0, 0.0, depth_mm))]).astype(float)
+    centre, axes = expected_ellipse((0.0, 0.0, depth_mm))
+    rows = np.arange(round(centre[1]) - 20, round(centre[1]) + 21)[:, None]
+    rims = centre[0] + np.sqrt(axes[0] ** 2 - (rows - centre[1]) ** 2)
+    columns = np.round(rims).astype(int) + np.arange(-35, 36)
+    beyond, seen = (columns - rims).ravel(), light[rows, columns].ravel()
+
+    def soft_edge(x: Array, place: float, width: float, film: float, slope: float, ground: float) -> Array:
+        return ground + (film + slope * x - ground) * ndtr((place - x) / width)
+
+    found, _ = curve_fit(soft_edge, beyond, seen, p0=(0.0, 1.0, 1.5, 0.0, 0.05))
+    assert found[0] == pytest.approx(0.0, abs=0.05)
+    # the width of a pixel adds a twelfth of its square
+    assert found[1] == pytest.approx(np.hypot(thin_lens_sigma_px(depth_mm), 12**-0.5), rel=0.06)
+
+
+def test_the_light_is_uneven_in_a_way_of_each_camera_and_darker_in_the_corners() -> None:
+    scene = built_in_scene("default", seed=3)
+    left, right = (Lighting(3, camera.serial, (2048, 1088)) for camera in (scene.left, scene.right))
+    for light in (left, right):
+        on_film = light.on_film(FULL)
+        assert on_film[543:545, 1023:1025].mean() == pytest.approx(2.0, rel=1e-3)
+        opposite = (on_film + on_film[::-1, ::-1]) / 2.0  # without the slope
+        assert opposite[0, 0] / 2.0 == pytest.approx(1.0 - 0.06 * (1.0 + (544 / 1024) ** 2), abs=1e-3)
+        slope = abs(on_film[544, -1] - on_film[544, 0]) / 2.0 / 2.0
+        assert 0.0 < slope <= 0.05
+    assert np.abs(left.on_film(FULL) - right.on_film(FULL)).max() > 0.01
+
+
+def test_a_sphere_is_as_bright_as_the_light_where_it_stands() -> None:
+    camera = bare_camera()
+    optics, lighting = Optics(camera, 3), Lighting(3, camera.serial, camera.sensor_px)
+    seen, falling = [], []
+    for x_mm in (-15.0, 15.0):
+        centre, _ = expected_ellipse((x_mm, 0.0, 250.0))
+        middle = tuple(slice(round(at) - 60, round(at) + 60) for at in centre[::-1])
+        seen.append(optics.light_on(FULL, [ball((x_mm, 0.0, 250.0))])[middle].mean())
+        falling.append(lighting.on_film(FULL)[middle].mean())
+    assert abs(falling[0] / falling[1] - 1.0) > 0.005
+    assert seen[0] / seen[1] == pytest.approx(falling[0] / falling[1], abs=0.005)
 
 
 def test_the_limb_is_a_quarter_darker_than_the_middle() -> None:
