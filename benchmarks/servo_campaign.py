@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.stereo_cell import StereoCell
+from benchmarks.stereo_cell import Start, StereoCell
 from benchmarks.stereo_pictures import Studio
 from ronna_hw.errors import RonnaError
 from sim.theatre.built_in import built_in_scene
@@ -48,17 +48,22 @@ def servo_campaign(
     *,
     first_seed: int = 0,
     drawn: bool = True,
+    in_sight: bool = True,
 ) -> ServoTally:
     """Run the step's servo from `starts` random places; `scene_of` changes each cell's scene before.
 
     Without drawn pictures the looks tell the truth, at a fiftieth of the price: what is left is the arm.
+    Without `in_sight` it begins where the path check would refuse to, another sphere in the line of sight.
     """
     tally = ServoTally()
     with tempfile.TemporaryDirectory(prefix="ronna-servo-") as folder:
         for number in range(-(-starts // STARTS_PER_CELL)):
             scene = scene_of(built_in_scene("default", seed=first_seed + number))
             count = min(STARTS_PER_CELL, starts - tally.starts)
-            _in_one_cell(scene, count, first_seed + number, Path(folder), tally, drawn)
+            cell = calibrated_cell(scene, Path(folder))
+            generator = np.random.default_rng([PLACES_SEED, first_seed + number])
+            for _ in range(count):
+                _from_one_start(cell, cell.draw_start(generator, START_MM, in_sight=in_sight), tally, drawn)
     return tally
 
 
@@ -69,23 +74,17 @@ def calibrated_cell(scene: Scene, folder: Path) -> StereoCell:
     return StereoCell(scene, nominal, folder)
 
 
-def _in_one_cell(
-    scene: Scene, starts: int, number: int, folder: Path, tally: ServoTally, drawn: bool
-) -> None:
-    cell = calibrated_cell(scene, folder)
-    generator = np.random.default_rng([PLACES_SEED, number])
-    for _ in range(starts):
-        start = cell.draw_start(generator, START_MM)
-        tally.starts += 1
-        try:
-            found = cell.centre(start) if drawn else cell.centre_told(start)
-        except RonnaError as problem:
-            tally.failures.append(str(problem))
-            continue
-        error = cell.true_offset_mm(found, start.fiducial)
-        # the retreat was one more motion after the one that was looked from
-        rest = cell.rest_error_mm(found.joints_rad, cell.arm.motions - 1)
-        tally.steps.append(len(found.residuals_mm) - 1)
-        tally.residuals_mm.append(found.residuals_mm[-1])
-        tally.errors_mm.append(float(np.linalg.norm(error)))
-        tally.beyond_mm.append(float(np.linalg.norm(error + rest)))
+def _from_one_start(cell: StereoCell, start: Start, tally: ServoTally, drawn: bool) -> None:
+    tally.starts += 1
+    try:
+        found = cell.centre(start) if drawn else cell.centre_told(start)
+    except RonnaError as problem:
+        tally.failures.append(str(problem))
+        return
+    error = cell.true_offset_mm(found, start.fiducial)
+    # the retreat was one more motion after the one that was looked from
+    rest = cell.rest_error_mm(found.joints_rad, cell.arm.motions - 1)
+    tally.steps.append(len(found.residuals_mm) - 1)
+    tally.residuals_mm.append(found.residuals_mm[-1])
+    tally.errors_mm.append(float(np.linalg.norm(error)))
+    tally.beyond_mm.append(float(np.linalg.norm(error + rest)))

@@ -25,8 +25,8 @@ from benchmarks.sphere_campaign import (
 )
 from benchmarks.stereo_cell import without_arm_errors
 from benchmarks.stereo_pictures import SERVO_MM, Case, Pair, Picture, Studio
-from procedures.relocalization import measure_sphere, triangulate
-from procedures.relocalization.sphere import RELIABLE_RIM
+from procedures.relocalization import AreaImage, locate_sphere, measure_sphere
+from procedures.relocalization.judgement import RELIABLE_RIM
 
 Array = NDArray[np.float64]
 
@@ -165,13 +165,10 @@ def _servo() -> list[Figure]:
 
 
 def _pair_work(studio: Studio, pair: Pair) -> Callable[[], object]:
+    """What the servo does with a pair."""
     calibration = studio.calibration()
-
-    def work() -> object:
-        left, right = (measure_sphere(view.picture).shifted(*view.offset_px) for view in pair.views)
-        return triangulate(left, right, calibration)
-
-    return work
+    left, right = (AreaImage(view.picture, *view.offset_px) for view in pair.views)
+    return lambda: locate_sphere(left, right, calibration)
 
 
 def _median_ms(seconds: list[float]) -> float:

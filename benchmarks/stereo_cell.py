@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.step import StepContext
+from procedures.planning.reach import Visit, VisitKind
+from procedures.planning.sight import StereoSight
 from procedures.relocalization import StereoPoint
 from procedures.steps import relocalization
 from procedures.steps.relocalization import FoundSphere, centre_on
-from procedures.steps.stereo_look import Look
+from procedures.steps.stereo_look import Look, look, whole_sensor
 from ronna_hw.arm.inverse import branch_of, solve_branch
 from ronna_hw.arm.model import ArmModel, arm_model
 from ronna_hw.arm.pose import Pose
@@ -159,16 +161,23 @@ class StereoCell:
             matrix_of(scene.head.robot_from_ct), [each.centre_ct_mm for each in scene.head.fiducials]
         )
 
-    def draw_start(self, generator: np.random.Generator, away_mm: float) -> Start:
-        """A random sphere seen from a random side, the tool truly `away_mm` from it in a random direction."""
-        fiducial = int(generator.integers(len(self.centres_mm)))
-        direction = generator.standard_normal(3)
-        offset = away_mm * direction / np.linalg.norm(direction)
-        tilt = rotation_from_vector([*generator.uniform(-LARGEST_TILT_RAD, LARGEST_TILT_RAD, 2), 0.0])
-        sphere = self.centres_mm[fiducial]
-        outwards = np.array([sphere[0], sphere[1], 0.0])
-        orientation = tilt @ rotation_towards((0.0, 0.0, -1.0), outwards)
-        nominal = matrix_from(sphere, orientation)
+    def draw_start(self, generator: np.random.Generator, away_mm: float, *, in_sight: bool = True) -> Start:
+        """A random sphere seen from a random side, the tool truly `away_mm` from it in a random direction.
+
+        A servo begins where the path check found both lines of sight free, so only such sides are drawn;
+        without `in_sight` only those that it refuses, because another sphere stands in the way.
+        """
+        while True:
+            fiducial = int(generator.integers(len(self.centres_mm)))
+            direction = generator.standard_normal(3)
+            offset = away_mm * direction / np.linalg.norm(direction)
+            tilt = rotation_from_vector([*generator.uniform(-LARGEST_TILT_RAD, LARGEST_TILT_RAD, 2), 0.0])
+            sphere = self.centres_mm[fiducial]
+            outwards = np.array([sphere[0], sphere[1], 0.0])
+            orientation = tilt @ rotation_towards((0.0, 0.0, -1.0), outwards)
+            nominal = matrix_from(sphere, orientation)
+            if self._in_sight(fiducial, nominal) is in_sight:
+                break
         # where the tool truly is when the controller believes it on the sphere
         self._go(nominal)
         believed_mm = self.world.robot_from_tool()[:3, 3]
@@ -190,6 +199,13 @@ class StereoCell:
         with patch.object(relocalization, "look", told), patch.object(relocalization, "keep_picture"):
             return self.centre(start)
 
+    def look_from(self, start: Start) -> Look:
+        """One look of the step from a start, on whole sensors."""
+        self._go(start.expected.as_matrix())
+        left, right = (whole_sensor(side) for side in (self._calibration.left, self._calibration.right))
+        self.stereo.set_areas(left, right)
+        return look(self._context())
+
     def true_offset_mm(self, found: FoundSphere, fiducial: int) -> Array:
         """Recorded point minus true place of the sphere, robot frame (3,)."""
         return np.asarray(found.point_mm - self.centres_mm[fiducial])
@@ -198,6 +214,10 @@ class StereoCell:
         """What did not repeat in that motion (3,)."""
         at_rest = self.arm.truth.at_rest(joints_rad, self.arm.flanks, motion)
         return np.asarray((at_rest - self.arm.truth.moving(joints_rad, self.arm.flanks))[:3, 3])
+
+    def _in_sight(self, fiducial: int, tool: Array) -> bool:
+        visit = Visit("start", VisitKind.LOCALIZATION, TRAJECTORY, fiducial, _transform(tool), 0.0)
+        return not StereoSight.of(self._calibration).unmet([visit], self.centres_mm)
 
     def _go(self, tool: Array) -> None:
         self.arm.move_joints(self._joints(tool))

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self, TypeVar
 from pydantic import Field, ValidationError
 
 from procedures.calibration.errors import BadObservations
-from procedures.relocalization.sphere import SphereImage, SphereStatus
+from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 from ronna_hw.calibration import PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
 from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from procedures.cli.stereo_room import Source
 
 Triple = tuple[float, float, float]
+LARGE_PICTURE_PX = 544  # half the sensor's rows
 
 app = typer.Typer(
     name="ronna-stereo",
@@ -80,7 +81,8 @@ def calibrate(
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     console.set_up_logging(verbose)
-    if recorded is not None and sim:
+    one_theatre = sim != (config is not None)
+    if (recorded is None and not one_theatre) or (recorded is not None and sim):
         raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
     if write is not None and config is None:
         raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
@@ -186,7 +188,7 @@ def measure(
         from procedures.steps.stereo_picture import pair_picture
         from ronna_hw.records import write_whole
 
-        write_whole(picture, pair_picture(seen))
+        write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))
     from procedures.cli.stereo_present import show_look
 
     show_look(seen, as_json=as_json)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from procedures.calibration import CheckResult, HeadResult
 from procedures.calibration.bundle import REPEATABILITY_MM
-from procedures.relocalization.errors import NoSphere
+from procedures.relocalization import SphereImage, StereoPoint
+from procedures.relocalization.errors import NoSphere, NotTrusted
 from procedures.steps.stereo_look import Look
 from ronna_hw.command_line import console
 
@@ -15,19 +19,23 @@ def print_calibration(result: HeadResult, folder: Path) -> None:
     """The figures of a calibration, and where its files are."""
     fit, head = result.fit, result.stereo_head
     used = int(fit.used.sum())
+    residual_px = float(np.sqrt(np.mean(fit.residuals_px[fit.used] ** 2)))
+    sigmas = " ".join(f"{value**0.5:.3f}" for value in result.tool_covariance_mm2.diagonal())
     console.print_table(
         f"calibration {head.identifier}",
         ["", "value"],
         [
             ["cameras", f"{head.left.serial} left, {head.right.serial} right"],
             ["looks", f"{used} used, {len(fit.used) - used} left out"],
+            ["residuals with the arm's part, rms", f"{residual_px:.2f} px"],
             ["one outline", f"{fit.image_sigma_px:.3f} px"],
             ["the arm", f"{fit.arm_error_mm:.3f} mm per axis and pose"],
             ["of it without any rule", f"{fit.arm_scatter_mm:.3f} mm"],
             ["tool centre on the flange", " ".join(f"{v:.3f}" for v in head.flange_from_tool.translation_mm)],
             ["it moved by", f"{result.tool_shift_mm:.3f} mm"],
-            ["its standard error", f"{head.stated_error_mm:.3f} mm"],
+            ["its standard error", f"{head.stated_error_mm:.3f} mm, per axis {sigmas} mm"],
             ["change between the cameras", f"{result.frame_misfit_mm:.3f} mm"],
+            ["made", f"{head.created:%Y-%m-%d %H:%M} UTC"],
             ["valid until", f"{head.expires:%Y-%m-%d %H:%M} UTC"],
         ],
     )
@@ -61,34 +69,34 @@ def print_check(result: CheckResult) -> None:
 
 
 def show_look(seen: Look, *, as_json: bool) -> None:
-    """The ball in both images and in the tool frame; raises STE-003 when the look shows none."""
-    if seen.point is None or seen.left is None or seen.right is None:
-        raise NoSphere("no ball is measured in this pair", last=seen.reason)
+    """The ball in both images and in the tool frame; raises what kept the look from giving a point."""
     point = seen.point
-    sigma = [float(value) ** 0.5 for value in point.covariance_mm2.diagonal()]
+    if seen.left is None or seen.right is None:
+        raise seen.problem or NoSphere("no ball is measured in this pair")
     sides = {"left": seen.left, "right": seen.right}
+    if not as_json:
+        _print_outlines(sides)
+    if point is None:
+        raise seen.problem or NotTrusted("no ball is measured in this pair")
     if as_json:
-        console.print_json(
-            {
-                "position_mm": point.position_mm.tolist(),
-                "covariance_mm2": point.covariance_mm2.tolist(),
-                "ray_gap_mm": float(point.ray_gap_mm),
-                "radius_mm": float(point.radius_mm),
-                **{
-                    side: {
-                        "centre_px": list(one.centre_px),
-                        "axes_px": list(one.axes_px),
-                        "quality": one.quality,
-                        "status": str(one.status),
-                        "rim_fraction": one.rim_fraction,
-                        "scatter_px": one.scatter_px,
-                        "blur_px": one.blur_px,
-                    }
-                    for side, one in sides.items()
-                },
-            }
-        )
+        outlines = {side: _outline_payload(one) for side, one in sides.items()}
+        console.print_json({**_point_payload(point), **outlines})
         return
+    console.print_table(
+        "the ball in the tool frame",
+        ["x y z mm", "one sigma um", "gap of the rays um", "radius mm"],
+        [
+            [
+                " ".join(f"{value:.4f}" for value in point.position_mm),
+                " ".join(f"{1000 * value**0.5:.1f}" for value in point.covariance_mm2.diagonal()),
+                f"{1000 * point.ray_gap_mm:.1f}",
+                f"{point.radius_mm:.3f}",
+            ]
+        ],
+    )
+
+
+def _print_outlines(sides: dict[str, SphereImage]) -> None:
     rows = [
         [
             side,
@@ -98,23 +106,33 @@ def show_look(seen: Look, *, as_json: bool) -> None:
             f"{one.scatter_px:.3f}",
             f"{one.blur_px:.1f}",
             f"{one.quality:.2f}",
+            str(one.status),
         ]
         for side, one in sides.items()
     ]
     console.print_table(
         "the ball in both images",
-        ["camera", "centre px", "semi-axes px", "rim", "scatter px", "blur px", "quality"],
+        ["camera", "centre px", "semi-axes px", "rim", "scatter px", "blur px", "quality", ""],
         rows,
     )
-    console.print_table(
-        "the ball in the tool frame",
-        ["x y z mm", "one sigma um", "gap of the rays um", "radius mm"],
-        [
-            [
-                " ".join(f"{value:.4f}" for value in point.position_mm),
-                " ".join(f"{1000 * value:.1f}" for value in sigma),
-                f"{1000 * point.ray_gap_mm:.1f}",
-                f"{point.radius_mm:.3f}",
-            ]
-        ],
-    )
+
+
+def _point_payload(point: StereoPoint) -> dict[str, Any]:
+    return {
+        "position_mm": point.position_mm.tolist(),
+        "covariance_mm2": point.covariance_mm2.tolist(),
+        "ray_gap_mm": float(point.ray_gap_mm),
+        "radius_mm": float(point.radius_mm),
+    }
+
+
+def _outline_payload(outline: SphereImage) -> dict[str, Any]:
+    return {
+        "centre_px": list(outline.centre_px),
+        "axes_px": list(outline.axes_px),
+        "quality": outline.quality,
+        "status": str(outline.status),
+        "rim_fraction": outline.rim_fraction,
+        "scatter_px": outline.scatter_px,
+        "blur_px": outline.blur_px,
+    }

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.relocalization.errors import BadMeasurement
-from procedures.relocalization.sphere import SphereImage
+from procedures.relocalization.sphere_image import SphereImage
 from ronna_hw.calibration import CameraCalibration
 from ronna_hw.frames import Frame
 

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 SEED = 20250711
 TRIPLES = 4000
+PORTIONS = 10  # of the triples: a clear picture needs no more than one or two
 HYPOTHESES = 100  # scored circles at most
 SCORED_POINTS = 600
 FACING_START = 0.90  # cosine between gradient and the direction to the centre
@@ -46,31 +47,41 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
     count = len(edges.position_px)
     if count < LEAST_POINTS:
         return []
-    generator = np.random.default_rng(SEED)
-    centres, radii = _circles_through(edges, generator.integers(0, count, (TRIPLES, 3)))
-    usable = (radii >= smallest_px) & (radii <= largest_px)
-    centres, radii = centres[usable][:HYPOTHESES], radii[usable][:HYPOTHESES]
-    found: list[Circle] = []
+    centres, radii = _hypotheses(edges, smallest_px, largest_px)
     scores = _scores(edges, centres, radii)
-    order = np.argsort(-scores, kind="stable")
-    tried = 0
-    for index in order[scores[order] > SCORE_SHARE * scores.max(initial=0.0)]:
-        if any(_same(centres[index], radii[index], circle) for circle in found):
-            continue
-        if (tried := tried + 1) > REFINED_CIRCLES:
+    rest = np.argsort(-scores, kind="stable")
+    rest = rest[scores[rest] > SCORE_SHARE * scores.max(initial=0.0)]
+    found: list[Circle] = []
+    for _ in range(REFINED_CIRCLES):
+        if len(rest) == 0 or len(found) == CANDIDATES:
             break
-        circle = _refine(edges, centres[index], float(radii[index]))
+        best, rest = rest[0], rest[1:]
+        circle = _refine(edges, centres[best], float(radii[best]))
         if circle is None or not smallest_px <= circle.radius_px <= largest_px:
             continue
-        if any(_same(np.array(circle.centre_px), circle.radius_px, other) for other in found):
+        here = np.array([circle.centre_px]), np.array([circle.radius_px])
+        if any(_same(*here, other)[0] for other in found):
             continue
         found.append(circle)
-        if len(found) == CANDIDATES:
-            break
+        rest = rest[~_same(centres[rest], radii[rest], circle)]
     return sorted(found, key=lambda circle: -circle.coverage * circle.radius_px)
 
 
-def _circles_through(edges: EdgePoints, triples: NDArray[np.int64]) -> tuple[Array, Array]:
+def _hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tuple[Array, Array]:
+    """Circles within the limits through point triples: centres (k, 2), radii (k,)."""
+    triples = np.random.default_rng(SEED).integers(0, len(edges.position_px), (TRIPLES, 3))
+    centres, radii = np.empty((0, 2)), np.empty(0)
+    for portion in np.split(triples, PORTIONS):
+        more = _circles_through(edges, portion, smallest_px, largest_px)
+        centres, radii = np.concatenate([centres, more[0]]), np.concatenate([radii, more[1]])
+        if len(radii) >= HYPOTHESES:
+            break
+    return centres[:HYPOTHESES], radii[:HYPOTHESES]
+
+
+def _circles_through(
+    edges: EdgePoints, triples: NDArray[np.int64], smallest_px: float, largest_px: float
+) -> tuple[Array, Array]:
     """Circles through point triples whose gradients face the centre: centres (k, 2), radii (k,)."""
     a, b, c = (edges.position_px[triples[:, corner]] for corner in range(3))
     ab, ac = b - a, c - a
@@ -83,11 +94,13 @@ def _circles_through(edges: EdgePoints, triples: NDArray[np.int64]) -> tuple[Arr
     )
     offset /= doubled_area[proper][:, None]
     centres, radii = a + offset, np.hypot(offset[:, 0], offset[:, 1])
-    facing = np.ones(len(radii), dtype=bool)
-    for corner in range(3):
-        inward = (centres - edges.position_px[triples[:, corner]]) / radii[:, None]
-        facing &= (inward * edges.direction[triples[:, corner]]).sum(axis=1) > FACING_START
-    return centres[facing], radii[facing]
+    kept = (radii >= smallest_px) & (radii <= largest_px)
+    centres, radii, triples = centres[kept], radii[kept], triples[kept]
+    for corner in range(3):  # each leaves fewer for the next
+        inward = centres - edges.position_px[triples[:, corner]]
+        kept = (inward * edges.direction[triples[:, corner]]).sum(axis=1) > FACING_START * radii
+        centres, radii, triples = centres[kept], radii[kept], triples[kept]
+    return centres, radii
 
 
 def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
@@ -97,7 +110,7 @@ def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
     direction = edges.direction[::step].astype(np.float32)
     inward_x = centres[:, :1].astype(np.float32) - position[:, 0]
     inward_y = centres[:, 1:].astype(np.float32) - position[:, 1]
-    distance = np.hypot(inward_x, inward_y)
+    distance = np.sqrt(inward_x * inward_x + inward_y * inward_y)
     facing = inward_x * direction[:, 0] + inward_y * direction[:, 1] > FACING * distance
     on_rim = np.abs(distance - radii[:, None].astype(np.float32)) < TOLERANCE_PX
     return np.asarray((facing & on_rim).sum(axis=1), dtype=float)
@@ -124,7 +137,8 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
     return Circle((float(centre[0]), float(centre[1])), radius, coverage)
 
 
-def _same(centre: Array, radius: float, circle: Circle) -> bool:
-    apart = float(np.hypot(centre[0] - circle.centre_px[0], centre[1] - circle.centre_px[1]))
-    limit = 0.25 * min(radius, circle.radius_px)
-    return apart < limit and abs(radius - circle.radius_px) < limit
+def _same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
+    """Which of the circles (k,) are this one."""
+    apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
+    limit = 0.25 * np.minimum(radii, circle.radius_px)
+    return np.asarray((apart < limit) & (np.abs(radii - circle.radius_px) < limit))

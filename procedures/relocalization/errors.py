@@ -16,7 +16,7 @@ class NoContrast(DataError):
     """The image is dark or even: nothing stands out of it."""
 
     code = "STE-002"
-    action = "Check lens cap, light and cables; then change the exposure in steps and take a new image."
+    action = "Bring a lit sphere into view; else check lens caps and lights, then lengthen the exposure."
 
 
 class NoSphere(DataError):
@@ -88,3 +88,10 @@ class PairNotUsable(DataError):
 
     code = "STE-012"
     action = "Look at both cameras with ronna-procedure doctor; check cables, trigger and network load."
+
+
+class NotTrusted(DataError):
+    """A sphere is in view, but too little of it, or too poorly, for a centre that can be trusted."""
+
+    code = "STE-013"
+    action = "Remove what hides it, clean sphere and lens, check focus and light; or look from elsewhere."

@@ -13,12 +13,15 @@ from itertools import product
 import numpy as np
 
 from procedures.relocalization.camera import Camera
-from procedures.relocalization.errors import RaysDoNotMeet, WrongSize
-from procedures.relocalization.sphere import SphereImage, SphereStatus, measure_sphere, measure_spheres
+from procedures.relocalization.errors import RaysDoNotMeet, Saturated, WrongSize
+from procedures.relocalization.sphere import measure_sphere, measure_spheres
+from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, StereoPoint, triangulate
 from procedures.relocalization.vision import GreyImage
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
+from ronna_hw.errors import DataError
 
+SIDES = ("left", "right")
 RADIUS_TOLERANCE = 0.25  # of the image at the tool centre point: far more than the depth that is in focus
 
 
@@ -39,6 +42,12 @@ class Sighting:
     right: SphereImage
     point: StereoPoint | None
 
+    @property
+    def doubt(self) -> str:
+        """What in which image keeps it from having a point; empty when it has one."""
+        sides = zip(SIDES, (self.left, self.right), strict=True)
+        return "; ".join(f"{side} camera: {one.doubt}" for side, one in sides if one.doubt)
+
 
 def locate_sphere(
     left: AreaImage,
@@ -49,16 +58,14 @@ def locate_sphere(
 ) -> Sighting:
     """The sphere that both cameras see, without a point when one of them sees too little of it.
 
-    Raises what `measure_sphere` raises, and STE-005 or STE-006 when no two round shapes belong together.
+    Raises what `measure_sphere` raises, with the name of the camera, and STE-005 or STE-006 when no two
+    round shapes belong together.
     """
     images = (left, right)
     ranges = tuple(
         radius_range_px(camera, sphere_diameter_mm) for camera in (calibration.left, calibration.right)
     )
-    first = [
-        measure_sphere(image.pixels, radius_range_px=limits).shifted(image.offset_x_px, image.offset_y_px)
-        for image, limits in zip(images, ranges, strict=True)
-    ]
+    first = _outlines(images, ranges)
     if SphereStatus.UNRELIABLE in (first[0].status, first[1].status):
         return Sighting(first[0], first[1], None)
     try:
@@ -76,6 +83,34 @@ def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tup
     distance_mm = float(np.linalg.norm(Camera(camera).translation_mm))
     radius = math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
     return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
+
+
+def _outlines(
+    images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...]
+) -> list[SphereImage]:
+    """The best outline of each image, pixels of the full sensor."""
+    found: list[SphereImage] = []
+    problems: dict[str, DataError] = {}
+    for side, image, limits in zip(SIDES, images, ranges, strict=True):
+        try:
+            outline = measure_sphere(image.pixels, radius_range_px=limits)
+        except DataError as problem:
+            problems[f"{side} camera"] = problem
+        else:
+            found.append(outline.shifted(image.offset_x_px, image.offset_y_px))
+    if problems:
+        raise _named(problems)
+    return found
+
+
+def _named(problems: dict[str, DataError]) -> DataError:
+    """One error for one or both cameras; too much light is the more urgent one."""
+    worst = min(problems.values(), key=lambda one: not isinstance(one, Saturated))
+    words = {one.what for one in problems.values()}
+    if len(problems) == len(SIDES) and len(words) == 1:
+        problems = {"both cameras": worst}
+    what = "; ".join(f"{camera}: {one.what}" for camera, one in problems.items())
+    return type(worst)(what, awaited=worst.awaited, limit=worst.limit, last=worst.last)
 
 
 def _agreeing(

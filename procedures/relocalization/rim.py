@@ -121,14 +121,13 @@ def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> Ri
                 plateau * bell - slope[:, None] * cover,
                 plateau * bell * -z,
             ],
-            axis=2,
-        )
-        transposed = jacobian.transpose(0, 2, 1)
-        normal = transposed @ jacobian
+            axis=1,
+        )  # (rays, 5, samples)
+        normal = jacobian @ jacobian.transpose(0, 2, 1)
         diagonal = np.einsum("nii->ni", normal)
         diagonal *= 1.0 + DAMPING
         diagonal += 1e-9
-        step = np.linalg.solve(normal, transposed @ residual[:, :, None])[:, :, 0]
+        step = np.linalg.solve(normal, jacobian @ residual[:, :, None])[:, :, 0]
         dark, height, slope = dark + step[:, 0], height + step[:, 1], slope + step[:, 2]
         edge = np.clip(edge + np.clip(step[:, 3], -SHIFT_LIMIT_PX, SHIFT_LIMIT_PX), s[0], s[-1])
         width = np.clip(width + np.clip(step[:, 4], -0.5 * width, width), 0.3 * BLUR_FLOOR_PX, largest)

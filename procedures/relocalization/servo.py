@@ -20,29 +20,32 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """`tolerance_mm` is the end condition (thesis: 0.03 mm); `gain` the share of the residual per step.
+    """`tolerance_mm` is the end condition (thesis: 0.03 mm).
 
-    Within `near_mm` what is left is mostly the arm's repeatability. Following it in full would answer each
-    random error with another one, so there the k-th look moves by a k-th part: the commanded pose is then
-    the mean of what all near looks say.
+    A look places the sphere wrong by what the arm does not repeat, and by a share of the way that is still to
+    go: head and arm are turned and scaled a little against what their records say.
     """
 
     tolerance_mm: float = 0.03
     steps: int = 15
-    gain: float = 1.0
     step_limit_mm: float = 10.0  # one step never moves the tool further: a wrong residual stays harmless
+    repeatability_mm: float = 0.03  # of the arm; KR 6 R900, ISO 9283
+    way_error: float = 0.01  # share of the way: 0.6 degrees, or 1 % of scale (U)
     shrink: float = 0.8  # the residual must fall to this share ...
     trend_steps: int = 2  # ... within this many steps
-    near_mm: float = 0.2
     noise_mm: float = 0.12  # below this the arm's repeatability hides the trend
 
 
 @dataclass(frozen=True)
 class ServoState:
-    """The residuals so far, mm, oldest first. Immutable: every measurement makes a new state."""
+    """The looks so far, oldest first: residuals, mm, and where each places the sphere, robot frame, mm.
+
+    Immutable: every measurement makes a new state.
+    """
 
     settings: ServoSettings = ServoSettings()
     residuals_mm: tuple[float, ...] = field(default=())
+    points_mm: tuple[tuple[float, float, float], ...] = field(default=())
 
     @property
     def converged(self) -> bool:
@@ -54,19 +57,17 @@ class ServoState:
         """Motions between the measurements so far."""
         return max(0, len(self.residuals_mm) - 1)
 
-    @property
-    def gain(self) -> float:
-        """Share of the last residual that the next step goes."""
-        near_looks = sum(length <= self.settings.near_mm for length in self.residuals_mm)
-        return self.settings.gain / max(1, near_looks)
-
-    def measured(self, residual_mm: ArrayLike) -> ServoState:
-        """The state after one more residual (3,) in the tool frame.
+    def measured(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:
+        """The state after one more residual (3,) in the tool frame, seen from the pose ROBOT <- TOOL.
 
         Raises STE-007 when the residuals do not shrink, STE-008 when the steps are used up.
         """
-        length = float(np.linalg.norm(_vector(residual_mm)))
-        state = replace(self, residuals_mm=(*self.residuals_mm, length))
+        residual = _vector(residual_mm)
+        length = float(np.linalg.norm(residual))
+        x, y, z = recorded_point(tool_pose, residual).tolist()
+        state = replace(
+            self, residuals_mm=(*self.residuals_mm, length), points_mm=(*self.points_mm, (x, y, z))
+        )
         if state.converged:
             return state
         state._require_trend()
@@ -78,17 +79,25 @@ class ServoState:
             )
         return state
 
-    def next_pose(self, tool_pose: Transform, residual_mm: ArrayLike) -> Transform:
-        """The pose ROBOT <- TOOL to move to: the tool shifted by the residual, orientation kept."""
+    def next_pose(self, tool_pose: Transform) -> Transform:
+        """The pose ROBOT <- TOOL to move to: the tool centre on the mean of all looks, orientation kept.
+
+        Near the sphere what is left is mostly what the arm does not repeat. Following the last look alone
+        would answer each random error with another one, so every look counts, by what it can be wrong by.
+        """
         _require_tool_pose(tool_pose)
-        step = self.gain * _vector(residual_mm)
+        if not self.points_mm:
+            raise BadMeasurement("no look has placed the sphere yet")
+        way_errors_mm = self.settings.way_error * np.array(self.residuals_mm)
+        weights = 1.0 / (self.settings.repeatability_mm**2 + way_errors_mm**2)
+        step = np.average(self.points_mm, axis=0, weights=weights) - tool_pose.translation_mm
         length = float(np.linalg.norm(step))
         if length > self.settings.step_limit_mm:
             step *= self.settings.step_limit_mm / length
         return Transform.of(
             tool_pose.target,
             tool_pose.source,
-            translation_mm=tool_pose.apply(step),
+            translation_mm=tool_pose.translation_mm + step,
             quaternion_wxyz=tool_pose.quaternion_wxyz,
         )
 

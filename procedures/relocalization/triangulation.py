@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, WrongCamera, WrongSize
-from procedures.relocalization.sphere import SphereImage, SphereStatus
+from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
 

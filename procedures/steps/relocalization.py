@@ -105,10 +105,10 @@ def centre_on(context: StepContext, fiducial: int, expected: Transform, near: Jo
         pose = tool_pose(context, joints, stereo_tool_in_flange(context))
         if seen.point is None:
             raise SphereNotFound(f"sphere {fiducial + 1} was lost during the servo", last=seen.reason)
-        servo = servo.measured(seen.point.position_mm)
+        servo = servo.measured(pose, seen.point.position_mm)
         if servo.converged:
             break
-        _settle_onto(context, servo.next_pose(pose, seen.point.position_mm))
+        _settle_onto(context, servo.next_pose(pose))
         seen, looks = look(context), looks + 1
         if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
             _look_at_all(context)
@@ -137,13 +137,16 @@ def _first_look(context: StepContext, expected: Transform) -> tuple[Look, int]:
     if seen.point is not None:
         return seen, looks
     _look_at_all(context)
+    seen, looks = look(context), looks + 1
+    telling = seen  # the look with the best reason for a refusal: nearest to the place, or with a sphere
     try:
-        seen, looks = look(context), looks + 1
         while seen.point is None:
             _settle_onto(context, search_pose(expected, looks - 2))
             seen, looks = look(context), looks + 1
+            if telling.left is None and seen.left is not None:
+                telling = seen
     except SphereNotInView as error:
-        raise SphereNotFound(f"{error.what}; the last look: {seen.reason}", limit=error.limit) from error
+        raise SphereNotFound(f"{error.what}: {telling.reason}", limit=error.limit) from error
     return seen, looks
 
 

@@ -9,15 +9,17 @@ from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import (
     NoContrast,
     NoSphere,
+    NotTrusted,
     PairNotUsable,
     RaysDoNotMeet,
     WrongSize,
 )
 from procedures.relocalization.pairing import AreaImage, locate_sphere
-from procedures.relocalization.sphere import SphereImage
+from procedures.relocalization.sphere_image import SphereImage
 from procedures.relocalization.triangulation import StereoPoint
 from ronna_hw.calibration import CameraCalibration
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
+from ronna_hw.errors import RonnaError
 
 # What a look may end with when the sphere is not there, or is another thing; everything else is a fault.
 NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
@@ -33,7 +35,12 @@ class Look:
     left: SphereImage | None
     right: SphereImage | None
     point: StereoPoint | None
-    reason: str = ""
+    problem: RonnaError | None = None
+
+    @property
+    def reason(self) -> str:
+        """What kept it from giving a point, in words."""
+        return "" if self.problem is None else self.problem.what
 
 
 def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> AreaOfInterest:
@@ -72,9 +79,12 @@ def look(context: StepContext) -> Look:
     try:
         seen = locate_sphere(*images, context.calibrations.stereo_head)
     except NOT_SEEN as error:
-        return Look(reading, None, None, None, error.what)
-    reason = "" if seen.point is not None else "too much of the rim is hidden"
-    return Look(reading, seen.left, seen.right, seen.point, reason)
+        return Look(reading, None, None, None, error)
+    problem = None
+    if seen.point is None:
+        rims = f"{seen.left.rim_fraction:.0%} left, {seen.right.rim_fraction:.0%} right"
+        problem = NotTrusted(seen.doubt, last=f"rim in view {rims}")
+    return Look(reading, seen.left, seen.right, seen.point, problem)
 
 
 def _placed(image: CameraImage) -> AreaImage:

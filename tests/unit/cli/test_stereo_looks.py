@@ -16,7 +16,7 @@ from procedures.cli import stereo_ball, stereo_looks, stereo_session
 from procedures.cli.stereo_ball import BallPlace, place_of_ball
 from procedures.cli.stereo_looks import APPROACH_RAD, BallWatcher, surround_ball
 from procedures.cli.stereo_session import check_look
-from procedures.relocalization.errors import SphereNotInView
+from procedures.relocalization.errors import NoSphere, SphereNotInView
 from procedures.steps.stereo_look import Look
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.model import radians6
@@ -65,7 +65,7 @@ def context_with(arm: Arm) -> Any:
 
 @pytest.fixture
 def nothing_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = Look(SimpleNamespace(), None, None, None, "no sphere in view")  # type: ignore[arg-type]
+    nothing = Look(SimpleNamespace(), None, None, None, NoSphere("no sphere in view"))  # type: ignore[arg-type]
     monkeypatch.setattr(stereo_looks, "look", lambda _context: nothing)
 
 

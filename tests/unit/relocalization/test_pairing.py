@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from procedures.relocalization import AreaImage, locate_sphere, measure_sphere, measure_spheres
-from procedures.relocalization.errors import NoSphere, RaysDoNotMeet
+from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, Saturated
 from procedures.relocalization.pairing import radius_range_px
 
 PLACE_MM = np.array([1.0, -0.5, 0.3])
@@ -84,6 +84,7 @@ def test_too_little_rim_in_one_image_gives_outlines_but_no_point(renderer, head,
     assert found.point is None
     assert found.left.status == "OK"
     assert found.right.status == "UNRELIABLE"
+    assert found.doubt == "right camera: too much of the rim is hidden"
 
 
 def test_areas_of_interest_give_the_point_of_the_whole_sensors(renderer, head, look):
@@ -95,5 +96,17 @@ def test_areas_of_interest_give_the_point_of_the_whole_sensors(renderer, head, l
 
 def test_an_image_without_a_sphere_is_refused(renderer, head, look):
     left = pair(renderer, head, look)[0]
-    with pytest.raises(NoSphere, match="STE-003"):
+    with pytest.raises(NoSphere, match="STE-003: right camera: no sphere in view"):
         locate_sphere(left, AreaImage(disc(1000, 500, 100).astype(np.uint8)), head.calibration)
+
+
+def test_what_is_wrong_with_either_image_is_told_by_its_camera(renderer, head, look):
+    black, white = (AreaImage(np.full((1088, 2048), level, np.uint8)) for level in (3, 255))
+    good = pair(renderer, head, look)[0]
+    for images, kind, told in (
+        ((good, black), NoContrast, "right camera: the image is dark all over"),
+        ((black, black), NoContrast, "both cameras: the image is dark all over"),
+        ((black, white), Saturated, "left camera: the image is dark all over; right camera: .* saturated"),
+    ):
+        with pytest.raises(kind, match=told):
+            locate_sphere(*images, head.calibration)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from stereo_bench import StereoCell, calibrated_cell, servo_campaign, without_arm_errors
 
+from procedures.cli.stereo_present import show_look
 from procedures.engine.errors import SphereNotFound
-from procedures.relocalization.errors import PairNotUsable, Saturated
+from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
 from ronna_hw.devices.readings import StereoReading, Validity
 from sim.theatre.built_in import built_in_scene
 
@@ -80,20 +81,19 @@ def test_sixty_starts_end_within_eight_steps() -> None:
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_of_a_thousand_starts_no_sphere_is_lost_and_all_but_a_few_end_within_eight_steps() -> None:
-    """At one in a thousand, four and more of a thousand are drawn once in fifty such runs."""
+def test_of_a_thousand_starts_no_sphere_is_lost_and_999_end_within_eight_steps() -> None:
     found = servo_campaign(1000, first_seed=300)
     assert found.failures == []
-    assert found.within >= 997
+    assert found.within >= 999
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_of_five_thousand_starts_999_in_a_thousand_end_within_eight_steps() -> None:
+def test_of_ten_thousand_starts_999_in_a_thousand_end_within_eight_steps() -> None:
     """With looks that tell the truth: what keeps a servo from its end is that the arm does not repeat."""
-    found = servo_campaign(5000, drawn=False)
+    found = servo_campaign(10_000, drawn=False)
     assert found.failures == []
-    assert found.within >= 4995
+    assert found.within >= 9990
 
 
 @pytest.mark.soak
@@ -102,6 +102,16 @@ def test_without_arm_errors_no_point_of_three_hundred_is_off_beyond_repeatabilit
     found = servo_campaign(300, without_arm_errors)
     assert found.failures == []
     assert max(found.beyond_mm) <= 0.02
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+@pytest.mark.hazard(27)
+def test_where_another_sphere_stands_in_the_way_the_point_is_right_or_there_is_none() -> None:
+    """From sides that the path check refuses."""
+    found = servo_campaign(100, without_arm_errors, in_sight=False)
+    assert max(found.beyond_mm) <= 0.02
+    assert all(words.startswith("PRO-008") for words in found.failures)
 
 
 def test_a_sphere_out_of_view_is_found_by_the_search(cell: StereoCell) -> None:
@@ -128,7 +138,7 @@ def test_where_there_is_no_sphere_the_whole_pattern_is_looked_at_and_then_refuse
 def test_black_images_end_in_a_refusal_that_says_so(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.stereo.set_exposure(24, 36)
-    with pytest.raises(SphereNotFound, match=r"PRO-008.*the image is dark all over"):
+    with pytest.raises(SphereNotFound, match=r"PRO-008.*both cameras: the image is dark all over"):
         cell.centre(start)
 
 
@@ -136,7 +146,7 @@ def test_black_images_end_in_a_refusal_that_says_so(cell: StereoCell) -> None:
 def test_saturated_images_stop_at_once_without_a_search(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.stereo.set_exposure(1_000_000, 512)
-    with pytest.raises(Saturated, match="STE-011: the image is saturated"):
+    with pytest.raises(Saturated, match="STE-011: both cameras: the image is saturated"):
         cell.centre(start)
     assert cell.stereo.pairs == 1
 
@@ -172,8 +182,23 @@ def test_a_pair_that_is_out_of_step_once_is_taken_again(cell: StereoCell) -> Non
 def test_a_hidden_rim_gives_no_point_however_often_it_is_looked_at(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.world.set_fault_script("now: camera occlude right 45 %")
-    with pytest.raises(SphereNotFound, match=r"PRO-008.*(too much of the rim is hidden|no sphere in view)"):
+    with pytest.raises(SphereNotFound, match=r"PRO-008.*right camera: too much of the rim is hidden"):
         cell.centre(start)
+
+
+@pytest.mark.hazard(27)
+def test_a_look_at_a_half_hidden_sphere_shows_it_and_says_why_its_centre_is_not_trusted(
+    cell: StereoCell,
+) -> None:
+    start = start_of(cell, 2.0)
+    assert cell.look_from(start).problem is None
+    cell.world.set_fault_script("now: camera occlude right 45 %")
+    seen = cell.look_from(start)
+    assert seen.left is not None
+    assert seen.left.status == "OK"
+    assert seen.reason == "right camera: too much of the rim is hidden"
+    with pytest.raises(NotTrusted, match=r"STE-013: right camera.*rim in view [0-9]+% left, 4[0-9]% right"):
+        show_look(seen, as_json=True)
 
 
 @pytest.mark.hazard(27)
