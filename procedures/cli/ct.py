@@ -89,6 +89,13 @@ def localize(
             help="Write the spheres: .dcm (Spatial Fiducials), .json, .mrk.json, .csv.",
         ),
     ] = None,
+    identity: Annotated[
+        bool,
+        typer.Option(
+            "--identity",
+            help="Also say whose series it is, here and in .dcm files. Otherwise nothing names a patient.",
+        ),
+    ] = False,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
 ) -> None:
@@ -111,6 +118,7 @@ def localize(
     refused: MarkerCountWrong | None = None
     with console.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
+        patient = imaging.read_identity(series_dir) if identity else None
         began_s = time.perf_counter()
         localize_in = partial(imaging.localize, volume)
         if picks_mm is not None:
@@ -126,6 +134,8 @@ def localize(
         except MarkerCountWrong as error:
             refused = error
         elapsed_s = time.perf_counter() - began_s
+    if patient is not None and not as_json:
+        console.tell(f"patient: {patient.describe()}")
     for sentence in volume.warnings:
         console.tell(f"warning: {sentence}")
     if refused is not None:
@@ -139,9 +149,11 @@ def localize(
         raise refused
     if pictures is not None:
         _write_pictures(pictures, volume, result)
-    write_spheres(result, write or ())
+    write_spheres(result, write or (), patient)
     if as_json:
         document = _document(result, elapsed_s)
+        if patient is not None:
+            document["patient"] = patient.as_dict()
         if show_candidates:
             document["candidates"] = _listed(_likely_first(result.candidates))
         console.print_json(document)

@@ -1,4 +1,6 @@
-"""What a registration and a set of fiducials share as DICOM objects. No patient's identity is in them.
+"""What a registration and a set of fiducials share as DICOM objects.
+
+No patient's identity is in them, unless somebody asks for it with `name_patient`.
 
 Attributes that DICOM demands but allows to be empty stay empty: a clinical archive fills them in when it
 takes the object over. Identifiers are derived from the content, so the same result gives the same object.
@@ -46,8 +48,7 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
     made.SpecificCharacterSet = "ISO_IR 192"
     made.SOPClassUID = sop_class
     made.SOPInstanceUID = instance
-    for name in ("PatientName", "PatientID", "PatientBirthDate", "PatientSex"):
-        setattr(made, name, "")
+    name_patient(made, "", "", "", "")
     for name in ("StudyDate", "StudyTime", "AccessionNumber", "ReferringPhysicianName", "StudyID"):
         setattr(made, name, "")
     made.StudyInstanceUID = uid(origin, "study")
@@ -66,6 +67,12 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
     made.ContentDescription = description
     made.ContentCreatorName = ""
     return made
+
+
+def name_patient(made: Dataset, name: str, identifier: str, birth_date: str, sex: str) -> None:
+    """Say whose object it is, in the words of the series (birth date YYYYMMDD)."""
+    made.PatientName, made.PatientID = name, identifier
+    made.PatientBirthDate, made.PatientSex = birth_date, sex
 
 
 def instance_uid(origin: Origin, modality: str) -> UID:

@@ -12,7 +12,7 @@ from procedures.exchange.errors import NotWritable, UnknownForm
 from ronna_hw.records import canonical_json, write_whole
 
 if TYPE_CHECKING:
-    from procedures.imaging import Localization
+    from procedures.imaging import Localization, PatientIdentity
 
 MARKUPS, JSON, CSV, DICOM = ".mrk.json", ".json", ".csv", ".dcm"
 
@@ -24,12 +24,15 @@ def check_names(paths: Sequence[Path]) -> None:
             raise UnknownForm(f"cannot tell the form of {path.name}")
 
 
-def write_spheres(found: Localization, paths: Sequence[Path]) -> None:
-    """Write the spheres into each of the files. Raises EXC-001, EXC-002."""
+def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientIdentity | None = None) -> None:
+    """Write the spheres into each of the files; a `patient` is named in DICOM files alone.
+
+    Raises EXC-001, EXC-002.
+    """
     check_names(paths)
     if not paths:
         return
-    from procedures.exchange.dicom_object import Origin, write
+    from procedures.exchange.dicom_object import Origin, name_patient, write
     from procedures.exchange.plain_files import document, slicer_markups, table
     from procedures.exchange.run_export import fiducials
     from procedures.exchange.spatial_fiducials import spatial_fiducials
@@ -49,7 +52,10 @@ def write_spheres(found: Localization, paths: Sequence[Path]) -> None:
     origin = Origin(found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key)
     for path in paths:
         if path.name.endswith(DICOM):
-            write(spatial_fiducials(spheres, origin), path)
+            made = spatial_fiducials(spheres, origin)
+            if patient is not None:
+                name_patient(made, patient.name, patient.identifier, patient.birth_date, patient.sex)
+            write(made, path)
             continue
         if path.name.endswith(MARKUPS):
             text = slicer_markups(spheres)

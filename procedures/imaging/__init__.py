@@ -2,6 +2,7 @@
 
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Candidate, Localization, Marker
+from procedures.imaging.patient_identity import PatientIdentity, read_identity
 from procedures.imaging.pick_files import read_picks
 from procedures.imaging.picks import localize_picks
 from procedures.imaging.series import read_series
@@ -12,12 +13,14 @@ __all__ = [
     "Candidate",
     "Localization",
     "Marker",
+    "PatientIdentity",
     "ThesisFit",
     "Volume",
     "VoxelGeometry",
     "localize",
     "localize_as_thesis",
     "localize_picks",
+    "read_identity",
     "read_picks",
     "read_series",
 ]

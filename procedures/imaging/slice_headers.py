@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from procedures.imaging.dicom_attributes import (
+    numbers,
+    optional_number,
+    read_dicom,
+    required_text,
+    text,
+    value,
+)
 from procedures.imaging.errors import (
     AttributeMissing,
     FileDamaged,
@@ -22,7 +28,7 @@ from procedures.imaging.errors import (
 )
 
 if TYPE_CHECKING:
-    from pydicom.dataset import Dataset, FileDataset
+    from pydicom.dataset import FileDataset
 
 Progress = Callable[[float], None]
 
@@ -47,10 +53,10 @@ _UNSPECIFIED = frozenset({"US", "HU_MOD"})  # perhaps HU: the reader is warned
 SLOPE_LIMITS = (0.0625, 10.0)  # 16 bits hold 4096 HU; steps no coarser than half the noise of a good scan
 INTERCEPT_LIMIT = 65536.0  # 16 bits, whichever sign
 
+_IMAGE_TAGS = ("SOPClassUID", "Rows", "Columns")  # by these an image is told from other objects
 _TAGS = (
     "ImageType",
     "LossyImageCompression",
-    "SOPClassUID",
     "Modality",
     "SeriesInstanceUID",
     "FrameOfReferenceUID",
@@ -60,11 +66,10 @@ _TAGS = (
     "PixelSpacing",
     "SliceThickness",
     "GantryDetectorTilt",
-    "Rows",
-    "Columns",
     "RescaleSlope",
     "RescaleIntercept",
     "RescaleType",
+    "PatientID",  # compared, and forgotten
 )
 
 
@@ -95,42 +100,33 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
     Files that are not DICOM and DICOM objects without an image are left out. Raises CT-001 to CT-006 and
     CT-012, CT-020, CT-021; the message names the file, the series or the frame at fault.
     """
-    images = []
-    files = _files_in(directory)
-    for number, path in enumerate(files):
-        header = read_dicom(path, only=_TAGS) if _is_dicom(path) else None
-        if header is not None and _is_image(path, header):
-            images.append((path, header))
-        if progress is not None:
-            progress((number + 1) / len(files))
-    if not images:
-        raise SeriesEmpty(f"no DICOM image in {directory}")
+    images = read_images(directory, _TAGS, progress)
     _refuse_scouts(images)
     _refuse_several(
-        SeriesMixed, "series", (_text(path, header, "SeriesInstanceUID") for path, header in images)
+        SeriesMixed, "series", (text(path, header, "SeriesInstanceUID") for path, header in images)
     )
+    _refuse_several_patients(images)
     _refuse_other_modality(images)
     slices = tuple(_slice_header(path, header) for path, header in images)
     _refuse_several(FramesMixed, "frames of reference", (one.frame_of_reference_uid for one in slices))
     return slices
 
 
-def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDataset:
-    """One file as a data set; with `only`, those attributes and no pixels. Raises CT-005 with the name."""
-    import pydicom
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # oddities in attributes that are not used here
-            if only is None:
-                return pydicom.dcmread(path)
-            return pydicom.dcmread(path, stop_before_pixels=True, specific_tags=list(only))
-    except OSError as problem:
-        if problem.errno is None:
-            raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
-        raise
-    except Exception as problem:  # a damaged file can break the parser in any way
-        raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
+def read_images(
+    directory: Path, tags: tuple[str, ...], progress: Progress | None = None
+) -> list[tuple[Path, FileDataset]]:
+    """Those attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
+    images = []
+    files = _files_in(directory)
+    for number, path in enumerate(files):
+        header = read_dicom(path, only=_IMAGE_TAGS + tags) if _is_dicom(path) else None
+        if header is not None and _is_image(path, header):
+            images.append((path, header))
+        if progress is not None:
+            progress((number + 1) / len(files))
+    if not images:
+        raise SeriesEmpty(f"no DICOM image in {directory}")
+    return images
 
 
 def _files_in(directory: Path) -> list[Path]:
@@ -155,7 +151,7 @@ def _is_image(path: Path, header: FileDataset) -> bool:
     from pydicom import config
     from pydicom.uid import UID
 
-    stated = _value(path, header.file_meta, "MediaStorageSOPClassUID") or _text(path, header, "SOPClassUID")
+    stated = value(path, header.file_meta, "MediaStorageSOPClassUID") or text(path, header, "SOPClassUID")
     kind = UID(str(stated), validation_mode=config.IGNORE)
     if kind == _DIRECTORY_STORAGE:
         return False
@@ -176,12 +172,18 @@ def _refuse_several(error: type[SeriesMixed | FramesMixed], noun: str, values: I
         )
 
 
+def _refuse_several_patients(images: list[tuple[Path, FileDataset]]) -> None:
+    count = len({text(path, header, "PatientID") for path, header in images} - {""})
+    if count > 1:  # who they are is not for messages
+        raise SeriesMixed(f"the slices name {count} patients under one series")
+
+
 def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
     for path, header in images:
-        modality = _text(path, header, "Modality")
+        modality = text(path, header, "Modality")
         if modality != "CT":
             raise WrongModality(f"{path.name} has modality {modality or '(none)'}", awaited="CT")
-        if _text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
+        if text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
             raise WrongModality(f"{path.name} is a multi-frame (enhanced) CT", awaited="one slice per file")
 
 
@@ -192,23 +194,23 @@ def _refuse_scouts(images: list[tuple[Path, FileDataset]]) -> None:
 
 
 def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
-    spacing = _numbers(path, header, "PixelSpacing", 2)
+    spacing = numbers(path, header, "PixelSpacing", 2)
     rows, columns = int(header.Rows), int(header.Columns)
     if min(spacing) <= 0 or min(rows, columns) < 1:
         raise AttributeMissing(f"{path.name}: pixel spacing {spacing} mm, {rows} rows, {columns} columns")
     slope, intercept = _rescale(path, header)
-    thickness = _optional_number(path, header, "SliceThickness")
+    thickness = optional_number(path, header, "SliceThickness")
     return SliceHeader(
         path=path,
-        series_instance_uid=_required_text(path, header, "SeriesInstanceUID"),
-        frame_of_reference_uid=_required_text(path, header, "FrameOfReferenceUID"),
-        patient_position=_text(path, header, "PatientPosition"),
-        position_mm=_numbers(path, header, "ImagePositionPatient", 3),
-        orientation=_numbers(path, header, "ImageOrientationPatient", 6),
+        series_instance_uid=required_text(path, header, "SeriesInstanceUID"),
+        frame_of_reference_uid=required_text(path, header, "FrameOfReferenceUID"),
+        patient_position=text(path, header, "PatientPosition"),
+        position_mm=numbers(path, header, "ImagePositionPatient", 3),
+        orientation=numbers(path, header, "ImageOrientationPatient", 6),
         row_spacing_mm=spacing[0],
         column_spacing_mm=spacing[1],
         thickness_mm=thickness,
-        tilt_deg=_optional_number(path, header, "GantryDetectorTilt") or 0.0,
+        tilt_deg=optional_number(path, header, "GantryDetectorTilt") or 0.0,
         rows=rows,
         columns=columns,
         slope=slope,
@@ -219,8 +221,8 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
 
 def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
     """Slope and intercept that can be those of a CT; raises CT-012, CT-020."""
-    slope = _numbers(path, header, "RescaleSlope", 1)[0]
-    intercept = _numbers(path, header, "RescaleIntercept", 1)[0]
+    slope = numbers(path, header, "RescaleSlope", 1)[0]
+    intercept = numbers(path, header, "RescaleIntercept", 1)[0]
     low, high = SLOPE_LIMITS
     if not low <= slope <= high:
         raise RescaleUnusable(
@@ -230,7 +232,7 @@ def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
         raise RescaleUnusable(
             f"{path.name}: RescaleIntercept is {intercept:g}", limit=f"{INTERCEPT_LIMIT:g} HU, whichever sign"
         )
-    kind = _text(path, header, "RescaleType").upper()
+    kind = text(path, header, "RescaleType").upper()
     if kind not in _HOUNSFIELD | _UNSPECIFIED:
         raise RescaleUnusable(f"{path.name}: RescaleType is {kind}", awaited="HU")
     return slope, intercept
@@ -240,51 +242,14 @@ def _oddities(path: Path, header: FileDataset) -> tuple[str, ...]:
     told = []
     if _image_type(path, header)[:1] == (_DERIVED,):
         told.append("derived images: another program resampled or filtered what the scanner made")
-    if _text(path, header, "LossyImageCompression") == _LOSSY:
+    if text(path, header, "LossyImageCompression") == _LOSSY:
         told.append("images that were compressed with loss: edges are not where the scanner saw them")
-    if _text(path, header, "RescaleType").upper() in _UNSPECIFIED:
+    if text(path, header, "RescaleType").upper() in _UNSPECIFIED:
         told.append("intensities of an unspecified unit: they are taken for Hounsfield units")
     return tuple(told)
 
 
 def _image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
-    stated = _value(path, header, "ImageType") or ()
+    stated = value(path, header, "ImageType") or ()
     words = (stated,) if isinstance(stated, str) else stated
     return tuple(str(word).strip().upper() for word in words)
-
-
-def _value(path: Path, header: Dataset, keyword: str) -> Any:
-    """The decoded value; pydicom decodes only now, so a bad one shows here."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return header.get(keyword)
-    except Exception as problem:
-        raise AttributeMissing(f"{path.name}: {keyword} is unreadable") from problem
-
-
-def _numbers(path: Path, header: FileDataset, keyword: str, count: int) -> tuple[float, ...]:
-    value = _value(path, header, keyword)
-    try:
-        numbers = tuple(float(item) for item in ([value] if count == 1 else value))
-    except (TypeError, ValueError):
-        numbers = ()
-    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        raise AttributeMissing(f"{path.name}: {keyword} is missing or not {count} finite numbers")
-    return numbers
-
-
-def _optional_number(path: Path, header: FileDataset, keyword: str) -> float | None:
-    return None if _value(path, header, keyword) in (None, "") else _numbers(path, header, keyword, 1)[0]
-
-
-def _text(path: Path, header: Dataset, keyword: str) -> str:
-    value = _value(path, header, keyword)
-    return "" if value is None else str(value).strip()
-
-
-def _required_text(path: Path, header: FileDataset, keyword: str) -> str:
-    text = _text(path, header, keyword)
-    if not text:
-        raise AttributeMissing(f"{path.name}: {keyword} is missing")
-    return text

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.imaging.dicom_attributes import read_dicom
 from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
-from procedures.imaging.slice_headers import SliceHeader, read_dicom
+from procedures.imaging.slice_headers import SliceHeader
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset

@@ -145,6 +145,30 @@ def test_pictures_are_written_into_a_new_folder(series: Path, tmp_path: Path) ->
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
 
 
+@pytest.mark.hazard(35)
+def test_nobody_is_named_unless_asked_for(series: Path, tmp_path: Path) -> None:
+    forms = [tmp_path / f"spheres{ending}" for ending in (".dcm", ".json", ".csv", ".mrk.json")]
+    written = [word for path in forms for word in ("--write", path)]
+    done = ronna_ct(
+        "localize", series, "--verbose", "--candidates", "--pictures", tmp_path / "seen", *written
+    )
+    assert done.returncode == 0
+    everything = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
+    assert len(everything) == len(forms) + 2
+    for shown in (done.stdout.encode(), done.stderr.encode(), *everything):
+        assert b"secret" not in shown.lower()
+
+
+def test_the_patient_is_named_to_who_asks(series: Path, tmp_path: Path) -> None:
+    asked = ronna_ct("localize", series, "--identity", "--json", "--write", tmp_path / "spheres.dcm")
+    patient = json.loads(asked.stdout)["patient"]
+    assert patient == {"name": "Secret^Name", "identifier": "SECRET-ID", "birth_date": "", "sex": ""}
+    fiducials = pydicom.dcmread(tmp_path / "spheres.dcm")
+    assert (fiducials.PatientName, fiducials.PatientID) == ("Secret^Name", "SECRET-ID")
+    told = ronna_ct("localize", series, "--identity")
+    assert told.stderr == "patient: Secret^Name, identifier SECRET-ID\n"
+
+
 def test_another_count_is_refused_with_the_candidates(series: Path) -> None:
     done = ronna_ct("localize", series, "--expected", 3, "--json")
     assert (done.returncode, done.stdout) == (3, "")

@@ -62,6 +62,7 @@ def decimal_pixels(data: Dataset) -> None:
 
 EDITED = {
     "mixed series": (only(2, setting(SeriesInstanceUID="1.2.3.4")), errors.SeriesMixed, "1.2.3.4"),
+    "two patients": (only(2, setting(PatientID="SECRET-TOO")), errors.SeriesMixed, "name 2 patients"),
     "another modality": (
         every(setting(Modality="MR", SOPClassUID=MRImageStorage)),
         errors.WrongModality,

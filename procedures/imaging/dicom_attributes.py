@@ -1,0 +1,68 @@
+"""Attributes of DICOM files, each checked where it is read; what is wrong names the file."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from procedures.imaging.errors import AttributeMissing, FileDamaged
+
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset, FileDataset
+
+
+def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDataset:
+    """One file as a data set; with `only`, those attributes and no pixels. Raises CT-005 with the name."""
+    import pydicom
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # oddities in attributes that are not used here
+            if only is None:
+                return pydicom.dcmread(path)
+            return pydicom.dcmread(path, stop_before_pixels=True, specific_tags=list(only))
+    except OSError as problem:
+        if problem.errno is None:
+            raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
+        raise
+    except Exception as problem:  # a damaged file can break the parser in any way
+        raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
+
+
+def value(path: Path, header: Dataset, keyword: str) -> Any:
+    """The decoded value; pydicom decodes only now, so a bad one shows here."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return header.get(keyword)
+    except Exception as problem:
+        raise AttributeMissing(f"{path.name}: {keyword} is unreadable") from problem
+
+
+def numbers(path: Path, header: FileDataset, keyword: str, count: int) -> tuple[float, ...]:
+    stated = value(path, header, keyword)
+    try:
+        found = tuple(float(item) for item in ([stated] if count == 1 else stated))
+    except (TypeError, ValueError):
+        found = ()
+    if len(found) != count or not all(math.isfinite(number) for number in found):
+        raise AttributeMissing(f"{path.name}: {keyword} is missing or not {count} finite numbers")
+    return found
+
+
+def optional_number(path: Path, header: FileDataset, keyword: str) -> float | None:
+    return None if value(path, header, keyword) in (None, "") else numbers(path, header, keyword, 1)[0]
+
+
+def text(path: Path, header: Dataset, keyword: str) -> str:
+    stated = value(path, header, keyword)
+    return "" if stated is None else str(stated).strip()
+
+
+def required_text(path: Path, header: FileDataset, keyword: str) -> str:
+    stated = text(path, header, keyword)
+    if not stated:
+        raise AttributeMissing(f"{path.name}: {keyword} is missing")
+    return stated
