@@ -1,8 +1,8 @@
 """Second estimator of a sphere's centre: a blurred ball fitted to the voxels themselves.
 
 Unknown are the centre, both intensities, both blurs, the radius and the background. Voxels near metal are
-left out and outliers (post, skin) are weighed down. The fit runs three times: with a sloping background; with
-a bent one, which shows how much streaks of metal there are; and with one as bent as that.
+left out. A robust fit, which outliers (post, skin) cannot pull, finds what does not belong to the ball; from
+the rest a fit that knows its noise and its streaks takes all they hold.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from procedures.imaging.ball_model import BALL, IN, OUT, RADIUS, SLOPE, SXY, SZ, intensities, polynomial
-from procedures.imaging.noise_covariance import CorrelatedNoise
+from procedures.imaging.ball_model import IN, OUT, RADIUS, SXY, SZ
+from procedures.imaging.ball_voxels import MIN_VOXELS, BallVoxels
 from procedures.imaging.region import Region
-from procedures.imaging.robust_fit import cauchy_weights, inverse_normal, minimise, scale
-from procedures.imaging.streak_background import BENT, FITTED_DEGREES, StreakPrior
+from procedures.imaging.whitened_ball import fit_whitened
 
 Array = NDArray[np.float64]
 
@@ -28,8 +27,6 @@ FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere take part
 HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; deeper the blur brings nothing of it
 HIDDEN_REACH = 0.14  # rad, a ray stands for its surroundings; neighbours are 0.18 apart
 START_BLUR_MM = 0.42  # sigma of a usual reconstruction kernel
-BLUR_LIMITS_MM = (0.15, 2.0)
-MIN_VOXELS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +69,9 @@ def fit_blurred_ball(
     metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
     slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
     start = np.array([*start_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
-    fitted = _Voxels.of(region, usable, radius_mm).fit(start)
+    voxels = BallVoxels.of(region, usable, radius_mm)
+    settled = voxels.robust_fit(start)
+    fitted = None if settled is None else fit_whitened(voxels.without_outliers(settled), settled)
     if fitted is None:
         return None
     return BlurredBall(
@@ -85,91 +84,6 @@ def fit_blurred_ball(
         streak_hu=fitted.streak_hu,
         contrast_hu=float(fitted.unknowns[IN] - fitted.unknowns[OUT]),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    unknowns: Array
-    covariance_mm2: Array
-    noise_hu: float
-    streak_hu: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Voxels:
-    """The voxels that take part: indices and grid mm (n, 3), HU (n,), terms of the background (n, m)."""
-
-    where: NDArray[np.int64]
-    points_mm: Array
-    values: Array
-    places: Array  # (n, 3) in radii from their middle
-    background: Array
-    spacing_mm: Array
-    farthest_mm: float  # from the start: further away is another object
-
-    @classmethod
-    def of(cls, region: Region, usable: NDArray[np.bool_], radius_mm: float) -> _Voxels:
-        where = np.argwhere(usable)
-        points_mm = (where + region.start) * region.spacing_mm
-        places = (points_mm - points_mm.mean(axis=0)) / radius_mm
-        background = polynomial(places, FITTED_DEGREES)
-        values = region.values[usable]
-        return cls(where, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm)
-
-    def fit(self, ball: Array) -> _Fit | None:
-        """Fit from the unknowns of the ball alone; None when nothing settles nearby."""
-        sloping = np.zeros(SLOPE.stop)
-        sloping[:BALL] = ball
-        settled = self._minimum(sloping, np.zeros(SLOPE.stop), ball)
-        if settled is None:
-            return None
-        bent = np.zeros(BALL + self.background.shape[1])
-        bent[: SLOPE.stop] = settled
-        free = np.zeros(len(bent))
-        settled = self._minimum(bent, free, ball)
-        if settled is None:
-            return None
-        derivatives, pull, weights, _ = self._at(settled)
-        noise = CorrelatedNoise.of_residuals(self.where, pull, len(settled), self.spacing_mm)
-        inverse = inverse_normal(derivatives, weights, free)
-        prior = StreakPrior.of_free_fit(settled, derivatives @ inverse[:, BENT], noise)
-        stiffness = prior.stiffness(len(bent))
-        settled = self._minimum(settled, stiffness, ball)
-        if settled is None:
-            return None
-        derivatives, pull, weights, noise_hu = self._at(settled)
-        noise = CorrelatedNoise.of_residuals(self.where, pull, SLOPE.stop, self.spacing_mm)
-        inverse = inverse_normal(derivatives, weights, stiffness)
-        influence = derivatives @ inverse[:, :3]  # mm by which one HU of pull moves the centre
-        covariance_mm2 = noise.covariance_mm2(influence)
-        covariance_mm2 += prior.covariance_mm2(inverse, influence, weights, self.places)
-        return _Fit(settled, covariance_mm2, noise_hu, prior.streak_hu)
-
-    def _minimum(self, start: Array, stiffness: Array, ball: Array) -> Array | None:
-        background = self.background[:, : len(start) - BALL]
-        settled = minimise(
-            lambda unknowns: intensities(self.points_mm, unknowns, background),
-            self.values,
-            start,
-            stiffness,
-            _with_possible_blur,
-        )
-        if settled is None or np.linalg.norm(settled[:3] - ball[:3]) > self.farthest_mm:
-            return None
-        return settled
-
-    def _at(self, unknowns: Array) -> tuple[Array, Array, Array, float]:
-        """Derivatives, pull w·r of the residuals, weights, and the noise in HU."""
-        modelled, derivatives = intensities(self.points_mm, unknowns, self.background)
-        residuals = self.values - modelled
-        noise_hu = scale(residuals)
-        weights = cauchy_weights(residuals, noise_hu)
-        return derivatives, weights * residuals, weights, noise_hu
-
-
-def _with_possible_blur(unknowns: Array) -> Array:
-    unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
-    return unknowns
 
 
 def _far_from_metal(region: Region) -> NDArray[np.bool_]:

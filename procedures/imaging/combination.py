@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 # measured on painted spheres, noise 20 and 50 HU, voxels of 0.5 x 0.5 x 1 and 0.7 x 0.7 x 2 mm
 RAY_CORRELATION = 2.0  # neighbouring rays share voxels: variance against independent rays
 INTERPOLATION_ERROR_PER_MM = 0.004  # mm of error per mm² of voxel size, left by interpolating between voxels
-SLICE_PROFILE_ERROR_PER_MM = 0.001  # mm per mm²: a voxel is a box, the model blurs with a Gaussian
+SLICE_PROFILE_ERROR_PER_MM = 0.0003  # mm per mm²: a voxel is a box, the model blurs with a Gaussian
 ERROR_CORRELATION = 0.6  # between the errors of the two estimators
 # Streaks move the edges that rays find: 3-D error for bent terms as large as the contrast. From the tuning
 # families and synthetic bands and lobes on `plain`.
@@ -41,7 +41,9 @@ def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedC
     streaks_mm = EDGE_STREAK_ERROR_MM * ball.streak_hu / abs(ball.contrast_hu)
     first = RAY_CORRELATION * edge.covariance_mm2 + interpolation + streaks_mm**2 / 3.0 * np.eye(3)
     second = ball.covariance_mm2 + np.diag((SLICE_PROFILE_ERROR_PER_MM * spacing_mm**2) ** 2)
-    cross = ERROR_CORRELATION * _root(first) @ _root(second)
+    # one that knows nothing which the other does not know better gets no weight, rather than a negative one
+    correlation = min(ERROR_CORRELATION, float(np.sqrt(np.trace(second) / np.trace(first))))
+    cross = correlation * _root(first) @ _root(second)
     difference = edge.centre_mm - ball.centre_mm
     spread = first + second - cross - cross.T  # covariance of the difference
     gain = (second - cross.T) @ np.linalg.inv(spread)

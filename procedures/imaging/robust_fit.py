@@ -13,6 +13,7 @@ Model = Callable[[Array], tuple[Array, Array]]  # unknowns (m,) to values (n,) a
 STEPS = 25
 DONE_MM = 5e-5
 CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
+FLAT_TO = 6.0  # deviations: weights have fallen to a half
 MAD_TO_SIGMA = 1.4826
 MIN_NOISE_HU = 0.5  # rounding to whole HU alone gives 0.3
 MIN_GROWTH = 0.1
@@ -20,12 +21,9 @@ START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6
 BLOCK = 512  # rows; BLAS starts threads for larger products, whose waiting costs more than they bring
 
 
-def minimise(
-    model: Model, values: Array, start: Array, stiffness: Array, limits: Callable[[Array], Array]
-) -> Array | None:
+def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array], Array]) -> Array | None:
     """The unknowns that fit `values` (n,) best, the first three being a place in mm; None if nothing settles.
 
-    `stiffness` (m,) draws each unknown towards 0 (the noise's variance over the unknown's own);
     `limits` keeps unknowns in their range.
     """
     unknowns = start
@@ -36,15 +34,15 @@ def minimise(
     for _ in range(STEPS):
         noise = scale(residuals)
         weighted = cauchy_weights(residuals, noise)[:, None] * jacobian
-        normal = products(jacobian, weighted) + np.diag(stiffness)
-        gradient = weighted.T @ residuals - stiffness * unknowns
-        cost = _cost(residuals, noise, unknowns, stiffness)
+        normal = products(jacobian, weighted)
+        gradient = weighted.T @ residuals
+        cost = _cost(residuals, noise)
         while damping < MOST_DAMPING:
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
             trial = limits(unknowns + step)
             modelled, trial_jacobian = model(trial)
             trial_residuals = values - modelled
-            if _cost(trial_residuals, noise, trial, stiffness) <= cost:
+            if _cost(trial_residuals, noise) <= cost:
                 break
             if np.abs(step[:3]).max() < DONE_MM:
                 return unknowns
@@ -69,12 +67,19 @@ def cauchy_weights(residuals: Array, noise: float) -> Array:
     return np.asarray(1.0 / (1.0 + (residuals / (CAUCHY * noise)) ** 2))
 
 
-def inverse_normal(jacobian: Array, weights: Array, stiffness: Array) -> Array:
-    """How the unknowns answer (m, m) to the pull w·r of the residuals on them, at the minimum."""
-    # how fast the pull grows with the residual: 2w² - w is the derivative of r·w(r) for Cauchy weights
-    growth = max(float(np.mean(2.0 * weights**2 - weights)), MIN_GROWTH) / float(np.mean(weights))
-    normal = products(jacobian, weights[:, None] * jacobian) * growth
-    return np.asarray(np.linalg.pinv(normal + np.diag(stiffness), hermitian=True))
+def flat_weights(residuals: Array, noise: float) -> Array:
+    """Weights (n,) of 1 for whatever noise explains, and of almost nothing for outliers.
+
+    Cauchy weights bend the noise itself, which fills the fine detail of its spectrum: half of what whitening
+    gains would be lost again.
+    """
+    return np.asarray(1.0 / (1.0 + (residuals / (FLAT_TO * noise)) ** 4))
+
+
+def pull_growth(flat: Array) -> float:
+    """How fast the pull w·r grows with the residual r, over its weight, on average, for flat weights."""
+    # 4w² - 3w is the derivative of r·w(r)
+    return max(float(np.mean(4.0 * flat**2 - 3.0 * flat)), MIN_GROWTH) / float(np.mean(flat))
 
 
 def products(one: Array, other: Array) -> Array:
@@ -85,6 +90,5 @@ def products(one: Array, other: Array) -> Array:
     return total
 
 
-def _cost(residuals: Array, noise: float, unknowns: Array, stiffness: Array) -> float:
-    width = CAUCHY * noise
-    return float(np.log1p((residuals / width) ** 2).sum() + stiffness @ unknowns**2 / width**2)
+def _cost(residuals: Array, noise: float) -> float:
+    return float(np.log1p((residuals / (CAUCHY * noise)) ** 2).sum())
