@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -32,6 +33,8 @@ RECEIVE_BYTES = 4096
 CLOSE_TIMEOUT_S = 1.0
 ACKS_KEPT = 64
 ASK_AGAIN_S = 0.2  # two periods of the unasked state
+QUIET_S = 0.2  # the same: without a word for so long somebody should look how long it has been
+_TIMEVAL = struct.Struct("ll")
 
 T = TypeVar("T")
 
@@ -48,6 +51,10 @@ class Listener(Protocol):
 
     def controller_said(self, state: ControllerState) -> None:
         """A state came, asked or unasked."""
+        ...
+
+    def controller_quiet(self) -> None:
+        """Nothing has come for `QUIET_S`; called again and again."""
         ...
 
     def controller_lost(self, failure: RonnaError) -> None:
@@ -70,6 +77,8 @@ class EkiClient:
             ) from error
         self._socket.settimeout(None)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        # Of receiving only: whoever sends may wait for longer.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(0, round(QUIET_S * 1e6)))
         self._numbers = itertools.count(1)
         self._arrived = threading.Condition()
         self._sending = threading.Lock()
@@ -184,7 +193,7 @@ class EkiClient:
         scanner = TelegramScanner()
         failure: RonnaError
         try:
-            while data := self._socket.recv(RECEIVE_BYTES):
+            while data := self._next():
                 for telegram in scanner.feed(data):
                     self._take(parse_telegram(telegram))
             failure = ControllerLost(f"{self.where} closed the connection")
@@ -197,6 +206,15 @@ class EkiClient:
             self._arrived.notify_all()
         if self._listener is not None and not self._closing:
             self._listener.controller_lost(failure)
+
+    def _next(self) -> bytes:
+        """What the controller says next; empty when it has closed the connection."""
+        while True:
+            try:
+                return self._socket.recv(RECEIVE_BYTES)
+            except BlockingIOError:
+                if self._listener is not None:
+                    self._listener.controller_quiet()
 
     def _take(self, root: ElementTree.Element) -> None:
         try:

@@ -1,13 +1,24 @@
-"""Finds whole telegrams in a stream of bytes: EKI has no framing, a telegram ends with its root element."""
+"""Finds whole telegrams in a stream of bytes: EKI has no framing, a telegram ends with its root element.
+
+What breaks off is told with the first bytes of the next telegram. Else the next one would count as a part of
+it, and the controller would go unheard until the longest telegram is full.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from typing import NoReturn
 from xml.etree import ElementTree
 
 from drivers.kuka_rsi.errors import BadEkiTelegram
+from ronna_hw.wire.kuka_eki import ACK, STATE
 
 LONGEST_TELEGRAM = 16384  # the default BUFFSIZE of an EKI channel
+ROOTS = (STATE.encode(), ACK.encode())  # what a controller begins a telegram with, and nothing else
+
+_MARK = re.compile(rb"[<>\"']")
+_NAME = re.compile(rb"[^\s/>]*")
 
 
 class TelegramScanner:
@@ -23,7 +34,7 @@ class TelegramScanner:
         self._depth = 0
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Whole telegrams, in order. Raises EKI-004 when one grows too long or is not XML."""
+        """Whole telegrams, in order. Raises EKI-004 when one breaks off, grows too long or is not XML."""
         self._buffer += data
         while (tag := self._next_tag()) is not None:
             start, end = tag
@@ -36,6 +47,8 @@ class TelegramScanner:
                 if inner[:1] == b"/":
                     continue  # the end of something whose beginning was lost
                 self._begin, self._depth = start, 0
+            elif _name(inner) in ROOTS:
+                self._break_off()
             if inner[:1] == b"/":
                 self._depth -= 1
             elif inner[-1:] != b"/":
@@ -61,18 +74,29 @@ class TelegramScanner:
         if self._begin < 0 and start > 0:
             del buffer[:start]
             start = 0
-        quote = 0
-        for k in range(start + 1, len(buffer)):
-            byte = buffer[k]
+        quote = b""
+        for mark in _MARK.finditer(buffer, start + 1):
+            found = mark[0]
+            if found == b"<":
+                self._break_off()  # no tag holds one, not even in quotes
             if quote:
-                quote = 0 if byte == quote else quote
-            elif byte in b"\"'":
-                quote = byte
-            elif byte == ord(">"):
-                self._place = k + 1
-                return start, k
+                quote = b"" if found == quote else quote
+            elif found != b">":
+                quote = found
+            else:
+                self._place = mark.end()
+                return start, mark.start()
         self._place = start
         return None
+
+    def _break_off(self) -> NoReturn:
+        raise BadEkiTelegram("a telegram breaks off", awaited="its end", wire=bytes(self._buffer))
+
+
+def _name(tag: bytes) -> bytes:
+    """Of an opening tag; empty for a closing one."""
+    found = _NAME.match(tag)
+    return found[0] if found else b""
 
 
 def parse_telegram(telegram: bytes) -> ElementTree.Element:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from xml.etree import ElementTree
 
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, WrongController
@@ -49,7 +50,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
         raise BadEkiTelegram("a State without its axes", wire=ElementTree.tostring(element))
     holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
     try:
-        A1, A2, A3, A4, A5, A6 = (float(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
+        A1, A2, A3, A4, A5, A6 = (_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
         return ControllerState(
             received_s=received_s,
             mode=OperationMode(element.attrib[StateAttribute.MODE]),
@@ -120,5 +121,13 @@ def what_forbids_motion(
     return unmet
 
 
+def _number(text: str) -> float:
+    """A comparison with what is not a number is never true: it must not get as far as one."""
+    value = float(text)
+    if not isfinite(value):
+        raise ValueError(f"{text!r} is no number")
+    return value
+
+
 def _bool(element: ElementTree.Element, attribute: StateAttribute) -> bool:
-    return bool(float(element.attrib[attribute]))
+    return bool(_number(element.attrib[attribute]))

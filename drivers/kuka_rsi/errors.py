@@ -225,14 +225,17 @@ class NoAnswer(LinkTimeout):
     """A command was not answered in time."""
 
     code = "EKI-003"
-    action = "Check that the submit interpreter of the controller runs."
+    action = "Check that the submit interpreter of the controller runs; recover an arm that is in fault."
 
 
 class BadEkiTelegram(ProtocolError):
     """Bytes from the controller are no telegram of the agreed form."""
 
     code = "EKI-004"
-    action = "Load the EKI file of this driver on the controller."
+    action = (
+        "Look at the controller's message window, then recover the arm. If it repeats, load the EKI file of "
+        "this driver on the controller."
+    )
 
 
 class WrongController(ConnectError):

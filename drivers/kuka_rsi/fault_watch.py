@@ -2,6 +2,7 @@
 
 The real-time process stops the arm for what it sees by itself. What only EKI tells (emergency stop, guard,
 mode, drives, a message, or that the channel broke) is noticed here as soon as it arrives, and stops the arm.
+The reader of that channel looks here also while nothing arrives, so that nobody has to ask.
 """
 
 from __future__ import annotations
@@ -97,6 +98,10 @@ class FaultWatch:
         causes = what_forbids_motion(state, drives=True, modes=(self.mode,))
         if causes:
             self._stop_for(ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}"))
+
+    def controller_quiet(self) -> None:
+        """From the EKI reader: nothing has come for a while. What has become too long is latched."""
+        self.notice()
 
     def controller_lost(self, failure: RonnaError) -> None:
         """From the EKI reader: the channel broke. Nobody tells of an emergency stop any more."""

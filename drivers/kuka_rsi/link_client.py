@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import subprocess
@@ -29,6 +30,10 @@ START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05
 END_TIMEOUT_S = 2.0  # for the process to bring the arm to rest and end, after its input was closed
 LONGEST_MESSAGE = 4000
+GIVE_OUR_ADDRESS = (
+    "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
+    "controller's RSI interface; check that the cable is in and the interface is up."
+)
 
 Condition = Callable[[LinkState], bool]
 
@@ -189,7 +194,10 @@ class LinkClient:
         if state is None:
             raise LinkNotStarted(f"the real-time process for {where} says nothing", limit=f"{timeout_s:g} s")
         if state.phase is Phase.FAILED:
-            raise LinkNotStarted(f"cannot listen on {where}: {os.strerror(state.errno)}")
+            reason = f"cannot listen on {where}: {os.strerror(state.errno)}"
+            if state.errno == errno.EADDRNOTAVAIL:
+                raise LinkNotStarted(reason, awaited="an address of this computer", action=GIVE_OUR_ADDRESS)
+            raise LinkNotStarted(reason)
 
     def _beat(self) -> None:
         count = 0

@@ -18,6 +18,8 @@ from ronna_hw.config import DeviceConfig
 from sim.theatre.process import load_scene
 from sim.theatre.world import World
 
+NEVER_S = 10**9  # theatre time
+
 Condition = Callable[[], bool]
 
 
@@ -53,6 +55,8 @@ class RobotCell:
         ready = self.controller.ready["endpoints"]
         self.endpoints = {"rsi": ready["rsi"], "eki_project": ready["eki_project"]}
         self.arms: list[KukaRsiArm] = []
+        # A controller that reads its first script while the arm moves stands still for that long.
+        self.world.set_fault_script(f"at {NEVER_S} s: robot drop 1 %")
 
     def arm(self, **options: Any) -> KukaRsiArm:
         """A driver for this controller, closed at the end of the test."""

@@ -20,7 +20,6 @@ OTHER_FAULTS = {
     "enabling_switch": "T1 and T2",
     "start_key": "T1 and T2",
     "stick": "the arm's own, seen in its accuracy",
-    "eki_half": "the next request finds it, as a silence",
 }
 
 

@@ -36,8 +36,8 @@ class Case(NamedTuple):
 CONTROLLER_GAVE_UP = ("EKI-010", "RSI-003")
 WORKED_THROUGH = (
     Case("robot drop 20 % for 4 s", counter="late_cycles"),
-    Case("robot drop 100 % for 0.3 s", counter="late_cycles"),
-    Case("robot delay 1 cycles for 0.1 s", counter="late_cycles"),
+    Case("robot drop 100 % for 0.2 s", counter="late_cycles"),
+    Case("robot delay 1 cycles for 0.2 s", counter="late_cycles"),
     Case("robot duplicate 100 % for 4 s"),
     Case("robot reorder 5 % for 4 s", counter="late_cycles"),
     Case("robot corrupt replies 5 % for 4 s", counter="late_cycles"),
@@ -60,9 +60,10 @@ STOPPED = (
     Case("robot overload", ("RSI-005",), "following error"),
     Case("robot program restart", ("RSI-008", "RSI-003", "EKI-010"), ""),
     Case("robot eki cut", ("EKI-002",), "closed the connection"),
+    Case("robot eki half telegram", ("EKI-004",), "breaks off"),
     Case("robot eki silence for 60 s", ("EKI-003",), "says nothing", speed_fraction=0.1),
 )
-QUICK = ("robot foreign sender for 4 s", "robot emergency stop for 1 s", "robot eki cut", "robot overload")
+QUICK = ("robot foreign sender for 4 s", "robot overload")  # others stop in test_robot_stop_times.py
 
 
 def _parameters(cases: tuple[Case, ...]) -> list[Any]:

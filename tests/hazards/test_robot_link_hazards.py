@@ -16,7 +16,7 @@ import pytest
 from rsi_tap import RsiTap
 from user_commands import Commands
 
-from drivers.kuka_rsi.errors import WrongController
+from drivers.kuka_rsi.errors import ControllerStopped, WrongController
 from ronna_hw.arm.limits import WORKING_SPEED_FRACTION
 from ronna_hw.arm.model import ArmVariant, arm_model
 from ronna_hw.devices import Lifecycle
@@ -26,6 +26,8 @@ CYCLE_S = 0.004
 FULL_STEP_RAD = np.array(arm_model(ArmVariant.SIXX).full_speed_rad_s) * CYCLE_S
 WORKING_STEP_SHARE = WORKING_SPEED_FRACTION + 1e-3  # of a full-speed step: one prepared step and rounding
 LATE_STEP_SHARE = 2 * WORKING_SPEED_FRACTION + 1e-3  # two at once, below the quarter that a controller takes
+TAKEN_STEP_SHARE = 0.25  # what a controller takes in one cycle
+TWO_UNTOLD_SPEED_FRACTION = 0.08  # at which three steps at once are below that
 AWAY_RAD = 0.5
 LARGEST_ERROR_MM = 1.5  # at the target, as without any loss
 GENEROUS_S = 5.0  # for limits that are not the subject of a test: these machines stall
@@ -57,9 +59,9 @@ def tapped_cell(robot_cell: Any) -> Iterator[Callable[..., tuple[Any, RsiTap]]]:
     """Makes a robot cell with somebody on its wire."""
     made: list[tuple[Any, RsiTap]] = []
 
-    def make(*, late: bool) -> tuple[Any, RsiTap]:
+    def make(**tells: bool) -> tuple[Any, RsiTap]:
         cell = robot_cell()
-        tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad, late=late)
+        tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad, **tells)
         made.append((cell, tap))
         cell.endpoints["rsi"] = tap.endpoint
         return cell, tap
@@ -102,6 +104,19 @@ def test_while_replies_are_lost_at_full_working_speed_the_arm_arrives_without_a_
     assert arm.link_statistics().lost_cycles == 0
 
 
+def _lose_at_speed(cell: Any, tap: RsiTap, neighbours: int, speed_fraction: float) -> None:
+    """Lose so many neighbouring replies as soon as an axis has reached its working speed."""
+
+    def lose_when_fast() -> None:
+        step = np.radians(np.subtract(tap.acting_deg[-1], tap.acting_deg[-2])) / FULL_STEP_RAD
+        if step.max() > 0.99 * speed_fraction:
+            tap.on_cycle = None
+            begin_s, length_s = cell.world.clock.now_s() - CYCLE_S / 4, (neighbours - 0.5) * CYCLE_S
+            cell.world.set_fault_script(f"at {begin_s} s: robot drop 100 % for {length_s} s")
+
+    tap.on_cycle = lose_when_fast
+
+
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("late", [False, True], ids=["told at once", "told a telegram late"])
 @pytest.mark.parametrize("neighbours", [2, 25])
@@ -111,20 +126,57 @@ def test_after_a_burst_of_lost_replies_at_full_working_speed_the_arm_goes_on_wit
     cell, tap = tapped_cell(late=late)
     arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S)
     target = _away(arm.read_state().joints_rad)
-
-    def begin_burst_at_full_speed() -> None:
-        step = np.radians(np.subtract(tap.acting_deg[-1], tap.acting_deg[-2])) / FULL_STEP_RAD
-        if step.max() > 0.99 * WORKING_SPEED_FRACTION:
-            tap.on_cycle = None
-            begin_s, length_s = cell.world.clock.now_s() - CYCLE_S / 4, (neighbours - 0.5) * CYCLE_S
-            cell.world.set_fault_script(f"at {begin_s} s: robot drop 100 % for {length_s} s")
-
-    tap.on_cycle = begin_burst_at_full_speed
+    _lose_at_speed(cell, tap, neighbours, WORKING_SPEED_FRACTION)
     arm.move_joints(target)
     assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
     assert arm.state is Lifecycle.ACTIVE
     assert arm.link_statistics().late_cycles == neighbours
     assert max(_largest_steps(tap)) < (LATE_STEP_SHARE if late else WORKING_STEP_SHARE)
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize(
+    ("neighbours", "speed_fraction"),
+    [
+        pytest.param(1, WORKING_SPEED_FRACTION, marks=pytest.mark.slow),
+        (2, TWO_UNTOLD_SPEED_FRACTION),
+    ],
+)
+def test_what_a_controller_never_tells_is_one_longer_step_that_it_takes(
+    tapped_cell: Any, neighbours: int, speed_fraction: float
+) -> None:
+    cell, tap = tapped_cell(never=True)
+    arm = cell.active_arm(
+        silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S, speed_fraction=speed_fraction
+    )
+    target = _away(arm.read_state().joints_rad)
+    _lose_at_speed(cell, tap, neighbours, speed_fraction)
+    arm.move_joints(target)
+    assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
+    assert tap.lost == neighbours
+    assert arm.link_statistics().late_cycles == 0
+    # What came after the held values is the whole way in one step.
+    longest, _ = _largest_steps(tap)
+    assert longest == pytest.approx((neighbours + 1) * speed_fraction, rel=0.02)
+    assert longest < TAKEN_STEP_SHARE
+
+
+@pytest.mark.hazard(18)
+def test_two_neighbours_that_a_controller_never_tells_end_in_its_stop_at_full_working_speed(
+    tapped_cell: Any, awaited: Callable[..., None]
+) -> None:
+    cell, tap = tapped_cell(never=True)
+    arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S)
+    start = arm.read_state().joints_rad
+    _lose_at_speed(cell, tap, 2, WORKING_SPEED_FRACTION)
+    with pytest.raises(ControllerStopped, match="message"):
+        arm.move_joints(_away(start))
+    assert arm.state is Lifecycle.FAULT
+    awaited(lambda: cell.world.arm().at_rest)
+    # The longer step was refused and not followed.
+    _, truly = _largest_steps(tap)
+    assert truly < LATE_STEP_SHARE
+    assert cell.true_joints_rad()[0] < start[0] + AWAY_RAD - 0.01
 
 
 @pytest.mark.hazard(18)

@@ -20,8 +20,18 @@ CORRECTIONS = re.compile(
 class RsiTap:
     """Give the driver `endpoint` to listen on. In lock-step the world stands still at each look."""
 
-    def __init__(self, controller_sends_to: str, look: Callable[[], Sequence[float]], *, late: bool) -> None:
-        """`look` is called with each telegram. `late`: the count of lost replies is told a telegram late."""
+    def __init__(
+        self,
+        controller_sends_to: str,
+        look: Callable[[], Sequence[float]],
+        *,
+        late: bool = False,
+        never: bool = False,
+    ) -> None:
+        """`look` is called with each telegram.
+
+        `late`: the count of lost replies is told a telegram late. `never`: it is told as none.
+        """
         self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._front.bind((LOOPBACK, int(controller_sends_to.rpartition(":")[2])))
         self._back = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -31,7 +41,7 @@ class RsiTap:
             self._driver = free.getsockname()
         self.endpoint = f"udp://{LOOPBACK}:{self._driver[1]}"
         self._look = look
-        self._late = late
+        self._late, self._never = late, never
         self.seen: list[Sequence[float]] = []  # what `look` gave, one per cycle
         self.acting_deg: list[Sequence[float]] = []  # the corrections that acted in each cycle
         self._sent_deg: Sequence[float] = (0.0,) * 6
@@ -70,5 +80,5 @@ class RsiTap:
         self.seen.append(self._look())
         if self.on_cycle is not None:
             self.on_cycle()
-        told = before if self._late else self.lost
+        told = 0 if self._never else before if self._late else self.lost
         return data[: found.start(1)] + str(told).encode() + data[found.end(1) :]

@@ -1,21 +1,14 @@
-"""The small parts of the driver: mailbox, histogram, EKI framing and state, options, faults."""
+"""The small parts of the driver: mailbox, histogram, options, faults."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from drivers.kuka_rsi.eki_framing import TelegramScanner, parse_telegram
-from drivers.kuka_rsi.eki_state import ControllerState, read_state, require_ready
 from drivers.kuka_rsi.errors import (
-    BadEkiTelegram,
     BadOptions,
-    ControllerNotReady,
     ControllerRestarted,
     DrivesOff,
     HeartbeatLate,
@@ -145,85 +138,6 @@ def test_percentiles_lie_in_the_right_bin() -> None:
     counts[bin_of(1000.0)] = 1
     assert 8.0 < percentile_us(counts, 0.5) < 13.0
     assert 700.0 < percentile_us(counts, 0.999) < 1300.0
-
-
-# EKI framing
-
-STATE = (
-    b'<State Id="7" Mode="EXT" Drives="1" EStop="0" Guard="0" ProState="P_ACTIVE" Moving="0" Ov="100" Err="0"'
-    b' RSI="2" Tool="1" Base="0" Stopmess="0"><Axis A1="1.5" A2="0" A3="0" A4="0" A5="0" A6="0"></Axis>'
-    b'<Pos X="0" Y="0" Z="0" A="0" B="0" C="0" S="2" T="0"></Pos></State>'
-)
-ACK = b'<Ack Id="3" Cmd="STATUS" Code="0" Text="a &gt; b"></Ack>'
-
-
-@settings(max_examples=100, deadline=None)
-@given(cuts=st.lists(st.integers(0, 2 * len(STATE) + len(ACK)), max_size=8))
-def test_telegrams_come_whole_however_the_stream_is_cut(cuts: list[int]) -> None:
-    stream = STATE + b"\0\0\r\n" + ACK + STATE
-    places = [0, *sorted(cuts), len(stream)]
-    scanner = TelegramScanner()
-    found = [t for a, b in pairwise(places) for t in scanner.feed(stream[a:b])]
-    assert found == [STATE, ACK, STATE]
-
-
-def test_quoted_brackets_self_closing_elements_and_declarations_do_not_mislead() -> None:
-    telegram = b'<State a=">" b="/>"><Axis A1="1"/><Pos/></State>'
-    scanner = TelegramScanner()
-    assert list(scanner.feed(b'garbage </x><?xml version="1.0"?>' + telegram)) == [telegram]
-    assert list(scanner.feed(b"<Ack/>")) == [b"<Ack/>"]
-
-
-def test_a_declaration_of_a_type_is_refused() -> None:
-    with pytest.raises(BadEkiTelegram, match="declaration") as caught:
-        list(TelegramScanner().feed(b"<!DOCTYPE State><State></State>"))
-    assert caught.value.code == "EKI-004"
-
-
-def test_a_telegram_without_end_is_refused() -> None:
-    with pytest.raises(BadEkiTelegram, match="does not end"):
-        list(TelegramScanner().feed(b"<State>" + b"x" * 20_000))
-
-
-def test_crossed_elements_are_refused() -> None:
-    (telegram,) = TelegramScanner().feed(b"<State><Axis></State></Axis>")
-    with pytest.raises(BadEkiTelegram, match="well-formed"):
-        parse_telegram(telegram)
-
-
-def _state(**changes: str) -> ControllerState:
-    element = parse_telegram(STATE)
-    element.attrib.update(changes)
-    return read_state(element, 1.0)
-
-
-def test_a_state_is_read_and_what_it_does_not_say_is_none() -> None:
-    state = _state()
-    assert state.axes_deg[0] == 1.5
-    assert state.context_hash is None
-    assert state.holdon is None
-    assert _state(HoldOn="0").holdon is False
-    assert _state(Cycle="12").cycle_ms == 12
-
-
-@pytest.mark.parametrize("change", [{"Mode": "FREE"}, {"RSI": "9"}, {"Err": ""}, {"Tool": "x"}])
-def test_a_state_with_nonsense_is_refused(change: dict[str, str]) -> None:
-    with pytest.raises(BadEkiTelegram):
-        _state(**change)
-
-
-def test_a_state_without_axes_is_refused() -> None:
-    with pytest.raises(BadEkiTelegram, match="without its axes"):
-        read_state(parse_telegram(b'<State Mode="EXT"></State>'), 0.0)
-
-
-def test_everything_that_forbids_motion_is_named_at_once() -> None:
-    state = _state(Mode="T1", EStop="1", Guard="1", Err="310", Drives="0")
-    with pytest.raises(ControllerNotReady) as caught:
-        require_ready(state, drives=True)
-    for words in ("T1, not EXT", "emergency stop", "guard", "message 310", "drives are off"):
-        assert words in str(caught.value)
-    require_ready(_state(Drives="0"), drives=False)
 
 
 # Options

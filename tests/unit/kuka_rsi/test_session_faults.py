@@ -9,7 +9,9 @@ from session_cell import (
     FAR,
     MODEL,
     RAMP_DOWN_SHARE,
+    SETTINGS,
     START,
+    Cell,
     begun,
     fault_of,
     moving,
@@ -23,9 +25,14 @@ from drivers.kuka_rsi.link_state import (
 )
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.model import radians6
+from ronna_hw.arm.monitor import FOLLOWING_TIME_S
 from ronna_hw.arm.planning import MotionPlan
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.progress import PathLimits
+
+CYCLE_S = SETTINGS.cycle_ms / 1000.0
+LONGEST_STOP_S = 0.5  # of a path stop, as the table of disturbances promises
+MOST_CYCLES = 1000
 
 
 @pytest.mark.parametrize(
@@ -78,13 +85,14 @@ def test_a_line_without_a_solution_on_the_way_is_stopped_by_the_joints() -> None
 
 @pytest.mark.hazard(38)
 def test_an_axis_that_does_not_follow_stops_the_arm() -> None:
-    cell = moving()
+    cell = moving(cycles=150, target=(START[0] + radians(60), *START[1:]))  # one axis, at its working speed
     cell.follows = False
-    for _ in range(300):
-        cell.cycle()
+    cycles = _until_fault(cell)
     assert cell.session.fault is Fault.MONITOR
     assert cell.session.violation is not None
     assert cell.session.violation.kind == "following error"
+    assert cycles == pytest.approx(FOLLOWING_TIME_S / CYCLE_S, abs=3)
+    assert _rests_within(cell, LONGEST_STOP_S)
     assert cell.smooth()
 
 
@@ -105,9 +113,11 @@ def test_silence_beyond_the_limit_is_latched_and_the_motion_forgotten() -> None:
 def test_a_late_heartbeat_stops_the_arm_and_ends_the_program() -> None:
     cell = moving(cycles=1)
     cell.beats = False
-    for _ in range(600):
-        cell.cycle()
+    cycles = _until_fault(cell)
     assert cell.session.fault is Fault.HEARTBEAT
+    assert cycles == pytest.approx(SETTINGS.heartbeat_limit_s / CYCLE_S, abs=2)
+    assert _rests_within(cell, LONGEST_STOP_S)
+    cell.cycle()
     assert cell.session.phase is Phase.ENDING
     assert cell.sent[-1][1] == 1
     assert cell.smooth()
@@ -125,9 +135,26 @@ def test_a_heart_that_beats_now_and_then_keeps_the_session() -> None:
 def test_without_its_parent_the_arm_stops_and_the_program_is_ended() -> None:
     cell = moving()
     cell.session.parent_gone = True
-    for _ in range(150):
-        cell.cycle()
+    assert _rests_within(cell, LONGEST_STOP_S)
+    cell.cycle()
     assert cell.session.phase is Phase.ENDING
-    assert not cell.session.moving
     assert cell.sent[-1][1] == 1
     assert cell.smooth()
+
+
+def _until_fault(cell: Cell) -> int:
+    """Cycles until a fault is latched."""
+    for cycles in range(1, MOST_CYCLES):
+        cell.cycle()
+        if cell.session.fault:
+            return cycles
+    raise AssertionError("no fault")
+
+
+def _rests_within(cell: Cell, limit_s: float) -> bool:
+    """Whether the set-points come to rest in that time."""
+    for _ in range(round(limit_s / CYCLE_S)):
+        cell.cycle()
+        if not cell.session.moving:
+            return True
+    return False

@@ -1,0 +1,157 @@
+"""What only EKI tells while the arm moves: the next telegram gets the first point of a stop.
+
+Between two telegrams the controller stands still until the driver has heard it. So the promise is counted in
+cycles and not in the time of a busy machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from math import degrees
+from typing import Any
+
+import pytest
+from driven_arm import FAR, THERE, eventually, largest_step, moving, state_of
+
+from drivers.kuka_rsi.eki_framing import LONGEST_TELEGRAM
+from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerLost, ControllerStopped
+from ronna_hw.devices import Lifecycle
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.errors import RonnaError
+
+HANG_S = 60.0
+LONGEST_STOP_CYCLES = 125  # half a second: what the table of disturbances promises for a path stop
+WORKING_SHARE = 1 / 8  # of a full-speed step
+
+Happen = Callable[[Any], None]
+
+
+@pytest.fixture
+def patient_arm(make_arm: Any) -> Any:
+    """Active, and as patient as a controller that stands still needs."""
+    arm = make_arm(silence_limit_s=HANG_S, heartbeat_limit_s=HANG_S)
+    arm.connect()
+    arm.configure()
+    arm.activate()
+    return arm
+
+
+def _stopped(arm: Any, controller: Any, happen: Happen) -> RonnaError:
+    """The error of a long motion in which something happens between two telegrams, well under way."""
+    mover, caught = moving(arm, controller)
+    controller.silent.set()
+    assert controller.standing.wait(HANG_S)
+    before = len(controller.replies)
+    happen(controller)
+    eventually(lambda: arm._ways.link.stop_number > 0)
+    controller.silent.clear()
+    mover.join(HANG_S)
+    _stopped_at_once(controller.replies, before, {c.IPOC: c.choice for c in arm.recorded_cycles})
+    assert state_of(arm) is Lifecycle.FAULT
+    (error,) = caught
+    assert isinstance(error, RonnaError)
+    assert "flight-record-robot.master.txt" in error.attachments
+    return error
+
+
+def _stopped_at_once(replies: list[tuple[int, Any, int]], before: int, choices: dict[int, str]) -> None:
+    assert choices[replies[before - 1][0]] == "go"
+    assert choices[replies[before][0]] == "stop"
+    axes = [correction for _, correction, _ in replies[before - 1 :]]
+    cycles_to_rest = axes.index(axes[-1])
+    assert 1 < cycles_to_rest <= LONGEST_STOP_CYCLES  # smoothly, and soon
+    assert largest_step(replies) < WORKING_SHARE
+    assert {later - ipoc for (ipoc, _, _), (later, _, _) in pairwise(replies)} == {4}  # none left out
+    assert axes[-1][0] < degrees(FAR[0]) - 1.0  # on its way
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        ({"EStop": "1", "Drives": "0"}, "emergency stop is active"),
+        ({"Guard": "1"}, "the guard is open"),
+        ({"Mode": "T1"}, "operating mode is T1, not EXT"),
+        ({"Drives": "0"}, "drives are off"),
+        ({"Err": "1073"}, "message 1073"),
+    ],
+)
+def test_what_forbids_motion_stops_the_arm_on_its_way_and_is_named(
+    controller: Any, patient_arm: Any, change: dict[str, str], cause: str
+) -> None:
+    before = dict(controller.facts)
+    error = _stopped(patient_arm, controller, lambda c: c.tell(**change))
+    assert isinstance(error, ControllerStopped)
+    assert cause in str(error)
+    rest = controller.replies[-1][1]
+    with pytest.raises(WrongState, match="EKI-010"):
+        patient_arm.move_joints(THERE)
+    controller.tell(**before)
+    patient_arm.recover("Ana")
+    patient_arm.activate()
+    # Recovery moved nothing, and what was interrupted is not continued.
+    assert degrees(patient_arm.read_state().joints_rad[0]) == pytest.approx(rest[0], abs=0.01)
+
+
+@pytest.mark.hazard(4)
+def test_a_cut_eki_channel_stops_the_arm_and_recovery_tries_until_it_is_open_again(
+    controller: Any, patient_arm: Any
+) -> None:
+    error = _stopped(patient_arm, controller, lambda c: c.drop_eki())
+    assert isinstance(error, ControllerLost)
+    controller.turned_away = 2
+    patient_arm.recover("Ana")
+    assert controller.turned_away == 0
+    assert state_of(patient_arm) is Lifecycle.CONFIGURED
+    # The program that still ran was ended, not assumed to have ended with the channel.
+    assert controller.facts["RSI"] == "0"
+    patient_arm.activate()
+    patient_arm.move_joints(THERE)
+
+
+def _half(controller: Any, ends_with: bytes) -> bytes:
+    state: bytes = controller.state()
+    return state[: state.index(ends_with) + len(ends_with)]
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [
+        pytest.param(lambda c: _half(c, b'Mode="E'), "breaks off", id="half, within a value"),
+        pytest.param(
+            lambda c: _half(c, b"</Axis>"), "breaks off", id="half, between elements", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            lambda c: b'<State Id="0">' + b"x" * 2 * LONGEST_TELEGRAM, "does not end", id="without end"
+        ),
+        pytest.param(lambda c: b"\x01\x02<\xff\xfe&", "breaks off", id="noise", marks=pytest.mark.slow),
+        pytest.param(
+            lambda c: c.state().replace(b'Err="0"', b'Err="none"'),
+            "cannot be read",
+            id="no number",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_an_eki_telegram_that_cannot_be_read_stops_the_arm(
+    controller: Any, patient_arm: Any, broken: Callable[[Any], bytes], words: str
+) -> None:
+    def send(controller: Any) -> None:
+        controller.send_raw(broken(controller))
+        controller.tell()  # it goes on as if nothing had been
+
+    error = _stopped(patient_arm, controller, send)
+    assert isinstance(error, BadEkiTelegram)
+    assert words in str(error)
+    patient_arm.recover("Ana")
+    patient_arm.activate()
+
+
+def test_padding_and_words_between_eki_telegrams_are_passed_over(controller: Any, patient_arm: Any) -> None:
+    controller.send_raw(bytes(500) + b" ready\r\n")
+    controller.tell(Tool="7")
+    eventually(lambda: patient_arm._ways.eki.latest.tool == 7)
+    patient_arm.move_joints(THERE)
+    assert state_of(patient_arm) is Lifecycle.ACTIVE

@@ -1,0 +1,149 @@
+"""When what EKI tells, or ceases to tell, becomes a fault and a stop: to the limit, without any clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import pytest
+
+from drivers.kuka_rsi.connections import Connections
+from drivers.kuka_rsi.eki_state import ControllerState
+from drivers.kuka_rsi.errors import ControllerLost, RecordedCycle
+from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, FaultWatch
+from drivers.kuka_rsi.link_state import NO_STATE, NOTHING_AROUND, LinkState, Phase, StopOrder
+from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
+from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire.kuka_eki import OperationMode, RsiState
+
+A_LITTLE_S = 1e-3
+MOVING = NO_STATE._replace(phase=Phase.RUNNING, moving=True)
+STREAMING_WELL = ControllerState(
+    received_s=0.0,
+    mode=OperationMode.EXT,
+    drives=True,
+    emergency_stop=False,
+    guard_open=False,
+    moving=True,
+    error=0,
+    rsi=RsiState.MOVECORR,
+    tool=1,
+    axes_deg=(0.0,) * 6,
+    reference=None,
+    holdon=None,
+    cycle_ms=None,
+    context_hash=None,
+    variant=None,
+)
+
+
+@dataclass
+class Link:
+    """As the driver sees its real-time process."""
+
+    state: LinkState = MOVING
+    alive: bool = True
+    stalled_s: float = 0.0
+    surroundings: Surroundings = NOTHING_AROUND
+    stops: list[StopOrder] = field(default_factory=list)
+
+    def stop(self, kind: StopOrder) -> None:
+        self.stops.append(kind)
+
+    def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
+        return ()
+
+
+@dataclass
+class Eki:
+    """As the driver sees its EKI session."""
+
+    where: str = "tcp://127.0.0.1:54602"
+    silent_s: float = 0.0
+    failure: RonnaError | None = None
+    latest: ControllerState | None = None
+
+
+class Watched:
+    def __init__(self, **options: Any) -> None:
+        self.link, self.eki = Link(), Eki()
+        ways = type("Ways", (), {"open_eki": self.eki, "open_link": self.link, "link": self.link})
+        self.guard = LifecycleGuard("robot.master")
+        for state in (Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE):
+            self.guard.enter(state)
+        self.watch = FaultWatch(
+            "robot.master", self.guard, cast("Connections", ways), KukaOptions.model_validate(options)
+        )
+
+    @property
+    def outcome(self) -> tuple[str, list[StopOrder]]:
+        """The code of the fault, and the stops that were ordered."""
+        return (self.guard.fault.code if self.guard.fault else "", self.link.stops)
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize(
+    ("options", "limit_s"), [({}, EKI_SILENCE_S), ({"silence_limit_s": 5.0}, 5.0)], ids=["usual", "patient"]
+)
+def test_eki_may_say_nothing_up_to_its_limit_and_no_longer(options: dict[str, float], limit_s: float) -> None:
+    watched = Watched(**options)
+    watched.eki.silent_s = limit_s
+    watched.watch.controller_quiet()
+    assert watched.outcome == ("", [])
+    watched.eki.silent_s = limit_s + A_LITTLE_S
+    watched.watch.controller_quiet()  # from the reader of the channel: nobody has asked
+    assert watched.outcome == ("EKI-003", [StopOrder.PROTECTIVE])
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize(
+    ("options", "limit_s"),
+    [({}, HEARTBEAT_LIMIT_S), ({"heartbeat_limit_s": 0.2}, 0.25), ({"silence_limit_s": 3.0}, 3.0)],
+    ids=["the heartbeat's", "the silence's", "the silence's, when patient"],
+)
+def test_the_real_time_process_may_stand_still_up_to_its_limit(
+    options: dict[str, float], limit_s: float
+) -> None:
+    watched = Watched(**options)
+    watched.link.stalled_s = limit_s
+    watched.watch.notice()
+    assert watched.outcome == ("", [])
+    watched.link.stalled_s = limit_s + A_LITTLE_S
+    watched.watch.notice()
+    # Nobody is there to carry a stop out: the controller's Timeout does.
+    assert watched.outcome == ("RSI-020", [])
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"emergency_stop": True},
+        {"guard_open": True},
+        {"mode": OperationMode.T1},
+        {"drives": False},
+        {"error": 1},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_the_stop_is_ordered_before_the_next_state_is_read(change: dict[str, Any]) -> None:
+    watched = Watched()
+    watched.watch.controller_said(STREAMING_WELL)
+    assert watched.outcome == ("", [])
+    watched.watch.controller_said(_changed(**change))
+    assert watched.outcome == ("EKI-010", [StopOrder.PROTECTIVE])
+    watched.watch.controller_said(_changed(**change))
+    assert watched.outcome == ("EKI-010", [StopOrder.PROTECTIVE])  # latched, and ordered once
+
+
+@pytest.mark.hazard(4)
+def test_a_lost_channel_orders_the_stop_itself() -> None:
+    watched = Watched()
+    watched.watch.controller_lost(ControllerLost("tcp://127.0.0.1:54602 closed the connection"))
+    assert watched.outcome == ("EKI-002", [StopOrder.PROTECTIVE])
+
+
+def _changed(**change: Any) -> ControllerState:
+    return replace(STREAMING_WELL, **change)
