@@ -21,8 +21,9 @@ S is about the unit, D about its driver; T cases belong to any tracker.
 KUKA_HEAD = """# Checklist of KUKA's RSI and EKI
 
 `ronna-conformance robot` runs these cases on the simulator (`--sim`) or on any endpoints, hardware included.
-What moves the arm needs `--allow motion`, what ends a run by a fault `--allow destructive`. The report says
-of each case that was left out why.
+What moves the arm needs `--allow motion` and, but for our simulator, the name of a person beside it: it is
+asked for, or given by `--confirmed-by`. What ends a run by a fault needs `--allow destructive`. The report
+says of each case that was left out why, and who has confirmed the motion.
 
 S is about the controller (cases K), D about the driver (cases L); R cases belong to any robot.
 """

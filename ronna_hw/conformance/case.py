@@ -60,13 +60,18 @@ class Suite:
     """All cases of one kind of device, and how its simulator is started.
 
     `driver` is the driver that `--sim` and `--endpoint` mean unless another is named; `simulator` holds the
-    arguments of `ronna-sim`.
+    arguments of `ronna-sim`; `motions` says what the cases move that need "motion".
     """
 
     kind: str
     driver: str
     simulator: tuple[str, ...]
     cases: list[Case] = field(default_factory=list)
+    motions: str = ""
+
+    def moving(self) -> list[str]:
+        """Numbers of the cases that move the device."""
+        return [case.number for case in self.cases if "motion" in case.needs]
 
     def only(self, beginnings: Sequence[str]) -> Suite:
         """The same suite with the cases whose number begins so; all of them when nothing is named.

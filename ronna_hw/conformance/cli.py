@@ -5,6 +5,7 @@ from __future__ import annotations
 import ronna_hw.command_line.early_interruption  # noqa: F401 - first of all: imports can be interrupted
 
 # isort: split
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ import typer
 from ronna_hw.command_line.console import (
     JsonOption,
     VerboseOption,
+    on_terminal,
     print_json,
     print_table,
     progress_bar,
@@ -23,6 +25,7 @@ from ronna_hw.command_line.console import (
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 
 if TYPE_CHECKING:
+    from ronna_hw.conformance.bench import Bench
     from ronna_hw.conformance.report import Report
 
 app = typer.Typer(
@@ -51,6 +54,12 @@ ControlOption = Annotated[
     str | None,
     typer.Option(
         "--control", help="Control port of the device at --endpoint, by which it can be made to fail."
+    ),
+]
+ConfirmedOption = Annotated[
+    str | None,
+    typer.Option(
+        "--confirmed-by", help="Who stands beside an arm that is allowed to move; asked when not given."
     ),
 ]
 ReportOption = Annotated[Path | None, typer.Option("--report", help="Write the whole report as JSON here.")]
@@ -82,12 +91,28 @@ def robot(
     device: DeviceOption = None,
     allow: AllowOption = None,
     only: OnlyOption = None,
+    control: ControlOption = None,
+    confirmed_by: ConfirmedOption = None,
     report: ReportOption = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
 ) -> int:
     """A robot arm."""
-    return _run("robot", sim, config, endpoint, driver, device, allow, only, report, json, verbose)
+    return _run(
+        "robot",
+        sim,
+        config,
+        endpoint,
+        driver,
+        device,
+        allow,
+        only,
+        report,
+        json,
+        verbose,
+        control,
+        confirmed_by,
+    )
 
 
 @app.command()
@@ -119,6 +144,7 @@ def _run(
     json: bool,
     verbose: bool,
     control: str | None = None,
+    confirmed_by: str | None = None,
 ) -> int:
     set_up_logging(verbose)
     from ronna_hw.conformance.report import run_suite
@@ -128,11 +154,11 @@ def _run(
     if report_file is not None:
         write_whole(report_file, b"")  # a place that cannot be written is told before the work, not after
     suite = load_suite(kind).only(only or [])
-    with (
-        stand(suite, sim, config, endpoints or [], driver, device, allow or [], control) as bench,
-        progress_bar(f"{kind} suite") as progress,
-    ):
-        report = run_suite(suite, bench, progress)
+    with stand(suite, sim, config, endpoints or [], driver, device, allow or [], control) as bench:
+        moves = suite.moving() if "motion" in bench.offers and not sim else []
+        person = _who_confirms(suite.motions, moves, bench, confirmed_by) if moves else ""
+        with progress_bar(f"{kind} suite") as progress:
+            report = run_suite(suite, bench, progress, confirmed_by=person)
     document = report.as_document()
     if report_file is not None:
         import json as json_module
@@ -143,6 +169,21 @@ def _run(
     else:
         _print_report(report)
     return EXIT_DONE if report.passed else EXIT_FAILED
+
+
+def _who_confirms(motions: str, moves: list[str], bench: Bench, given: str | None) -> str:
+    """The name of the person who lets the device be moved; raises CNF-005 when there is none."""
+    from ronna_hw.conformance.errors import NotConfirmed
+
+    where = bench.config.endpoint or ", ".join(bench.config.endpoints.values())
+    tell(f"{bench.name} at {where} will be moved by {', '.join(moves)}: {motions}.")
+    name = given
+    if name is None and on_terminal(sys.stdin):
+        tell("Look that nobody and nothing is within its reach, and hold the emergency stop.")
+        name = typer.prompt("Who confirms this?", default="", show_default=False, err=True)
+    if not name or not name.strip():
+        raise NotConfirmed(f"nobody has confirmed that {bench.name} may move", awaited="a person's name")
+    return name.strip()
 
 
 def _print_report(report: Report) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError
+from ronna_hw.errors import ConfigurationError, RefusedError
 
 
 class NoDeviceChosen(ConfigurationError):
@@ -31,3 +31,13 @@ class ControlRefused(ConfigurationError):
 
     code = "CNF-004"
     action = "Give the control port that the device under test told in its READY line."
+
+
+class NotConfirmed(RefusedError):
+    """A device that is no simulator of ours would be moved, and nobody has confirmed it."""
+
+    code = "CNF-005"
+    action = (
+        "Stand beside the arm with the emergency stop in hand, and give your name when asked, or by "
+        "--confirmed-by where nobody can be asked."
+    )

@@ -49,6 +49,9 @@ _LINES: dict[int, str] = {
     39: "S: Status once after connect and on every change, never two in a segment",
     40: "S: a lost conversation is opened anew; D: connects again and reads the state, never assumes it",
     41: "S: an EKI memory that runs over (512) closes the connection",
+    42: "S: emergency stop, guard, drives and mode show within 100 ms and stop RSI's motion",
+    43: "S: every fault can be injected by name and at a given cycle, and is logged with IPOC",
+    44: "D: no start outside EXT (or T1, confirmed), nor with emergency stop, guard or a message",
 }
 _ELSEWHERE: dict[int, str] = {
     18: "needs a context of its own: tests/unit/sim_kuka",
@@ -59,14 +62,25 @@ _ELSEWHERE: dict[int, str] = {
     32: "needs that program: tests/system/test_kuka_link_rsipi.py",
     33: "needs that program: tests/system/test_kuka_sim_rsipi.py; the C++ ones are not on the index",
     41: "no safe way on a running controller: tests/unit/sim_kuka, tests/system/kuka_sim",
+    43: "of a simulator only: tests/unit/sim_kuka/test_kuka_link_faults.py, tests/system/kuka_sim",
 }
 # What a line says beyond its cases, and why no case shows it.
 _REMARKS: dict[int, str] = {
     16: "HOLDON 0 needs a context of its own: tests/unit/sim_kuka",
     17: "needs --allow destructive; the second way of counting: tests/unit/sim_kuka",
     20: "RELATIVE needs a program of its own: tests/system/test_kuka_sim_rsipi.py",
+    21: "our context sends neither ASPos nor RSol: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     24: "needs a control port, by which a simulator is known: no arm of hardware is told to jump",
     30: "needs --allow destructive: the controller ends the run as well",
+    42: "needs a control port: nobody stands at the cell's doors for the suite",
+    44: "needs a control port; T1 with a person's confirmation: tests/unit/kuka_rsi",
 }
 
-KUKA_CHECKLIST = Checklist(letters="KL", lines=_LINES, remarks=_REMARKS, elsewhere=_ELSEWHERE)
+# Cases of any arm, or of another line, that look at a line as well.
+_ALSO: dict[int, tuple[str, ...]] = {
+    3: ("L11",),  # its tap hears what is answered to the tap's own port, and nothing else
+    28: ("R10", "R17"),
+    29: ("R06",),
+}
+
+KUKA_CHECKLIST = Checklist(letters="KL", lines=_LINES, remarks=_REMARKS, elsewhere=_ELSEWHERE, also=_ALSO)

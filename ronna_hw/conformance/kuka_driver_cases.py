@@ -16,12 +16,13 @@ from contextlib import contextmanager
 from typing import Any
 
 from ronna_hw.conformance.bench import Bench
-from ronna_hw.conformance.case import NotShown, Suite, check
-from ronna_hw.conformance.kuka_rsi_line import AXES, KUKA
+from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.kuka_rsi_line import AXES, KUKA, eki_line
 from ronna_hw.conformance.kuka_tap import Heard, PiecewiseLine, RsiTap, wait_for
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import RefusedError, RonnaError
 from ronna_hw.registry import load_driver, make_device
 from ronna_hw.wire.kuka_context import load_context
 
@@ -32,7 +33,17 @@ SILENCE_LIMIT_S = 0.25  # of the driver in host time, unless the theatre file sa
 SILENCE_SLACK_S = 2.0  # for a busy computer
 GATHERED_S = 0.05
 TURN_RAD = 0.0175  # one degree of the last axis
+LONG_TURN_RAD = 20 * TURN_RAD  # interrupted as soon as it is seen to move
+SLOW = 0.1  # of the driver's working speed
 LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed: beyond, a controller may take it for a fault
+# What forbids a start, and what the state tells of it.
+NOT_READY = (
+    ("emergency stop", "EStop", "1"),
+    ("guard open", "Guard", "1"),
+    ("mode T1", "Mode", "T1"),
+    ("mode AUT", "Mode", "AUT"),
+    ("collision", "Stopmess", "1"),
+)
 
 _IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 _TYPE = re.compile(rb'<Sen Type="([^"]*)">')
@@ -155,6 +166,33 @@ def silence_is_noticed(bench: Bench) -> None:
         tap.discard()
 
 
+@case(
+    "L30b",
+    "a motion that silence has ended does not go on when telegrams come again",
+    needs=("motion", "destructive", "host time"),
+)
+def motion_ends_with_silence(bench: Bench) -> None:
+    with tapped(bench) as (arm, tap):
+        streaming(bench, arm)
+        start: JointVector = arm.read_state().commanded_rad
+        ends: list[RonnaError] = []
+        mover = threading.Thread(target=_move, args=(arm, _away(start, LONG_TURN_RAD), ends))
+        mover.start()
+        under_way = wait_for(lambda: abs(arm.read_state().joints_rad[5] - start[5]) > TURN_RAD / 2, LIMIT_S)
+        tap.hold()
+        mover.join()
+        tap.heard()
+        tap.discard()  # the controller may have ended the run by now, or may not
+        wait_for(lambda: tap.replies >= HELD, SILENCE_SLACK_S)
+        later = [tuple(corrections(reply)) for reply in tap.heard().replies]
+        check(under_way, "an arm that moves")
+        check(len(ends) == 1, "a motion that says why it ended", ends)
+        check(len(set(later)) <= 1, "one correction from then on", later)
+        arm.recover("conformance suite", LIMIT_S)
+        arm.activate(LIMIT_S)
+        arm.move_joints(start, speed_fraction=SLOW)
+
+
 @case("L31", "the growth of D and our own turnaround are told")
 def losses_are_told(bench: Bench) -> None:
     with tapped(bench) as (arm, tap):
@@ -188,15 +226,53 @@ def conversation_is_lost(bench: Bench) -> None:
         with tapped(bench, eki_project=line.endpoint) as (arm, _):
             arm.connect(LIMIT_S)
             before = arm.read_state().joints_rad
+            line.asked.clear()
             line.cut()
 
             def again() -> bool:
                 try:
                     return bool(arm.read_state().joints_rad == before)
-                except Exception:
+                except RonnaError:
                     return arm.state is Lifecycle.FAULT
 
             check(wait_for(again, LIMIT_S), "the same axes again, or a latched fault", arm.state)
+            if arm.state is Lifecycle.FAULT:
+                line.asked.clear()
+                arm.recover("conformance suite", LIMIT_S)
+            check(any(b"STATUS" in data for data in line.asked), "a state that is asked for anew", line.asked)
+            check(arm.read_state().joints_rad == before, "the same axes", arm.read_state())
+
+
+@case(
+    "L44",
+    "no program is started outside EXT, nor with emergency stop, open guard or a message",
+    needs=("live faults",),
+)
+def starts_only_when_ready(bench: Bench) -> None:
+    for fault, attribute, value in NOT_READY:
+        try:
+            _brought_about(bench, fault, attribute, value)
+            with tapped(bench) as (arm, tap):
+                bench.brought_to(Lifecycle.CONFIGURED, arm)
+                refused(arm.activate, RefusedError, f"a start with {fault}")
+                check(not tap.heard().telegrams, "no program that runs")
+        finally:
+            bench.clear_faults()
+    with tapped(bench) as (arm, _):
+        arm.connect(LIMIT_S)
+        arm.recover("conformance suite")  # of the message
+        arm.configure()
+        streaming(bench, arm)
+
+
+def _brought_about(bench: Bench, fault: str, attribute: str, value: str) -> None:
+    """Inject a fault where nothing else is wrong, and wait until the controller tells it."""
+    with eki_line(bench) as line:
+        clean = wait_for(lambda: line.ask("ACK_ERRORS") == 0, LIMIT_S)
+        check(clean, "a controller whose messages can be acknowledged")
+        bench.fault(f"now: robot {fault}")
+        told = wait_for(lambda: line.state().get(attribute) == value, LIMIT_S)
+        check(told, f"{attribute} {value} in the state", line.state().get(attribute))
 
 
 def _stall(tap: RsiTap) -> None:
@@ -214,9 +290,22 @@ def _exchanges(tap: RsiTap) -> Heard:
 
 
 def _there_and_back(arm: Any, start: JointVector) -> None:
+    for target in (_away(start, TURN_RAD), start):
+        arm.move_joints(target, speed_fraction=SLOW)
+
+
+def _away(start: JointVector, turn_rad: float) -> JointVector:
+    """The last axis turned, towards the middle of its range."""
     A1, A2, A3, A4, A5, A6 = start
-    arm.move_joints((A1, A2, A3, A4, A5, A6 - TURN_RAD if A6 > 0 else A6 + TURN_RAD))
-    arm.move_joints(start)
+    return (A1, A2, A3, A4, A5, A6 - math.copysign(turn_rad, A6))
+
+
+def _move(arm: Any, target: JointVector, ends: list[RonnaError]) -> None:
+    """Move; what it raised is added to `ends`."""
+    try:
+        arm.move_joints(target, speed_fraction=SLOW)
+    except RonnaError as error:
+        ends.append(error)
 
 
 def _stamps(datagrams: list[bytes]) -> list[int]:

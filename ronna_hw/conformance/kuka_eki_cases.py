@@ -5,6 +5,7 @@ The number of a case is K and a line of the protocol's checklist.
 
 from __future__ import annotations
 
+import itertools
 import re
 import time
 from xml.etree.ElementTree import Element
@@ -12,8 +13,9 @@ from xml.etree.ElementTree import Element
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import Suite, check
 from ronna_hw.conformance.kuka_eki_line import EkiLine, command
-from ronna_hw.conformance.kuka_rsi_line import eki_line, stream
+from ronna_hw.conformance.kuka_rsi_line import HOLD, RsiLine, eki_line, stream
 from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.wire.kuka_eki import RsiState
 
 SDK = "eki"
 PADDED_BYTES = 500  # every request of the SDK has this length, whatever it says
@@ -21,6 +23,19 @@ QUIET_S = 0.15  # after which a controller that wants to say nothing has said no
 BETWEEN_SPLITS_S = 0.03
 LIMIT_S = 4.0
 CYCLES = 50
+STEP_DEG = 0.0025  # of A6 in a cycle: next to nothing, and seen within a few cycles
+WATCHED = 20  # cycles over which an arm must be seen at rest, or moving
+BRAKING = 50  # cycles, generous for an arm that hardly moves
+STANDS_STILL_DEG = 0.001
+TOLD_WITHIN = 1000  # cycles after which a fault is not told any more
+MOST_OLD_STATES = 2
+# What stops the arm, and what the state tells of it.
+STOPS = (
+    ("emergency stop", "EStop", "1"),
+    ("guard open", "Guard", "1"),
+    ("mode T1", "Mode", "T1"),
+    ("drives off", "Drives", "0"),
+)
 CONNECT, START = 0, 1
 EVENT_CONNECTED, EVENT_INVALID = "5", "7"
 STATUS_ATTRIBUTES = [
@@ -111,6 +126,20 @@ def status_once(bench: Bench) -> None:
         check(told <= 1, "at most one unasked status", told)
 
 
+@case("K39b", "a change is told to the SDK's client unasked, and once", needs=("live faults",))
+def status_on_change(bench: Bench) -> None:
+    with eki_line(bench, SDK) as line:
+        line.send(request(CONNECT))
+        _statuses(line)
+        try:
+            bench.fault("now: robot guard open")
+            opened = [status.get("GuardStop") for status in _statuses(line)]
+        finally:
+            bench.clear_faults()
+        closed = [status.get("GuardStop") for status in _statuses(line)]
+    check((opened, closed) == (["1"], ["0"]), "one status for each change", f"{opened}, then {closed}")
+
+
 @case("K40", "losing the conversation ends neither the stream nor the truth about it")
 def conversation_is_lost(bench: Bench) -> None:
     with stream(bench) as line:
@@ -118,6 +147,48 @@ def conversation_is_lost(bench: Bench) -> None:
         line.eki.begin_anew()
         line.cycles(CYCLES)
         check(line.eki.state().get("RSI") == "2", "RSI still in MOVECORR after a new connection")
+
+
+@case(
+    "K42",
+    "emergency stop, guard, mode and drives are told within a period of the state, and end RSI's motion",
+    needs=("motion", "live faults"),
+)
+def stops_are_told(bench: Bench) -> None:
+    for sign, (fault, attribute, value) in zip(itertools.cycle((1, -1)), STOPS, strict=False):
+        with stream(bench) as line:
+            line.cycles(WATCHED)
+            line.eki.already("State")
+            try:
+                bench.fault(f"now: robot {fault}")
+                _require_told(line, attribute, value, sign * STEP_DEG)
+                state = line.eki.state()
+            finally:
+                bench.clear_faults()
+        ends = (RsiState.ON, RsiState.FAULT)
+        check(int(state.get("RSI", -1)) in ends, f"no corrections with {fault}", state.get("RSI"))
+
+
+def _require_told(line: RsiLine, attribute: str, value: str, step_deg: float) -> None:
+    """Turn A6 evenly until the state tells `value`, and go on: the arm must come to rest all the same."""
+    told: list[str | None] = []
+    angles: list[float] = []
+    ends_at = TOLD_WITHIN
+    for cycle in itertools.count(1):
+        telegram = line.next_if_any()
+        if telegram is None or cycle > ends_at:
+            break
+        line.answer(telegram, {**HOLD, "A6": cycle * step_deg})
+        angles.append(telegram.values("AIPos")["A6"])
+        told += [state.get(attribute) for state in line.eki.already("State")]
+        if value in told:
+            ends_at = min(ends_at, cycle + BRAKING + WATCHED)
+    check(value in told, f"{attribute} {value} in the state", told[-1:] or "no state")
+    # They come every 100 ms: one may have been under way, and one due before the controller knew.
+    old = told.index(value)
+    check(old <= MOST_OLD_STATES, f"{attribute} {value} in the next state", f"{old} others before it")
+    moved = max(abs(angle - angles[-1]) for angle in angles[-WATCHED:])
+    check(moved < STANDS_STILL_DEG, "an arm at rest", f"{moved:.5f} deg of motion")
 
 
 def bench_address(bench: Bench) -> Endpoint:
@@ -131,6 +202,16 @@ def _answered(line: EkiLine, identifier: str) -> None:
         if line.element("State")[1].get("Id") == identifier:
             return
     check(False, f"an answer to {identifier}")
+
+
+def _statuses(line: EkiLine) -> list[Element]:
+    """The next status, and those that follow it closely."""
+    found = [line.element("Robot", limit_s=LIMIT_S)[1].find("Status")]
+    until_s = time.monotonic() + QUIET_S
+    while time.monotonic() < until_s:
+        time.sleep(BETWEEN_SPLITS_S)
+        found += [root.find("Status") for root in line.already("Robot")]
+    return [status for status in found if status is not None]
 
 
 def _response(line: EkiLine, event: str) -> tuple[bytes, Element]:

@@ -6,6 +6,7 @@ driver's misreading cannot hide in it.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import socket
 import time
@@ -60,8 +61,8 @@ class EkiLine:
         """The next element with one of these tags, as text and parsed; others are passed over."""
         until_s = time.monotonic() + limit_s
         while True:
-            match = _ELEMENT.search(self._heard)
-            if match is None:
+            raw = self._cut_off()
+            if raw is None:
                 left_s = until_s - time.monotonic()
                 check(left_s > 0, f"{' or '.join(tags)} within {limit_s:g} s", self._heard[-80:] or "nothing")
                 self._socket.settimeout(left_s)
@@ -72,11 +73,20 @@ class EkiLine:
                 check(bool(data), f"{' or '.join(tags)}", "that the controller hung up")
                 self._heard += data
                 continue
-            self.between += self._heard[: match.start()]
-            self._heard = self._heard[match.end() :]
-            root = ElementTree.fromstring(match[0])
+            root = ElementTree.fromstring(raw)
             if root.tag in tags:
-                return match[0], root
+                return raw, root
+
+    def already(self, *tags: str) -> list[ElementTree.Element]:
+        """The elements with one of these tags that have come by now; waits for none."""
+        self._socket.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while data := self._socket.recv(MOST_BYTES):
+                self._heard += data
+        roots = []
+        while (raw := self._cut_off()) is not None:
+            roots.append(ElementTree.fromstring(raw))
+        return [root for root in roots if root.tag in tags]
 
     def ask(self, name: str, **attributes: object) -> int:
         """Write a project command and return the code of its acknowledgement."""
@@ -107,6 +117,15 @@ class EkiLine:
             except OSError:
                 return True
         return False
+
+    def _cut_off(self) -> bytes | None:
+        """The next whole element of what was heard."""
+        match = _ELEMENT.search(self._heard)
+        if match is None:
+            return None
+        self.between += self._heard[: match.start()]
+        self._heard = self._heard[match.end() :]
+        return match[0]
 
     def _connected(self) -> socket.socket:
         try:

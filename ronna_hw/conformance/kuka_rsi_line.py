@@ -81,6 +81,10 @@ class RsiLine:
         assert telegram is not None
         return telegram
 
+    def next_if_any(self, limit_s: float = SILENT_S) -> Telegram | None:
+        """The next telegram, or None when the stream has ended."""
+        return self._receive(limit_s)
+
     def answer(
         self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False
     ) -> None:
@@ -126,7 +130,7 @@ class RsiLine:
         """Go on until the stream ends; the telegrams that still came."""
         telegrams: list[Telegram] = []
         until_s = time.monotonic() + limit_s
-        while (telegram := self._receive(SILENT_S)) is not None:
+        while (telegram := self.next_if_any()) is not None:
             check(time.monotonic() < until_s, f"a stream that ends within {limit_s:g} s")
             telegrams.append(telegram)
             if answered:

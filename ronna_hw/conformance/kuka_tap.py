@@ -125,6 +125,13 @@ class PiecewiseLine(DisturbedLine):
 
     gather_s = 0.0  # what comes within this time arrives as one
 
+    def __init__(self, device: Endpoint) -> None:
+        super().__init__(device)
+        self.asked: list[bytes] = []  # what the driver has said, read by read
+
+    def _heard(self, data: bytes) -> None:
+        self.asked.append(data)
+
     def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
         if self.gather_s:
             return [(self.gather_s, data)]

@@ -40,6 +40,7 @@ class Report:
     identity: Identity
     started: str
     results: tuple[CaseResult, ...]
+    confirmed_by: str = ""  # who stood beside a device that was moved
 
     def count(self, outcome: Outcome) -> int:
         """How many cases ended so."""
@@ -59,6 +60,7 @@ class Report:
             "endpoints": self.endpoints,
             "identity": {**asdict(self.identity), "details": dict(self.identity.details)},
             "started": self.started,
+            "confirmed_by": self.confirmed_by,
             "passed": self.passed,
             "summary": {outcome.value.lower(): self.count(outcome) for outcome in Outcome},
             "cases": [{**asdict(result), "needs": list(result.needs)} for result in self.results],
@@ -66,7 +68,13 @@ class Report:
         return {**document, "sha256": hashlib.sha256(canonical_json(document)).hexdigest()}
 
 
-def run_suite(suite: Suite, bench: Bench, progress: Callable[[float], None] = lambda share: None) -> Report:
+def run_suite(
+    suite: Suite,
+    bench: Bench,
+    progress: Callable[[float], None] = lambda share: None,
+    *,
+    confirmed_by: str = "",
+) -> Report:
     """Run every case that the bench allows.
 
     The device is connected once first; raises ConnectError and the like when that is not possible, because
@@ -84,7 +92,7 @@ def run_suite(suite: Suite, bench: Bench, progress: Callable[[float], None] = la
         bench.release()
     config = bench.config
     endpoints = {"endpoint": config.endpoint} if config.endpoint is not None else dict(config.endpoints)
-    return Report(suite.kind, config.driver, endpoints, identity, started, tuple(results))
+    return Report(suite.kind, config.driver, endpoints, identity, started, tuple(results), confirmed_by)
 
 
 def run_case(case: Case, bench: Bench) -> CaseResult:

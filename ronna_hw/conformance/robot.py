@@ -42,6 +42,7 @@ REACHED_MM = 0.05  # of a settled straight line; repeatability of small arms is 
 SMALL_TURN_RAD = radians(1.0)  # of the last axis: the hand turns, nothing else moves
 STOPPED_TURN_RAD = radians(20.0)  # long enough to be stopped on the way
 SMALL_LINE_MM = 2.0
+SLOW = 0.1  # of the driver's working speed: a person can follow it and press a button
 CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
 CONNECT_LIMIT_S = 3.0
 
@@ -60,6 +61,10 @@ SUITE = Suite(
         "kuka",
         *("--rsi", f"udp://127.0.0.1:{_free_port()}"),  # a client binds it, so the suite chooses it
         *("--eki", "tcp://127.0.0.1:0", "--eki-project", "tcp://127.0.0.1:0"),
+    ),
+    motions=(
+        f"its last axis by {degrees(SMALL_TURN_RAD):g} deg, or {degrees(STOPPED_TURN_RAD):g} if a stop "
+        f"fails, and its hand by {SMALL_LINE_MM:g} mm, at {SLOW:g} of the working speed, and back"
     ),
 )
 
@@ -191,7 +196,7 @@ def small_joint_move(bench: Bench) -> None:
     arm = bench.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
     for target in (turned(start, SMALL_TURN_RAD), start):
-        reading: ArmReading = arm.move_joints(target, speed_fraction=0.5)
+        reading: ArmReading = arm.move_joints(target, speed_fraction=SLOW)
         missed = apart_rad(reading.joints_rad, target)
         check(missed < REACHED_RAD, "the target", f"{degrees(missed):.4f} deg beside it")
         check(not reading.moving, "an arm at rest")
@@ -205,7 +210,7 @@ def small_line(bench: Bench) -> None:
     here = forward(model, start)
     x, y, z = here.position_mm
     for target in (Pose((x, y, z + SMALL_LINE_MM), here.rotation), here):
-        reading: ArmReading = arm.move_linear(target, speed_fraction=0.5)
+        reading: ArmReading = arm.move_linear(target, speed_fraction=SLOW)
         missed_mm = forward(model, reading.joints_rad).distance_mm(target)
         check(missed_mm < REACHED_MM, "the target", f"{missed_mm:.4f} mm beside it")
     check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
@@ -237,7 +242,7 @@ def hold_comes_to_rest(bench: Bench) -> None:
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     check(arm.read_state().commanded_rad == held, "an arm that stays where it was held")
     check(apart_rad(held, target) > SMALL_TURN_RAD, "an arm stopped before its target")
-    arm.move_joints(start)
+    arm.move_joints(start, speed_fraction=SLOW)
 
 
 @SUITE.case("R15", "a protective stop is latched, and recover leaves it without motion", needs=("motion",))
@@ -251,7 +256,7 @@ def protective_stop_is_latched(bench: Bench) -> None:
     arm.recover("conformance suite")
     check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
     arm.activate()
-    arm.move_joints(start)
+    arm.move_joints(start, speed_fraction=SLOW)
 
 
 @SUITE.case("R16", "closing is bounded, final, and may be repeated")
@@ -300,7 +305,7 @@ def _stopped_on_the_way(
 
     def move() -> None:
         try:
-            arm.move_joints(target, speed_fraction=0.5)
+            arm.move_joints(target, speed_fraction=SLOW)
         except RonnaError as error:
             ends.append(error)
 

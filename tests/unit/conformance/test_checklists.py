@@ -17,7 +17,7 @@ from ronna_hw.conformance.polaris_checklist import POLARIS_CHECKLIST
 ROOT = Path(__file__).parents[3]
 CHECKLISTS = [
     pytest.param(POLARIS_CHECKLIST, tracker.SUITE, 50, id="polaris"),
-    pytest.param(KUKA_CHECKLIST, robot.SUITE, 41, id="kuka"),
+    pytest.param(KUKA_CHECKLIST, robot.SUITE, 44, id="kuka"),
     pytest.param(GIGE_CHECKLIST, stereo.SUITE, 40, id="gige"),
 ]
 of_each_checklist = pytest.mark.parametrize(("checklist", "suite", "lines"), CHECKLISTS)
