@@ -1,7 +1,7 @@
-"""The real-time link against a controller that we did not write: the echo server of RSIPI.
+"""The driver against a controller that we did not write: the echo server of RSIPI.
 
-It writes two decimals and blanks before "/>", sends before anybody answers, and knows no EKI: so the link
-process is driven here without the arm driver above it.
+It writes two decimals and blanks before "/>", sends before anybody answers, and knows no EKI: that comes from
+a small controller of the tests' own, or the link process is driven without the arm above it.
 """
 
 from __future__ import annotations
@@ -12,21 +12,32 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from math import degrees
+from contextlib import contextmanager, suppress
+from importlib.resources import files
+from math import radians
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from fake_controller import FakeController
 
+from drivers.kuka_rsi import KukaRsiArm
+from drivers.kuka_rsi.controller.generate import render
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.link_state import CommandKind, LinkState, Phase, Result
 from drivers.kuka_rsi.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.arm.planning import plan_joint_move
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.wire.kuka_context import DEFAULT_CONTEXT_FILE, context_hash, load_context
 
 MODEL = arm_model("kr6_r900_sixx")
-TARGET = radians6(5.0, -2.0, 3.0, 1.0, 4.0, -6.0)
+TARGET_DEG = (5.0, -2.0, 3.0, 1.0, 4.0, -6.0)
+TARGET = radians6(*TARGET_DEG)
+ECHO_DIGIT_DEG = 0.01  # the echo server rounds to that
+HANG_S = 60.0
 ECHO_PORT = 50000  # fixed in the echo server
 
 SERVER = """
@@ -42,14 +53,18 @@ print("RESULT", server.faulty_packets, *(pose[axis] for axis in ("A1", "A2", "A3
 """
 
 
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
 @pytest.fixture
 def ethernet_file(tmp_path: Path) -> Path:
     """RSIPI's own `joints` file, with an address that is free here."""
     from RSIPI import context  # type: ignore[import-untyped]
 
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = _free_port()
     text = Path(context("joints")).read_text("utf-8-sig")
     path = tmp_path / "joints.xml"
     path.write_text(text.replace("10.10.10.10", "127.0.0.1").replace("64000", str(port)), "utf-8")
@@ -79,7 +94,7 @@ def link(ethernet_file: Path) -> Iterator[LinkClient]:
             stop_tag="",
             silence_limit_s=2.0,
             heartbeat_limit_s=5.0,
-            settle_tolerance_deg=0.01,  # the echo server rounds to that
+            settle_tolerance_deg=ECHO_DIGIT_DEG,
             speed_fraction=0.12,
             real_time_priority=0,
         )
@@ -95,27 +110,44 @@ def _wait(link: LinkClient, condition: Callable[[LinkState], bool]) -> LinkState
     return state
 
 
-def _port_is_taken() -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
+def _await_free_port() -> None:
+    """The echo server's port is fixed, and tests run side by side."""
+    deadline = time.monotonic() + HANG_S
+    while time.monotonic() < deadline:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
             probe.bind(("0.0.0.0", ECHO_PORT))
-        except OSError:
-            return True
-    return False
+            return
+        time.sleep(0.05)
+    pytest.skip(f"the echo server's fixed port {ECHO_PORT} is in use on this machine")
 
 
-def test_the_link_moves_the_arm_of_a_foreign_controller(
-    link: LinkClient, ethernet_file: Path, tmp_path: Path
-) -> None:
-    if _port_is_taken():
-        pytest.skip(f"the echo server's fixed port {ECHO_PORT} is in use on this machine")
+@contextmanager
+def echo_server(ethernet_file: Path, folder: Path) -> Iterator[Callable[[], list[float]]]:
+    """Runs it; the call ends it and gives the axes that it has come to, in deg."""
+    _await_free_port()
     with subprocess.Popen(
         [sys.executable, "-P", "-W", "ignore", "-c", SERVER, str(ethernet_file)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        cwd=tmp_path,  # it writes a folder of logs
+        cwd=folder,  # it writes a folder of logs
     ) as server:
+
+        def end() -> list[float]:
+            output, _ = server.communicate("stop\n", timeout=HANG_S)
+            result = next(line for line in output.splitlines() if line.startswith("RESULT")).split()
+            return [float(value) for value in result[2:]]
+
+        try:
+            yield end
+        finally:
+            server.kill()
+
+
+def test_the_link_moves_the_arm_of_a_foreign_controller(
+    link: LinkClient, ethernet_file: Path, tmp_path: Path
+) -> None:
+    with echo_server(ethernet_file, tmp_path) as end:
         _wait(link, lambda s: s.IPOC > 0 or s.rejected > 0 or s.received_ns > 0)
         time.sleep(0.05)  # telegrams that nobody answers yet
         link.command(CommandKind.OPEN)
@@ -127,6 +159,55 @@ def test_the_link_moves_the_arm_of_a_foreign_controller(
         assert done.result is Result.DONE
         assert done.rejected == 0
         assert not done.fault
-        output, _ = server.communicate("stop\n", timeout=10)
-    result = next(line for line in output.splitlines() if line.startswith("RESULT")).split()
-    assert [float(v) for v in result[2:]] == pytest.approx([degrees(v) for v in TARGET], abs=1e-5)
+        axes_deg = end()
+    assert axes_deg == pytest.approx(TARGET_DEG, abs=1e-5)
+
+
+@pytest.fixture
+def foreign_arm(tmp_path: Path) -> Iterator[tuple[KukaRsiArm, Path]]:
+    """Our driver with the tags that the echo server knows, and the Ethernet file that we make for it."""
+    port = _free_port()
+    text = files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8")
+    description = tmp_path / "context.toml"
+    description.write_text(
+        text.replace("AK.", "AKorr.")
+        .replace("192.168.10.20", "127.0.0.1")
+        .replace("pc_port = 59152", f"pc_port = {port}")
+    )
+    context = load_context(description)
+    ethernet_file = tmp_path / "ethernet.xml"
+    ethernet_file.write_text(render(context)[f"{context.name}_eth.xml"])
+    eki = FakeController()
+    eki.streams = False
+    eki.axes_deg = (0.0,) * 6  # where the echo server begins
+    eki.facts["CtxHash"] = context_hash(context)
+    config = DeviceConfig(
+        driver="kuka_rsi",
+        endpoints={"rsi": f"udp://127.0.0.1:{port}", "eki_project": f"tcp://127.0.0.1:{eki.eki_port}"},
+        options={
+            "context": str(description),
+            "silence_limit_s": 2.0,
+            "heartbeat_limit_s": 5.0,
+            "settle_tolerance_deg": ECHO_DIGIT_DEG,
+        },
+    )
+    arm = KukaRsiArm("robot.master", config, HostClock())
+    yield arm, ethernet_file
+    arm.close()
+    eki.close()
+
+
+def test_the_whole_driver_moves_the_arm_of_a_foreign_controller(
+    foreign_arm: tuple[KukaRsiArm, Path], tmp_path: Path
+) -> None:
+    arm, ethernet_file = foreign_arm
+    with echo_server(ethernet_file, tmp_path) as end:
+        arm.connect()
+        arm.configure()
+        arm.activate()
+        reading = arm.move_joints(TARGET)
+        assert reading.joints_rad == pytest.approx(TARGET, abs=radians(ECHO_DIGIT_DEG))
+        assert arm.link_statistics().rejected_telegrams == 0
+        arm.deactivate()  # ended by EKI: the echo server knows no STOP object
+        axes_deg = end()
+    assert axes_deg == pytest.approx(TARGET_DEG, abs=ECHO_DIGIT_DEG)
