@@ -13,7 +13,7 @@ from procedures.studies.unit import Sums
 RMS_UM = {"good": (10.0, 35.0), "poor": (25.0, 50.0)}  # without and with streaks on posts
 SHARE_95_UM = {"good": 50.0, "poor": 70.0}  # with streaks
 CHI2 = (0.7, 1.4)
-LEAST_SPHERES = 200
+LEAST_SPHERES, LEAST_VOLUMES = 200, 40
 FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
 
 
@@ -67,8 +67,10 @@ def _detection(total: Sums) -> list[Sequence[Cell]]:
     spheres, missed, false, large = (
         of_method(total, Method.OURS, key) for key in ("spheres", "missed", "false", "large")
     )
+    volumes = total.get("volumes", 0.0)
     rows: list[Sequence[Cell]] = [
         ("spheres", int(spheres), f"at least {LEAST_SPHERES}", _word(spheres >= LEAST_SPHERES)),
+        ("volumes", int(volumes), f"at least {LEAST_VOLUMES}", _word(volumes >= LEAST_VOLUMES)),
         ("missed", int(missed), "0", _word(missed == 0)),
         ("false", int(false), "0", _word(false == 0)),
     ]

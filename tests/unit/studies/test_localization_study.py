@@ -79,13 +79,15 @@ def test_tables_and_plots_say_what_was_counted(monkeypatch: pytest.MonkeyPatch) 
     assert plots(sums)["error-good.png"].startswith(b"\x89PNG")
 
 
-def sums_of(error_mm: float, sigma_mm: float, spheres: int, missed: int = 0) -> dict[str, float]:
+def sums_of(
+    error_mm: float, sigma_mm: float, spheres: int, missed: int = 0, volumes: int = 20
+) -> dict[str, float]:
     """Ours on one family: all errors alike."""
     found = spheres - missed
     told = {"spheres": spheres, "found": found, "missed": missed, "false": 0.0}
     told |= {"error2": found * error_mm**2, "chi2": found * (error_mm / sigma_mm) ** 2}
     told[f"bin {int(1e3 * error_mm)}"] = found
-    return {f"combined|{key}": float(value) for key, value in told.items()}
+    return {"volumes": volumes} | {f"combined|{key}": float(value) for key, value in told.items()}
 
 
 def test_goals_are_held_against_what_was_reached() -> None:
@@ -98,6 +100,7 @@ def test_goals_are_held_against_what_was_reached() -> None:
         "95 % µm, good, with streaks on posts": "yes",
         "chi² / 3n, good, with streaks on posts": "yes",
         "spheres": "yes",
+        "volumes": "yes",
         "missed": "yes",
         "false": "yes",
     }
@@ -107,6 +110,7 @@ def test_goals_are_held_against_what_was_reached() -> None:
         "rms µm, poor, without streaks on posts",
         "chi² / 3n, poor, without streaks on posts",
         "spheres",
+        "volumes",
         "missed",
     }
     assert goals({"plain|good": sums_of(0.006, 0.0035, 150)}) is None
