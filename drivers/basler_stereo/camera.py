@@ -16,6 +16,7 @@ from drivers.basler_stereo.errors import CommandRefused, NoCamera
 from drivers.basler_stereo.event_listener import EventListener, has_events, subscribe
 from drivers.basler_stereo.events import WANTED, EventCounters, event_ids
 from drivers.basler_stereo.features import FeatureMap
+from drivers.basler_stereo.finding import find_cameras, told
 from drivers.basler_stereo.gvsp import following
 from drivers.basler_stereo.heartbeat import Heartbeat, require_control
 from drivers.basler_stereo.options import BaslerOptions
@@ -91,12 +92,19 @@ class Camera:
         return self._trigger
 
     def connect(self, deadline_s: float) -> CameraIdentity:
-        """Open the control channel and ask who is there; raises GEV-001, GEV-008. Takes no control."""
+        """Open the control channel and ask who is there; raises GEV-001, GEV-008. Takes no control.
+
+        Where nobody answers, the message names the cameras that do elsewhere.
+        """
         try:
             self._control = ControlChannel(self._address)
         except OSError as error:
             raise NoCamera(f"no way to {self._address}", last=error.strerror) from error
-        return identify(self._control, deadline_s)
+        try:
+            return identify(self._control, deadline_s)
+        except NoCamera as error:
+            peer = str(self._control.link.getpeername()[0])
+            raise NoCamera(error.what, awaited=error.awaited, last=told(find_cameras(peer))) from error
 
     def configure(self, reception: Reception, deadline_s: float) -> None:
         """Take control, read the description, bring everything to a known state, find the packet size.

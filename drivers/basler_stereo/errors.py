@@ -59,7 +59,7 @@ class NoAnswer(LinkTimeout):
     """The camera did not answer a command in time, repetitions included."""
 
     code = "GEV-007"
-    action = "Check the link; if the camera still answers a discovery, connect again."
+    action = "Check power and cable of that camera and ask again; a fault is latched when it stays silent."
 
 
 class BrokenAnswer(ProtocolError):

@@ -9,7 +9,7 @@ from dataclasses import replace
 from drivers.basler_stereo.assembly import Frame
 from drivers.basler_stereo.camera import Camera
 from drivers.basler_stereo.control import send_together
-from drivers.basler_stereo.errors import CameraLost, CommandRefused, ControlLost, NoAnswer, TriggerMissed
+from drivers.basler_stereo.errors import CommandRefused, ControlLost, NoAnswer, TriggerMissed
 from drivers.basler_stereo.images import camera_image, stereo_reading
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.pairing import PairClock
@@ -19,10 +19,12 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
 ALIVE_LIMIT_S = 0.5  # to find out whether a camera that sent nothing is still there
+ASK_AGAIN_S = 0.1  # between two such questions: the heartbeat asks by the same channel
 PARTNER_LIMIT_S = 2.0  # for the second image of a pair after the first has come
 PATIENCE_S = 0.1  # beyond the exposure, until an image of which nothing came is asked for
 FIRST_TRY_SHARE = 0.6  # of the time limit, for the first of two triggers
 SHORTEST_LIMIT_FOR_TWO_S = 1.0  # with less there is one
+NO_PULSE = "Check what pulses the trigger line, and its wiring to the input Line1 of both cameras."
 
 Frames = tuple[Frame | None, Frame | None]
 
@@ -48,13 +50,12 @@ class PairGrabber:
         left.start(deadline_s)
         try:
             right.start(deadline_s)
-            ties = (left.tie(self._clock, deadline_s), right.tie(self._clock, deadline_s))
+            self._tie(deadline_s)
         except BaseException:
             for camera in self._cameras:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.stop(deadline_s)
             raise
-        self._pair_clock = PairClock(ties, self._options.pair_skew_ms / 1000.0)
         self._out_of_step = False
 
     def end(self, deadline_s: float) -> None:
@@ -67,9 +68,20 @@ class PairGrabber:
 
         Once more when neither camera sent an image, or the images are not of one moment, as happens when
         the computer stalls between the two commands. After a pair that is not whole the streams begin
-        anew, so that a late image is never taken for one of the next trigger. Raises GEV-013 to GEV-015,
-        GEV-017.
+        anew, so that a late image is never taken for one of the next trigger. A camera that does not
+        answer is waited for: it stays ours until its heartbeat time-out. Raises GEV-007 when it is silent to
+        the deadline, GEV-014 when it is silent for longer than that time-out; GEV-013, GEV-015, GEV-017.
         """
+        while True:
+            try:
+                return self._grab_twice(sequence, deadline_s)
+            except NoAnswer:
+                self._out_of_step = True  # the trigger may have acted on the other side
+                if time.monotonic() >= deadline_s:
+                    raise
+                self._await_answers(deadline_s)
+
+    def _grab_twice(self, sequence: int, deadline_s: float) -> StereoReading:
         limit_s = deadline_s - time.monotonic()
         twice = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
         if twice:
@@ -80,6 +92,20 @@ class PairGrabber:
             except TriggerMissed:
                 pass  # the command or every packet was lost, or the camera was busy
         return self._grab(sequence, deadline_s)
+
+    def _await_answers(self, deadline_s: float) -> None:
+        """Return when both cameras answer again. Whether one is gone is for its heartbeat to say."""
+        for camera in self._cameras:
+            while True:
+                if camera.lost is not None:
+                    raise camera.lost
+                try:
+                    camera.check_control(min(deadline_s, time.monotonic() + ALIVE_LIMIT_S))
+                    break
+                except NoAnswer:
+                    if time.monotonic() >= deadline_s:
+                        raise
+                time.sleep(ASK_AGAIN_S)
 
     def _grab(self, sequence: int, deadline_s: float) -> StereoReading:
         if self._out_of_step:
@@ -97,6 +123,11 @@ class PairGrabber:
             self._explain_absence(frames)
         return self._reading(frames, sequence, triggered_s)
 
+    def _tie(self, deadline_s: float) -> None:
+        """Tie the counts of both cameras to theatre time."""
+        left, right = (camera.tie(self._clock, deadline_s) for camera in self._cameras)
+        self._pair_clock = PairClock((left, right), self._options.pair_skew_ms / 1000.0)
+
     def _trigger(self, deadline_s: float) -> None:
         commands = [
             (camera.control, camera.trigger_command)
@@ -105,8 +136,6 @@ class PairGrabber:
         ]
         results = send_together(commands, deadline_s, "the trigger")
         for camera, result in zip(self._cameras, results, strict=False):
-            if isinstance(result, NoAnswer):
-                raise CameraLost(f"the {camera.side} camera does not answer the trigger") from result
             if isinstance(result, CommandRefused) and result.status == GevStatus.ACCESS_DENIED:
                 raise ControlLost(f"the {camera.side} camera refuses our trigger") from result
             if result is not None:
@@ -125,23 +154,25 @@ class PairGrabber:
         return first, right.take(deadline_s, hopeless)
 
     def _explain_absence(self, frames: Frames) -> None:
-        """Find out why a frame did not come: raises GEV-014 or GEV-015 for its camera, GEV-013 for both."""
+        """Find out why a frame did not come.
+
+        Raises GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
+        """
         for camera, frame in zip(self._cameras, frames, strict=True):
             if frame is not None:
                 continue
             if camera.lost is not None:
                 raise camera.lost
-            try:
-                camera.check_control(time.monotonic() + ALIVE_LIMIT_S)
-            except NoAnswer as error:
-                raise CameraLost(f"the {camera.side} camera no longer answers") from error
+            camera.check_control(time.monotonic() + ALIVE_LIMIT_S)
         if frames == (None, None):
+            pulsed = self._options.trigger == "line1"
             raise TriggerMissed(
-                "no image after a trigger",
+                "no pulse came on the trigger line" if pulsed else "no image after a trigger",
                 awaited="an image from either camera",
                 last="packets came, no whole image"
                 if any(camera.receiver.begun for camera in self._cameras)
                 else "not one packet",
+                action=NO_PULSE if pulsed else None,
             )
 
     def _reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
@@ -173,6 +204,9 @@ class PairGrabber:
         if left is None or right is None:
             return Validity.OK, (None, None)  # what is missing says enough
         ticks = (left.ticks, right.ticks)
+        if not self._pair_clock.tied and all(camera.tick_frequency_hz for camera in self._cameras):
+            # a counter that stood at zero when the stream began looked like one that does nothing
+            self._tie(time.monotonic() + ALIVE_LIMIT_S)
         now_s = self._clock.now_s()
         match = self._pair_clock.judge(ticks, triggered_s, now_s)
         moments_s = self._pair_clock.moments_s(ticks)

@@ -31,11 +31,13 @@ def choose_packet_bytes(
         for size in (wanted_bytes,) if wanted_bytes else CANDIDATES_BYTES:
             if _carries(control, stream, size, deadline_s):
                 return _accepted(control, size, deadline_s), True
-        if wanted_bytes is not None and _carries(control, stream, SMALLEST_PACKET_BYTES, deadline_s):
-            raise PacketTooLarge(
-                f"packets of {wanted_bytes} bytes from {control.address} do not arrive",
-                awaited=f"a test packet within {PROBE_LIMIT_S} s",
-            )
+        for size in CANDIDATES_BYTES if wanted_bytes else ():
+            if size < (wanted_bytes or 0) and _carries(control, stream, size, deadline_s):
+                raise PacketTooLarge(
+                    f"packets of {wanted_bytes} bytes from {control.address} do not arrive",
+                    awaited=f"a test packet within {PROBE_LIMIT_S} s",
+                    limit=f"packets of {size} bytes do",
+                )
         return _accepted(control, wanted_bytes or BELIEVED_BYTES, deadline_s), False
     finally:
         control.write_register(Bootstrap.SCP, 0, deadline_s)

@@ -174,12 +174,17 @@ class BaslerStereoPair:
         A side of which no image came is None and the reading MISSING, as long as its camera answers; two
         images that are not of one moment are UNPAIRED, two that are older than the trigger STALE. Cameras
         that both sent nothing, or not at one moment, are triggered once more. Raises GEV-013 when there is
-        still nothing, and, with FAULT latched, GEV-014 (a camera is gone), GEV-015 (control lost) or
-        GEV-017 (our reception ended). After a pair that is not whole the streams begin anew, so that a
-        late image is never taken for that of the next trigger.
+        still nothing. After a pair that is not whole the streams begin anew, so that a late image is never
+        taken for that of the next trigger.
+
+        A camera that falls silent is waited for, since it remains ours until its heartbeat time-out: a short
+        absence costs time only. Raises GEV-007 when it is silent up to `timeout_s`; ask again then. Raises,
+        with FAULT latched, GEV-014 (a camera is silent beyond its heartbeat time-out), GEV-015 (control
+        lost) or GEV-017 (our reception ended).
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
-        return self._watched(lambda: self._grab(time.monotonic() + timeout_s))
+        deadline_s = time.monotonic() + timeout_s
+        return self._watched(lambda: self._grab(deadline_s), silence_is_loss=False)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED by a new session with the same cameras, areas and exposure.
@@ -221,8 +226,11 @@ class BaslerStereoPair:
         assert self._grabber is not None, "the lifecycle allows this call only with controlled cameras"
         return self._grabber
 
-    def _watched(self, work: Callable[[], T]) -> T:
-        """Do one piece of work; a camera that is gone or no longer ours latches FAULT."""
+    def _watched(self, work: Callable[[], T], *, silence_is_loss: bool = True) -> T:
+        """Do one piece of work; a camera that is gone or no longer ours latches FAULT.
+
+        So does one that does not answer while it is being set: nobody knows what it has taken.
+        """
         try:
             for camera in self._pair:
                 if camera.lost is not None:
@@ -238,6 +246,8 @@ class BaslerStereoPair:
             self._guard.latch(taken)
             raise taken from error
         except NoAnswer as error:
+            if not silence_is_loss:
+                raise
             lost = CameraLost("a camera no longer answers", last=error.what)
             self._guard.latch(lost)
             raise lost from error

@@ -39,6 +39,11 @@ class PairClock:
         self._ties = ties
         self._skew_s = skew_s
 
+    @property
+    def tied(self) -> bool:
+        """True when the counts of both cameras are tied to theatre time."""
+        return None not in self._ties
+
     def moments_s(self, ticks: tuple[int, int]) -> tuple[float | None, float | None]:
         """Theatre time at which each exposure began, as far as it is known."""
         left, right = (

@@ -24,6 +24,12 @@ class Cameras:
         self._control = parse_endpoint(child.ready["control"]).require("tcp")
         self._pairs: list[BaslerStereoPair] = []
 
+    @property
+    def addresses(self) -> tuple[str, str]:
+        """IP addresses, left and right."""
+        left, right = (parse_endpoint(self._endpoints[side]).host for side in ("left", "right"))
+        return left, right
+
     def tell(self, **request: str) -> None:
         with socket.create_connection((self._control.host, self._control.port), LIMIT_S) as door:
             door.sendall(json.dumps(request).encode() + b"\n")

@@ -5,11 +5,15 @@ Needs Debian's package aravis-tools (`arv-fake-gv-camera-0.8`) and nobody else o
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
 import socket
 import subprocess
+import tempfile
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +21,7 @@ import pytest
 from drivers.basler_stereo.camera import Camera
 from drivers.basler_stereo.control import send_together
 from drivers.basler_stereo.errors import OutOfRange
+from drivers.basler_stereo.finding import find_cameras
 from drivers.basler_stereo.images import camera_image
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.reception import Reception
@@ -26,6 +31,7 @@ from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, PixelFormat
 FAKE_CAMERA = shutil.which("arv-fake-gv-camera-0.8")
 ADDRESS = "127.0.0.1"
 SERIAL = "STRANGER01"
+HANG_LIMIT_S = 30.0
 OPTIONS = BaslerOptions(expected_model="", gain_raw=5, packet_bytes=1500)
 AREA = AreaOfInterest(64, 32, 640, 480)
 
@@ -36,26 +42,35 @@ pytestmark = pytest.mark.skipif(
 
 
 @contextmanager
-def fake_camera(*options: str):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind((ADDRESS, GVCP_PORT))
-        except OSError:
-            pytest.skip(f"another program has {ADDRESS}:{GVCP_PORT}, which the fake camera needs")
-    assert FAKE_CAMERA is not None
-    process = subprocess.Popen(
-        [FAKE_CAMERA, "-i", ADDRESS, "-s", SERIAL, *options],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
+def in_turns():
+    """One at a time on this machine: a second fake camera would share the address with the first."""
+    with (Path(tempfile.gettempdir()) / f"ronna-fake-camera-{os.getuid()}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
         yield
-    finally:
-        process.terminate()
-        process.wait(5.0)
 
 
-def soon(limit_s: float = 5.0) -> float:
+@contextmanager
+def fake_camera(*options: str):
+    assert FAKE_CAMERA is not None
+    with in_turns():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind((ADDRESS, GVCP_PORT))
+            except OSError:
+                pytest.skip(f"another program has {ADDRESS}:{GVCP_PORT}, which the fake camera needs")
+        process = subprocess.Popen(
+            [FAKE_CAMERA, "-i", ADDRESS, "-s", SERIAL, *options],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            yield
+        finally:
+            process.terminate()
+            process.wait(HANG_LIMIT_S)
+
+
+def soon(limit_s: float = HANG_LIMIT_S) -> float:
     return time.monotonic() + limit_s
 
 
@@ -76,9 +91,17 @@ def controlled(*options: str):
 
 def grab(camera: Camera):
     assert send_together([(camera.control, camera.trigger_command)], soon(), "the trigger") == [None]
-    frame = camera.take(soon(2.0))
+    frame = camera.take(soon())
     assert frame is not None
     return frame
+
+
+def test_a_strangers_camera_answers_when_everybody_is_asked():
+    with fake_camera():
+        deadline_s = soon()
+        while SERIAL not in (found := {each.serial: each for each in find_cameras(ADDRESS)}):
+            assert time.monotonic() < deadline_s, "the fake camera did not start, or hears nobody"
+    assert (found[SERIAL].vendor, found[SERIAL].model) == ("Aravis", "Fake")
 
 
 def test_a_strangers_camera_is_found_configured_triggered_and_grabbed_from():

@@ -17,6 +17,7 @@ from drivers.basler_stereo.errors import (
     PacketTooLarge,
     TriggerMissed,
 )
+from drivers.basler_stereo.finding import find_cameras
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
@@ -127,14 +128,15 @@ def test_a_pair_that_is_out_of_step_is_flagged_and_comes_back_into_step(cameras)
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
 
 
-def test_a_clock_that_begins_anew_is_noticed_and_tied_anew(cameras):
+@pytest.mark.parametrize("which", ["left", "both"])  # not of one moment; both older than their trigger
+def test_a_clock_that_begins_anew_is_noticed_and_tied_anew(cameras, which):
     pair = cameras.streaming()
     for _ in range(2):
         assert pair.grab_pair(LIMIT_S).validity is Validity.OK
     assert pair.block_ids == (2, 2)
-    cameras.fault("reset clock left")
+    cameras.fault(f"reset clock {which}")
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
-    assert pair.block_ids == (1, 1)  # a pair was not of one moment, and the streams were begun anew
+    assert pair.block_ids == (1, 1)  # the pair was no pair, and the streams were begun anew
 
 
 def test_a_clock_that_drifts_as_cameras_do_keeps_the_pair_and_a_wild_one_does_not(cameras):
@@ -174,9 +176,32 @@ def test_an_absence_shorter_than_the_heartbeat_needs_no_recovery(cameras):
     assert pair.state is Lifecycle.ACTIVE
 
 
+@pytest.mark.hazard(4)
+def test_an_absence_that_begins_during_a_grab_costs_time_only(cameras):
+    pair = cameras.streaming(heartbeat_ms=10_000)
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+    cameras.fault("unplug right for 2 s")  # longer than a command is repeated
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+    assert pair.block_ids == (1, 1)  # the streams were begun anew
+    assert pair.state is Lifecycle.ACTIVE
+
+
 def test_two_cameras_off_the_network_are_not_found(cameras):
     cameras.fault("unplug both")
     with pytest.raises(NoCamera, match="GEV-001"):
+        cameras.new_pair().connect(1.0)
+
+
+def test_both_cameras_are_found_by_asking_everybody(cameras):
+    found = {each.address: each.serial for each in find_cameras("127.0.0.1")}
+    assert {address: found.get(address) for address in cameras.addresses} == dict(
+        zip(cameras.addresses, ("21904411", "21904412"), strict=True)
+    )
+
+
+def test_where_one_camera_is_not_found_the_other_is_named(cameras):
+    cameras.fault("unplug left")
+    with pytest.raises(NoCamera, match=rf"{cameras.addresses[0]}; .*21904412 at {cameras.addresses[1]}"):
         cameras.new_pair().connect(1.0)
 
 

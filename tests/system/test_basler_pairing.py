@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from faulty_cameras import AREA, LIMIT_S
 
@@ -58,9 +59,9 @@ class Theatre:
 
 
 @pytest.fixture
-def theatre() -> Iterator[Theatre]:
+def theatre(request: pytest.FixtureRequest) -> Iterator[Theatre]:
     world = World.create(built_in_scene("bench"), paced=False)
-    world.clock.wait_until_ns(POWERED_ON_NS)  # counters that show zero could not be told from dead ones
+    world.clock.wait_until_ns(getattr(request, "param", POWERED_ON_NS))
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler", "--world", world.endpoint)) as child:
         made = Theatre(world, child)
         yield made
@@ -112,6 +113,18 @@ def test_answers_that_are_late_or_lost_delay_and_no_trigger_acts_twice(theatre: 
         theatre.script()
 
 
+def test_twelve_bits_are_the_same_packed_or_not(theatre: Theatre) -> None:
+    images = {}
+    for pixel_format in ("Mono12", "Mono12Packed"):
+        pair = theatre.streaming(pixel_format=pixel_format)
+        image = pair.grab_pair(LIMIT_S).left
+        assert image is not None
+        images[pixel_format] = image.pixels  # of trigger 1 of the same scene: the same noise
+        pair.close()
+    assert images["Mono12"].max() > 255
+    assert np.array_equal(images["Mono12"], images["Mono12Packed"])
+
+
 @pytest.mark.parametrize(("late_ms", "validity"), [(0.3, Validity.OK), (4.0, Validity.UNPAIRED)])
 def test_a_side_that_exposes_later_than_allowed_is_not_of_the_pair(
     theatre: Theatre, late_ms: float, validity: Validity
@@ -121,3 +134,12 @@ def test_a_side_that_exposes_later_than_allowed_is_not_of_the_pair(
     reading = pair.grab_pair(LIMIT_S)  # a second trigger does not help
     assert reading.validity is validity
     assert skew_ms(reading) >= late_ms - SKEW_MS
+
+
+@pytest.mark.parametrize("theatre", [0], indirect=True, ids=["just powered on"])
+def test_the_first_pair_is_judged_although_the_counters_stood_at_zero(theatre: Theatre) -> None:
+    pair = theatre.streaming(trigger="action")
+    theatre.script("expose late right 4 ms")
+    assert pair.grab_pair(LIMIT_S).validity is Validity.UNPAIRED
+    theatre.script()
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK

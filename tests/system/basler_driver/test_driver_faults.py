@@ -8,7 +8,7 @@ import signal
 import pytest
 from peer_cameras import HANG_LIMIT_S, wait_until
 
-from drivers.basler_stereo.errors import CameraLost, ControlLost, ReceptionEnded
+from drivers.basler_stereo.errors import CameraLost, ControlLost, NoAnswer, ReceptionEnded
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
@@ -17,8 +17,8 @@ from ronna_hw.devices.readings import Validity
 @pytest.mark.hazard(4)
 def test_a_dead_camera_latches_a_fault_and_recover_brings_it_back(pair, peers, make_pair):
     peers[1].fault("mute")
-    with pytest.raises(CameraLost, match="GEV-014"):
-        pair.grab_pair(1.0)
+    with pytest.raises(CameraLost, match=rf"GEV-014: {peers[1].address}.*limit 1 s"):
+        pair.grab_pair(HANG_LIMIT_S)
     assert pair.state is Lifecycle.FAULT
     with pytest.raises(WrongState, match="GEV-014"):
         pair.grab_pair(1.0)
@@ -28,6 +28,34 @@ def test_a_dead_camera_latches_a_fault_and_recover_brings_it_back(pair, peers, m
     assert pair.state is Lifecycle.CONFIGURED
     pair.activate(HANG_LIMIT_S)
     assert pair.grab_pair(HANG_LIMIT_S).validity is Validity.OK
+
+
+def test_a_camera_that_is_silent_is_no_fault_before_its_heartbeat_time_out(make_pair, peers):
+    device = make_pair(heartbeat_ms=60_000)
+    device.connect(HANG_LIMIT_S)
+    device.configure(HANG_LIMIT_S)
+    device.activate(HANG_LIMIT_S)
+    peers[1].fault("mute")
+    with pytest.raises(NoAnswer, match=f"GEV-007: {peers[1].address}"):
+        device.grab_pair(0.5)
+    assert device.state is Lifecycle.ACTIVE
+    peers[1].fault("normal")
+    assert device.grab_pair(HANG_LIMIT_S).validity is Validity.OK
+
+
+@pytest.mark.hazard(4)
+def test_a_camera_whose_power_went_latches_a_fault(pair, peers):
+    peers[0].kill()
+    with pytest.raises(CameraLost, match=f"GEV-014: {peers[0].address}"):
+        pair.grab_pair(HANG_LIMIT_S)
+    assert pair.state is Lifecycle.FAULT
+
+
+def test_a_camera_that_does_not_answer_while_it_is_set_is_a_fault(pair, peers):
+    peers[1].fault("mute")
+    with pytest.raises(CameraLost, match="GEV-014"):
+        pair.set_exposure(500.0, 40)
+    assert pair.state is Lifecycle.FAULT
 
 
 def test_a_camera_that_lets_go_is_noticed_by_the_heartbeat(pair, peers):
