@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from xml.etree import ElementTree
 
 from drivers.basler_stereo.control import ControlChannel
@@ -18,6 +18,7 @@ from ronna_hw.wire.gige_vision import Bootstrap
 
 LARGEST_FILE_BYTES = 8 * 1024 * 1024  # descriptions are 20 kB to 1 MB
 ROOT = "RegisterDescription"
+CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that say whether this one can be used
 
 
 @dataclass(frozen=True)
@@ -36,15 +37,16 @@ class Node:
     kind: str
     name: str
     fields: tuple[Field, ...]
-    entries: dict[str, int]  # of an Enumeration: name -> value
+    entries: dict[str, int] = field(default_factory=dict)  # of an Enumeration: name -> value
+    conditions: dict[str, tuple[str, ...]] = field(default_factory=dict)  # entry -> nodes it depends on
 
     def text(self, tag: str) -> str | None:
         """Text of the first field with that tag, or None."""
-        return next((field.text for field in self.fields if field.tag == tag), None)
+        return next((each.text for each in self.fields if each.tag == tag), None)
 
     def all(self, tag: str) -> Iterator[Field]:
         """Every field with that tag."""
-        return (field for field in self.fields if field.tag == tag)
+        return (each for each in self.fields if each.tag == tag)
 
 
 def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
@@ -98,11 +100,7 @@ def parse_description(data: bytes) -> dict[str, Node]:
         raise BadDescription(f"the description is not XML: {error}", wire=data[:32]) from error
     if _local(root.tag) != ROOT:
         raise BadDescription("the description has another root", awaited=ROOT, last=_local(root.tag))
-    nodes: dict[str, Node] = {}
-    for element in _nodes(root):
-        node = _node(element)
-        nodes[node.name] = node
-    return nodes
+    return {node.name: node for node in _nodes(root)}
 
 
 class _Builder(ElementTree.TreeBuilder):
@@ -112,25 +110,46 @@ class _Builder(ElementTree.TreeBuilder):
         raise BadDescription("the description declares a document type", last=name)
 
 
-def _nodes(parent: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    """Named elements, also those inside groups."""
+def _nodes(parent: ElementTree.Element) -> Iterator[Node]:
+    """Named elements, also those inside groups, and the entries of registers that are shared by several."""
     for element in parent:
-        if _local(element.tag) == "Group":
+        kind = _local(element.tag)
+        if kind == "Group":
             yield from _nodes(element)
+        elif kind == "StructReg":
+            yield from _struct_entries(element)
         elif "Name" in element.attrib:
-            yield element
+            yield _node(element)
+
+
+def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
+    """The parts of one register, each with a name; what a part does not say itself the register says."""
+    entries = [child for child in shared if _local(child.tag) == "StructEntry"]
+    common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
+    for entry in entries:
+        node = _node(entry)
+        yield Node("MaskedIntReg", node.name, node.fields + common)
 
 
 def _node(element: ElementTree.Element) -> Node:
-    fields, entries = [], {}
+    fields: list[Field] = []
+    entries: dict[str, int] = {}
+    conditions: dict[str, tuple[str, ...]] = {}
+    name = element.attrib["Name"]
     for child in element:
-        tag = _local(child.tag)
-        if tag == "EnumEntry":
-            value = next((sub.text for sub in child if _local(sub.tag) == "Value"), None)
-            entries[child.attrib.get("Name", "")] = whole_number(value, f"entry of {element.attrib['Name']}")
-        else:
-            fields.append(Field(tag, (child.text or "").strip(), dict(child.attrib)))
-    return Node(_local(element.tag), element.attrib["Name"], tuple(fields), entries)
+        if _local(child.tag) != "EnumEntry":
+            fields.append(_field(child))
+            continue
+        entry = child.attrib.get("Name", "")
+        parts = [_field(part) for part in child]
+        value = next((part.text for part in parts if part.tag == "Value"), None)
+        entries[entry] = whole_number(value, f"entry of {name}")
+        conditions[entry] = tuple(part.text for part in parts if part.tag in CONDITIONS)
+    return Node(_local(element.tag), name, tuple(fields), entries, conditions)
+
+
+def _field(element: ElementTree.Element) -> Field:
+    return Field(_local(element.tag), (element.text or "").strip(), dict(element.attrib))
 
 
 def whole_number(text: str | None, what: str) -> int:

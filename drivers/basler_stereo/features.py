@@ -1,7 +1,8 @@
 """Features of a camera by name, through the nodes of its description down to registers.
 
-What is read: Integer, Boolean, Enumeration, Float, Command, IntReg, MaskedIntReg, FloatReg, Converter and
-IntConverter, SwissKnife and IntSwissKnife. Nothing is cached: a camera changes values by itself.
+What is read: Integer, Boolean, Enumeration, Float, Command, IntReg, MaskedIntReg, StructReg, FloatReg,
+Converter, IntConverter, SwissKnife and IntSwissKnife. One description often serves several models: what its
+conditions say is not there counts as absent. Nothing is cached: a camera changes values by itself.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from drivers.basler_stereo.description import Field, Node, whole_number
+from drivers.basler_stereo.description import CONDITIONS, Field, Node, whole_number
 from drivers.basler_stereo.errors import BadDescription, MissingFeature
 from drivers.basler_stereo.formula import Number, evaluate
 from drivers.basler_stereo.registers import (
@@ -57,12 +58,17 @@ class FeatureMap:
         self._held: dict[str, Number] = {}  # nodes with a value of their own and no register
 
     def has(self, name: str) -> bool:
-        """True when the camera describes a feature of that name."""
-        return name in self._nodes
+        """True when the camera describes a feature of that name, and it can be used now."""
+        return name in self._nodes and self._usable(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
-        """Names and values of an enumeration."""
-        return dict(self._node(name).entries)
+        """Names and values of an enumeration, as far as they can be chosen now."""
+        node = self._node(name)
+        return {
+            entry: value
+            for entry, value in node.entries.items()
+            if all(self._read(condition, 1) for condition in node.conditions.get(entry, ()))
+        }
 
     def number(self, name: str) -> Number:
         """Present value of a feature."""
@@ -86,7 +92,7 @@ class FeatureMap:
 
     def choose(self, name: str, entry: str) -> None:
         """Set an enumeration by the name of its entry."""
-        entries = self._node(name).entries
+        entries = self.entries(name)
         if entry not in entries:
             raise MissingFeature(f"{name} cannot be {entry}", awaited=" or ".join(sorted(entries)))
         self._write(name, entries[entry], 0)
@@ -114,7 +120,7 @@ class FeatureMap:
             for place, tag in enumerate(("Min", "Max", "Inc")):
                 if found[place] is None:
                     found[place] = self._own_or_other(node, tag, depth)
-            below = node.text("pValue") if node.kind not in _CONVERTERS else None
+            below = self._below(node, depth) if node.kind not in _CONVERTERS else None
             node = self._node(below) if below else None
             depth += 1
         return Limits(*found)
@@ -130,13 +136,10 @@ class FeatureMap:
         if node.kind in _REGISTERS:
             return self._decoded(node, depth)
         if node.kind.endswith("SwissKnife"):
-            return evaluate(
-                self._formula(node, "Formula"), self._variables(node, depth), whole=node.kind in _WHOLE
-            )
-        below = node.text("pValue")
+            return self._computed(node, "Formula", depth)
+        below = self._below(node, depth)
         if node.kind in _CONVERTERS:
-            values = {**self._variables(node, depth), "TO": self._read(below or "", depth + 1)}
-            return evaluate(self._formula(node, "FormulaFrom"), values, whole=node.kind in _WHOLE)
+            return self._computed(node, "FormulaFrom", depth, TO=self._read(below or "", depth + 1))
         if below is not None:
             value = self._read(below, depth + 1)
             return float(value) if node.kind == "Float" else value
@@ -152,11 +155,9 @@ class FeatureMap:
         if node.kind in _REGISTERS:
             self._memory.write(self._address(node, depth), self._encoded(node, value))
             return
-        below = node.text("pValue")
+        below = self._below(node, depth)
         if node.kind in _CONVERTERS:
-            values = {**self._variables(node, depth), "FROM": value}
-            raw = evaluate(self._formula(node, "FormulaTo"), values, whole=node.kind in _WHOLE)
-            self._write(below or "", raw, depth + 1)
+            self._write(below or "", self._computed(node, "FormulaTo", depth, FROM=value), depth + 1)
         elif below is not None:
             self._write(below, value, depth + 1)
         elif node.text("Value") is not None:
@@ -171,7 +172,29 @@ class FeatureMap:
 
     def _final_register(self, name: str, depth: int) -> Node:
         node = self._checked(name, depth)
-        return node if node.kind in _REGISTERS else self._final_register(node.text("pValue") or "", depth + 1)
+        if node.kind in _REGISTERS:
+            return node
+        return self._final_register(self._below(node, depth) or "", depth + 1)
+
+    def _usable(self, name: str, depth: int) -> bool:
+        """What the conditions of a node say, and those of the node that holds its value."""
+        node = self._checked(name, depth)
+        for tag in CONDITIONS:
+            if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
+                return False
+        below = self._below(node, depth)
+        return below is None or self._usable(below, depth + 1)
+
+    def _below(self, node: Node, depth: int) -> str | None:
+        """The node that holds a node's value: the one, or of several the one that an index chooses."""
+        chooser = None if node.kind in _REGISTERS else node.text("pIndex")
+        if chooser is None:
+            return node.text("pValue")
+        index = int(self._read(chooser, depth + 1))
+        for field in node.all("pValueIndexed"):
+            if whole_number(field.attributes.get("Index"), f"index of {node.name}") == index:
+                return field.text
+        return node.text("pValueDefault")
 
     def _own_or_other(self, node: Node, tag: str, depth: int) -> Number | None:
         """The number in a field, or that of the node which its twin `p...` names; None without both."""
@@ -180,11 +203,16 @@ class FeatureMap:
             return float(own) if node.kind == "Float" else whole_number(own, f"{tag} of {node.name}")
         return None if other is None else self._read(other, depth + 1)
 
-    def _variables(self, node: Node, depth: int) -> dict[str, Number]:
-        return {
-            field.attributes.get("Name", ""): self._read(field.text.split(".")[0], depth + 1)
-            for field in node.all("pVariable")
-        }
+    def _computed(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
+        """The value of a node's formula over its variables, constants and expressions."""
+        whole, values = node.kind in _WHOLE, dict(given)
+        for field in node.fields:
+            name = field.attributes.get("Name", "")
+            if field.tag == "pVariable":
+                values[name] = self._read(field.text.split(".")[0], depth + 1)
+            elif field.tag in ("Constant", "Expression"):
+                values[name] = evaluate(field.text, values, whole=whole)
+        return evaluate(self._formula(node, tag), values, whole=whole)
 
     @staticmethod
     def _formula(node: Node, tag: str) -> str:

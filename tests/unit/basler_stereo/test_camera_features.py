@@ -57,6 +57,21 @@ NODES = f"""
 <Integer Name="Empty"/><IntReg Name="Odd"><Address>0</Address><Length>3</Length></IntReg>
 <MaskedIntReg Name="Outside"><Address>0</Address>{REGISTER}<Bit>40</Bit></MaskedIntReg>
 <SwissKnife Name="NoFormula"/>
+<StructReg><Address>0x60</Address>{REGISTER}<StructEntry Name="High"><LSB>15</LSB><MSB>0</MSB></StructEntry>
+ <StructEntry Name="Lowest"><Bit>31</Bit><Sign>Unsigned</Sign></StructEntry></StructReg>
+<Float Name="Kelvin"><pValue>Warmth</pValue></Float>
+<Converter Name="Warmth"><pVariable Name="STEP">TimeBase</pVariable><Constant Name="ZERO">0x111</Constant>
+ <Expression Name="SHIFT">ZERO + STEP</Expression><FormulaTo>FROM - SHIFT</FormulaTo>
+ <FormulaFrom>TO + SHIFT</FormulaFrom><pValue>Little</pValue></Converter>
+<Integer Name="Gain"><pIndex>Selector</pIndex><pValueIndexed Index="1">Little</pValueIndexed>
+ <pValueIndexed Index="2">Signed</pValueIndexed><pValueDefault>WidthReg</pValueDefault></Integer>
+<Integer Name="Installed"><Value>1</Value></Integer>
+<Integer Name="Ready"><Value>1</Value></Integer>
+<Integer Name="Gamma"><pIsImplemented>Installed</pIsImplemented><pValue>GammaReg</pValue></Integer>
+<IntReg Name="GammaReg"><pIsAvailable>Ready</pIsAvailable><Address>0x64</Address>{REGISTER}</IntReg>
+<Enumeration Name="Source"><EnumEntry Name="Software"><Value>0</Value></EnumEntry>
+ <EnumEntry Name="Action1"><pIsImplemented>Installed</pIsImplemented><Value>1</Value></EnumEntry>
+ <pValue>ModeReg</pValue></Enumeration>
 """
 
 
@@ -139,6 +154,43 @@ def test_limits_come_from_the_node_or_the_nodes_it_names(features):
     assert features.limits("Exposure") == Limits(24.0, None, None)
 
 
+@pytest.mark.parametrize("condition", ["Installed", "Ready"])
+def test_what_its_conditions_rule_out_is_absent(features, condition):
+    assert features.has("Gamma")
+    features.set_number(condition, 0)  # the one of the feature, the other of its register
+    assert not features.has("Gamma")
+
+
+def test_entries_that_this_model_has_not_cannot_be_chosen(features):
+    features.choose("Source", "Action1")
+    features.set_number("Installed", 0)
+    assert features.entries("Source") == {"Software": 0}
+    with pytest.raises(MissingFeature, match=r"GEV-010: Source cannot be Action1; awaited Software"):
+        features.choose("Source", "Action1")
+    assert features.choice("Source") == "Action1"  # what it is, it tells nevertheless
+
+
+def test_parts_of_a_shared_register_have_names_of_their_own(features, memory):
+    memory.write(0x60, bytes.fromhex("1234fffe"))
+    assert (features.number("High"), features.number("Lowest")) == (0x1234, 0)
+    features.set_number("Lowest", 1)
+    assert memory.read(0x60, 4).hex() == "1234ffff"
+
+
+def test_formulas_have_constants_and_expressions(features):
+    features.set_number("Little", 27)
+    assert features.number("Kelvin") == 0x111 + 0.5 + 27
+    features.set_number("Kelvin", 300.5)
+    assert features.number("Little") == 27
+
+
+def test_an_index_chooses_the_node_below(features):
+    for selector, register in ((1, "Little"), (2, "Signed"), (7, "WidthReg")):
+        features.set_number("Selector", selector)
+        features.set_number("Gain", 40 + selector)
+        assert features.number(register) == features.number("Gain") == 40 + selector
+
+
 def test_a_formula_of_features(features):
     features.set_number("Width", 33)
     assert features.number("Size") == 49
@@ -151,9 +203,9 @@ def test_nodes_that_make_no_sense_are_refused(features, name):
 
 
 def test_unknown_features_and_unwritable_ones_are_named(features):
-    assert not features.has("Gamma")
-    with pytest.raises(MissingFeature, match=r"GEV-010.*Gamma"):
-        features.number("Gamma")
+    assert not features.has("Saturation")
+    with pytest.raises(MissingFeature, match=r"GEV-010.*Saturation"):
+        features.number("Saturation")
     with pytest.raises(MissingFeature, match="cannot be written"):
         features.set_number("Size", 3)
 
