@@ -19,6 +19,7 @@ from drivers.basler_stereo.pylon_features import PylonFeatures
 from ronna_hw.devices.readings import AreaOfInterest
 
 TAKEN = "controlled by another application"  # in the library's message
+EMULATED = "BaslerCamEmu"  # device class of the cameras that the library itself emulates
 LONGEST_WAIT_S = 60.0
 READY_LIMIT_MS = 1000  # a trigger that comes before the camera awaits it is ignored
 
@@ -45,7 +46,7 @@ def load_pylon() -> tuple[Any, Any]:
 
 
 class PylonCamera:
-    """Found by serial number where one is given, else by address. Deadlines are host monotonic time."""
+    """Found by its address; an emulated one, which has none, by serial number. Deadlines: host monotonic."""
 
     def __init__(
         self, side: str, address: str, serial: str | None, device_class: str, options: BaslerOptions
@@ -64,16 +65,15 @@ class PylonCamera:
         """Find the camera; takes no control. Raises GEV-001."""
         wanted = self._pylon.DeviceInfo()
         wanted.SetDeviceClass(self._device_class)
-        if self._serial is not None:
+        if self._device_class == EMULATED and self._serial is not None:
             wanted.SetSerialNumber(self._serial)
         else:
             wanted.SetIpAddress(self._address)
         try:
             self._camera = self._pylon.InstantCamera(self._pylon.TlFactory.GetInstance().CreateDevice(wanted))
         except self._genicam.GenericException as error:
-            raise NoCamera(
-                f"no camera {self._serial or self._address}", last=str(error).splitlines()[0]
-            ) from error
+            sought = self._serial if self._device_class == EMULATED else f"at {self._address}"
+            raise NoCamera(f"no camera {sought}", last=str(error).splitlines()[0]) from error
         info = self._camera.GetDeviceInfo()
         return CameraIdentity(
             address=self._address,

@@ -144,6 +144,36 @@ def test_wrong_cameras_are_told(make_pair):
         make_pair(trigger="line1")
 
 
+class LonelyLibrary:
+    """Stands for the library on a network without cameras; keeps what is asked for."""
+
+    def __init__(self) -> None:
+        self.asked: dict[str, str] = {}
+
+    GenericException = RuntimeError
+
+    def __getattr__(self, name: str):
+        if name.startswith("Set"):
+            return lambda value: self.asked.update({name.removeprefix("Set"): value})
+        return self
+
+    def __call__(self) -> LonelyLibrary:
+        return self
+
+    def CreateDevice(self, wanted: object) -> None:
+        raise RuntimeError("No device is available\nat all")
+
+
+def test_a_real_camera_is_sought_at_its_address_whatever_its_serial_number(make_pair, monkeypatch):
+    library = LonelyLibrary()
+    monkeypatch.setattr("drivers.basler_stereo.pylon_camera.load_pylon", lambda: (library, library))
+    with pytest.raises(
+        NoCamera, match=r"GEV-001: no camera at 127\.0\.0\.1; last value No device is available\."
+    ):
+        make_pair(device_class="BaslerGigE").connect()
+    assert library.asked == {"DeviceClass": "BaslerGigE", "IpAddress": "127.0.0.1"}
+
+
 def test_without_the_library_the_way_to_it_is_told(make_pair, monkeypatch):
     monkeypatch.setitem(sys.modules, "pypylon", None)
     with pytest.raises(NoPylon, match=r"GEV-018.*ronna-hw\[pylon\]"):
