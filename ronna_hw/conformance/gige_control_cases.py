@@ -26,6 +26,9 @@ LOOPBACK_BROADCAST = "127.255.255.255"
 EVERYBODY = "255.255.255.255"
 FOUND_LIMIT_S = 2.0
 BEATS, BEAT_S = 8, 0.2  # three times the shortest heartbeat time-out
+HEARTBEAT_SLACK = 0.1  # of the set time, plus a busy computer's
+BUSY_S = 0.4
+POLL_S = 0.02
 RELEASE_LIMIT_S = HEARTBEAT_MINIMUM_MS / 1000.0 + 2.0
 
 CONTROL = Suite("gige control", driver="basler_stereo", simulator=())
@@ -87,6 +90,36 @@ def every_command_is_life(bench: Bench) -> None:
                 time.sleep(BEAT_S)
                 camera.registers(Bootstrap.VERSION)
             check(camera.registers(Bootstrap.CCP) == [CCP_CONTROL], "control, held by reading anything")
+
+
+@case(
+    "G15",
+    "a controller that falls silent loses control after its heartbeat time-out, and its stream ends",
+    needs=("host time",),
+)
+def silence_ends_control(bench: Bench) -> None:
+    limit_s = HEARTBEAT_MINIMUM_MS / 1000.0
+    for camera in cameras(bench):
+        with GigeLink(camera.address) as silent, GigeStream(silent) as stream:
+            check(silent.write(Bootstrap.CCP, CCP_CONTROL) == GevStatus.SUCCESS, "control")
+            stream.small_frames(TriggerMode="Off")
+            stream.open_channel()
+            started(stream).frame()
+            silent.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS)
+            began_s = time.monotonic()
+            while camera.registers(Bootstrap.CCP) != [CCP_OPEN]:
+                waited_s = time.monotonic() - began_s
+                latest_s = limit_s * (1 + HEARTBEAT_SLACK) + BUSY_S
+                check(waited_s < latest_s, f"release after {limit_s} s", waited_s)
+                time.sleep(POLL_S)
+            waited_s = time.monotonic() - began_s
+            check(waited_s > limit_s * (1 - HEARTBEAT_SLACK), f"control for {limit_s} s", waited_s)
+            check(camera.registers(Bootstrap.SCP) == [0], "the channel closed")
+            stream.last_packets()
+        with controlled(camera), GigeStream(camera) as after:
+            after.open_channel()
+            check(after.silent(), "no acquisition without its controller")
+            after.features.execute("UserSetLoad")
 
 
 @case("G40", "a client that is gone never keeps the next one out", needs=("host time",))

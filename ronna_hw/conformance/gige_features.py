@@ -5,12 +5,14 @@ Written a second time, and much smaller than a driver's: nodes with formulas are
 
 from __future__ import annotations
 
+import io
 import struct
+import zipfile
 from functools import cached_property
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.case import Nonconformity, NotShown, check
 from ronna_hw.conformance.gige_link import GigeLink
 from ronna_hw.wire.gige_vision import TEXT_BYTES, URL_LOCAL, Bootstrap, GevStatus
 
@@ -26,18 +28,21 @@ class GigeFeatures:
 
     @cached_property
     def description(self) -> Element:
-        """The description as the camera delivers it."""
+        """The description as the camera delivers it, as plain XML or packed; fails when it is neither."""
         block = self._link.memory(Bootstrap.FIRST_URL, TEXT_BYTES[Bootstrap.FIRST_URL])
         url = block.split(b"\0", 1)[0].decode("ascii", errors="replace")
-        if not url.startswith(URL_LOCAL) or ".zip" in url.lower():
-            raise NotShown(f"the description is not plain XML on the camera: {url}")
-        _, address, length = url.removeprefix(URL_LOCAL).split("?")[0].split(";")
+        if not url.startswith(URL_LOCAL):
+            raise NotShown(f"the description is not on the camera: {url}")
+        name, address, length = url.removeprefix(URL_LOCAL).split("?")[0].split(";")
         begin, count = int(address, 16), int(length, 16)
         data = b"".join(
             self._link.memory(begin + offset, min(PIECE_BYTES, -(-(count - offset) // 4) * 4))
             for offset in range(0, count, PIECE_BYTES)
         )
-        return ElementTree.fromstring(data[:count].rstrip(b"\0"))
+        try:
+            return ElementTree.fromstring(_unpacked(name, data[:count]))
+        except (ElementTree.ParseError, zipfile.BadZipFile, IndexError) as error:
+            raise Nonconformity(f"expected XML in the {count} bytes of {url}, found {error}") from error
 
     @cached_property
     def nodes(self) -> dict[str, Element]:
@@ -142,6 +147,13 @@ class GigeFeatures:
 
     def _length(self, register: Element) -> int:
         return int(_text(register, "Length") or "4", 0)
+
+
+def _unpacked(name: str, data: bytes) -> bytes:
+    if not name.lower().endswith(".zip"):
+        return data.rstrip(b"\0")
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return archive.read(archive.infolist()[0])
 
 
 def _kind(node: Element) -> str:

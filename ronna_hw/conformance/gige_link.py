@@ -50,6 +50,7 @@ class GigeLink:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect((address, GVCP_PORT))
         self._request_id = 0
+        self._last = b""
         self.address = address
 
     def __enter__(self) -> GigeLink:
@@ -62,6 +63,7 @@ class GigeLink:
         """Send a command and return its answer, whatever its status; fails when none comes."""
         self._request_id = self._request_id % 0xFFFF + 1
         datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
+        self._last = datagram
         for _ in range(TRIES):
             self._socket.send(datagram)
             if (answer := self._answer(self._request_id)) is not None:
@@ -102,13 +104,10 @@ class GigeLink:
         """Write bytes; returns the status."""
         return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
 
-    def send_twice(self, command: int, payload: bytes) -> None:
-        """Send a command and at once the same again, as a client does whose answer was lost."""
-        self._request_id = self._request_id % 0xFFFF + 1
-        datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
-        for _ in range(2):
-            self._socket.send(datagram)
-            check(self._answer(self._request_id) is not None, "an answer to each repetition", "none")
+    def repeat_last(self) -> bool:
+        """Send the last command once more, as a client does whose answer was lost; True when answered."""
+        self._socket.send(self._last)
+        return self._answer(self._request_id) is not None
 
     def tell(self, command: int, payload: bytes) -> None:
         """Send a command that gets no answer."""

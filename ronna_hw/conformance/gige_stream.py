@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ronna_hw.conformance.case import check
 from ronna_hw.conformance.gige_features import GigeFeatures
 from ronna_hw.conformance.gige_link import GigeLink, controlled
-from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand
+from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
 
 FRAME_LIMIT_S = 10.0  # for an image; a busy computer may take its time to draw it
 SILENCE_S = 0.3  # how long no packet must come to say that there is none
@@ -62,6 +62,12 @@ class GigeStream:
 
     def __exit__(self, *reason: object) -> None:
         self.close()
+
+    def latched(self) -> int:
+        """The camera's count of ticks now."""
+        self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
+        high, low = self.link.registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
+        return high << 32 | low
 
     @property
     def port(self) -> int:
@@ -132,6 +138,15 @@ class GigeStream:
         """True when no packet comes for a while."""
         return self.datagram(SILENCE_S) is None
 
+    def last_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
+        """What still comes until nothing does for so long; fails when it does not end."""
+        found: list[Packet] = []
+        deadline_s = time.monotonic() + FRAME_LIMIT_S
+        while (packet := self.packet(silence_s)) is not None:
+            found.append(packet)
+            check(time.monotonic() < deadline_s, "an end of the stream", f"{len(found)} more packets")
+        return found
+
     def ask_again(self, block_id: int, first: int, last: int) -> None:
         """Ask for packets of a block."""
         self.link.tell(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
@@ -140,8 +155,13 @@ class GigeStream:
 def leader_of(frame: list[Packet]) -> Leader:
     """The leader of a frame, which must be its first packet."""
     check(frame[0].kind == LEADER and frame[0].packet_id == 0, "the leader first", frame[0].kind)
+    return decode_leader(frame[0])
+
+
+def decode_leader(packet: Packet) -> Leader:
+    """What a leader says."""
     _, payload_type, ticks, pixel_format, width, height, x, y, _, _ = struct.unpack_from(
-        ">HHQIIIIIHH", frame[0].content
+        ">HHQIIIIIHH", packet.content
     )
     return Leader(payload_type, ticks, pixel_format, width, height, x, y)
 
