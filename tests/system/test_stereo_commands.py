@@ -25,6 +25,7 @@ from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.command_line.console import exit_code_of
 from ronna_hw.config import read_theatre_file
 from ronna_hw.frames import Transform
+from sim.theatre.door import ask_room
 from sim.theatre.scene import Scene
 from sim.theatre.theatre_file import theatre_content
 
@@ -153,6 +154,7 @@ def test_what_is_recorded_badly_is_refused_with_its_code(
     "arguments",
     [
         ("measure",),
+        ("calibrate",),
         ("measure", "--sim", "--config", "theatre.toml"),
         ("calibrate", "--sim", "--from", "somewhere"),
         ("calibrate", "--sim", "--poses", "59"),
@@ -189,23 +191,56 @@ def test_an_expired_calibration_is_refused_before_any_device_is_asked(
 
 
 @pytest.fixture(scope="module")
-def theatre(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ChildProcess]:
     """A running mini theatre; the arm stands at home, where no ball is in view."""
     folder = tmp_path_factory.mktemp("theatre")
     with ChildProcess(
         "theatre", command("sim.cli", "theatre", "--scene", "mini", "--out", str(folder)), timeout_s=30.0
-    ) as running:
-        yield Path(running.ready["file"])
+    ) as theatre:
+        yield theatre
 
 
-def test_a_ball_that_is_not_in_view_is_refused(
-    stereo: Callable[..., Said], theatre: Path, tmp_path: Path
+@pytest.fixture(scope="module")
+def theatre(running: ChildProcess) -> Path:
+    """Its theatre file."""
+    return Path(running.ready["file"])
+
+
+@pytest.fixture
+def fault(running: ChildProcess) -> Iterator[Callable[[str], None]]:
+    """Switches a fault on in the theatre for the rest of the test."""
+    control = running.ready["endpoints"]["control"]
+    yield lambda line: ask_room(control, {"do": "fault", "line": f"now: {line}"})
+    ask_room(control, {"do": "clear_faults"})
+
+
+@pytest.mark.hazard(27)
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        (None, "STE-002: both cameras: the image is dark all over"),
+        ("camera darken right", "STE-002: both cameras: the image is dark all over"),
+        ("camera saturate both", "STE-011: both cameras: the image is saturated"),
+        ("camera saturate left", "STE-011: left camera: the image is saturated; right camera: the image is"),
+        ("camera glare left 90 px", "STE-003: left camera: no sphere in view; right camera: the image is"),
+    ],
+)
+def test_images_without_a_ball_are_refused_and_kept(
+    stereo: Callable[..., Said],
+    theatre: Path,
+    fault: Callable[[str], None],
+    tmp_path: Path,
+    line: str | None,
+    told: str,
 ) -> None:
+    if line is not None:
+        fault(line)
     picture = tmp_path / "pair.png"
     said = stereo("measure", "--config", theatre, "--picture", picture)
     assert said.code == 1
-    assert one_error(said.errors)[0].startswith("STE-003")
-    assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
+    assert one_error(said.errors)[0].startswith(told)
+    if "STE-011" not in told:
+        assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
 
 
 def test_the_calibration_of_other_cameras_is_refused(stereo: Callable[..., Said], theatre: Path) -> None:
