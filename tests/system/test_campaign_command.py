@@ -53,12 +53,13 @@ def test_another_study_in_the_folder_is_refused_in_one_line(commands: Commands, 
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_campaign_that_was_killed_half_way_goes_on_to_the_same_numbers(
     commands: Commands, tmp_path: Path
 ) -> None:
     def arguments(folder: str, workers: int) -> tuple[str, ...]:
         place = str(tmp_path / folder)
-        return ("correspondence", "--runs", "20", "--workers", str(workers), "--out", place, "--json")
+        return ("correspondence", "--runs", "12", "--workers", str(workers), "--out", place, "--json")
 
     killed = commands.start("ronna-campaign", *arguments("killed", 2))
     deadline = time.monotonic() + STARTED_S
@@ -69,8 +70,8 @@ def test_a_campaign_that_was_killed_half_way_goes_on_to_the_same_numbers(
     assert commands.await_no_survivors() == []  # its workers end too
     done = units_in(tmp_path / "killed")
     assert UNITS_BEFORE_THE_KILL <= done < 180
-    resumed = commands.run("ronna-campaign", *arguments("killed", 2))
+    resumed = commands.run("ronna-campaign", *arguments("killed", 2), timeout_s=300.0)
     assert "going on from" in resumed.stderr
-    whole = commands.run("ronna-campaign", *arguments("whole", 1))
+    whole = commands.run("ronna-campaign", *arguments("whole", 1), timeout_s=300.0)
     assert json.loads(resumed.stdout)["tables"] == json.loads(whole.stdout)["tables"]
     assert units_in(tmp_path / "killed") == units_in(tmp_path / "whole") == 180
