@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import replace
+from collections.abc import Callable
 
 from drivers.kuka_rsi import stream
 from drivers.kuka_rsi.connections import Connections
@@ -14,29 +14,36 @@ from drivers.kuka_rsi.eki_state import ControllerState
 from drivers.kuka_rsi.errors import MotionNotFinished, RecordedCycle, Unverified
 from drivers.kuka_rsi.fault_watch import STREAMING, FaultWatch
 from drivers.kuka_rsi.handshake import verify_by_motion
-from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.link_state import NO_STATE, LinkState, Phase, StopOrder
 from drivers.kuka_rsi.motion_following import MotionFollower
+from drivers.kuka_rsi.motion_planning import MotionPlanner
 from drivers.kuka_rsi.options import read_options
 from drivers.kuka_rsi.turnaround import link_statistics
-from ronna_hw.arm.clearance import sweep_path
-from ronna_hw.arm.limits import MotionLimits, working_limits
+from ronna_hw.arm.limits import MotionLimits
 from ronna_hw.arm.model import ArmModel, arm_model, radians6
-from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.planning import TOOL_Z, MotionPlan, plan_along_tool, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.preview import PathPreview, preview
-from ronna_hw.arm.speed_zones import with_speed_steps
+from ronna_hw.arm.preview import PathPreview
 from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard
-from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, Stamp, ToolIdentity, Validity
+from ronna_hw.devices.readings import (
+    ArmReading,
+    JointVector,
+    LinkStatistics,
+    Stamp,
+    ToolIdentity,
+    Validity,
+    Vector3,
+)
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
 CLOSING_STOP_S = 1.0  # host time that close() gives the arm to come to rest
 RUNS_S = 0.2  # since the real-time process last looked around: then it is worth talking to
+FLANGE = Pose()  # of a tool that is none
 STALE_S = 0.5  # age of a measured pose beyond which it is called stale, host time
 
 _STOP_ORDERS = {
@@ -59,15 +66,12 @@ class KukaRsiArm:
         self._options = options = read_options(name, config.options)
         self._context = usable_context(name, options)
         self._model = arm_model(options.variant)
-        limits = working_limits(self._model, options.speed_fraction)
-        line = options.line_speed_mm_s
-        self._limits: MotionLimits = replace(limits, line_speed_mm_s=line) if line else limits
+        self._planner = MotionPlanner(name, self._model, options)
         self._guard = LifecycleGuard(name)
         self._ways = Connections(name, config, options, self._context)
         self._watch = FaultWatch(name, self._guard, self._ways, options)
         cycle_s = self._context.program.cycle_ms / 1000.0
         self._follower = MotionFollower(name, self._ways, self._watch, cycle_s)
-        self._surroundings = Surroundings()
         self._sequence = 0
         self._t1_confirmed_by = ""
 
@@ -149,7 +153,8 @@ class KukaRsiArm:
         _person(confirmed_by)
         self._start(timeout_s)
         try:
-            verify_by_motion(self._name, self._ways.link, self._model, self._motion_limits)
+            limits = self._planner.limits(self._watch.mode)
+            verify_by_motion(self._name, self._ways.link, self._model, limits)
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
@@ -249,10 +254,10 @@ class KukaRsiArm:
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
     ) -> ArmReading:
-        limits, link = self._ready_to_move("move_joints", speed_fraction)
-        stops = link.stop_number
-        plan = self._clear(plan_joint_move(self._model, link.state.commanded_rad, target_rad, limits), link)
-        return self._reading(self._follower.follow(plan, stops, timeout_s))
+        def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
+            return plan_joint_move(self._model, start_rad, target_rad, limits)
+
+        return self._move("move_joints", plan, speed_fraction, timeout_s)
 
     def move_linear(
         self,
@@ -262,11 +267,29 @@ class KukaRsiArm:
         speed_fraction: float = 1.0,
         timeout_s: float = 60.0,
     ) -> ArmReading:
-        limits, link = self._ready_to_move("move_linear", speed_fraction)
-        stops = link.stop_number
-        start_rad = link.state.commanded_rad
-        plan = self._clear(plan_line(self._model, start_rad, target, limits, tool_in_flange_mm), link)
-        return self._reading(self._follower.follow(plan, stops, timeout_s))
+        def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
+            return plan_line(self._model, start_rad, target, limits, tool_in_flange_mm)
+
+        return self._move("move_linear", plan, speed_fraction, timeout_s)
+
+    def move_along_tool(
+        self,
+        distance_mm: float,
+        *,
+        flange_from_tool: Pose = FLANGE,
+        axis: Vector3 = TOOL_Z,
+        speed_fraction: float = 1.0,
+        timeout_s: float = 60.0,
+    ) -> ArmReading:
+        """Straight on along an axis of the tool, orientation kept: an approach, or, negative, a retreat.
+
+        Raises as `move_linear`.
+        """
+
+        def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
+            return plan_along_tool(self._model, start_rad, distance_mm, limits, flange_from_tool, axis)
+
+        return self._move("move_along_tool", plan, speed_fraction, timeout_s)
 
     def preview(
         self,
@@ -279,15 +302,10 @@ class KukaRsiArm:
 
         Raises as these do where there is no such path; one that is not clear is told in `refused`.
         """
-        limits = self._motion_limits.slowed(speed_fraction)
+        limits = self._planner.limits(self._watch.mode, speed_fraction)
         here = self.read_state()
         start_rad = here.commanded_rad or here.joints_rad  # nothing is commanded before the stream runs
-        if isinstance(target, Pose):
-            plan = plan_line(self._model, start_rad, target, limits, tool_in_flange_mm)
-        else:
-            plan = plan_joint_move(self._model, start_rad, target, limits)
-        around = replace(self._surroundings, most_mm_s=limits.body_speed_mm_s)
-        return preview(self._model, plan, around, limits)
+        return self._planner.preview(start_rad, target, tool_in_flange_mm, limits)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
@@ -314,26 +332,22 @@ class KukaRsiArm:
         self._guard.enter(Lifecycle.ACTIVE)
 
     def surround(self, surroundings: Surroundings) -> None:
-        self._surroundings = surroundings
+        self._planner.surroundings = surroundings
 
-    def _clear(self, plan: MotionPlan, link: LinkClient) -> MotionPlan:
-        """The plan with its speeds by place, when nothing on its way comes too near; raises ARM-007."""
-        most_mm_s = self._motion_limits.body_speed_mm_s
-        around = replace(self._surroundings, most_mm_s=most_mm_s)
-        if around != link.surroundings:  # the real-time process reads what is new only
-            link.surroundings = around
-        path = sweep_path(self._model, plan, link.surroundings)
-        path.require(f"the way of {self._name}")
-        return with_speed_steps(plan, path)
-
-    def _ready_to_move(self, call: str, speed_fraction: float) -> tuple[MotionLimits, LinkClient]:
+    def _move(
+        self,
+        call: str,
+        plan: Callable[[JointVector, MotionLimits], MotionPlan],
+        speed_fraction: float,
+        timeout_s: float,
+    ) -> ArmReading:
         self._watch.raise_new()
         self._guard.require(call, (Lifecycle.ACTIVE,))
-        return self._motion_limits.slowed(speed_fraction), self._ways.link
-
-    @property
-    def _motion_limits(self) -> MotionLimits:
-        return self._limits.in_mode(self._model, self._watch.mode)
+        link, mode = self._ways.link, self._watch.mode
+        stops = link.stop_number
+        planned = plan(link.state.commanded_rad, self._planner.limits(mode, speed_fraction))
+        clear = self._planner.clear(planned, link, mode)
+        return self._reading(self._follower.follow(clear, stops, timeout_s))
 
     def _start(self, timeout_s: float) -> None:
         t1_allowed, self._t1_confirmed_by = bool(self._t1_confirmed_by), ""

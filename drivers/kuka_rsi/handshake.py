@@ -7,6 +7,7 @@ comes first: it moves next to nothing, and a controller that adds corrections up
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from math import degrees, dist, radians
 
 from drivers.kuka_rsi.errors import HandshakeFailed
@@ -76,7 +77,9 @@ def _go(
     target: JointVector,
     axis: int,
 ) -> None:
-    plan = plan_joint_move(model, link.state.commanded_rad, target, limits.slowed(SLOW))
+    # An axis that stands beside an end of its range comes back there.
+    to_the_ends = replace(limits.slowed(SLOW), range_margin_rad=0.0)
+    plan = plan_joint_move(model, link.state.commanded_rad, target, to_the_ends)
     number = link.command(CommandKind.MOVE, plan)
     begun = link.state.cycles
     while True:

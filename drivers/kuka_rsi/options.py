@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from ipaddress import IPv4Address
+from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.kuka_rsi.errors import BadOptions
-from ronna_hw.arm.limits import WORKING_SPEED_FRACTION
+from ronna_hw.arm.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
 from ronna_hw.arm.model import ArmVariant
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
@@ -54,6 +55,9 @@ class KukaOptions(BaseModel):
     )
     speed_fraction: float = Field(
         WORKING_SPEED_FRACTION, gt=0.0, lt=LARGEST_SPEED_FRACTION, description="Working speed of the axes."
+    )
+    range_margin_deg: float = Field(
+        degrees(RANGE_MARGIN_RAD), ge=0.0, le=30.0, description="Kept from both ends of each axis's range."
     )
     line_speed_mm_s: float | None = Field(
         None, gt=0.0, le=250.0, description="Largest speed on straight lines, instead of the usual one."

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from ronna_hw.arm.inverse import Branch, Solution, branch_of, solutions, solve_branch
 from ronna_hw.arm.limits import MotionLimits
 from ronna_hw.arm.model import ArmModel, radians6
-from ronna_hw.arm.planning import plan_line
+from ronna_hw.arm.planning import plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
@@ -70,6 +70,7 @@ def place(
     """
     back = flange_from_tool.inverse()
     begin = solve_branch(model, Pose.from_transform(approach @ back), branch, near_rad)
+    plan_joint_move(model, near_rad, begin, limits)  # raises where the ranges' margin forbids to go there
     x, y, z = flange_from_tool.translation_mm.tolist()
     line = plan_line(model, begin, Pose.from_transform(pose @ back), limits, (x, y, z))
     return Posture(begin, line.target_rad)

@@ -13,6 +13,9 @@ from ronna_hw.wire.kuka_eki import OperationMode
 
 WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed one lost packet stays a small step for the controller
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations
+RANGE_MARGIN_RAD = math.radians(
+    0.5
+)  # a controller's own end switches may stand a little nearer than a model's
 ACCELERATION_RAMP_S = 0.08  # time from none to full acceleration: sets the jerk
 WORKING_LINE_SPEED_MM_S = 100.0  # below half of what a controller allows beside a person (250 mm/s)
 WORKING_LINE_ACCELERATION_MM_S2 = 400.0
@@ -35,21 +38,32 @@ class MotionLimits:
     rotation_rad_s2: float = WORKING_ROTATION_RAD_S2
     ramp_s: float = ACCELERATION_RAMP_S
     body_speed_mm_s: float = math.inf  # of any body that moves
+    range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis's range
+
+    def ranges(self, model: ArmModel, start_rad: Sequence[float]) -> tuple[JointVector, JointVector]:
+        """Lowest and highest angles (rad) of a motion: the axes' ranges less the margin.
+
+        An axis that stands nearer to an end already may stay there or leave.
+        """
+        margin = self.range_margin_rad
+        L1, L2, L3, L4, L5, L6 = (
+            max(low, min(low + margin, at)) for low, at in zip(model.lower_rad, start_rad, strict=True)
+        )
+        U1, U2, U3, U4, U5, U6 = (
+            min(high, max(high - margin, at)) for high, at in zip(model.upper_rad, start_rad, strict=True)
+        )
+        return (L1, L2, L3, L4, L5, L6), (U1, U2, U3, U4, U5, U6)
 
     def slowed(self, fraction: float) -> MotionLimits:
         """The same with all speeds times `fraction` (0 < fraction <= 1); raises ARM-006 outside that."""
         if not 0.0 < fraction <= 1.0:
             raise MotionInvalid("a speed fraction must be above 0 and at most 1", last=repr(fraction))
-        return MotionLimits(
-            _times(self.speed_rad_s, fraction),
-            self.acceleration_rad_s2,
-            self.jerk_rad_s3,
-            self.line_speed_mm_s * fraction,
-            self.line_acceleration_mm_s2,
-            self.rotation_rad_s * fraction,
-            self.rotation_rad_s2,
-            self.ramp_s,
-            self.body_speed_mm_s * fraction,
+        return replace(
+            self,
+            speed_rad_s=_times(self.speed_rad_s, fraction),
+            line_speed_mm_s=self.line_speed_mm_s * fraction,
+            rotation_rad_s=self.rotation_rad_s * fraction,
+            body_speed_mm_s=self.body_speed_mm_s * fraction,
         )
 
     def in_mode(self, model: ArmModel, mode: OperationMode) -> MotionLimits:

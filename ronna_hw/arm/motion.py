@@ -153,14 +153,12 @@ class JointMotion:
         self._bounds = joint_bounds(limits)
         self._state = start
         self._profile = self._profiler.move(start, target_rad, self._bounds)
+        lower, upper = limits.ranges(model, start.position)
         for axis, (low, high) in enumerate(self._profile.extrema()):
-            if (
-                low < model.lower_rad[axis] - RANGE_SLACK_RAD
-                or high > model.upper_rad[axis] + RANGE_SLACK_RAD
-            ):
+            if low < lower[axis] - RANGE_SLACK_RAD or high > upper[axis] + RANGE_SLACK_RAD:
                 raise OutOfJointRange(
                     f"A{axis + 1} would swing beyond its range",
-                    limit=f"{degrees(model.lower_rad[axis]):.1f} to {degrees(model.upper_rad[axis]):.1f} deg",
+                    limit=f"{degrees(lower[axis]):.1f} to {degrees(upper[axis]):.1f} deg",
                     last=f"{degrees(low):.3f} to {degrees(high):.3f} deg",
                 )
         self._time_s = 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cbrt, ceil, degrees, pi, radians, sqrt
+from math import cbrt, ceil, degrees, hypot, inf, pi, radians, sqrt
 
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
 from ronna_hw.arm.inverse import RANGE_SLACK_RAD
@@ -27,6 +27,7 @@ LEAST_SPEED_FRACTION = (
 PLANNED_SHARE = (
     0.98  # of acceleration and jerk: what a stop that knows only set-points may err by is the rest
 )
+TOOL_Z: Vector3 = (0.0, 0.0, 1.0)  # along which tools approach
 STANDSTILL_RAD = 1e-9  # a thousandth of what the wire can say; also taken as mm
 
 
@@ -58,7 +59,12 @@ class MotionPlan:
 
 def require_in_range(model: ArmModel, joints_rad: JointVector) -> None:
     """Raise ARM-003 naming the first axis that is out of its range, ARM-006 when a value is no number."""
-    for axis, (low, angle, high) in enumerate(zip(model.lower_rad, joints_rad, model.upper_rad, strict=True)):
+    _require_within((model.lower_rad, model.upper_rad), joints_rad)
+
+
+def _require_within(ranges: tuple[JointVector, JointVector], joints_rad: JointVector) -> None:
+    lower_rad, upper_rad = ranges
+    for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
         if angle != angle:
             raise MotionInvalid(f"A{axis + 1} is not a number")
         if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
@@ -74,10 +80,11 @@ def plan_joint_move(
 ) -> MotionPlan:
     """All joints straight to the target, together. Raises ARM-003 when an end is out of range.
 
-    A straight line between two vectors within the ranges, which form a box, stays within them.
+    A straight line between two vectors within the ranges, which form a box, stays within them. The target
+    keeps the limits' margin from their ends.
     """
     require_in_range(model, start_rad)
-    require_in_range(model, target_rad)
+    _require_within(limits.ranges(model, start_rad), target_rad)
     reach = [abs(b - a) for a, b in zip(start_rad, target_rad, strict=True)]
     return MotionPlan(start_rad, target_rad, _scaled(reach, limits))
 
@@ -96,11 +103,13 @@ def plan_line(
     a twentieth of the line speed asked for.
     """
     require_in_range(model, start_rad)
+    ranges = limits.ranges(model, start_rad)
     line = LinePath(model, start_rad, target, tool_in_flange_mm)
     count = max(LEAST_SAMPLES, ceil(line.length_mm / SAMPLE_MM), ceil(line.angle_rad / SAMPLE_RAD))
     points = [start_rad]
     for k in range(1, count + 1):
         joints = line.joints(k / count, points[-1])
+        _require_within(ranges, joints)
         for axis in (3, 5):
             if abs(joints[axis] - points[-1][axis]) > pi:
                 raise OutOfJointRange(
@@ -125,14 +134,33 @@ def plan_along_tool(
     distance_mm: float,
     limits: MotionLimits,
     flange_from_tool: Pose,
+    axis: Vector3 = TOOL_Z,
 ) -> MotionPlan:
-    """A straight line along the tool's own z axis, orientation kept: an approach, or, negative, a retreat.
+    """A straight line along an axis of the tool, orientation kept: an approach, or, negative, a retreat.
 
-    Raises as `plan_line`.
+    Raises as `pose_along_tool` and `plan_line`.
     """
-    tool = forward(model, start_rad).compose(flange_from_tool)
-    goal = Pose(tool.apply((0.0, 0.0, distance_mm)), tool.rotation).compose(flange_from_tool.inverse())
+    goal = pose_along_tool(model, start_rad, distance_mm, flange_from_tool, axis)
     return plan_line(model, start_rad, goal, limits, flange_from_tool.position_mm)
+
+
+def pose_along_tool(
+    model: ArmModel,
+    start_rad: JointVector,
+    distance_mm: float,
+    flange_from_tool: Pose,
+    axis: Vector3 = TOOL_Z,
+) -> Pose:
+    """The flange's pose when the tool has gone so far along one of its axes (of any length, tool frame).
+
+    Raises ARM-006 for an axis without direction.
+    """
+    length = hypot(*axis)
+    if not STANDSTILL_RAD < length < inf:
+        raise MotionInvalid("the tool axis has no direction", last=repr(axis))
+    x, y, z = (distance_mm * part / length for part in axis)
+    tool = forward(model, start_rad).compose(flange_from_tool)
+    return Pose(tool.apply((x, y, z)), tool.rotation).compose(flange_from_tool.inverse())
 
 
 def _scaled(reach: list[float], limits: MotionLimits) -> PathLimits:

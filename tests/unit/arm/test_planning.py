@@ -1,6 +1,7 @@
 """Plans are refused before motion when reach, range, branch or joint speed do not allow them."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -27,8 +28,30 @@ def test_working_speed_is_below_an_eighth_of_full_axis_speed() -> None:
 
 
 def test_a_joint_target_out_of_range_names_the_axis_and_the_limit() -> None:
-    with pytest.raises(OutOfJointRange, match=r"A5 .* limit -120\.0 to 120\.0 deg; last value 121\.000"):
+    with pytest.raises(OutOfJointRange, match=r"A5 .* limit -119\.5 to 119\.5 deg; last value 121\.000"):
         plan_joint_move(MODEL, START, radians6(0, -90, 90, 0, 121, 0), LIMITS)
+
+
+def test_motions_keep_a_margin_from_the_ends_of_the_ranges() -> None:
+    inside, beyond = radians6(0, -90, 90, 0, 119.4, 0), radians6(0, -90, 90, 0, 119.6, 0)
+    plan_joint_move(MODEL, START, inside, LIMITS)
+    with pytest.raises(OutOfJointRange):
+        plan_joint_move(MODEL, START, beyond, LIMITS)
+    plan_joint_move(MODEL, START, beyond, replace(LIMITS, range_margin_rad=math.radians(0.2)))
+    bent = radians6(0, -90, 90, 0, 110, 0)
+    nearer = forward(MODEL, radians6(0, -90, 90, 0, 119.6, 0))
+    with pytest.raises(OutOfJointRange, match=r"A5 would leave its range; limit -119\.5"):
+        plan_line(MODEL, bent, nearer, LIMITS)
+
+
+def test_an_arm_that_stands_in_the_margin_may_stay_or_leave_and_go_no_further() -> None:
+    at_end = radians6(0, -90, 90, 0, 119.8, 0)
+    lower, upper = LIMITS.ranges(MODEL, at_end)
+    assert (upper[4], lower[4]) == (at_end[4], pytest.approx(math.radians(-119.5)))
+    plan_joint_move(MODEL, at_end, radians6(10, -90, 90, 0, 119.8, 0), LIMITS)
+    plan_joint_move(MODEL, at_end, START, LIMITS)
+    with pytest.raises(OutOfJointRange):
+        plan_joint_move(MODEL, at_end, radians6(0, -90, 90, 0, 119.9, 0), LIMITS)
 
 
 def test_a_target_that_is_no_number_is_refused() -> None:
@@ -83,7 +106,10 @@ def test_a_line_beside_a_singularity_is_slowed_for_the_joints() -> None:
 def test_a_line_that_needs_a_whole_turn_of_the_hand_is_refused() -> None:
     start = radians6(0, -90, 90, 0, 60, 340)
     target = forward(MODEL, start).compose(Pose.from_kuka(0, 0, 0, -30, 0, 0))
+    to_the_ends = replace(LIMITS, range_margin_rad=0.0)
     with pytest.raises(OutOfJointRange, match="A6 would have to turn beyond"):
+        plan_line(MODEL, start, target, to_the_ends)
+    with pytest.raises(OutOfJointRange, match=r"A6 would leave its range; limit -349\.5 to 349\.5 deg"):
         plan_line(MODEL, start, target, LIMITS)
     back = forward(MODEL, start).compose(Pose.from_kuka(0, 0, 0, 30, 0, 0))
     assert degrees6(plan_line(MODEL, start, back, LIMITS).target_rad)[5] == pytest.approx(310)
