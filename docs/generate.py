@@ -26,6 +26,8 @@ from disturbance_table import PAGE as DISTURBANCES
 from disturbance_table import disturbance_page
 from hazard_matrix import hazard_page
 from key_pages import key_pages
+from open_questions import PAGE as ROBOT_PARAMETERS
+from open_questions import robot_parameters_page
 from option_pages import option_pages
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -45,6 +47,7 @@ def pages() -> dict[str, str]:
             "faults.md": _faults(),
             "hazards.md": hazard_page(),
             DISTURBANCES: disturbance_page(),
+            ROBOT_PARAMETERS: robot_parameters_page(),
             "state-chart.md": f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
             "tracker-parameters.md": _tracker_parameters(),
         }.items()
@@ -72,9 +75,11 @@ def _faults() -> str:
         "One fault per line of a script (`--faults FILE`), or live:",
         "`ronna-sim fault --control URI 'LINE'`. Times are theatre time.\n",
         "```\nat 12.5 s: tracker occlude marker 3 for 2 s",
+        "at cycle 500: robot drop 100 % for 0.012 s",
         "when step == relocalization: robot drop 5 % for 1 s\n```\n",
         "What lasts and has no `for` acts to the end; what happens once has no `for`.",
-        "`when step == relocalization:T1` means the step of one trajectory.\n",
+        "`when step == relocalization:T1` means the step of one trajectory.",
+        "Cycles are the telegrams that the robot's controller has sent since it was started.\n",
         "| fault | | what happens |\n|---|---|---|",
     ]
     lines += [f"| `{k.usage}` | {'once' if k.momentary else 'lasts'} | {k.meaning} |" for k in FAULT_KINDS]

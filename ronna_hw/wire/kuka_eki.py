@@ -13,7 +13,6 @@ from enum import IntEnum, StrEnum
 PROJECT_PORT = 54602  # EKI gives a KR C4 the ports 54600 to 54615; 54600 is the control SDK's
 SDK_PORT = 54600
 STATE_PERIOD_MS = 100
-STRING_LIMIT = 512  # characters of one KRL string in one EKI element
 
 CMD = "Cmd"
 ACK = "Ack"

@@ -41,10 +41,29 @@ class AxisCorrector:
         self._largest_deg: Sequence[float] = (AXISCORRMON_DEFAULT_MAX_DEG,) * AXES
         if monitor is not None:
             self._largest_deg = widest if monitor.limits == SOFTWARE_END_SWITCHES else monitor.max_deg
+        self._limits = (self._lower_deg, self._upper_deg)
+        self._within_deg: float | None = None
         self._axes = [joint.name for joint in arm.joints]
         self._relative = relative
         self.totals_deg: list[float] = [0.0] * AXES
         self.stat = 0
+
+    def narrow(self, within_deg: float | None) -> bool:
+        """Clamp so near to the present totals, None: by the context's limits alone. True when that is new."""
+        if within_deg == self._within_deg:
+            return False
+        self._within_deg = within_deg
+        self._lower_deg, self._upper_deg = self._limits
+        if within_deg is not None:
+            self._lower_deg = [
+                max(low, total - within_deg)
+                for low, total in zip(self._lower_deg, self.totals_deg, strict=True)
+            ]
+            self._upper_deg = [
+                min(high, total + within_deg)
+                for high, total in zip(self._upper_deg, self.totals_deg, strict=True)
+            ]
+        return True
 
     def take(self, inputs_deg: Sequence[float]) -> Message | None:
         """Add one cycle's inputs up; the monitor's message when the total is beyond its limit."""

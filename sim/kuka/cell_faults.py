@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from ronna_hw.wire.kuka_eki import OperationMode
 from sim.kuka.controller import Controller
-from sim.kuka.eki_server import EkiServer
+from sim.kuka.eki_server import EkiServer, after_garbage, half, padded
 from sim.kuka.fault_log import FaultLog
 from sim.kuka.link_faults import LinkFaults
 from sim.kuka.rsi_run import RunSettings
-from sim.theatre.faults import FaultBoard
+from sim.theatre.faults import Fault, FaultBoard
+from sim.theatre.faults.robot import ROBOT_FAULTS
 
-MOMENTARY = ("drives_off", "collision", "overload", "program_restart", "eki_cut", "eki_overflow", "eki_half")
+MOMENTARY = tuple(kind.name for kind in ROBOT_FAULTS if kind.momentary)
+EKI_HAPPENINGS: dict[str, Callable[[EkiServer], None]] = {
+    "eki_cut": EkiServer.drop,
+    "eki_overflow": EkiServer.overflow,
+    "eki_half": lambda server: server.spoil_next(half),
+    "eki_garbage": lambda server: server.spoil_next(after_garbage),
+    "eki_padding": lambda server: server.spoil_next(padded),
+}
 
 
 class CellFaults:
@@ -60,18 +68,22 @@ class CellFaults:
             controller.hold_start_key(key)
         stick = frozenset(int(fault.argument) - 1 for fault in acting if fault.kind.name == "stick")
         controller.arm.drives.stick(stick)
+        controller.narrow_corrections(float(arguments["clamp"]) if "clamp" in arguments else None)
         for server in self._servers:
             server.silent = "eki_silence" in arguments
+            server.taken = "eki_taken" in arguments
         for kind in MOMENTARY:
             for fault in self._board.happened(kind):
                 self._log.happened(fault)
-                self._happen(kind)
+                self._happen(fault)
         self._start_again()
         self._quiet = not acting and self._restart is None
 
-    def _happen(self, kind: str) -> None:
-        controller = self._controller
-        if kind == "drives_off":
+    def _happen(self, fault: Fault) -> None:
+        controller, kind = self._controller, fault.kind.name
+        if kind == "trip":
+            controller.trip(fault.argument)
+        elif kind == "drives_off":
             controller.switch_drives(False)
         elif kind == "collision":
             controller.collide()
@@ -83,7 +95,7 @@ class CellFaults:
                 controller.restart()
         else:
             for server in self._servers:
-                {"eki_cut": server.drop, "eki_overflow": server.overflow, "eki_half": server.cut_next}[kind]()
+                EKI_HAPPENINGS[kind](server)
 
     def _start_again(self) -> None:
         """A restarted program begins where the arm has come to rest."""

@@ -57,8 +57,11 @@ def kuka(
     ] = False,
     parameter: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Change a parameter of the controller; repeatable."),
+        typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
     ] = None,
+    list_parameters: Annotated[
+        bool, typer.Option("--list-parameters", help="Tell all that --set can change, and end.")
+    ] = False,
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True)] = None,
@@ -71,14 +74,18 @@ def kuka(
     from sim.kuka.controller import Controller
     from sim.kuka.eki_server import EkiServer
     from sim.kuka.manipulator import Manipulator
-    from sim.kuka.parameters import SUBMIT_CYCLE_S, changed_parameters
+    from sim.kuka.parameters import SUBMIT_CYCLE_S, changed_parameters, parameter_rows
     from sim.kuka.rsi_socket import resolve
     from sim.kuka.station import Station
     from sim.kuka.telegram import TelegramWriter
     from sim.theatre.process import announce, end_with_parent, open_world
 
+    if list_parameters:
+        for name, value, meaning in parameter_rows():
+            typer.echo(f"{name}={value}  {meaning}")
+        return
     parameters = changed_parameters(parameter or ())
-    context = _context(rsi_config, rsi_context, corrections, cycle_ms)
+    context = _context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
     TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # refuses at the start
     where = rsi or (_file_address(context) if rsi_config is not None else RSI_DEFAULT)
     client = parse_endpoint(where).require("udp")
@@ -110,12 +117,14 @@ def _context(
     rsi_context: Path | None,
     corrections: Corrections | None,
     cycle_ms: CycleMs | None,
+    longest_name: int,
 ) -> RsiContext:
     from ronna_hw.wire.kuka_context import load_context
     from sim.kuka.ethernet_file import read_ethernet_file
 
     if rsi_config is not None:
-        context = read_ethernet_file(rsi_config, load_context(rsi_context) if rsi_context else None)
+        described = load_context(rsi_context) if rsi_context else None
+        context = read_ethernet_file(rsi_config, described, longest_name)
     else:
         context = load_context(rsi_context)
     changes: dict[str, Any] = {}

@@ -23,8 +23,9 @@ from sim.kuka.messages import (
     enabling_switch_released,
     guard_opened,
     too_fast_for_T1,
+    tripped,
 )
-from sim.kuka.parameters import ControllerParameters
+from sim.kuka.parameters import IPO_FAST_S, ControllerParameters
 from sim.kuka.reply import Reply
 from sim.kuka.rsi_run import RsiRun, RunSettings, StartPose
 from sim.kuka.signal_flow import inputs_of
@@ -125,7 +126,9 @@ class Controller:
         self.cycle_ms = cycle_ms or self.cycle_ms
         self.relative = self.relative if relative is None else relative
         self.runs += 1
-        self.arm.drives.start_cycles(self.cycle_ms / 1000.0)
+        slow = self.cycle_ms / 1000.0 > IPO_FAST_S
+        self.arm.drives.start_cycles(self.cycle_ms / 1000.0, self.parameters.ipo_filter_s if slow else 0.0)
+        scales = self.parameters.override_scales_corrections
         settings = RunSettings(
             self.context,
             self.cycle_ms,
@@ -133,8 +136,10 @@ class Controller:
             self.runs,
             counts_from_first_reply,
             needs_confirmation=self.cell.manual,
+            correction_share=self.override_percent / FULL_OVERRIDE if scales else 1.0,
         )
-        pose = StartPose(self.arm.axes_deg, self.arm.frame, self.arm.tool_point(), self.arm.base)
+        arm = self.arm
+        pose = StartPose(arm.axes_deg, arm.told_deg, arm.told_frame, arm.tool_point(), arm.base)
         self.run = RsiRun(settings, self.arm.description, pose, self.arm.joints_for, self.parameters)
         self.program_state = ProState.ACTIVE
         return DONE
@@ -234,15 +239,30 @@ class Controller:
         self._overloaded = True
         self.arm.drives.brake()
 
+    def trip(self, name: str) -> None:
+        """End what runs with one of the messages of `tripped`, as its real cause would."""
+        if self.run is not None or self.motion is not None:
+            self._fail(tripped(name, self.parameters))
+
+    def narrow_corrections(self, within_deg: float | None) -> None:
+        """Clamp the axis corrections of the run so near to where they are now; None takes that back."""
+        if self.run is not None:
+            self.run.narrow_corrections(within_deg)
+
     def restart(self) -> None:
         """The program ends without a word; whoever did that starts it again when the arm rests."""
         self.arm.drives.brake()
         self._end_run(ProState.FREE)
 
+    def lose_eki(self) -> None:
+        """An EKI client has gone: its interrupt may cancel the RSI program, or nobody notices."""
+        if self.parameters.eki_loss_cancels and self.run is not None:
+            self.cancel()
+
     # -- override
 
     def set_override(self, percent: int) -> Answer:
-        """Program override. Sensor corrections are not scaled by it."""
+        """Program override, of the motions of the EKI program and of the next runs' corrections at most."""
         if not 1 <= percent <= FULL_OVERRIDE:
             return Answer(AckCode.BAD_VALUE, "override is 1 to 100")
         self.override_percent = percent
@@ -278,7 +298,7 @@ class Controller:
             self.arm.settle()
         elif run.held:
             if self.program_state is ProState.ACTIVE:
-                self._interrupt("STOP object")
+                self._interrupt("STOP object", fast=run.stops_fast)
             self.arm.settle()
         elif self._overloaded:
             self.arm.settle()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import isfinite
 from xml.sax.saxutils import escape
 
-from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, STRING_LIMIT
+from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES
 
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 _QUOTES = {'"': "&quot;", "\n": " ", "\r": " "}
@@ -60,6 +60,6 @@ def axes(given: Mapping[str, str]) -> list[float]:
     return [number(given, name) for name in AXIS_ATTRIBUTES]
 
 
-def text(content: str) -> str:
+def text(content: str, longest: int) -> str:
     """An attribute's value, not longer than a KRL string."""
-    return escape(content[:STRING_LIMIT], _QUOTES)
+    return escape(content[:longest], _QUOTES)

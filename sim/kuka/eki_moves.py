@@ -44,7 +44,8 @@ class EkiMoves:
         refusal = self._prepared(given)
         if refusal is not None:
             return refusal
-        goal = self._controller.arm.axes_in_posture(pose, status, turn)
+        controller = self._controller
+        goal = controller.arm.axes_in_posture(pose, status ^ controller.parameters.inverted_status, turn)
         if goal is None:
             return Answer(AckCode.LIMIT, f"out of reach in the posture S {status} T {turn}")
         return self._point_to_point(goal, given)

@@ -71,8 +71,9 @@ class ProjectChannel:
         self.tick(time.monotonic())
 
     def closed(self) -> None:
-        """The client has gone; a running program is not cancelled by that."""
+        """The client has gone; whether that ends a running program is a parameter."""
         self._autostart.arm()
+        self._controller.lose_eki()
 
     def request(self, element: ElementTree.Element) -> None:
         """Answer one command; anything else is skipped."""
@@ -102,8 +103,8 @@ class ProjectChannel:
 
     def _acknowledge(self, identifier: str, name: str, answer: Answer) -> None:
         self._server.send(
-            f'<{ACK} Id="{text(identifier)}" Cmd="{text(name)}" Code="{answer.code.value}"'
-            f' Text="{text(answer.text)}"></{ACK}>'
+            f'<{ACK} Id="{self._text(identifier)}" Cmd="{self._text(name)}" Code="{answer.code.value}"'
+            f' Text="{self._text(answer.text)}"></{ACK}>'
         )
 
     def tick(self, now_s: float) -> float:
@@ -142,16 +143,20 @@ class ProjectChannel:
         )
 
     def _state(self, identifier: str) -> str:
-        values = (text(identifier), *self._facts())
+        values = (self._text(identifier), *self._facts())
         head = " ".join(f'{name}="{value}"' for name, value in zip(StateAttribute, values, strict=True))
         arm = self._controller.arm
         axes = " ".join(
-            f'{name}="{angle:.4f}"' for name, angle in zip(AXIS_ATTRIBUTES, arm.axes_deg, strict=True)
+            f'{name}="{angle:.4f}"' for name, angle in zip(AXIS_ATTRIBUTES, arm.told_deg, strict=True)
         )
-        status, turn = status_and_turn(arm.description, arm.axes_deg)
-        places = (*(f"{value:.4f}" for value in arm.frame), str(status), str(turn))
+        status, turn = status_and_turn(arm.description, arm.told_deg)
+        status ^= self._controller.parameters.inverted_status
+        places = (*(f"{value:.4f}" for value in arm.told_frame), str(status), str(turn))
         position = " ".join(f'{name}="{value}"' for name, value in zip(POS_ATTRIBUTES, places, strict=True))
         return f"<{STATE} {head}><{AXIS} {axes}></{AXIS}><{POS} {position}></{POS}></{STATE}>"
+
+    def _text(self, content: str) -> str:
+        return text(content, self._controller.parameters.longest_text)
 
     # -- commands
 

@@ -86,7 +86,7 @@ OPERATION_MODES = {OperationMode.T1: 1, OperationMode.T2: 2, OperationMode.AUT: 
 
 
 class SdkChannel:
-    """Answers one client. The program's state is reset when it goes; RSI is not cancelled by that."""
+    """Answers one client. The program's state is reset when it goes."""
 
     def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
         self._server = server
@@ -108,6 +108,7 @@ class SdkChannel:
         """The client has gone."""
         self._reset()
         self._autostart.arm()
+        self._controller.lose_eki()
 
     def request(self, element: ElementTree.Element) -> None:
         """Answer one request with one response."""

@@ -13,6 +13,7 @@ import re
 import socket
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Protocol
 from xml.etree import ElementTree
 
@@ -22,6 +23,8 @@ from sim.errors import EndpointTaken
 BUFFER_LIMIT_BYTES = 16384  # BUFFSIZE of an EKI channel
 UNREAD_LIMIT = 512  # BUFFERING Limit: more unread values destroy the connection
 READ_BYTES = 65536
+GARBAGE = b"\xff\x00 what? />\r\n"
+PADDING = b"\0" * 64
 
 _TAG = re.compile(rb"<(/?)([A-Za-z_][\w.:-]*)(?:[^<>\"']|\"[^\"<]*\"|'[^'<]*')*?(/?)>")
 _OPENING = re.compile(rb"<[A-Za-z_]")
@@ -57,7 +60,9 @@ class EkiServer:
         self._next_s = 0.0
         self._next_read_s = 0.0
         self.silent = False  # the program neither reads nor writes
-        self._cuts_next = self._full = False
+        self.taken = False  # another client holds the channel: whoever comes is refused
+        self._spoils: Callable[[bytes], bytes] | None = None  # what becomes of the next telegram
+        self._full = False
 
     def attach(self, peer: Peer) -> None:
         """Say who answers."""
@@ -92,9 +97,9 @@ class EkiServer:
         """True while something waits for its turn to be written."""
         return bool(self._outgoing)
 
-    def cut_next(self) -> None:
-        """Write only the first half of the next telegram."""
-        self._cuts_next = True
+    def spoil_next(self, how: Callable[[bytes], bytes]) -> None:
+        """Write the next telegram spoilt: `half`, `after_garbage` or `padded`."""
+        self._spoils = how
 
     def overflow(self) -> None:
         """Fill the memory of the channel: the next request finds no room."""
@@ -126,9 +131,8 @@ class EkiServer:
                 return
             telegram = self._outgoing.popleft()
             self._next_s = now_s + self._spacing_s
-            if self._cuts_next:
-                self._cuts_next = False
-                telegram = telegram[: len(telegram) // 2]
+            if self._spoils is not None:
+                telegram, self._spoils = self._spoils(telegram), None
             try:
                 if self._client.send(telegram) != len(telegram):
                     self.drop()  # the client does not read; half a telegram would break its framing
@@ -141,7 +145,7 @@ class EkiServer:
         self._received = b""
         self._outgoing.clear()
         self._unread.clear()
-        self._cuts_next = self._full = False
+        self._spoils, self._full = None, False
         if client is not None:
             client.close()
             if self._peer is not None:
@@ -155,6 +159,9 @@ class EkiServer:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             client, _ = self._listener.accept()
+            if self.taken:
+                client.close()
+                return
             while self._client is not None:
                 if not self._waiting(self._client):
                     client.close()  # one client per channel
@@ -211,6 +218,21 @@ class EkiServer:
                 continue
             if self._peer is not None:
                 self._peer.request(element)
+
+
+def half(telegram: bytes) -> bytes:
+    """The first half of a telegram."""
+    return telegram[: len(telegram) // 2]
+
+
+def after_garbage(telegram: bytes) -> bytes:
+    """A telegram with something before its root that belongs to none."""
+    return GARBAGE + telegram
+
+
+def padded(telegram: bytes) -> bytes:
+    """A telegram with NUL before and behind it."""
+    return PADDING + telegram + PADDING
 
 
 def cut_requests(stream: bytes) -> tuple[list[bytes], bytes]:

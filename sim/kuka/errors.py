@@ -23,4 +23,4 @@ class UnknownParameter(ConfigurationError):
     """A parameter of the controller that is not there, or that cannot have this value."""
 
     code = "KRC-003"
-    action = "Name one of the parameters of sim/kuka/parameters.py: --set NAME=VALUE."
+    action = "Give --set NAME=VALUE; ronna-sim kuka --list-parameters tells all names."

@@ -30,11 +30,15 @@ INFERRED_PRECISION = 4
 _TAG = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)?")
 
 
-def read_ethernet_file(path: Path, context: RsiContext | None) -> RsiContext:
+def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int) -> RsiContext:
     """The effective context: layout from the file, the rest from `context` or inferred from the tags.
 
-    Raises KRC-001 with every mistake.
+    Raises KRC-001 with every mistake, and for a name of more than `longest_name` characters.
     """
+    if len(path.stem) > longest_name:
+        raise EthernetFileInvalid(
+            f"the name {path.name} is too long", limit=f"{longest_name} characters", last=f"{len(path.stem)}"
+        )
     root = _root(path)
     config = {name: _text(root, name) for name in ("IP_NUMBER", "PORT", "SENTYPE", "ONLYSEND")}
     protocol = (root.findtext("CONFIG/PROTOCOL") or "UDP").strip().upper()

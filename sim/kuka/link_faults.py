@@ -18,14 +18,23 @@ from sim.theatre.noise import noise
 
 PERCENT = 100.0
 STAMP = re.compile(rb"(?<=<IPOC>)\d+(?=</IPOC>)")
+STAMP_ELEMENT = re.compile(rb"<IPOC>[^<]*</IPOC>")
+TYPE = re.compile(rb'(?<=<Sen Type=")[^"]*(?=")')
+NUMBER = re.compile(rb'(?<==")[-+.\deE]+(?=")|(?<=>)[-+.\deE]+(?=</(?!IPOC))')
+STRANGE_TYPE = b"Stranger"
+NO_NUMBERS = (b"nan", b"inf", b"one")
 WRONG_BY = 1  # ms: no cycle ever has such a time stamp
+FUTURE_BY = 12  # ms: a later cycle has it, of 4 ms or of 12
 NOT_TEXT = 0xFF  # a byte that no XML holds: what it hits is no telegram and no reply any more
 
 
 class LinkFaults:
     """One per controller. `begin_cycle` tells which faults act; then the telegram, then the reply."""
 
-    def __init__(self, seed: int, log: FaultLog) -> None:
+    def __init__(self, seed: int, log: FaultLog, *, takes_second: bool = False) -> None:
+        """`takes_second`: of two replies to the same telegram the second counts."""
+        self._takes_second = takes_second
+        self._stamp: bytes | None = None  # that all replies carry while a fault holds it
         self._seed = seed
         self._log = log
         self._cycle = 0
@@ -42,6 +51,8 @@ class LinkFaults:
         self._acting = {}
         for fault in acting:
             self._acting.setdefault(fault.kind.name, []).append(fault)
+        if not self.acts("constant_ipoc"):
+            self._stamp = None
 
     def begin_cycle(self, cycle: int) -> None:
         """Say which cycle begins."""
@@ -72,15 +83,16 @@ class LinkFaults:
         if self.acts("network_cut"):
             return None
         replies = [reply for reply in map(read, now) if reply is not None]
-        return replies[0] if replies else None
+        if not replies:
+            return None
+        return replies[-1] if self._takes_second else replies[0]
 
     def _on_the_way(self, datagram: bytes, before: list[bytes]) -> list[bytes]:
         if self._meets("drop"):
             return before
         if self._meets("corrupt_replies"):
             datagram = self._broken(datagram, "corrupt_replies")
-        if self._meets("wrong_ipoc"):
-            datagram = STAMP.sub(lambda stamp: b"%d" % (int(stamp[0]) + WRONG_BY), datagram)
+        datagram = self._altered(datagram)
         copies = [datagram, datagram] if self._meets("duplicate_replies") else [datagram]
         delay_cycles = max(
             (int(fault.argument) for fault in self._acting.get("delay_replies", ())), default=0
@@ -94,6 +106,27 @@ class LinkFaults:
             return before
         # What was overtaken comes after what has overtaken it.
         return [*copies, *before]
+
+    def _altered(self, datagram: bytes) -> bytes:
+        """A reply that is XML still, and yet none."""
+        if self._meets("wrong_ipoc"):
+            datagram = _restamped(datagram, WRONG_BY)
+        if self._meets("future_ipoc"):
+            datagram = _restamped(datagram, FUTURE_BY)
+        if self.acts("constant_ipoc"):
+            found = STAMP.search(datagram)
+            self._stamp = self._stamp or (found[0] if found else b"0")
+            datagram = STAMP.sub(self._stamp, datagram)
+            self._log.hit("constant_ipoc")
+        if self._meets("missing_ipoc"):
+            datagram = STAMP_ELEMENT.sub(b"", datagram)
+        if self._meets("wrong_type"):
+            datagram = TYPE.sub(STRANGE_TYPE, datagram)
+        if self._meets("bad_number"):
+            chance = self._chance("bad_number")
+            chance.random()  # the number that decided that it is met
+            datagram = NUMBER.sub(NO_NUMBERS[int(chance.integers(0, len(NO_NUMBERS)))], datagram, count=1)
+        return datagram
 
     def _meets(self, kind: str) -> bool:
         shares = [float(fault.argument) for fault in self._acting.get(kind, ())]
@@ -113,3 +146,7 @@ class LinkFaults:
 
     def _chance(self, kind: str) -> np.random.Generator:
         return noise(self._seed, f"robot {kind}", self._cycle)
+
+
+def _restamped(datagram: bytes, by_ms: int) -> bytes:
+    return STAMP.sub(lambda stamp: b"%d" % (int(stamp[0]) + by_ms), datagram)

@@ -42,8 +42,10 @@ class Manipulator:
         self._publish = publish
         self._tool: Matrix | None = None  # $TOOL, None is the flange
         self._base: Matrix | None = None  # $BASE in $ROBROOT, None is $ROBROOT
-        self._shown: list[float] | None = None
-        self._frame: list[float] = []
+        self._readout_step_deg = parameters.readout_step_deg
+        self._read: list[float] | None = None
+        self._told: list[float] = []
+        self._told_frame: list[float] | None = None
         self._published: tuple[int, bool] | None = None
         self.publish()
 
@@ -53,13 +55,25 @@ class Manipulator:
         return self.drives.axes_deg
 
     @property
+    def told_deg(self) -> list[float]:
+        """Encoder angles as they are read and told; the same object while nothing moves."""
+        if self._read is not self.drives.axes_deg:
+            self._read, step, self._told_frame = self.drives.axes_deg, self._readout_step_deg, None
+            self._told = [round(angle / step) * step for angle in self._read] if step else self._read
+        return self._told
+
+    @property
     def frame(self) -> list[float]:
         """X Y Z (mm) A B C (deg) of the tool in BASE, as the controller believes it to be."""
-        if self._shown is not self.drives.axes_deg:
-            self._shown = self.drives.axes_deg
-            pose = self.tool_point()
-            self._frame = frame_of(pose if self._base is None else inverse(self._base) @ pose)
-        return self._frame
+        return self._frame_at(self.drives.axes_deg)
+
+    @property
+    def told_frame(self) -> list[float]:
+        """The same for the axes as they are told; the same object while nothing moves."""
+        told_deg = self.told_deg
+        if self._told_frame is None:
+            self._told_frame = self._frame_at(told_deg)
+        return self._told_frame
 
     @property
     def base(self) -> Matrix:
@@ -71,6 +85,10 @@ class Manipulator:
         axes = self.drives.axes_deg if axes_deg is None else axes_deg
         flange = self._nominal.flange([radians(angle) for angle in axes])
         return flange if self._tool is None else flange @ self._tool
+
+    def _frame_at(self, axes_deg: list[float]) -> list[float]:
+        pose = self.tool_point(axes_deg)
+        return frame_of(pose if self._base is None else inverse(self._base) @ pose)
 
     def tool_travel_mm(self, goal_deg: Sequence[float]) -> float:
         """Speed of the tool, mm per whole way, where it is fastest on the way of all axes to a goal."""
@@ -88,11 +106,11 @@ class Manipulator:
 
     def set_tool(self, tool: Matrix) -> None:
         """Use another $TOOL, (4, 4) in the flange frame."""
-        self._tool, self._shown = tool, None
+        self._tool, self._told_frame = tool, None
 
     def set_base(self, base: Matrix) -> None:
         """Use another $BASE, (4, 4) in $ROBROOT."""
-        self._base, self._shown = base, None
+        self._base, self._told_frame = base, None
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
         """Joint angles (deg) that bring the tool to a believed pose; None where that fails."""
@@ -140,9 +158,9 @@ class Manipulator:
             return
         encoders = [radians(angle) for angle in drives.axes_deg]
         if drives.at_rest:
-            pose = self._true.at_rest(encoders, drives.flanks, drives.motion_number)
+            pose = self._true.at_rest(encoders, drives.flanks, drives.motion_number, drives.moved_s)
         else:
-            pose = self._true.moving(encoders, drives.flanks)
+            pose = self._true.moving(encoders, drives.flanks, drives.moved_s)
         A1, A2, A3, A4, A5, A6 = encoders
         self._publish(ArmState((A1, A2, A3, A4, A5, A6), pose, drives.motion_number, drives.at_rest))
         self._published = (id(drives.axes_deg), drives.at_rest)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
+
+from sim.kuka.parameters import ControllerParameters
 
 RSI_OBJECT_ERROR = 29002
 RSI_LIMIT_EXCEEDED = 29000
+COMMAND_TORQUE = 1073
 COMMAND_ACCELERATION = 1074
 COMMAND_VELOCITY = 1102
+OVERSPEED = 421
 
 
 class Message(NamedTuple):
@@ -96,3 +101,24 @@ def enabling_switch_released(number: int) -> Message:
 def collision(number: int) -> Message:
     """The torque monitor saw more than the model explains."""
     return Message(number, "collision detected: torque beyond the monitored range", True)
+
+
+# What ends a run, by the names that a fault script gives it; the axis is the first.
+TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
+    "timeout": lambda _: Message(
+        RSI_OBJECT_ERROR, "signal flow: object ETHERNET1 returns error RSITimeout", False
+    ),
+    "rsi_bad": lambda _: rsi_bad("AXISCORR1"),
+    "monitor": lambda _: Message(RSI_LIMIT_EXCEEDED, "AXISCORRMON: A1 out of range", False),
+    "torque": lambda _: Message(COMMAND_TORQUE, "command gear torque A1", True),
+    "acceleration": lambda _: Message(COMMAND_ACCELERATION, "command acceleration A1", True),
+    "velocity": lambda _: Message(COMMAND_VELOCITY, "command velocity A1", True),
+    "overspeed": lambda _: Message(OVERSPEED, "overspeed A1", True),
+    "end_switch": lambda parameters: Message(parameters.end_switch_message, "software end switch +A1", False),
+    "singularity": lambda _: near_singularity(),
+}
+
+
+def tripped(name: str, parameters: ControllerParameters) -> Message:
+    """The message of a cause that a fault orders."""
+    return TRIPS[name](parameters)

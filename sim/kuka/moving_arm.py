@@ -28,6 +28,7 @@ class MovingArm:
         self.command_deg: list[float] = self.axes_deg
         self.flanks: list[float] = [0.0] * AXES  # where each joint is in its backlash, -1 to 1
         self.motion_number = 0
+        self.moved_s = 0.0  # time in motion so far
         self.at_rest = True
         self._speed_deg_s: list[float] = [0.0] * AXES
         self._directions: list[float] = [0.0] * AXES
@@ -40,10 +41,12 @@ class MovingArm:
         self._pending: deque[list[float]] = deque()
         self.start_cycles(IPO_FAST_S)
 
-    def start_cycles(self, cycle_s: float) -> None:
-        """Prepare for commands every `cycle_s`, from rest."""
+    def start_cycles(self, cycle_s: float, filter_s: float = 0.0) -> None:
+        """Prepare for commands every `cycle_s`, from rest, behind a filter of the controller's or without."""
         self._cycle_s = cycle_s
         self._share = 1.0 - exp(-cycle_s / self._parameters.lag_s)
+        self._filter_share = 1.0 - exp(-cycle_s / filter_s) if filter_s else 1.0
+        self._filtered_deg = self.command_deg
         self._pending = deque([self.command_deg] * self._parameters.dead_time_cycles)
 
     def step(self, command_deg: list[float], *, heard: bool = True) -> None:
@@ -57,10 +60,11 @@ class MovingArm:
             self._note_movement(command_deg)
         self._pending.append(command_deg)
         follow_deg = self._pending.popleft()
+        wanted_deg = follow_deg if self._filter_share == 1.0 else self._filter(follow_deg)
         share, before = self._share, self.axes_deg
-        axes = [y + share * (u - y) for u, y in zip(follow_deg, before, strict=True)]
+        axes = [y + share * (u - y) for u, y in zip(wanted_deg, before, strict=True)]
         if self._slipping:
-            self._stick(axes, before, follow_deg)
+            self._stick(axes, before, wanted_deg)
         self.flanks = [
             flank + share * (direction - flank)
             for direction, flank in zip(self._directions, self.flanks, strict=True)
@@ -72,9 +76,11 @@ class MovingArm:
             self.flanks = list(self._directions)
             self._speed_deg_s = [0.0] * AXES
             self._pending = deque([command_deg] * self._parameters.dead_time_cycles)
+            self._filtered_deg = command_deg
             self.at_rest = True
             return
         self.at_rest = False
+        self.moved_s += self._cycle_s
         self.axes_deg = axes
         self._speed_deg_s = [(y - old) / self._cycle_s for y, old in zip(axes, before, strict=True)]
 
@@ -104,9 +110,10 @@ class MovingArm:
             speeds.append(slower)
             axes.append(angle + slower * self._cycle_s)
         self.axes_deg, self._speed_deg_s = axes, speeds
+        self.moved_s += self._cycle_s
         if not any(speeds):
             self._braking = self._in_motion = False
-            self.command_deg = self.axes_deg
+            self.command_deg = self._filtered_deg = self.axes_deg
             self.flanks = list(self._directions)
             self._extremes_deg = list(axes)
             self._pending = deque([axes] * self._parameters.dead_time_cycles)
@@ -116,6 +123,13 @@ class MovingArm:
     def braking(self) -> bool:
         """True while the arm comes to a stop of its own."""
         return self._braking
+
+    def _filter(self, follow_deg: list[float]) -> list[float]:
+        share = self._filter_share
+        self._filtered_deg = [
+            y + share * (u - y) for u, y in zip(follow_deg, self._filtered_deg, strict=True)
+        ]
+        return self._filtered_deg
 
     def _arrived(self, axes_deg: list[float], command_deg: list[float]) -> bool:
         limit = self._parameters.rest_error_deg

@@ -1,71 +1,161 @@
-"""What is not known for certain about the controller, each as one named number."""
+"""What is not known for certain about the controller, each as one named parameter with its meaning.
+
+The values are best estimates. A driver must live with every alternative; `ronna-sim kuka --set NAME=VALUE`
+chooses one.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, get_args, get_type_hints
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from sim.kuka.errors import UnknownParameter
 
 
 @dataclass(frozen=True)
-class ControllerParameters:
-    """How this controller behaves where public sources are silent or disagree. Degrees, seconds, cycles."""
+class Most:
+    """The largest value that a parameter may have."""
 
-    dead_time_cycles: int = 2  # reply to first movement: 2 to 3 cycles were seen on a robot
-    lag_s: float = 0.015  # first order; 10 to 30 ms are published
-    rest_error_deg: float = 0.0005  # nearer than this the servo has arrived; below the arm's read-out
-    # A commanded step above this share of the axis's full-speed step trips the drives. One held value
-    # after one lost reply at 1/8 of full speed is a step of 2/8, which passes.
-    step_share: float = 0.25
-    overspeed_cycles: int = 3  # the axis limit may be exceeded for fewer cycles than this
-    # Acceleration is judged over this time and not from cycle to cycle, and only when too much of it lasts,
-    # so that one held value and the step after it pass. The share is of the planner's accelerations; what
-    # the drives bear is not public.
-    acceleration_window_s: float = 0.040
-    acceleration_share: float = 1.5
-    acceleration_cycles: int = 3
-    held_cycles: int = 3  # values held over so many lost replies do not break a motion in two
-    movecorr_after_cycles: int = 3  # telegrams between RSI_ON and the moment corrections act
-    timeout_counting: Literal["consecutive", "total"] = "consecutive"
-    streams_after_stop: bool = True  # a stopped but not cancelled program keeps sending
+    value: float
+
+
+@dataclass(frozen=True)
+class ControllerParameters:
+    """How this controller behaves where public sources are silent or disagree. Degrees, seconds, cycles.
+
+    A number that is 0 by default may be 0; every other one is above it.
+    """
+
+    # drives
+    dead_time_cycles: Annotated[int, "From a reply to the first movement; 2 to 3 were seen on a robot."] = 2
+    lag_s: Annotated[float, "Of the drives, first order; 10 to 30 ms are published."] = 0.015
+    ipo_filter_s: Annotated[
+        float, "First-order filter of corrections in a 12 ms run (#IPO); 0 is none. #IPO_FAST has none."
+    ] = 0.012
+    readout_step_deg: Annotated[float, "Step in which axes are measured and told; 0 is none."] = 0.0001
+    rest_error_deg: Annotated[float, "Nearer than this to its command the servo has arrived."] = 0.0005
+    # One held value after one lost reply at 1/8 of full speed is a step of 2/8, which passes.
+    step_share: Annotated[
+        float, "Share of the axis's full-speed step above which a commanded step trips the drives."
+    ] = 0.25
+    overspeed_cycles: Annotated[int, "In a row above the axis limit that trip the drives."] = 3
+    # Over a time and not from cycle to cycle, so that one held value and the step after it pass.
+    acceleration_window_s: Annotated[float, "Time over which an acceleration is judged."] = 0.040
+    acceleration_share: Annotated[
+        float, "Of a planner's accelerations that may be commanded; what the drives bear is not public."
+    ] = 1.5
+    acceleration_cycles: Annotated[int, "In a row of too much acceleration that trip the drives."] = 3
+    held_cycles: Annotated[int, "Values held over so many lost replies do not break a motion in two."] = 3
+    at_end_switch: Annotated[
+        Literal["stop", "clamp"], "A command beyond a software end switch stops the arm, or is cut there."
+    ] = "stop"
+    path_stop_share: Annotated[float, "Share of the axis accelerations that a stop uses."] = 1.0
+    fast_stop_share: Annotated[float, "The same for STOP FAST."] = 2.0
     # A joint reverses its flank when the command comes back by more than this from its extreme.
-    reversal_deg: float = 0.0005
-    # A new motion begins when the command moves faster than this. It is above the last step of a
-    # jerk-limited profile (1.2 thousandths of a degree in 4 ms), so that motions are counted by what is
-    # commanded and not by how long the arm waited between them.
-    motion_speed_deg_s: float = 0.3
-    path_stop_share: float = 1.0  # share of the axis accelerations that a stop uses
-    fast_stop_share: float = 2.0  # the same for STOP FAST
-    line_acceleration_mm_s2: float = 1000.0  # of a LIN of the EKI program
-    line_turn_rad_s: float = 1.0  # fastest turn of the tool on a LIN
-    T1_axis_speed_share: float = 0.10  # of the axis limits, for motions of the EKI program in T1
-    T1_tool_speed_mm_s: float = 250.0
-    stick_breakaway_deg: float = 0.05  # a sticking axis slips when the command is this far ahead of it
-    # Numbers of messages that no public source tells.
-    end_switch_message: int = 1205
-    emergency_stop_message: int = 1
-    guard_message: int = 6
-    enabling_switch_message: int = 26
-    collision_message: int = 117
-    T1_speed_message: int = 421
+    reversal_deg: Annotated[float, "Way back after which a joint lies on its other flank."] = 0.0005
+    # Above the last step of a jerk-limited profile (1.2 thousandths of a degree in 4 ms), so that motions
+    # are counted by what is commanded and not by how long the arm waited between them.
+    motion_speed_deg_s: Annotated[float, "Speed of the command at which a new motion begins."] = 0.3
+    stick_breakaway_deg: Annotated[float, "A sticking axis slips when the command is so far ahead of it."] = (
+        0.05
+    )
+
+    # RSI: telegrams and replies
+    ipoc_start: Annotated[int, "Time stamp from which those of the runs are made.", Most(2**64 - 1)] = (
+        4_208_163_632
+    )
+    ipoc_bits: Annotated[int, "Width of the time stamp: 32 wraps after 49 days.", Most(64)] = 32
+    delay_tells: Annotated[
+        Literal["total", "in_a_row", "nothing"],
+        "D: late replies since RSI_ON, those in a row up to now, or always 0.",
+    ] = "total"
+    delay_lag_cycles: Annotated[int, "Telegrams by which D is behind what was late."] = 0
+    stat_tells_limits: Annotated[bool, "Stat has bits for limits beside bit 0, correction active."] = True
+    reply_window: Annotated[float, "Share of the cycle within which a reply is in time.", Most(1.0)] = 1.0
+    second_reply: Annotated[
+        Literal["ignored", "taken"], "A second reply to the same telegram, while its cycle lasts."
+    ] = "ignored"
+    missing_element: Annotated[
+        Literal["holdon", "kept", "zero"],
+        "An element that a reply lacks: by its HOLDON as if the reply were missing, kept, or 0.",
+    ] = "holdon"
+    reads_exponents: Annotated[bool, "A number such as 1.5e-3 is one."] = True
+    bad_number: Annotated[
+        Literal["no_reply", "missing"], "NaN, inf or text for a number spoils the reply, or its element."
+    ] = "no_reply"
+    longest_file_name: Annotated[
+        int, "Characters of an Ethernet file's name without ending; some KSS 8.5.8 take below 20."
+    ] = 255
+
+    # RSI: the run
+    streams_from: Annotated[
+        Literal["rsi_on", "movecorr"], "When telegrams begin: at RSI_ON, or with RSI_MOVECORR."
+    ] = "rsi_on"
+    corrections_act: Annotated[
+        Literal["movecorr", "rsi_on"], "When corrections act: in RSI_MOVECORR only, or from RSI_ON."
+    ] = "movecorr"
+    movecorr_after_cycles: Annotated[int, "Cycles from RSI_ON to RSI_MOVECORR."] = 3
+    timeout_counting: Annotated[
+        Literal["consecutive", "total"], "What Timeout counts: late replies in a row, or all since RSI_ON."
+    ] = "consecutive"
+    streams_after_stop: Annotated[bool, "A stopped but not cancelled program keeps sending."] = True
+    override_scales_corrections: Annotated[bool, "The program override at RSI_ON scales corrections too."] = (
+        False
+    )
+
+    # EKI
+    eki_loss_cancels: Annotated[bool, "An EKI connection that is lost ends the RSI program."] = False
+    longest_text: Annotated[int, "Characters of one KRL string in one EKI element."] = 512
+    inverted_status: Annotated[int, "Bits of S in E6POS that mean the opposite.", Most(7)] = 0
+    line_acceleration_mm_s2: Annotated[float, "Of a LIN of the EKI program."] = 1000.0
+    line_turn_rad_s: Annotated[float, "Fastest turn of the tool on a LIN."] = 1.0
+
+    # T1
+    T1_axis_speed_share: Annotated[float, "Of the axis limits, for motions of the EKI program."] = 0.10
+    T1_tool_speed_mm_s: Annotated[float, "Above it the arm is stopped, by EKI or RSI."] = 250.0
+
+    # numbers of messages that no public source tells
+    end_switch_message: Annotated[int, "Number of the message: software end switch."] = 1205
+    emergency_stop_message: Annotated[int, "Number of the message: emergency stop."] = 1
+    guard_message: Annotated[int, "Number of the message: guard open."] = 6
+    enabling_switch_message: Annotated[int, "Number of the message: enabling switch released."] = 26
+    collision_message: Annotated[int, "Number of the message: collision."] = 117
+    T1_speed_message: Annotated[int, "Number of the message: too fast for T1."] = 421
 
 
 def changed_parameters(assignments: Iterable[str]) -> ControllerParameters:
     """The parameters with some set by `NAME=VALUE`; raises KRC-003 for an unknown name or a wrong value."""
-    parameters = ControllerParameters()
-    hints = get_type_hints(ControllerParameters)
+    values: dict[str, Any] = {}
+    kinds = _kinds()
     for assignment in assignments:
         name, _, text = assignment.partition("=")
-        if name not in hints:
-            known = ", ".join(asdict(parameters))
-            raise UnknownParameter(f"the controller has no parameter {name!r}", awaited=f"one of {known}")
-        parameters = replace(parameters, **{name: _value(name, hints[name], text)})
-    return parameters
+        if name not in kinds:
+            alike = " or ".join(get_close_matches(name, kinds)) or None
+            raise UnknownParameter(f"the controller has no parameter {name!r}", awaited=alike)
+        values[name] = _value(name, text, *kinds[name])
+    return replace(ControllerParameters(), **values)
 
 
-def _value(name: str, kind: Any, text: str) -> Any:
+def parameter_rows() -> list[tuple[str, str, str]]:
+    """Of each parameter its name, best estimate, and meaning with the values of an enumeration."""
+    kinds = _kinds()
+    rows = []
+    for entry in fields(ControllerParameters):
+        kind, meaning, *_ = kinds[entry.name]
+        choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
+        rows.append((entry.name, str(entry.default).lower(), meaning + choices))
+    return rows
+
+
+def _kinds() -> dict[str, tuple[Any, ...]]:
+    """Type, meaning and, where there is one, the largest value of each parameter."""
+    hints = get_type_hints(ControllerParameters, include_extras=True)
+    return {entry.name: get_args(hints[entry.name]) for entry in fields(ControllerParameters)}
+
+
+def _value(name: str, text: str, kind: Any, _meaning: str, most: Most | None = None) -> Any:
     choices = {"true": True, "false": False} if kind is bool else {item: item for item in get_args(kind)}
     if choices:
         if text not in choices:
@@ -75,8 +165,12 @@ def _value(name: str, kind: Any, text: str) -> Any:
         value = kind(text)
     except ValueError:
         raise UnknownParameter(f"{name} cannot be {text!r}", awaited=f"a {kind.__name__}") from None
-    if not 0 < value < float("inf"):
-        raise UnknownParameter(f"{name} cannot be {text}", awaited="a number above 0")
+    may_be_zero = getattr(ControllerParameters, name) == 0
+    largest = most.value if most is not None else float("inf")
+    if not (value > 0 or (may_be_zero and value == 0)) or not value <= largest or value == float("inf"):
+        least = "of at least 0" if may_be_zero else "above 0"
+        up_to = f", at most {largest:g}" if most is not None else ""
+        raise UnknownParameter(f"{name} cannot be {text}", awaited=f"a number {least}{up_to}")
     return value
 
 

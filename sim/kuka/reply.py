@@ -13,12 +13,14 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from ronna_hw.wire.kuka_context import FREE_TAG, INTERNAL, ReceiveElement
+from sim.kuka.parameters import ControllerParameters
 
 LONGEST_REPLY = 16384  # bytes; the longest configuration of 64 channels stays far below
 MESSAGE_TAG = "DEF_EStr"
 KEYWORD_PREFIX = "DEF_"
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
+_PLAIN_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
 _STAMP = re.compile(r"\d{1,20}")
 _DIGIT_ATTRIBUTE = re.compile(rb"(\s)(\d[\w.-]*\s*=)")
 
@@ -34,7 +36,12 @@ class Reply(NamedTuple):
 class ReplyReader:
     """Reads replies of one configuration. Text channels (STRING) carry no meaning here and count as 0."""
 
-    def __init__(self, elements: Sequence[ReceiveElement], sentype: str) -> None:
+    def __init__(
+        self, elements: Sequence[ReceiveElement], sentype: str, parameters: ControllerParameters | None = None
+    ) -> None:
+        parameters = parameters or ControllerParameters()
+        self._number = _NUMBER if parameters.reads_exponents else _PLAIN_NUMBER
+        self._spoils = parameters.bad_number == "no_reply"
         self._sentype = sentype
         self._count = len(elements)
         self._places: dict[tuple[str, str], int] = {}
@@ -113,13 +120,17 @@ class ReplyReader:
             text = collector.found.get(key)
             if text is None:
                 continue
-            if not _NUMBER.fullmatch(text.strip()):
-                raise _NoReplyError
-            number = float(text)
-            if not isfinite(number):
+            number = self._number_in(text.strip())
+            if number is None and self._spoils:
                 raise _NoReplyError
             values[place] = number
         return Reply(int(stamp), values, collector.found.get(("EStr", ""), ""))
+
+    def _number_in(self, text: str) -> float | None:
+        if not self._number.fullmatch(text):
+            return None
+        number = float(text)
+        return number if isfinite(number) else None
 
 
 class _NoReplyError(Exception):

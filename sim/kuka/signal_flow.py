@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from ronna_hw.wire.kuka_context import INTERNAL, RsiContext
 from sim.kuka.axis_correction import AxisCorrector
@@ -18,8 +19,10 @@ TRUE_LIMIT = 0.5  # a BOOL may arrive as a decimal number
 class EthernetOutputs:
     """Outputs of the ETHERNET object: the last values, kept or dropped to zero by HOLDON."""
 
-    def __init__(self, context: RsiContext) -> None:
+    def __init__(self, context: RsiContext, lacking: Literal["holdon", "kept", "zero"] = "holdon") -> None:
+        """`lacking` says what becomes of an element that is not in a reply."""
         self._hold = [bool(element.holdon) for element in context.receive]
+        self._keep = self._hold if lacking == "holdon" else [lacking == "kept"] * len(self._hold)
         self.values: list[float] = [0.0] * len(self._hold)
         self._all_missing: tuple[None, ...] = (None,) * len(self._hold)
 
@@ -28,10 +31,10 @@ class EthernetOutputs:
         if values is not None and None not in values:
             self.values = list(values)  # type: ignore[arg-type]
             return self.values
-        taken = self._all_missing if values is None else values
+        taken, holds = (self._all_missing, self._hold) if values is None else (values, self._keep)
         self.values = [
             new if new is not None else (old if hold else 0.0)
-            for new, old, hold in zip(taken, self.values, self._hold, strict=True)
+            for new, old, hold in zip(taken, self.values, holds, strict=True)
         ]
         return self.values
 
@@ -70,9 +73,12 @@ class SignalFlow:
         position: Callable[[], PositionCorrector],
         *,
         relative: bool,
+        share: float = 1.0,
     ) -> None:
+        """`share` is what acts of a correction: less than all where the override scales it."""
         self._inputs = inputs
         self._relative = relative
+        self._share = share
         self._axis = axis() if inputs.axes else None
         self._position = position() if inputs.frame else None
         self._last: list[float] | None = None
@@ -97,7 +103,7 @@ class SignalFlow:
         self._last = values
         joints_deg, changed = self._base_deg, False
         if self._position is not None and self._inputs.frame is not None:
-            given = _pick(values, self._inputs.frame)
+            given = self._pick(values, self._inputs.frame)
             if any(given) or not self._relative:
                 changed = True
                 message = self._position.take(given)
@@ -105,7 +111,7 @@ class SignalFlow:
                     return message
             joints_deg = self._position.joints_deg
         if self._axis is not None and self._inputs.axes is not None:
-            given = _pick(values, self._inputs.axes)
+            given = self._pick(values, self._inputs.axes)
             if any(given) or not self._relative:
                 changed = True
                 message = self._axis.take(given)
@@ -116,6 +122,11 @@ class SignalFlow:
             self.command_deg = joints_deg
         return None
 
+    def narrow(self, within_deg: float | None) -> None:
+        """As of `AxisCorrector`, where there is one; the present values are looked at anew."""
+        if self._axis is not None and self._axis.narrow(within_deg):
+            self._last = None
+
     @property
     def stats(self) -> tuple[int, int]:
         """Stat of AXISCORR and of POSCORR."""
@@ -124,6 +135,6 @@ class SignalFlow:
             self._position.stat if self._position is not None else 0,
         )
 
-
-def _pick(values: list[float], places: tuple[int | None, ...]) -> list[float]:
-    return [0.0 if place is None else values[place] for place in places]
+    def _pick(self, values: list[float], places: tuple[int | None, ...]) -> list[float]:
+        given = [0.0 if place is None else values[place] for place in places]
+        return given if self._share == 1.0 else [self._share * value for value in given]

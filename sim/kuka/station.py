@@ -24,6 +24,7 @@ from sim.kuka.eki_sdk import SdkChannel
 from sim.kuka.eki_server import EkiServer
 from sim.kuka.fault_log import FaultLog
 from sim.kuka.link_faults import LinkFaults
+from sim.kuka.pendant import Pendant
 from sim.kuka.reply import Reply
 from sim.kuka.rsi_run import RsiRun
 from sim.kuka.rsi_socket import RsiSocket
@@ -55,8 +56,11 @@ class Station:
         self._client = client
         self._servers = (project_server, sdk_server)
         log = FaultLog(self._moment)
-        self._link = LinkFaults(world.scene.seed, log)
-        self._cell = CellFaults(FaultBoard(world, "robot"), controller, self._servers, self._link, log)
+        self._takes_second = controller.parameters.second_reply == "taken"
+        self._link = LinkFaults(world.scene.seed, log, takes_second=self._takes_second)
+        board = FaultBoard(world, "robot", self._cycle_number)
+        self._cell = CellFaults(board, controller, self._servers, self._link, log)
+        self._pendant = Pendant(world.clock.now_s)
         self._project = ProjectChannel(project_server, controller, autostart)
         self._sdk = SdkChannel(sdk_server, controller, autostart)
         self._autostart = autostart
@@ -84,6 +88,7 @@ class Station:
         try:
             while not self._ending:
                 self._cell.poll()
+                self._show()
                 if self._controller.run is not None:
                     self._cycle(self._controller.run)
                 elif self._rsi is not None or self._controller.moving:
@@ -107,10 +112,12 @@ class Station:
         controller = self._controller
         cycle_s = run.settings.cycle_ms / 1000.0
         began_s = time.monotonic()
-        telegram = run.telegram(controller.arm.frame, controller.arm.axes_deg)
+        telegram = run.telegram(controller.arm.told_frame, controller.arm.told_deg)
         answerable = True
         self._link.begin_cycle(self.cycles + 1)
-        if self._link.idle:
+        if not run.streams:
+            answerable = False
+        elif self._link.idle:
             self._rsi.send(telegram)
         else:
             answerable = self._send_with_faults(run, telegram)
@@ -120,7 +127,8 @@ class Station:
             self._deadline_s += cycle_s
             if self._deadline_s < began_s:
                 self._deadline_s = began_s + cycle_s
-            reply = self._reply_until(run, self._deadline_s)
+            late_s = (1.0 - controller.parameters.reply_window) * cycle_s
+            reply = self._reply_until(run, self._deadline_s - late_s)
             self._wait_until(run, self._deadline_s)
         elif answerable:
             limit_s = cycle_s if self._silent else REPLY_WAIT_S
@@ -172,6 +180,10 @@ class Station:
             self._rsi.send(leaving)
         return answerable
 
+    def _cycle_number(self) -> int:
+        """Which telegram leaves next, or left last while none does; counted over all runs."""
+        return self.cycles + (self._controller.run is not None)
+
     def _moment(self) -> tuple[float, int | None]:
         """Theatre time, and the time stamp of the telegram that leaves next."""
         run = self._controller.run
@@ -215,6 +227,10 @@ class Station:
         if not self._controller.moving:
             self._clock.end_stream()
 
+    def _show(self) -> None:
+        run = self._controller.run
+        self._pendant.look(self._controller.message, run.notice if run is not None else "")
+
     def _notice_change(self) -> None:
         """Tell a changed state to the channels at once, not when their period is over."""
         state = (self._controller.rsi_state, self._controller.moving)
@@ -228,7 +244,7 @@ class Station:
         """The reply of this cycle, or None when it has not come by `limit_s` (host time)."""
         assert self._rsi is not None
         budget = STALE_LIMIT
-        self._datagram = None
+        self._datagram = found = None
         while True:
             # The time is taken before looking: what lies in the socket at the limit has come in time.
             now_s = time.monotonic()
@@ -240,10 +256,11 @@ class Station:
                         break
                     reply = run.read(data)
                     if reply is not None:
-                        self._datagram = data
-                        return reply
+                        self._datagram, found = data, reply
+                        if not self._takes_second:
+                            return reply
             if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
-                return None
+                return found
 
     def _reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
         """As `_reply_until`, waiting on the RSI socket alone; the channels are served now and then."""

@@ -52,6 +52,14 @@ class Supervision:
         self._window = window
         self._past: deque[list[float]] = deque(maxlen=2 * window)  # commands, oldest first
 
+    def within_range(self, command_deg: list[float]) -> list[float]:
+        """The command cut at the software end switches; the same object where nothing is beyond them."""
+        cut = [
+            min(max(angle, joint.lower_deg), joint.upper_deg)
+            for angle, joint in zip(command_deg, self._arm.joints, strict=True)
+        ]
+        return command_deg if cut == command_deg else cut
+
     def judge(self, command_deg: list[float], before_deg: list[float], *, heard: bool) -> Message | None:
         """None when the arm can follow, else why it stops.
 

@@ -1,14 +1,15 @@
 """The arm as it really is: where the flange stands when the encoders say what they say.
 
 The controller believes its encoders and the nominal chain. The true flange differs by link errors, and by
-what happens between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. At rest
-comes what does not repeat: a small error that depends on the number of the motion, and on nothing else.
+what happens between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. An arm
+that has moved for long is warm, which displaces the flange. At rest comes what does not repeat: a small error
+that depends on the number of the motion, and on nothing else.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, radians, sin
+from math import cos, exp, radians, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from sim.theatre.scene import ArmTruth
 
 Matrix = NDArray[np.float64]
 DEVICE = "arm"  # key of the noise
+DRIFT = "arm warmth"  # key of the direction in which warmth displaces the flange
 # The backlash of a joint is the whole way it loses on a reversal: it rests half of it to either side.
 FLANK_SHARE = 0.5
 
@@ -32,6 +34,10 @@ class TrueArm:
         self._chain = Chain(arm, truth.links)
         self._seed = seed
         self._repeatability_mm = truth.repeatability_mm
+        direction = noise(seed, DRIFT, 0).normal(size=3)
+        self._drift_mm = truth.thermal_drift_mm * direction / np.linalg.norm(direction)
+        self._drifts = truth.thermal_drift_mm > 0.0
+        self._thermal_time_s = truth.thermal_time_s
         self._sag_rad = truth.sag_rad
         self._upper_mm = arm.joints[2].origin_mm[0]
         self._fore_mm = arm.joints[4].origin_mm[0]
@@ -47,13 +53,25 @@ class TrueArm:
             )
         )
 
-    def moving(self, encoders_rad: Sequence[float], flanks: Sequence[float]) -> Matrix:
-        """Pose (4, 4) while moving; `flanks` say per joint where in its backlash it is, -1 to 1."""
-        return self._chain.flange(self._joint_angles(encoders_rad, flanks))
+    def moving(self, encoders_rad: Sequence[float], flanks: Sequence[float], moved_s: float = 0.0) -> Matrix:
+        """Pose (4, 4) while moving; `flanks` say per joint where in its backlash it is, -1 to 1.
 
-    def at_rest(self, encoders_rad: Sequence[float], flanks: Sequence[float], motion_number: int) -> Matrix:
+        `moved_s` is for how long the arm has moved so far.
+        """
+        pose = self._chain.flange(self._joint_angles(encoders_rad, flanks))
+        if self._drifts:
+            pose[:3, 3] += (1.0 - exp(-moved_s / self._thermal_time_s)) * self._drift_mm
+        return pose
+
+    def at_rest(
+        self,
+        encoders_rad: Sequence[float],
+        flanks: Sequence[float],
+        motion_number: int,
+        moved_s: float = 0.0,
+    ) -> Matrix:
         """Pose (4, 4) at rest after the motion of that number."""
-        pose = self.moving(encoders_rad, flanks)
+        pose = self.moving(encoders_rad, flanks, moved_s)
         error_mm = noise(self._seed, DEVICE, motion_number).normal(0.0, self._repeatability_mm, 3)
         # A displacement of the flange is the same displacement of whatever tool hangs on it.
         pose[:3, 3] += error_mm

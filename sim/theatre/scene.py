@@ -106,8 +106,15 @@ class ArmTruth(Strict):
     harmonic_2_rad: Numbers6 = Field(description="Twice per turn: amplitude.")
     harmonic_2_phase_rad: Numbers6 = Field(description="Twice per turn: phase.")
     sag_rad: tuple[float, float] = Field(description="Of A2 and A3 when stretched out horizontally.")
-    backlash_rad: Numbers6 = Field(description="Half the dead way of each joint.")
+    backlash_rad: Numbers6 = Field(description="Dead way of each joint; it lies half of it to either side.")
     repeatability_mm: NotNegative = Field(description="Per axis at the tool, one standard deviation.")
+    thermal_drift_mm: NotNegative = Field(
+        default=0.0,
+        description="By which the flange has wandered when the arm is warm; by motion, not by time.",
+    )
+    thermal_time_s: Positive = Field(
+        default=1200.0, description="Of motion until the arm is warm to two thirds."
+    )
 
 
 class Mount(Strict):

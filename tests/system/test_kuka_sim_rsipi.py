@@ -129,7 +129,7 @@ def test_every_context_that_rsipi_ships_is_understood(name: str) -> None:
     from sim.kuka.telegram import TelegramWriter
 
     path = Path(context("joints")).with_name(f"RSI_EthernetConfig_{name}.xml")
-    told = read_ethernet_file(path, None)
+    told = read_ethernet_file(path, None, 255)
     telegram = TelegramWriter(told.send, 4, (0.0,) * 6, (0.0,) * 6).write((1.0,) * 6, (2.0,) * 6, 3, 4)
     tags = {element.tag.removeprefix("DEF_").partition(".")[0] for element in told.send} - {"FREE"}
     assert {child.tag for child in ElementTree.fromstring(telegram)} == {*tags, "IPOC"}

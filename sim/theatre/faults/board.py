@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator
+
 from sim.theatre.faults.fault import Fault
 from sim.theatre.faults.language import parse_faults
 from sim.theatre.world import World
@@ -10,9 +13,12 @@ from sim.theatre.world import World
 class FaultBoard:
     """The faults of one device, as the world's script has them now. Cheap to ask while there are none."""
 
-    def __init__(self, world: World, device: str) -> None:
+    def __init__(self, world: World, device: str, cycle: Callable[[], int] | None = None) -> None:
+        """`cycle` tells which cycle the device is in, for one that counts them."""
         self._world = world
         self._device = device
+        self._cycle = cycle
+        self._cycles_began_s: dict[int, float] = {}  # of the cycles that faults begin with
         self._version = -1
         self._faults: tuple[Fault, ...] = ()
         self._happened: set[tuple[int, float]] = set()  # line and onset of momentary faults already told
@@ -25,44 +31,43 @@ class FaultBoard:
 
     def active(self, kind: str) -> tuple[Fault, ...]:
         """All lasting faults of that kind that act now."""
-        self._refresh()
-        if not self._faults:
-            return ()
-        step, started_ns = self._world.step()
-        now_s = self._world.clock.now_s()
-        return tuple(
-            fault
-            for fault in self._faults
-            if fault.kind.name == kind and fault.active(now_s, step, started_ns / 1e9)
-        )
+        return tuple(fault for fault in self.acting() if fault.kind.name == kind)
 
     def acting(self) -> tuple[Fault, ...]:
         """All lasting faults of any kind that act now."""
-        self._refresh()
-        if not self._faults:
-            return ()
-        step, started_ns = self._world.step()
         now_s = self._world.clock.now_s()
-        return tuple(fault for fault in self._faults if fault.active(now_s, step, started_ns / 1e9))
+        return tuple(
+            fault for fault, onset_s in self._onsets(now_s) if onset_s <= now_s < onset_s + fault.duration_s
+        )
 
     def happened(self, kind: str) -> tuple[Fault, ...]:
         """Momentary faults of that kind whose moment has come since the last call; each is told once.
 
         One that is bound to a step happens once each time the step is entered.
         """
-        self._refresh()
-        if not self._faults:
-            return ()
-        step, started_ns = self._world.step()
         now_s = self._world.clock.now_s()
         told = []
-        for fault in self._faults:
-            onset_s = fault.onset_s(step, started_ns / 1e9)
+        for fault, onset_s in self._onsets(now_s):
             key = (fault.line, onset_s)
             if fault.kind.name == kind and onset_s <= now_s and key not in self._happened:
                 self._happened.add(key)
                 told.append(fault)
         return tuple(told)
+
+    def _onsets(self, now_s: float) -> Iterator[tuple[Fault, float]]:
+        """Each fault with the theatre time at which it begins."""
+        self._refresh()
+        if not self._faults:
+            return
+        step, started_ns = self._world.step()
+
+        def cycle_began_s(cycle: int) -> float:
+            if self._cycle is None or self._cycle() < cycle:
+                return math.inf
+            return self._cycles_began_s.setdefault(cycle, now_s)
+
+        for fault in self._faults:
+            yield fault, fault.onset_s(step, started_ns / 1e9, cycle_began_s)
 
     def _refresh(self) -> None:
         if self._world.fault_version() != self._version:

@@ -2,10 +2,12 @@
 
     at 12.5 s: tracker occlude marker 3 for 2 s
     when step == relocalization: robot drop 5 % for 1 s
+    at cycle 500: robot drop 100 % for 0.012 s
     now: tracker occlude tool robot_frame for 1 s
 
-Times are theatre time. A fault of `when` begins with the step; `relocalization:T1` is the step of one
-trajectory, `relocalization` that of each. `now` is for the control port; in a script it is the beginning.
+Times are theatre time. Cycles are telegrams that the robot's controller has sent since it was started. A
+fault of `when` begins with the step; `relocalization:T1` is the step of one trajectory, `relocalization` that
+of each. `now` is for the control port; in a script it is the beginning.
 """
 
 from __future__ import annotations
@@ -31,12 +33,14 @@ if TYPE_CHECKING:
 FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS)
 TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME", "HEX")
 NOW = "now"
+CYCLES_OF = "robot"  # the device whose cycles a script can name
 TRIGGERS = ("at", "when", NOW)
 
 GRAMMAR = r"""
 start: statement?
 statement: trigger ":" fault duration?
 ?trigger: "at" NUMBER "s"            -> at
+        | "at" "cycle" INT           -> at_cycle
         | "when" "step" "==" STEP    -> when
         | "now"                      -> now
 duration: "for" NUMBER "s"
@@ -106,6 +110,8 @@ def _mistakes(fault: Fault, scene: Scene) -> Iterator[str]:
     targets = [item.identifier for item in scene.head.targets]
     if target and target not in targets:
         yield f"there is no target {target!r}, only {', '.join(targets)}"
+    if fault.cycle is not None and fault.kind.device != CYCLES_OF:
+        yield f"the {fault.kind.device} has no cycles, only the {CYCLES_OF}"
     yield from fault.kind.check(fault.arguments, scene)
 
 
@@ -139,8 +145,9 @@ def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
         kind=kind,
         arguments=tuple(str(argument) for argument in phrase.children),
         duration_s=duration_s,
-        at_s=None if trigger.data == "when" else float(begin),
+        at_s=float(begin) if trigger.data in ("at", NOW) else None,
         step=begin if trigger.data == "when" else None,
+        cycle=int(begin) if trigger.data == "at_cycle" else None,
         line=line,
     )
     return fault, bool(ending)

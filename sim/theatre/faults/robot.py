@@ -9,6 +9,17 @@ from sim.theatre.scene import Scene
 
 MODES = ("T1", "T2", "AUT", "EXT")
 AXES = ("1", "2", "3", "4", "5", "6")
+TRIPS = (
+    "timeout",
+    "rsi_bad",
+    "monitor",
+    "torque",
+    "acceleration",
+    "velocity",
+    "overspeed",
+    "end_switch",
+    "singularity",
+)
 
 
 def _mode(arguments: Arguments, _scene: Scene) -> Iterator[str]:
@@ -19,6 +30,11 @@ def _mode(arguments: Arguments, _scene: Scene) -> Iterator[str]:
 def _axis(arguments: Arguments, _scene: Scene) -> Iterator[str]:
     if arguments[0] not in AXES:
         yield f"there is no axis {arguments[0]}, only {AXES[0]} to {AXES[-1]}"
+
+
+def _trip(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    if arguments[0] not in TRIPS:
+        yield f"there is no trip {arguments[0]!r}, only {', '.join(TRIPS)}"
 
 
 def _lasting(name: str, phrase: str, meaning: str) -> FaultKind:
@@ -44,6 +60,15 @@ LINK_FAULTS = (
     ),
     _share("corrupt_replies", "corrupt replies NUMBER %", "That share of the RSI replies arrives broken."),
     _share("wrong_ipoc", "wrong ipoc NUMBER %", "That share of the RSI replies carries another time stamp."),
+    _share("future_ipoc", "future ipoc NUMBER %", "That share of the RSI replies is stamped as a later one."),
+    _lasting("constant_ipoc", "constant ipoc", "All RSI replies carry the time stamp of the first one."),
+    _share("missing_ipoc", "missing ipoc NUMBER %", "That share of the RSI replies has no time stamp."),
+    _share(
+        "wrong_type", "wrong type NUMBER %", "That share of the RSI replies has another Type of the root."
+    ),
+    _share(
+        "bad_number", "bad number NUMBER %", "In that share of the RSI replies nan, inf or text is a number."
+    ),
     _share("corrupt_telegrams", "corrupt telegrams NUMBER %", "That share of the telegrams leaves broken."),
     _share("lose_telegrams", "lose telegrams NUMBER %", "That share of the telegrams never leaves."),
     _lasting("network_cut", "network cut", "Nothing passes on the RSI link, either way."),
@@ -70,6 +95,19 @@ CELL_FAULTS = (
     _lasting("enabling_switch", "enabling switch released", "Nobody enables motion; matters in T1 and T2."),
     _lasting("start_key", "start key held", "Somebody holds the start key, which T1 and T2 ask for."),
     _once("drives_off", "drives off", "The drives are switched off."),
+    FaultKind(
+        "trip",
+        "robot",
+        "trip NAME",
+        f"What runs ends with the message of that cause: {', '.join(TRIPS)}.",
+        momentary=True,
+        check=_trip,
+    ),
+    _lasting(
+        "clamp",
+        "clamp NUMBER deg",
+        "Axis corrections go no further than that from where they are; Stat tells it, motion goes on.",
+    ),
     _once("collision", "collision", "The torque monitor stops the arm, with a message."),
     _once(
         "overload",
@@ -96,6 +134,9 @@ EKI_FAULTS = (
     _once(
         "eki_half", "eki half telegram", "Of the next telegram on each EKI channel only the half is written."
     ),
+    _once("eki_garbage", "eki garbage", "The next telegram on each EKI channel comes after garbage."),
+    _once("eki_padding", "eki padding", "The next telegram on each EKI channel stands between NUL bytes."),
+    _lasting("eki_taken", "eki taken", "Another client holds both EKI channels: whoever comes is refused."),
     _lasting("eki_silence", "eki silence", "The EKI program neither reads nor answers."),
 )
 

@@ -119,6 +119,36 @@ def test_an_overload_stop_is_not_told_and_the_measured_axes_stop_following(stage
     assert rests_at(stage, 1.0, base_deg + 3.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "number", "drives"),
+    [("monitor", "29000", "1"), ("torque", "1073", "0"), ("end_switch", "1205", "1")],
+)
+def test_a_trip_ends_the_run_with_its_message_until_it_is_acknowledged(
+    stage: Stage, name: str, number: str, drives: str
+) -> None:
+    stage.move(3.0, cycles=50)
+    stage.inject(f"trip {name}")
+    while stage.rsi.try_cycle(on_a1(3.0)):
+        pass
+    state = stage.eki.state(RSI="3", Moving="0")
+    assert (state.get("Err"), state.get("Drives"), state.get("ProState")) == (number, drives, "P_STOP")
+    assert stage.eki.command("RSI_START") == 1
+    assert stage.eki.command("ACK_ERRORS") == 0
+
+
+def test_clamped_corrections_hold_the_arm_while_the_run_goes_on(stage: Stage) -> None:
+    base_deg = stage.rsi.axes_deg[0]
+    stage.move(2.0)
+    stage.rsi.cycles(60, on_a1(2.0))
+    stage.inject("clamp 0.5 deg")
+    stage.move(4.0, begin_deg=2.0)
+    assert rests_at(stage, 4.0, base_deg - 1.5)
+    assert stage.eki.state(Id="8").get("Err") == "0"
+    stage.move(2.0, begin_deg=4.0)
+    stage.world.set_fault_script("")
+    assert rests_at(stage, 2.0, base_deg)
+
+
 def test_a_sticking_axis_moves_by_fits_and_starts_and_lags_behind(stage: Stage) -> None:
     base_deg = stage.rsi.axes_deg[0]
     smooth = stage.move(1.0, cycles=500)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from kuka_stage import Stage
 
@@ -32,6 +34,29 @@ def test_half_a_telegram_is_followed_by_whole_ones(stage: Stage) -> None:
     segments = stage.eki.raw(4)
     assert any(not text.rstrip().endswith(b"</State>") for text in segments)
     stage.world.set_fault_script("")
+    assert stage.reconnect().state(Id="8").get("RSI") == "2"
+
+
+@pytest.mark.parametrize(("fault", "outside"), [("eki garbage", b"what?"), ("eki padding", b"\0\0")])
+def test_garbage_and_padding_stand_outside_the_telegrams(stage: Stage, fault: str, outside: bytes) -> None:
+    stage.inject(fault)
+    stage.rsi.cycles(3)
+    (spoilt,) = [segment for segment in stage.eki.raw(4) if outside in segment]
+    assert re.search(rb"<State .*</State>", spoilt)  # the telegram itself is whole
+    stage.world.set_fault_script("")
+    assert stage.reconnect().state(Id="8").get("RSI") == "2"
+
+
+def test_a_channel_that_another_client_holds_refuses_every_other(stage: Stage) -> None:
+    stage.inject("eki taken")
+    stage.rsi.cycles(3)
+    assert stage.eki.state(Id="8").get("RSI") == "2"  # who is there stays
+    stage.eki.close()
+    stage.rsi.cycles(10)
+    with pytest.raises(ConnectionError):
+        stage.reconnect().read()
+    stage.world.set_fault_script("")
+    stage.rsi.cycles(3)
     assert stage.reconnect().state(Id="8").get("RSI") == "2"
 
 

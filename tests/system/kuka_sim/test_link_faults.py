@@ -14,6 +14,11 @@ from kuka_stage import Stage, largest_step, on_a1, rests_at
         ("drop 100 % for 0.1 s", 25),
         ("delay 2 cycles for 0.1 s", 25),
         ("corrupt replies 100 % for 0.1 s", 25),
+        ("wrong ipoc 100 % for 0.1 s", 25),
+        ("future ipoc 100 % for 0.1 s", 25),
+        ("missing ipoc 100 % for 0.1 s", 25),
+        ("wrong type 100 % for 0.1 s", 25),
+        ("bad number 100 % for 0.1 s", 25),
         ("duplicate 100 % for 0.1 s", 0),
         ("delay 0 cycles for 0.1 s", 0),
     ],
@@ -29,6 +34,12 @@ def test_replies_that_do_not_arrive_whole_and_in_time_are_late_cycles_and_nothin
     assert rests_at(stage, 2.0, base_deg)
     assert stage.rsi.late == late
     assert stage.eki.state(Id="8").get("RSI") == "2"
+
+
+def test_a_constant_time_stamp_fits_one_telegram_only(stage: Stage) -> None:
+    stage.inject("constant ipoc for 0.1 s")
+    stage.rsi.cycles(40)
+    assert stage.rsi.late == 24
 
 
 def test_replies_out_of_order_are_late_and_the_later_one_acts(stage: Stage) -> None:

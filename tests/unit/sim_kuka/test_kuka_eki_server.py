@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from xml.etree import ElementTree
 
 import pytest
 
 from ronna_hw.endpoints import Endpoint
 from sim.kuka import eki_server
-from sim.kuka.eki_server import UNREAD_LIMIT, EkiServer
+from sim.kuka.eki_server import GARBAGE, PADDING, UNREAD_LIMIT, EkiServer, after_garbage, half, padded
 
 LOOP_S = 0.012
 
@@ -132,11 +132,39 @@ def test_a_silent_program_keeps_what_was_said_to_it(line: Line) -> None:
 
 
 def test_half_a_telegram_is_written_once(line: Line) -> None:
-    line.server.cut_next()
+    line.server.spoil_next(half)
     for _ in range(2):
         line.server.send("<Robot></Robot>")
         line.loop()
     assert line.heard() == b"<Robot><Robot></Robot>"
+
+
+@pytest.mark.parametrize(
+    ("how", "written"),
+    [
+        (after_garbage, GARBAGE + b"<Robot></Robot>"),
+        (padded, PADDING + b"<Robot></Robot>" + PADDING),
+    ],
+)
+def test_a_telegram_may_come_after_garbage_or_between_padding_once(
+    line: Line, how: Callable[[bytes], bytes], written: bytes
+) -> None:
+    assert b"<" not in GARBAGE
+    line.server.spoil_next(how)
+    for _ in range(2):
+        line.server.send("<Robot></Robot>")
+        line.loop()
+    assert line.heard() == written + b"<Robot></Robot>"
+
+
+def test_a_channel_that_is_taken_refuses_whoever_comes_and_keeps_its_client(line: Line) -> None:
+    line.server.taken = True
+    host, port = line.server.endpoint.removeprefix("tcp://").split(":")
+    with socket.create_connection((host, int(port)), timeout=10.0) as other:
+        line.serve()
+        assert other.recv(1) == b""
+    line.say(1)
+    assert line.program.read == ["1"]
 
 
 def test_a_full_memory_has_no_room_for_the_next_request(line: Line) -> None:

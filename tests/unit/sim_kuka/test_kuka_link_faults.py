@@ -90,6 +90,55 @@ def test_a_wrong_time_stamp_is_that_of_no_cycle(link: Any, read: Any) -> None:
     assert all(stamp == cycle + 1 for cycle, stamp in enumerate(stamps) if stamp != cycle)
 
 
+@pytest.mark.parametrize("fault", ["future ipoc", "missing ipoc", "wrong type", "bad number"])
+def test_a_reply_that_is_xml_and_yet_none_is_missed_in_its_share(link: Any, read: Any, fault: str) -> None:
+    whole = arrivals(link(f"{fault} 0 %"), read, 100)
+    assert whole == list(range(100))
+    part = arrivals(link(f"{fault} 50 %"), read, 400)
+    missed = [stamp for cycle, stamp in enumerate(part) if stamp != cycle]
+    assert 100 < len(missed) < 300
+    if fault == "future ipoc":
+        assert all(stamp == cycle + 12 for cycle, stamp in enumerate(part) if stamp != cycle)
+    else:
+        assert set(missed) == {None}
+
+
+def test_a_bad_number_is_nan_infinite_or_a_word_and_all_of_them_come(link: Any) -> None:
+    faults = link("bad number 100 %")
+    seen: list[bytes] = []
+    for cycle in range(100):
+        faults.begin_cycle(cycle)
+        faults.incoming((REPLY % cycle).encode(), seen.append)
+    assert {data.split(b"<Stop>")[1].split(b"<")[0] for data in seen} == {b"nan", b"inf", b"one"}
+
+
+def test_a_constant_time_stamp_is_that_of_the_first_reply_until_the_fault_ends(link: Any, read: Any) -> None:
+    faults = link("constant ipoc")
+    assert arrivals(faults, read, 5) == [0, 0, 0, 0, 0]
+    faults.look(())
+    faults.begin_cycle(7)
+    assert faults.incoming((REPLY % 7).encode(), read).ipoc == 7
+    faults.look(parse_faults("now: robot constant ipoc"))
+    faults.begin_cycle(9)
+    assert faults.incoming((REPLY % 9).encode(), read).ipoc == 9
+
+
+@pytest.mark.parametrize(("takes_second", "value"), [(False, 2.5), (True, 1.5)])
+def test_of_two_replies_to_one_telegram_the_first_or_the_second_counts(
+    read: Any, takes_second: bool, value: float
+) -> None:
+    faults = LinkFaults(1, FaultLog(moment), takes_second=takes_second)
+    faults.look(parse_faults("now: robot delay 2 cycles"))
+    faults.begin_cycle(1)
+    assert faults.incoming((REPLY % 3).encode(), read) is None
+    faults.look(())
+    faults.begin_cycle(3)
+    again = (REPLY % 3).replace("1.500000", "2.500000").encode()
+    reply = faults.incoming(again, read)
+    assert reply is not None
+    assert reply.values[1] == value  # the one that was on the way comes behind
+
+
 def test_a_broken_reply_is_none_and_a_broken_telegram_cannot_be_read(link: Any, read: Any) -> None:
     faults = link("corrupt replies 100 %", "corrupt telegrams 100 %")
     telegram = b'<Rob Type="KUKA"><AIPos A1="0.0" A2="0.0"/><IPOC>8</IPOC></Rob>'

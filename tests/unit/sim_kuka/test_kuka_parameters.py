@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import pytest
 
+from sim.kuka.command import kuka
 from sim.kuka.errors import UnknownParameter
 from sim.kuka.parameters import ControllerParameters, changed_parameters
 
@@ -12,6 +15,8 @@ def test_parameters_are_set_by_name() -> None:
     changed = changed_parameters(["timeout_counting=total", "streams_after_stop=false", "lag_s=0.02"])
     assert (changed.timeout_counting, changed.streams_after_stop, changed.lag_s) == ("total", False, 0.02)
     assert changed_parameters(["dead_time_cycles=3"]).dead_time_cycles == 3
+    assert changed_parameters(["ipo_filter_s=0.02", "ipo_filter_s=0.03"]).ipo_filter_s == 0.03
+    assert changed_parameters(["delay_lag_cycles=0", "reply_window=1"]).reply_window == 1.0
     assert changed_parameters(()) == ControllerParameters()
 
 
@@ -22,6 +27,10 @@ def test_parameters_are_set_by_name() -> None:
         ("lag_s", "lag_s cannot be ''"),
         ("lag_s=-1", "lag_s cannot be -1"),
         ("lag_s=nan", "lag_s cannot be nan"),
+        ("lag_s=0", "lag_s cannot be 0; awaited a number above 0"),
+        ("delay_lag_cycles=-1", "delay_lag_cycles cannot be -1; awaited a number of at least 0"),
+        ("reply_window=1.5", "reply_window cannot be 1.5; awaited a number above 0, at most 1"),
+        ("inverted_status=8", "at most 7"),
         ("dead_time_cycles=1.5", "dead_time_cycles cannot be '1.5'"),
         ("timeout_counting=some", "timeout_counting cannot be 'some'"),
         ("streams_after_stop=1", "streams_after_stop cannot be '1'"),
@@ -31,3 +40,10 @@ def test_a_wrong_parameter_is_refused_with_what_may_stand_there(assignment: str,
     with pytest.raises(UnknownParameter, match=told) as caught:
         changed_parameters([assignment])
     assert caught.value.code == "KRC-003"
+
+
+def test_all_parameters_are_told_with_best_estimate_and_meaning(capsys: pytest.CaptureFixture[str]) -> None:
+    kuka(list_parameters=True)
+    told = capsys.readouterr().out.splitlines()
+    assert len(told) == len(fields(ControllerParameters))
+    assert "lag_s=0.015  Of the drives, first order; 10 to 30 ms are published." in told

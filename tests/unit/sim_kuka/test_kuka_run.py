@@ -323,6 +323,39 @@ def test_stop_before_movecorr_is_an_error_of_the_object(bench: Any) -> None:
     assert message_of(bench) == 29002
 
 
+def test_a_stop_object_may_only_tell_and_the_motion_goes_on(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    bench = make_bench(context_with(stop={"mode": "InfoMessage"}))
+    bench.enter_movecorr()
+    bench.ramp(on_a1(3.0))
+    bench.answer(on_a1(3.0), stop=1)
+    assert bench.controller.run.notice == "STOP1: a stop was asked for"
+    bench.ramp(on_a1(4.0), from_deg=on_a1(3.0))
+    bench.rest(on_a1(4.0))
+    assert axis_of(bench) == 4.0
+
+
+def test_a_stop_object_may_brake_the_arm_on_its_path_and_faster_and_the_run_streams_on(
+    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    ways = {}
+    for mode in ("PathNormal", "Velocity", "PathFast"):
+        bench = make_bench(context_with(stop={"mode": mode}))
+        bench.enter_movecorr()
+        bench.ramp(on_a1(8.0), steps=60)
+        before = axis_of(bench)
+        bench.answer(on_a1(8.13), stop=1)
+        for n in range(100):
+            bench.answer(on_a1(8.13 + 0.13 * n), stop=1)
+        ways[mode] = axis_of(bench) - before
+        assert not bench.controller.moving
+        assert bench.controller.rsi_state is RsiState.ON
+        assert bench.controller.program_state is ProState.STOP
+        assert bench.controller.message is None
+    assert 0.0 < ways["PathFast"] < ways["PathNormal"] == ways["Velocity"] < 2.0
+
+
 def test_only_send_never_counts_and_never_corrects(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:

@@ -220,10 +220,10 @@ ETHERNET_XML = """\ufeff<ROOT>
 def read_file(tmp_path: Path) -> Callable[..., RsiContext]:
     from sim.kuka.ethernet_file import read_ethernet_file
 
-    def read(text: str, context: RsiContext | None = None) -> RsiContext:
+    def read(text: str, context: RsiContext | None = None, longest_name: int = 255) -> RsiContext:
         path = tmp_path / "link.xml"
         path.write_text(text, encoding="utf-8")
-        return read_ethernet_file(path, context)
+        return read_ethernet_file(path, context, longest_name)
 
     return read
 
@@ -276,8 +276,14 @@ def test_a_broken_file_is_refused_with_the_mistake(
         read_file(ETHERNET_XML.replace(old, new))
 
 
+def test_a_file_name_may_be_too_long(read_file: Callable[..., RsiContext]) -> None:
+    assert read_file(ETHERNET_XML, longest_name=len("link"))
+    with pytest.raises(EthernetFileInvalid, match=r"link.xml is too long.*3 characters"):
+        read_file(ETHERNET_XML, longest_name=3)
+
+
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     from sim.kuka.ethernet_file import read_ethernet_file
 
     with pytest.raises(EthernetFileInvalid, match="No such file"):
-        read_ethernet_file(tmp_path / "none.xml", None)
+        read_ethernet_file(tmp_path / "none.xml", None, 255)

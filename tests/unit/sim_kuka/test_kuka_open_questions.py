@@ -1,0 +1,314 @@
+"""What no public source settles has a name each, and every name changes what the controller does."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ronna_hw.wire.kuka_context import RsiContext, load_context
+from ronna_hw.wire.kuka_eki import OperationMode, RsiState
+from sim.kuka.command import kuka
+from sim.kuka.parameters import ControllerParameters
+from sim.kuka.reply import ReplyReader
+from sim.kuka.true_arm import TrueArm
+from sim.theatre.scene import ArmTruth
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+# Ways of the simulation alone, about which nobody could tell anything on a real controller.
+OF_THE_SIMULATION = {
+    "rest_error_deg",
+    "reversal_deg",
+    "motion_speed_deg_s",
+    "stick_breakaway_deg",
+    "line_acceleration_mm_s2",
+    "line_turn_rad_s",
+}
+WIDE_DEG = (400.0,) * 6
+
+
+def on_a1(value: float) -> tuple[float, ...]:
+    return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def page() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("open_questions", DOCS / "open_questions.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def bench_with(make_bench: Callable[..., Any]) -> Callable[..., Any]:
+    def make(context: RsiContext | None = None, cycle_ms: int | None = None, **parameters: Any) -> Any:
+        bench = make_bench(context, parameters=ControllerParameters(**parameters), start=False)
+        bench.controller.switch_drives(True)
+        assert bench.controller.start(cycle_ms=cycle_ms).code == 0
+        return bench
+
+    return make
+
+
+def test_every_open_question_is_answered_by_names_that_exist(page: ModuleType) -> None:
+    parameters = {entry.name for entry in fields(ControllerParameters)}
+    options = {f"--{name.replace('_', '-')}" for name in kuka.__annotations__}
+    context = load_context()
+    for one in page.read_questions():
+        assert list(one.answers), one.question
+        assert set(one.parameters) <= parameters
+        assert set(one.scene) <= set(ArmTruth.model_fields)
+        assert set(one.options) <= options
+        for name in one.context:
+            table, key = name.split(".")
+            assert hasattr(getattr(context, table), key)
+
+
+def test_every_parameter_answers_a_question_or_belongs_to_the_simulation_alone(page: ModuleType) -> None:
+    asked = {name for one in page.read_questions() for name in one.parameters}
+    assert asked | OF_THE_SIMULATION == {entry.name for entry in fields(ControllerParameters)}
+    assert not asked & OF_THE_SIMULATION
+
+
+# -- drives
+
+
+def test_the_filter_of_12_ms_runs_smooths_corrections_and_ends_exactly_there(
+    bench_with: Callable[..., Any],
+) -> None:
+    behind = {}
+    for cycle_ms, filter_s in ((12, 0.0), (12, 0.05), (4, 0.05), (4, 0.0001)):
+        bench = bench_with(cycle_ms=cycle_ms, ipo_filter_s=filter_s)
+        bench.enter_movecorr()
+        for _ in range(6):
+            bench.answer(on_a1(0.3))
+        behind[cycle_ms, filter_s] = 0.3 - bench.controller.arm.axes_deg[0]
+        bench.rest(on_a1(0.3))
+        assert bench.controller.arm.axes_deg[0] == 0.3
+    assert behind[12, 0.05] > behind[12, 0.0] + 0.05
+    assert behind[4, 0.05] == behind[4, 0.0001]
+
+
+def test_axes_are_told_in_steps_of_the_read_out_and_held_exactly(bench_with: Callable[..., Any]) -> None:
+    bench = bench_with(readout_step_deg=0.01)
+    bench.enter_movecorr()
+    bench.ramp(on_a1(1.2345))
+    bench.rest(on_a1(1.2345))
+    assert b'<AIPos A1="1.2300"' in bench.telegram()
+    assert bench.controller.arm.axes_deg[0] == 1.2345
+    fine = bench_with(readout_step_deg=0.0)
+    fine.enter_movecorr()
+    fine.ramp(on_a1(1.2345))
+    fine.rest(on_a1(1.2345))
+    assert b'<AIPos A1="1.2345"' in fine.telegram()
+
+
+@pytest.mark.parametrize(("answer", "rests_deg"), [("stop", None), ("clamp", 170.0)])
+def test_a_software_end_switch_stops_or_cuts(
+    bench_with: Callable[..., Any],
+    context_with: Callable[..., RsiContext],
+    answer: str,
+    rests_deg: float | None,
+) -> None:
+    context = context_with(
+        axis_correction={"limits": "explicit", "lower_deg": (-400.0,) * 6, "upper_deg": WIDE_DEG},
+        axis_monitor={"limits": "explicit", "max_deg": WIDE_DEG},
+    )
+    bench = bench_with(context, at_end_switch=answer)
+    bench.enter_movecorr()
+    if rests_deg is None:
+        with pytest.raises(AssertionError):
+            bench.ramp(on_a1(175.0), steps=2000)
+        assert bench.controller.message is not None
+        return
+    bench.ramp(on_a1(175.0), steps=2000)
+    bench.rest(on_a1(175.0))
+    assert bench.controller.arm.axes_deg[0] == rests_deg
+    bench.ramp(on_a1(165.0), from_deg=on_a1(175.0), steps=200)
+    bench.rest(on_a1(165.0))
+    assert (bench.controller.arm.axes_deg[0], bench.controller.message) == (165.0, None)
+
+
+# -- telegrams
+
+
+def test_the_time_stamp_begins_where_it_is_told_to_and_wraps_at_its_width(
+    bench_with: Callable[..., Any],
+) -> None:
+    stamps: dict[int, list[int]] = {32: [], 64: []}
+    for bits, seen in stamps.items():
+        bench = bench_with(ipoc_start=2**32 - 8, ipoc_bits=bits)
+        for _ in range(4):
+            seen.append(bench.controller.run.ipoc)
+            bench.answer()
+        assert bench.controller.run.late == 0
+    assert stamps[32] == [2**32 - 8, 2**32 - 4, 0, 4]
+    assert stamps[64] == [2**32 - 8, 2**32 - 4, 2**32, 2**32 + 4]
+
+
+@pytest.mark.parametrize(
+    ("tells", "lag", "told"),
+    [
+        ("total", 0, [0, 1, 2, 2, 3]),
+        ("total", 1, [0, 0, 1, 2, 2]),
+        ("in_a_row", 0, [0, 1, 2, 0, 1]),
+        ("nothing", 0, [0, 0, 0, 0, 0]),
+    ],
+)
+def test_D_tells_late_replies_in_each_way(
+    bench_with: Callable[..., Any], tells: str, lag: int, told: list[int]
+) -> None:
+    bench = bench_with(delay_tells=tells, delay_lag_cycles=lag)
+    bench.enter_movecorr()
+    seen = []
+    for answered in (False, False, True, False, True):
+        seen.append(int(bench.telegram().split(b'<Delay D="')[1].split(b'"')[0]))
+        bench.answer() if answered else bench.miss()
+    assert seen == told
+
+
+def test_Stat_may_tell_that_corrections_act_and_nothing_more(
+    bench_with: Callable[..., Any], context_with: Callable[..., RsiContext]
+) -> None:
+    for tells, stats in ((True, (0b11, 0)), (False, (0b1, 0))):
+        bench = bench_with(context_with(axis_correction=None, axis_monitor=None), stat_tells_limits=tells)
+        bench.enter_movecorr()
+        bench.ramp(on_a1(8.0))
+        assert bench.controller.run.correction_stats == stats
+
+
+# -- replies
+
+
+@pytest.mark.parametrize(("lacking", "value"), [("holdon", 1.0), ("kept", 1.0), ("zero", 0.0)])
+def test_what_a_reply_lacks_is_kept_or_zeroed(
+    bench_with: Callable[..., Any], lacking: str, value: float
+) -> None:
+    bench = bench_with(missing_element=lacking, step_share=10.0)
+    bench.enter_movecorr()
+    bench.ramp(on_a1(1.0))
+    bench.rest(on_a1(1.0))
+    run = bench.controller.run
+    for _ in range(40):
+        reply = run.read(f'<Sen Type="KROSHU"><IPOC>{run.ipoc}</IPOC></Sen>'.encode())
+        bench.controller.finish_cycle(reply)
+    assert bench.controller.arm.axes_deg[0] == pytest.approx(value, abs=1e-3)
+    bench.miss(20)  # without a reply HOLDON decides, whatever the parameter says
+    assert bench.controller.arm.axes_deg[0] == pytest.approx(value, abs=1e-3)
+
+
+def test_exponents_and_bad_numbers_are_read_as_told() -> None:
+    context = load_context()
+    reply = '<Sen Type="KROSHU"><AK A1="{}"/><IPOC>8</IPOC></Sen>'
+
+    def read(text: str, **parameters: Any) -> float | str | None:
+        reader = ReplyReader(context.receive, "KROSHU", ControllerParameters(**parameters))
+        found = reader.read(reply.format(text).encode())
+        return "none" if found is None else found.values[1]
+
+    assert read("1.5e-1") == 0.15
+    assert read("1.5e-1", reads_exponents=False) == "none"
+    assert read("1.5", reads_exponents=False) == 1.5
+    for bad in ("nan", "inf", "one", "1e999"):
+        assert read(bad) == "none"
+        assert read(bad, bad_number="missing") is None
+
+
+# -- the run
+
+
+def test_telegrams_may_begin_with_movecorr_and_nothing_is_late_before(bench_with: Callable[..., Any]) -> None:
+    bench = bench_with(streams_from="movecorr", movecorr_after_cycles=10)
+    run = bench.controller.run
+    first = run.ipoc
+    bench.miss(9)
+    assert (run.streams, run.ipoc, run.late) == (False, first, 0)
+    bench.miss()
+    assert (run.streams, run.ipoc, run.state) == (True, first, RsiState.MOVECORR)
+    bench.ramp(on_a1(1.0))
+    bench.rest(on_a1(1.0))
+    assert bench.controller.arm.axes_deg[0] == 1.0
+
+
+def test_in_T1_telegrams_may_wait_for_the_confirmation(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(parameters=ControllerParameters(streams_from="movecorr"), start=False)
+    bench.controller.turn_key(OperationMode.T1)
+    bench.controller.hold_start_key(True)
+    bench.controller.switch_drives(True)
+    bench.controller.start()
+    bench.miss(500)
+    assert not bench.controller.run.streams
+    bench.controller.acknowledge()
+    bench.miss()
+    assert bench.controller.run.streams
+
+
+def test_corrections_may_act_from_the_first_telegram(bench_with: Callable[..., Any]) -> None:
+    moved = {}
+    for act in ("movecorr", "rsi_on"):
+        bench = bench_with(corrections_act=act, movecorr_after_cycles=50)
+        for n in range(1, 30):
+            bench.answer(on_a1(0.01 * n))
+        assert bench.controller.rsi_state is RsiState.ON
+        moved[act] = bench.controller.arm.axes_deg[0]
+    assert moved["movecorr"] == 0.0
+    assert moved["rsi_on"] > 0.1
+
+
+@pytest.mark.parametrize(("scales", "reached"), [(False, 2.0), (True, 1.0)])
+def test_the_override_may_scale_corrections(
+    make_bench: Callable[..., Any], scales: bool, reached: float
+) -> None:
+    bench = make_bench(parameters=ControllerParameters(override_scales_corrections=scales), start=False)
+    bench.controller.switch_drives(True)
+    bench.controller.set_override(50)
+    bench.controller.start()
+    bench.enter_movecorr()
+    bench.ramp(on_a1(2.0))
+    bench.rest(on_a1(2.0))
+    assert bench.controller.arm.axes_deg[0] == reached
+
+
+@pytest.mark.parametrize("cancels", [False, True])
+def test_a_lost_eki_connection_may_end_the_run(bench_with: Callable[..., Any], cancels: bool) -> None:
+    bench = bench_with(eki_loss_cancels=cancels)
+    bench.enter_movecorr()
+    bench.controller.lose_eki()
+    assert (bench.controller.run is None) is cancels
+
+
+# -- the true arm
+
+
+def test_an_arm_that_has_moved_for_long_is_displaced_by_its_warmth_and_a_cold_one_is_not(
+    perfect_arm: Callable[..., ArmTruth],
+) -> None:
+    warm = TrueArm(perfect_arm(thermal_drift_mm=0.04, thermal_time_s=1000.0), seed=3)
+    joints, flanks = (0.0, -1.3, 1.4, 0.0, 0.9, 0.0), (0.0,) * 6
+    cold = warm.moving(joints, flanks, 0.0)
+    away_mm = [
+        float(np.linalg.norm(warm.moving(joints, flanks, moved_s)[:3, 3] - cold[:3, 3]))
+        for moved_s in (0.0, 1000.0, 1e6)
+    ]
+    assert away_mm == pytest.approx([0.0, 0.04 * (1.0 - np.exp(-1.0)), 0.04], abs=1e-6)
+    assert perfect_arm().thermal_drift_mm == 0.0  # results must not depend on the time before them
+
+
+def test_time_counts_as_warming_while_the_arm_moves(bench_with: Callable[..., Any]) -> None:
+    bench = bench_with()
+    bench.enter_movecorr()
+    for _ in range(100):
+        bench.answer()
+    assert bench.controller.arm.drives.moved_s == 0.0
+    bench.ramp(on_a1(2.0), steps=100)
+    assert bench.controller.arm.drives.moved_s == pytest.approx(0.4, abs=0.02)

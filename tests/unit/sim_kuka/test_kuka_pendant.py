@@ -1,0 +1,30 @@
+"""What people read on the pendant: each message once, with its number, and texts of the client."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim.kuka.messages import rsi_timeout, too_fast
+from sim.kuka.pendant import Pendant
+
+
+def test_messages_and_texts_are_shown_once_each_and_their_acknowledgement(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pendant = Pendant(lambda: 12.5)
+    silence, speed = rsi_timeout(100), too_fast("A1", 400.0, 360.0)
+    for message, notice in (
+        (None, ""),
+        (silence, ""),
+        (silence, "mind the\nhead"),
+        (silence, "mind the\nhead"),
+        (None, ""),
+        (speed, ""),
+    ):
+        pendant.look(message, notice)
+    assert capsys.readouterr().err.splitlines() == [
+        "pendant at 12.500 s: KSS29002 signal flow: object ETHERNET1 returns error RSITimeout (100 packets)",
+        "pendant at 12.500 s: mind the head",
+        "pendant at 12.500 s: KSS29002 acknowledged",
+        "pendant at 12.500 s: KSS01102 command velocity A1: 400.0 deg/s, at most 360.0",
+    ]
