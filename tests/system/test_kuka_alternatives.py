@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
 from math import radians
 
 import pytest
@@ -35,11 +34,13 @@ ALL_AT_12_MS = ("ipo_filter_s=0.03", "lag_s=0.03", "dead_time_cycles=3")
 QUICK = 1  # rows that run by default
 
 
-def _rows() -> Iterator[object]:
-    for number, row in enumerate(ALTERNATIVES):
-        marks = () if number < QUICK else pytest.mark.slow
-        yield pytest.param(4, row, id=" ".join(row), marks=marks)
-    yield pytest.param(12, ALL_AT_12_MS, id="12 ms " + " ".join(ALL_AT_12_MS))
+ROWS = [
+    *(
+        pytest.param(4, row, id=" ".join(row), marks=() if number < QUICK else pytest.mark.slow)
+        for number, row in enumerate(ALTERNATIVES)
+    ),
+    pytest.param(12, ALL_AT_12_MS, id="12 ms " + " ".join(ALL_AT_12_MS)),
+]
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-@pytest.mark.parametrize(("cycle_ms", "parameters"), _rows())
+@pytest.mark.parametrize(("cycle_ms", "parameters"), ROWS)
 def test_the_arm_arrives_by_joints_by_lines_and_along_its_tool(
     free_port: int, cycle_ms: int, parameters: tuple[str, ...]
 ) -> None:
