@@ -75,7 +75,9 @@ def require_count(found: int, expected: int | None, candidates: tuple[Candidate,
     if expected is None and found == 0:
         raise MarkerCountWrong("no marker found", candidates=candidates)
     if expected is not None and found != expected:
-        raise MarkerCountWrong(f"{found} markers found, {expected} expected", candidates=candidates)
+        raise MarkerCountWrong(
+            f"{found} marker{'s' if found != 1 else ''} found, {expected} expected", candidates=candidates
+        )
 
 
 def check_request(geometry: VoxelGeometry, diameter_mm: float, expected: int | None) -> None:

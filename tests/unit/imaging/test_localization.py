@@ -79,7 +79,7 @@ def test_plain_balls_come_near_the_cramer_rao_bound(make_scan: Make) -> None:
     voxel_mm3 = float(np.prod(GOOD["spacing_mm"]))
     information = voxel_mm3 * 2.0 * np.sqrt(np.pi) * BLUR_MM * 3.0 / (4.0 * np.pi * RADIUS_MM**2)
     bound_mm = np.sqrt(3.0) * GOOD["noise_hu"] / CONTRAST_HU * np.sqrt(information)
-    assert rms(error) <= 3.0 * bound_mm  # the noise is correlated: the bound for white noise is out of reach
+    assert rms(error) <= 2.5 * bound_mm  # the noise is correlated: the bound for white noise is out of reach
 
 
 def test_a_ball_at_a_voxel_centre_is_not_half_a_voxel_off(
@@ -236,7 +236,7 @@ def test_another_diameter_can_be_asked_for(make_scan: Make) -> None:
 def test_another_count_than_expected_is_refused_with_all_candidates(make_scan: Make) -> None:
     scan = make_scan()
     scan.ball(np.array([20.0, 20.0, 20.0]))
-    with pytest.raises(errors.MarkerCountWrong, match="1 markers found, 3 expected") as caught:
+    with pytest.raises(errors.MarkerCountWrong, match="1 marker found, 3 expected") as caught:
         localize(as_volume(scan), expected=3)
     assert caught.value.exit_code == 3
     (candidate,) = caught.value.candidates

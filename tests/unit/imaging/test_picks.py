@@ -64,7 +64,7 @@ def test_a_pick_without_a_sphere_is_refused_with_the_reason(
 
 
 def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:
-    with pytest.raises(errors.MarkerCountWrong, match="1 markers found, 2 expected"):
+    with pytest.raises(errors.MarkerCountWrong, match="1 marker found, 2 expected"):
         localize_picks(volume, truth(volume)[:1], expected=2)
 
 

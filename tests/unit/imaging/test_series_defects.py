@@ -107,7 +107,7 @@ EDITED = {
     "slope not a number": (
         every(spelling("RescaleSlope", b"NaN ")),
         errors.AttributeMissing,
-        "RescaleSlope is missing or not 1 finite",
+        "RescaleSlope is missing or not a finite number",
     ),
     "intercept not a number": (
         every(spelling("RescaleIntercept", b"inf ")),
