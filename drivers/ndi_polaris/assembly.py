@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from drivers.ndi_polaris.errors import MalformedReply
-from drivers.ndi_polaris.setup import LoadedTool
 from drivers.ndi_polaris.status import DOUBTFUL_STATUS
+from drivers.ndi_polaris.tool_loading import LoadedTool
 from drivers.ndi_polaris.tracking_reply import HandleReport, TrackingReply
 from drivers.ndi_polaris.volume import MeasuringVolume
 from ronna_hw.devices.readings import (

@@ -18,21 +18,17 @@ from drivers.ndi_polaris.errors import (
     WrongUnit,
 )
 from drivers.ndi_polaris.frame_clock import NOMINAL_PERIOD_S, ClockFit
-from drivers.ndi_polaris.geometry import alike_segments_mm
+from drivers.ndi_polaris.geometry import find_alike
 from drivers.ndi_polaris.identity import check_identity, read_identity
+from drivers.ndi_polaris.line_rate import raise_baud
+from drivers.ndi_polaris.measuring_settings import choose_volume, set_illuminator_rate
 from drivers.ndi_polaris.options import read_options
+from drivers.ndi_polaris.port_handles import free_handle
 from drivers.ndi_polaris.rom import encode_definition
 from drivers.ndi_polaris.session import Session
-from drivers.ndi_polaris.setup import (
-    LoadedTool,
-    choose_volume,
-    free_handle,
-    load_tools,
-    raise_baud,
-    set_illuminator_rate,
-)
 from drivers.ndi_polaris.status import clear_bump, refuse_standing_trouble
 from drivers.ndi_polaris.time_limits import read_time_limits
+from drivers.ndi_polaris.tool_loading import LoadedTool, load_tools
 from drivers.ndi_polaris.tracking import Tracking, TrackingStatistics, stop_tracking
 from drivers.ndi_polaris.transport import Transport, open_transport
 from drivers.ndi_polaris.volume import MeasuringVolume
@@ -294,9 +290,7 @@ class PolarisTracker:
     def _set_up(self, deadline_s: float) -> None:
         link = self._link
         self._notices[:] = [
-            f"{name}: distances {a:.1f} and {b:.1f} mm between its markers are too alike"
-            for name, tool in self._definitions.items()
-            for a, b in alike_segments_mm(tool)
+            str(pair) for name, tool in self._definitions.items() for pair in find_alike({name: tool})
         ]
         raise_baud(link, self._options.maximum_baud, deadline_s, self._pause)
         link.adopt_limits({**read_time_limits(link, deadline_s), **self._options.time_limits_s})

@@ -146,6 +146,31 @@ class Session:
                 break
         return discarded
 
+    def distrust(self) -> None:
+        """Have the next command get back in step first: the caller has seen a reply that cannot be right."""
+        self._settled = False
+
+    def settle(self, deadline_s: float | None = None) -> None:
+        """Bring both sides back in step: send ECHO with a text of its own, discard all up to its echo.
+
+        A unit without ECHO refuses it, twice, which serves as well. Raises NDI-007 while the unit may
+        only be slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it restarted.
+        """
+        refusals = 0
+        for _ in range(ECHO_ATTEMPTS):
+            if RESET_TEXT in self.drain(deadline_s=deadline_s):
+                raise UnitRestarted("the unit announced a reset")
+            outcome = self._echo(deadline_s)
+            refusals = refusals + 1 if outcome is _Echo.REFUSED else 0
+            if outcome is _Echo.HEARD or refusals >= REFUSALS_NEEDED:
+                self._settled = True
+                self._silent_since_s = None
+                self.statistics.resynchronised += 1
+                return
+            if deadline_s is not None and self._monotonic() >= deadline_s:
+                break
+        self._give_up()
+
     def _exchange(
         self,
         name: str,
@@ -241,31 +266,6 @@ class Session:
         self._settled = False
         if RESET_TEXT in stale:
             raise UnitRestarted("the unit announced a reset", wire=stale)
-
-    def distrust(self) -> None:
-        """Have the next command get back in step first: the caller has seen a reply that cannot be right."""
-        self._settled = False
-
-    def settle(self, deadline_s: float | None = None) -> None:
-        """Bring both sides back in step: send ECHO with a text of its own, discard all up to its echo.
-
-        A unit without ECHO refuses it, twice, which serves as well. Raises NDI-007 while the unit may
-        only be slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it restarted.
-        """
-        refusals = 0
-        for _ in range(ECHO_ATTEMPTS):
-            if RESET_TEXT in self.drain(deadline_s=deadline_s):
-                raise UnitRestarted("the unit announced a reset")
-            outcome = self._echo(deadline_s)
-            refusals = refusals + 1 if outcome is _Echo.REFUSED else 0
-            if outcome is _Echo.HEARD or refusals >= REFUSALS_NEEDED:
-                self._settled = True
-                self._silent_since_s = None
-                self.statistics.resynchronised += 1
-                return
-            if deadline_s is not None and self._monotonic() >= deadline_s:
-                break
-        self._give_up()
 
     def _echo(self, deadline_s: float | None) -> _Echo:
         self._echoes += 1

@@ -10,8 +10,8 @@ from drivers.ndi_polaris.errors import HandleRefused, UnitError, UnitRestarted, 
 from drivers.ndi_polaris.frame_clock import FrameClock, counted_on
 from drivers.ndi_polaris.options import PolarisOptions
 from drivers.ndi_polaris.session import Session
-from drivers.ndi_polaris.setup import LoadedTool
 from drivers.ndi_polaris.status import ALARMING_STATUS, alarm
+from drivers.ndi_polaris.tool_loading import LoadedTool
 from drivers.ndi_polaris.tracking_reply import TrackingReply
 from drivers.ndi_polaris.tx_reply import decode_tx
 from drivers.ndi_polaris.volume import MeasuringVolume

@@ -112,6 +112,7 @@ COMMAND_NAMES: Final = frozenset(COMMAND_TIMEOUT_S) | {"GX", "IRINIT", "IRCHK", 
 TSTART_RESET_FRAME_COUNTER: Final = "80"
 TSTART_FASTER: Final = "40"
 PHRQ_ANY_PASSIVE: Final = "*********1****"  # any hardware device, wireless (passive) tool, any port
+PHRQ_DUMMY_PASSIVE: Final = "*********1**01"  # port 01: no tool, only the illuminators of a passive one
 PHRQ_ARGUMENT_CHARACTERS: Final = 14
 PVWR_BLOCK_BYTES: Final = 64
 PVWR_SPACE_BYTES: Final = 2048  # size of the virtual memory of one handle
