@@ -54,20 +54,6 @@ class BadTruth(DataError):
     action = "The file was changed or cut off after the run; repeat the run."
 
 
-class RoomSilent(ConnectError):
-    """No theatre answers at the control port."""
-
-    code = "SIM-008"
-    action = "Give the control endpoint of the READY line of the theatre or simulator."
-
-
-class RoomRefused(ConfigurationError):
-    """A running theatre does not do what was asked at its control port."""
-
-    code = "SIM-009"
-    action = "See ronna-sim mount --help, or ronna-sim fault for all kinds of fault."
-
-
 class BadDeviceParameter(ConfigurationError):
     """A parameter for a device of the theatre cannot be understood."""
 

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-import json
-import socket
 import sys
 import termios
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
 
-from procedures.engine.errors import RoomUnreachable
 from procedures.engine.operator import Question
-from ronna_hw.endpoints import parse_endpoint
-
-ROOM_TIMEOUT_S = 5.0  # host time, for one request to the theatre's control port
+from ronna_hw.control_port import ControlPortClient
 
 
 class ScriptedOperator:
     """The only one who talks to the control port of a simulated theatre. Says yes to every question."""
 
     def __init__(self, control: str) -> None:
-        address = parse_endpoint(control).require("tcp")
-        try:
-            self._socket = socket.create_connection((address.host, address.port), ROOM_TIMEOUT_S)
-        except OSError as error:
-            raise RoomUnreachable(f"no control port at {control}: {error.strerror}") from error
-        self._answers = self._socket.makefile("rb")
+        """Raises CTL-001 when nobody answers there."""
+        self._theatre = ControlPortClient(control)
 
     def announce(self, step: str) -> None:
         """Name the running step to the room."""
-        self._ask({"do": "step", "name": step})
+        self._theatre.ask("step", name=step)
 
     def confirm(self, question: Question) -> bool:
         """Say yes; what was shown is in the journal."""
@@ -38,21 +28,11 @@ class ScriptedOperator:
 
     def change_tool(self, number: int, description: str) -> None:
         """Hang the other tool on the mount."""
-        self._ask({"do": "mount", "number": number})
+        self._theatre.ask("mount", number=number)
 
     def close(self) -> None:
         """Leave the room."""
-        self._answers.close()
-        self._socket.close()
-
-    def _ask(self, request: dict[str, Any]) -> None:
-        try:
-            self._socket.sendall(json.dumps(request).encode() + b"\n")
-            answer = json.loads(self._answers.readline() or b"{}")
-        except (OSError, ValueError) as error:
-            raise RoomUnreachable(f"the theatre's control port does not answer: {error}") from error
-        if not answer.get("ok"):
-            raise RoomUnreachable(f"the theatre refused {request['do']}: {answer.get('reason', 'no answer')}")
+        self._theatre.close()
 
 
 class TerminalOperator:

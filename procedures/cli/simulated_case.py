@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Self
 
 from procedures.cli.scene_choice import SceneChoice
-from procedures.engine.errors import CommandRefused, RoomUnreachable
+from procedures.engine.errors import CommandRefused
 from ronna_hw.child_process import ChildNotReady, ChildProcess, command
 from ronna_hw.errors import EXIT_LINK_LOST
 
@@ -37,11 +37,16 @@ class SimulatedCase:
         )
 
     def await_patient(self) -> None:
-        """Return when the CT series and the plan are written; raises PRO-013 with the command's words."""
+        """Return when the CT series and the plan are written; raises PRO-013 with the command's words.
+
+        PRC-001 when they are not in time.
+        """
         try:
             _, messages = self._phantom.communicate(timeout=PHANTOM_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            raise RoomUnreachable("the phantom CT was not ready in time") from None
+            raise ChildNotReady(
+                "ronna-sim phantom did not end", awaited="the phantom CT", limit=f"{PHANTOM_TIMEOUT_S:g} s"
+            ) from None
         if self._phantom.returncode != 0:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 

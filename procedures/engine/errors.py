@@ -80,13 +80,6 @@ class WrongTool(LimitError):
     exit_code = RefusedError.exit_code
 
 
-class RoomUnreachable(RonnaError):
-    """The theatre's control port does not answer or refused a request of the scripted operator."""
-
-    code = "PRO-010"
-    action = "Start the theatre again."
-
-
 class BrokenJournal(RonnaError):
     """A journal's chain is broken: a line was changed, lost or torn in the middle."""
 

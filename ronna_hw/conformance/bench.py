@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import socket
 from typing import Any
 
 from ronna_hw.clock import Clock, HostClock, SharedClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.disturbed_line import DisturbedLine
-from ronna_hw.conformance.errors import ControlRefused
 from ronna_hw.conformance.polaris_tap import PolarisTap
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.registry import load_driver, make_device
 
 CHECKED_PROTOCOLS = frozenset({"ndi-polaris"})  # their replies carry checksums
-CONTROL_LIMIT_S = 5.0  # host time, for an answer of the control port
 _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
 
 
@@ -100,24 +97,17 @@ class Bench:
         return PolarisTap(parse_endpoint(self.config.endpoint))
 
     def fault(self, line: str) -> None:
-        """Make the device fail, by one line of the language of faults; raises CNF-004 when it is refused."""
-        self._tell_control({"do": "fault", "line": line})
+        """Make the device fail, by one line of the language of faults. Raises CTL-001 or CTL-002."""
+        ask_control_port(self._control_port, "fault", line=line)
 
     def clear_faults(self) -> None:
         """End every fault."""
-        self._tell_control({"do": "clear_faults"})
+        ask_control_port(self._control_port, "clear_faults")
 
-    def _tell_control(self, request: dict[str, str]) -> None:
+    @property
+    def _control_port(self) -> str:
         assert self._control is not None, "faults are offered only with a control port"
-        address = parse_endpoint(self._control).require("tcp")
-        try:
-            with socket.create_connection((address.host, address.port), CONTROL_LIMIT_S) as door:
-                door.sendall(json.dumps(request).encode() + b"\n")
-                answer = json.loads(door.makefile("rb").readline() or b"{}")
-        except (OSError, ValueError) as error:
-            raise ControlRefused(f"no answer from {address}: {error}") from error
-        if not answer.get("ok"):
-            raise ControlRefused(f"{request.get('line', request['do'])}: {answer.get('reason', 'refused')}")
+        return self._control
 
     def _capabilities(self) -> frozenset[str]:
         found = set()

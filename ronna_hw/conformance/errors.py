@@ -26,13 +26,6 @@ class NoSuchCase(ConfigurationError):
     action = "Run the suite without --only to see the numbers of its cases."
 
 
-class ControlRefused(ConfigurationError):
-    """The control port does not answer, or refuses what it was told."""
-
-    code = "CNF-004"
-    action = "Give the control port that the device under test told in its READY line."
-
-
 class NotConfirmed(RefusedError):
     """A device that is no simulator of ours would be moved, and nobody has confirmed it."""
 

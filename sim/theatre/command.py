@@ -82,9 +82,9 @@ def mount(
     control: Annotated[str, typer.Option(help="Control port, as the theatre's READY line tells it.")],
 ) -> None:
     """Exchange the tool of a running theatre, as the staff would."""
-    from sim.theatre.door import ask_room
+    from ronna_hw.control_port import ask_control_port
 
-    ask_room(control, {"do": "mount", "number": number})
+    ask_control_port(control, "mount", number=number)
 
 
 def fault(
@@ -96,7 +96,7 @@ def fault(
     clear: Annotated[bool, typer.Option("--clear", help="End all faults first.")] = False,
 ) -> None:
     """Switch a fault on in a running theatre or simulator, at once or as the line says; or list all kinds."""
-    from sim.theatre.door import ask_room
+    from ronna_hw.control_port import ask_control_port
     from sim.theatre.faults import FAULT_KINDS, TRIGGERS
 
     if line is None and not clear:
@@ -106,10 +106,10 @@ def fault(
     if control is None:
         raise typer.BadParameter("say whose: --control tcp://...", param_hint="--control")
     if clear:
-        ask_room(control, {"do": "clear_faults"})
+        ask_control_port(control, "clear_faults")
     if line is not None:
         timed = line.split(maxsplit=1)[0].rstrip(":") in TRIGGERS
-        ask_room(control, {"do": "fault", "line": line if timed else f"now: {line}"})
+        ask_control_port(control, "fault", line=line if timed else f"now: {line}")
 
 
 def verify(

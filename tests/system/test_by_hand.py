@@ -62,4 +62,4 @@ def test_a_person_confirms_each_value_and_exchanges_the_tool(commands: Commands,
 def test_a_theatre_that_is_not_there_cannot_exchange_its_tool(commands: Commands) -> None:
     done = commands.run("ronna-sim", "mount", "2", "--control", "tcp://127.0.0.1:9")
     assert done.returncode == 4
-    assert one_error(done.stderr)[0].startswith("SIM-008")
+    assert one_error(done.stderr)[0].startswith("CTL-001")

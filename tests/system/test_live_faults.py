@@ -31,7 +31,7 @@ def test_a_simulator_alone_takes_faults_at_its_control_port(shared_commands: Com
         assert _settles(tracker, Validity.OK)
         refused = shared_commands.run("ronna-sim", "fault", "tea", "--control", control)
         assert refused.returncode == 2
-        assert one_error(refused.stderr)[0].startswith("SIM-009")
+        assert one_error(refused.stderr)[0].startswith("CTL-002")
         tracker.close()
 
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import pytest
 
 from ronna_hw.child_process import STOP_TIMEOUT_S, ChildProcess, command
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.wire.polaris import crc16
 from sim.polaris.definition import write_definition
 from sim.theatre.built_in import robot_frame
-from sim.theatre.door import ask_room
 
 ANSWER_LIMIT_S = 5.0
 ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
@@ -235,7 +235,7 @@ def test_a_stranger_who_loses_patience_gets_through_by_a_break(start: Callable[.
     ndicapy = pytest.importorskip("ndicapy")
     ready = start().ready
     # It gives INIT 0.2 s, then sends a break and waits for RESET.
-    ask_room(ready["control"], {"do": "fault", "line": "now: tracker slow INIT 0.6 s for 0.3 s"})
+    ask_control_port(ready["control"], "fault", line="now: tracker slow INIT 0.6 s for 0.3 s")
     path = ready["endpoint"].removeprefix("serial://")
     assert ndicapy.ndiProbe(path) == ndicapy.NDI_OKAY
     device = ndicapy.ndiOpen(path)

@@ -15,10 +15,10 @@ import pytest
 from tracker_strangers import NdicapiHost, StrangerError, scikit_frames
 
 from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, PortStatus, SystemStatus
 from sim.polaris.definition import write_definition
 from sim.theatre.built_in import built_in_scene, robot_frame
-from sim.theatre.door import ask_room
 from sim.theatre.process import load_scene
 from sim.theatre.scene import TrackerTool
 from sim.theatre.world import World
@@ -113,11 +113,11 @@ def begun(endpoint: str) -> NdicapiHost:
 @contextmanager
 def fault(unit: dict[str, Any], line: str) -> Iterator[None]:
     """Something is wrong with the unit from now on, and all is well again afterwards."""
-    ask_room(unit["control"], {"do": "fault", "line": f"now: {line}"})
+    ask_control_port(unit["control"], "fault", line=f"now: {line}")
     try:
         yield
     finally:
-        ask_room(unit["control"], {"do": "clear_faults"})
+        ask_control_port(unit["control"], "clear_faults")
 
 
 @pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
@@ -207,9 +207,8 @@ def test_what_is_hidden_while_it_is_tracked_is_missing_and_comes_back(
         assert host.command("TSTART:80") == "OKAY"
         for line in ("TX:1801", "BX:1801"):
             host.begin("track", line=line, handles=handles, frames=50)
-            ask_room(
-                unit["control"],
-                {"do": "fault", "line": f"now: tracker occlude tool {TOOLS[1].part_number} for 0.2 s"},
+            ask_control_port(
+                unit["control"], "fault", line=f"now: tracker occlude tool {TOOLS[1].part_number} for 0.2 s"
             )
             frames = host.answer()
             hidden = [frame["tools"][1] == "MISSING" for frame in frames]

@@ -10,8 +10,8 @@ import pytest
 from kuka_clients import Cell
 from kuka_stage import Stage, on_a1, rests_at
 
+from ronna_hw.control_port import ask_control_port
 from sim.theatre.built_in import built_in_scene
-from sim.theatre.door import ask_room
 from sim.theatre.world import World
 
 STOPS = [
@@ -187,7 +187,7 @@ def test_both_channels_tell_a_live_emergency_stop_as_their_next_word(
     eki, sdk = cell.project(), cell.sdk()
     sdk.read()
     eki.read()
-    ask_room(cell.child.ready["control"], {"do": "fault", "line": "now: robot emergency stop"})
+    ask_control_port(cell.child.ready["control"], "fault", line="now: robot emergency stop")
     told = [eki.read().get("EStop") for _ in range(6)]
     # What was under way, what was due every 100 ms on a machine that stalls, and the change.
     assert "1" in told
