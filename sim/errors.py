@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, ConnectError, DataError, LinkTimeout
+from ronna_hw.errors import ConfigurationError, ConnectError, DataError
 
 
 class BadScene(ConfigurationError):
@@ -31,13 +31,6 @@ class EndpointTaken(ConnectError):
 
     code = "SIM-004"
     action = "Choose another endpoint, or end the program that holds it."
-
-
-class ChildFailed(LinkTimeout):
-    """A device process of the theatre did not become ready."""
-
-    code = "SIM-005"
-    action = "Look at its message above; run that simulator alone to see more."
 
 
 class NothingToVerify(DataError):

@@ -12,7 +12,6 @@ from typing import Any
 
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.records import write_whole
-from sim.errors import ChildFailed
 from sim.polaris.definition import write_definition
 from sim.theatre.control import ControlPort, Room
 from sim.theatre.scene import Scene
@@ -21,14 +20,10 @@ from sim.theatre.truth import SCENE_FILE
 from sim.theatre.world import World
 
 THEATRE_FILE = "theatre.toml"
-CLOSE_LIMIT_S = (
-    1.0  # for all devices; one that is halted is then ended hard, before this process must be gone
-)
+CLOSE_LIMIT_S = 1.0  # for all devices; one that is halted is then ended hard, before this process must go
 SILENCE_LIMIT_PACED_S = 0.25
 # In lock-step the controller waits up to 2 s for a reply, so silence is judged above that.
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
-
-
 NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
 
 
@@ -116,9 +111,7 @@ class Theatre:
         endpoints: dict[str, Any] = {}
         for name, child in zip(arguments, self._children, strict=True):
             ready = child.await_ready()
-            endpoints[name] = ready.get("endpoint") or ready.get("endpoints")
-            if not endpoints[name]:
-                raise ChildFailed(f"{child.name} told no endpoint", last=str(ready))
+            endpoints[name] = ready["endpoint"] if "endpoint" in ready else ready["endpoints"]
         return endpoints
 
     def _write_tools(self) -> dict[str, str]:

@@ -13,7 +13,7 @@ import numpy as np
 from ronna_hw.records import Record, read_record
 from sim.errors import NothingToVerify
 from sim.theatre.scene import Scene, read_scene
-from sim.theatre.truth import SCENE_FILE, read_samples
+from sim.theatre.truth import SCENE_FILE, TipSample, read_samples
 
 THEATRE_FOLDER = "theatre"
 RECORDS_FOLDER = "records"
@@ -69,7 +69,7 @@ def _verify_ct(scene: Scene, localization: Record | None) -> dict[str, Any] | No
     }
 
 
-def _verify_target(scene: Scene, sample: Any) -> dict[str, Any]:
+def _verify_target(scene: Scene, sample: TipSample) -> dict[str, Any]:
     tip, target, entry = (np.array(v) for v in (sample.tip_mm, sample.target_mm, sample.entry_mm))
     planned_axis = (target - entry) / np.linalg.norm(target - entry)
     error = tip - target

@@ -1,6 +1,7 @@
 import importlib
 import pkgutil
 import re
+from pathlib import Path
 
 import drivers
 import procedures
@@ -9,25 +10,33 @@ import sim
 from ronna_hw.errors import RonnaError, concrete_errors
 
 PACKAGES = (ronna_hw, drivers, sim, procedures)
+TESTS = Path(__file__).resolve().parents[2]
 
 
-def _load_all_error_modules() -> None:
+def _our_errors() -> list[type[RonnaError]]:
+    """Every error with a code in our packages; tests define errors of their own."""
     for package in PACKAGES:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             if module.name.endswith("errors") or package is ronna_hw:
                 importlib.import_module(module.name)
+    ours = {package.__name__ for package in PACKAGES}
+    return [error for error in concrete_errors() if error.__module__.partition(".")[0] in ours]
 
 
 def test_every_code_is_given_once_and_every_error_says_what_to_do() -> None:
-    _load_all_error_modules()
     seen: dict[str, str] = {}
-    ours = {package.__name__ for package in PACKAGES}  # tests define errors of their own
-    for error in (one for one in concrete_errors() if one.__module__.partition(".")[0] in ours):
+    for error in _our_errors():
         assert re.fullmatch(r"[A-Z]{2,5}-\d{3}", error.code), error
         assert error.action, error
         assert error.code not in seen, f"{error.code} is {error.__name__} and {seen[error.code]}"
         seen[error.code] = error.__name__
     assert len(seen) > 20
+
+
+def test_every_code_is_named_by_a_test() -> None:
+    tests = "\n".join(path.read_text(encoding="utf-8") for path in TESTS.rglob("*.py"))
+    words = set(re.findall(r"\w+(?:-\d{3})?", tests))
+    assert [error for error in _our_errors() if not words & {error.code, error.__name__}] == []
 
 
 def test_an_error_is_one_line_with_what_was_awaited_the_limit_and_what_to_do() -> None:
@@ -38,8 +47,6 @@ def test_an_error_is_one_line_with_what_was_awaited_the_limit_and_what_to_do() -
 
 
 def test_outside_the_contracts_errors_live_in_their_packages_errors_module() -> None:
-    _load_all_error_modules()
-    for error in concrete_errors():
-        package = error.__module__.partition(".")[0]
-        if package in ("drivers", "sim", "procedures"):
+    for error in _our_errors():
+        if not error.__module__.startswith("ronna_hw."):
             assert error.__module__.endswith(".errors"), error

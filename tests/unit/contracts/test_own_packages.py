@@ -1,0 +1,39 @@
+"""A foreign package under one of our names keeps a program from starting."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ronna_hw.own_packages import OWN_PACKAGES, foreign_packages, require_own_packages
+
+PROGRAM = """
+from ronna_hw.own_packages import ForeignPackage, require_own_packages
+try:
+    require_own_packages()
+except ForeignPackage as error:
+    print(error)
+"""
+
+
+def test_our_own_packages_are_ours() -> None:
+    require_own_packages()
+    assert foreign_packages() == ()
+
+
+@pytest.mark.parametrize("name", OWN_PACKAGES)
+def test_a_foreign_package_that_comes_first_on_the_path_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").touch()
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", PROGRAM],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith(f"CFG-003: another package is found under the name {name}")

@@ -1,0 +1,123 @@
+"""The verifier, on runs whose errors are known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ronna_hw.records import Record, write_record
+from sim.errors import NothingToVerify
+from sim.theatre.built_in import built_in_scene
+from sim.theatre.truth import SCENE_FILE, TipSample, append_sample
+from sim.theatre.verify import RECORDS_FOLDER, THEATRE_FOLDER, verify_run
+
+SCENE = built_in_scene("mini")
+FIDUCIALS_MM = [fiducial.centre_ct_mm for fiducial in SCENE.head.fiducials]
+ENTRY_MM, TARGET_MM = (10.0, 20.0, 80.0), (10.0, 20.0, 30.0)  # straight down, 50 mm deep
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run in which nothing has happened yet."""
+    (tmp_path / THEATRE_FOLDER).mkdir()
+    (tmp_path / RECORDS_FOLDER).mkdir()
+    (tmp_path / THEATRE_FOLDER / SCENE_FILE).write_text(SCENE.model_dump_json(by_alias=True))
+    return tmp_path
+
+
+@pytest.fixture
+def reach(run: Path) -> Callable[..., None]:
+    """Have the tip sampled at the first target."""
+
+    def sample(tip_mm: tuple[float, float, float], tool: int = SCENE.mount.tool_number_guide) -> None:
+        append_sample(
+            TipSample(
+                target=SCENE.head.targets[0].identifier,
+                theatre_time_s=1.0,
+                mounted_tool=tool,
+                arm_at_rest=True,
+                tip_mm=tip_mm,
+                axis=(0.0, 0.0, -1.0),
+                target_mm=TARGET_MM,
+                entry_mm=ENTRY_MM,
+            ),
+            run / THEATRE_FOLDER,
+        )
+
+    return sample
+
+
+@pytest.fixture
+def localize(run: Path) -> Callable[[Sequence[Sequence[float]]], None]:
+    """Leave the record of a localization in the run."""
+
+    def record(centres_mm: Sequence[Sequence[float]]) -> None:
+        payload = {"markers": [{"centre_mm": list(centre)} for centre in centres_mm]}
+        write_record(
+            Record("02-fiducial_localization", "fiducial_localization", (), payload), run / RECORDS_FOLDER
+        )
+
+    return record
+
+
+def test_the_error_at_a_target_is_split_along_and_across_the_trajectory(
+    run: Path, reach: Callable[..., None]
+) -> None:
+    reach((10.3, 20.4, 28.8))  # 0.5 mm beside it and 1.2 mm too deep
+    (target,) = verify_run(run)["targets"]
+    assert target["application_error_mm"] == pytest.approx(1.3)
+    assert target["lateral_mm"] == pytest.approx(0.5)
+    assert target["axial_mm"] == pytest.approx(1.2)
+    assert target["depth_mm"] == pytest.approx(50.0)
+    assert target["guide_mounted"]
+
+
+def test_the_last_look_at_a_target_counts(run: Path, reach: Callable[..., None]) -> None:
+    reach((15.0, 20.0, 30.0))
+    reach((10.0, 20.0, 30.1))
+    assert [target["axial_mm"] for target in verify_run(run)["targets"]] == pytest.approx([-0.1])
+
+
+def test_a_target_that_was_reached_with_the_stereo_head_is_told(
+    run: Path, reach: Callable[..., None]
+) -> None:
+    reach(TARGET_MM, SCENE.mount.tool_number_stereo)
+    assert not verify_run(run)["targets"][0]["guide_mounted"]
+
+
+def test_spheres_are_counted_as_found_missed_and_false(
+    run: Path, localize: Callable[[Sequence[Sequence[float]]], None]
+) -> None:
+    found = [np.add(centre, (0.0, 0.03, 0.04)).tolist() for centre in FIDUCIALS_MM[1:]]
+    localize([*found, (500.0, 0.0, 0.0)])
+    assert verify_run(run)["ct"] == {
+        "found": len(FIDUCIALS_MM) - 1,
+        "missed": 1,
+        "false": 1,
+        "rms_error_mm": pytest.approx(0.05),
+    }
+
+
+def test_a_localization_without_spheres_has_missed_them_all(
+    run: Path, localize: Callable[[Sequence[Sequence[float]]], None]
+) -> None:
+    localize([])
+    assert verify_run(run)["ct"] == {
+        "found": 0,
+        "missed": len(FIDUCIALS_MM),
+        "false": 0,
+        "rms_error_mm": None,
+    }
+
+
+def test_a_folder_without_a_theatre_cannot_be_verified(tmp_path: Path) -> None:
+    with pytest.raises(NothingToVerify, match="no simulated theatre"):
+        verify_run(tmp_path)
+
+
+def test_a_run_that_came_nowhere_cannot_be_verified(run: Path) -> None:
+    with pytest.raises(NothingToVerify, match="neither located a sphere nor reached a target"):
+        verify_run(run)
