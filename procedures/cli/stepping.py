@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.pause import pause_on_interrupt
 from procedures.cli.run_case import CaseRequest, Watcher, check_request, new_run_folder, opened_engine
+from procedures.engine.errors import UnknownStep
 from ronna_hw.command_line.console import fail_with, on_terminal
 from ronna_hw.errors import RefusedError, RonnaError
 
@@ -45,7 +46,7 @@ def step_through(request: CaseRequest) -> None:
                 fail_with(error)
                 if engine.machine.state == "fault":
                     raise
-                if not isinstance(error, RefusedError) and error.code != "PRO-005":
+                if not isinstance(error, RefusedError | UnknownStep):
                     raise
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from procedures.engine.case import Case
 from procedures.engine.devices import DeviceSet, calibrations_of
-from procedures.engine.errors import JournalBroken, StepRefused, UnknownStep
+from procedures.engine.errors import JournalNotWritable, StepRefused, UnknownStep
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.machine import ProcedureMachine
 from procedures.engine.operator import Operator, Question
@@ -124,7 +124,7 @@ class Engine:
         self.devices.close()
         try:
             self._write(Entry.CLOSED, outcome=outcome)
-        except JournalBroken:
+        except JournalNotWritable:
             pass  # it has been reported where it broke; closing must go on
         finally:
             self.journal.close()
@@ -136,7 +136,7 @@ class Engine:
         attachments = problem.attachments if isinstance(problem, RonnaError) else {}
         for name, text in attachments.items():
             (self.case.folder / name).write_text(text, encoding="utf-8")
-        if not isinstance(problem, JournalBroken):
+        if not isinstance(problem, JournalNotWritable):
             files = {"files": sorted(attachments)} if attachments else {}
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 

@@ -28,7 +28,7 @@ class NotConfirmed(RonnaError):
     exit_code = EXIT_ABORTED
 
 
-class JournalBroken(RonnaError):
+class JournalNotWritable(RonnaError):
     """The journal cannot be written: without a journal nothing moves."""
 
     code = "PRO-003"
@@ -80,7 +80,7 @@ class WrongTool(LimitError):
     exit_code = RefusedError.exit_code
 
 
-class BrokenJournal(RonnaError):
+class JournalCorrupt(RonnaError):
     """A journal's chain is broken: a line was changed, lost or torn in the middle."""
 
     code = "PRO-011"

@@ -15,7 +15,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from procedures.engine.errors import BrokenJournal, JournalBroken
+from procedures.engine.errors import JournalCorrupt, JournalNotWritable
 
 JOURNAL_FILE = "journal.jsonl"
 FIRST = "0" * 64  # what the first line names as the one before it
@@ -51,7 +51,7 @@ class Journal:
             finally:
                 os.close(directory)
         except OSError as error:
-            raise JournalBroken(f"cannot create {self.path.name}: {error.strerror}") from error
+            raise JournalNotWritable(f"cannot create {self.path.name}: {error.strerror}") from error
 
     def write(self, entry: Entry, theatre_time_s: float, **data: Any) -> None:
         """Append one line and return when it is on disk; raises PRO-003."""
@@ -70,7 +70,7 @@ class Journal:
                 raise OSError(0, "the line was cut")
             os.fdatasync(self._file)
         except OSError as error:
-            raise JournalBroken(f"cannot write {self.path.name}: {error.strerror}") from error
+            raise JournalNotWritable(f"cannot write {self.path.name}: {error.strerror}") from error
         self._sequence += 1
         self._previous = hashlib.sha256(line).hexdigest()
 
@@ -93,8 +93,8 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
         try:
             entry = json.loads(line)
         except ValueError as error:
-            raise BrokenJournal(f"line {number + 1} of {path.name} is not JSON") from error
+            raise JournalCorrupt(f"line {number + 1} of {path.name} is not JSON") from error
         if entry.get("previous") != previous or entry.get("sequence") != number:
-            raise BrokenJournal(f"line {number + 1} of {path.name} does not follow the line before it")
+            raise JournalCorrupt(f"line {number + 1} of {path.name} does not follow the line before it")
         previous = hashlib.sha256(line).hexdigest()
         yield entry

@@ -10,7 +10,7 @@ import pytest
 
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
-from procedures.engine.errors import JournalBroken
+from procedures.engine.errors import JournalNotWritable
 from procedures.engine.journal import Journal
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from ronna_hw.clock import HostClock
@@ -62,7 +62,7 @@ def engine(arm: Arm, tmp_path: Path) -> Engine:
 def test_a_step_whose_intent_cannot_be_written_moves_nothing(engine: Engine, arm: Arm) -> None:
     os.dup2(full := os.open(FULL_DISK, os.O_WRONLY), engine.journal._file)
     os.close(full)
-    with pytest.raises(JournalBroken, match=r"PRO-003.*No space left"):
+    with pytest.raises(JournalNotWritable, match=r"PRO-003.*No space left"):
         engine.run_step(engine.find("ct_import"))
     assert arm.motions == 0
     assert engine.finished == ()
@@ -71,5 +71,5 @@ def test_a_step_whose_intent_cannot_be_written_moves_nothing(engine: Engine, arm
 
 @pytest.mark.hazard(33)
 def test_a_folder_that_cannot_be_written_gives_no_journal_and_so_no_engine(tmp_path: Path) -> None:
-    with pytest.raises(JournalBroken, match="PRO-003"):
+    with pytest.raises(JournalNotWritable, match="PRO-003"):
         Journal(tmp_path / "missing")

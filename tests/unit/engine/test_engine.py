@@ -6,7 +6,7 @@ import pytest
 from procedures.engine.case import Case
 from procedures.engine.devices import DeviceSet
 from procedures.engine.engine import Engine
-from procedures.engine.errors import JournalBroken, NotConfirmed, StepRefused, UnknownStep
+from procedures.engine.errors import JournalNotWritable, NotConfirmed, StepRefused, UnknownStep
 from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from procedures.engine.operator import Question
 from procedures.engine.step import Outcome, StepContext, StepSpec
@@ -186,10 +186,10 @@ def test_when_the_result_cannot_be_journalled_the_arm_is_stopped_and_nothing_fol
 
     def write(entry: Entry, _theatre_time_s: float, **_data: Any) -> None:
         if entry is Entry.RESULT:
-            raise JournalBroken("cannot write journal.jsonl: No space left on device")
+            raise JournalNotWritable("cannot write journal.jsonl: No space left on device")
 
     engine.journal.write = write
-    with pytest.raises(JournalBroken, match="PRO-003"):
+    with pytest.raises(JournalNotWritable, match="PRO-003"):
         engine.run_step(engine.find("ct_import"))
     assert engine.devices.arm.stops == 1
     assert engine.machine.state == "fault"

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.engine.errors import BrokenJournal, JournalBroken
+from procedures.engine.errors import JournalCorrupt, JournalNotWritable
 from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
 
 
@@ -24,14 +24,14 @@ def test_what_was_written_is_read_back_in_order(tmp_path: Path) -> None:
 def test_a_changed_line_breaks_the_chain(tmp_path: Path) -> None:
     path = _written(tmp_path)
     path.write_text(path.read_text().replace('"theatre_time_s":1.0', '"theatre_time_s":9.0'))
-    with pytest.raises(BrokenJournal, match="PRO-011"):
+    with pytest.raises(JournalCorrupt, match="PRO-011"):
         list(read_journal(path))
 
 
 def test_a_lost_line_breaks_the_chain(tmp_path: Path) -> None:
     path = _written(tmp_path)
     path.write_text(path.read_text().splitlines(keepends=True)[1])
-    with pytest.raises(BrokenJournal):
+    with pytest.raises(JournalCorrupt):
         list(read_journal(path))
 
 
@@ -43,7 +43,7 @@ def test_one_torn_last_line_is_what_a_crash_leaves_and_is_left_out(tmp_path: Pat
 
 def test_a_journal_is_never_written_over(tmp_path: Path) -> None:
     _written(tmp_path)
-    with pytest.raises(JournalBroken, match="PRO-003"):
+    with pytest.raises(JournalNotWritable, match="PRO-003"):
         Journal(tmp_path)
 
 
@@ -52,5 +52,5 @@ def test_a_journal_on_a_full_disk_says_so(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     journal.close()
     journal._file = __import__("os").open("/dev/full", 1)
-    with pytest.raises(JournalBroken, match="No space left"):
+    with pytest.raises(JournalNotWritable, match="No space left"):
         journal.write(Entry.INTENT, 0.0)
