@@ -24,7 +24,7 @@ from drivers.basler_stereo.options import read_options
 from drivers.basler_stereo.reception import Reception
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
@@ -192,8 +192,7 @@ class BaslerStereoPair:
         Raises GEV-003 when other cameras answer; FAULT then stays latched.
         """
         self._guard.require("recover", {Lifecycle.FAULT})
-        if not acknowledged_by.strip():
-            raise ValueError("a recovery needs the name of the person who acknowledges the fault")
+        require_person(acknowledged_by)
         before = self.serials
         deadline_s = time.monotonic() + timeout_s
         self._let_go()

@@ -25,7 +25,7 @@ from drivers.basler_stereo.pairing import PairClock
 from drivers.basler_stereo.pylon_camera import PylonCamera, PylonFrame, load_pylon
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, describe_mistakes
-from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 
@@ -147,8 +147,7 @@ class PylonStereoPair:
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED by a new session with the same cameras, areas and exposure."""
         self._guard.require("recover", {Lifecycle.FAULT})
-        if not acknowledged_by.strip():
-            raise ValueError("a recovery needs the name of the person who acknowledges the fault")
+        require_person(acknowledged_by)
         before = self.serials
         self._let_go()
         self._open()

@@ -27,7 +27,7 @@ from ronna_hw.arm.preview import PathPreview
 from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import (
     ArmReading,
     JointVector,
@@ -128,7 +128,7 @@ class KukaRsiArm:
 
         Motions then keep 250 mm/s and a tenth of the axes' full speed.
         """
-        self._t1_confirmed_by = _person(confirmed_by)
+        self._t1_confirmed_by = require_person(confirmed_by)
 
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start the RSI program and answer its telegrams; returns when corrections act.
@@ -150,7 +150,7 @@ class KukaRsiArm:
         confirmed it. Raises RSI-018, latched, when an axis does anything else.
         """
         self._guard.require("activate_unverified", (Lifecycle.CONFIGURED,))
-        _person(confirmed_by)
+        require_person(confirmed_by)
         self._start(timeout_s)
         try:
             limits = self._planner.limits(self._watch.mode)
@@ -183,7 +183,7 @@ class KukaRsiArm:
         the way, such as EKI-007; a fault then stays latched.
         """
         self._watch.notice()
-        _person(acknowledged_by)
+        require_person(acknowledged_by)
         deadline = time.monotonic() + timeout_s
         ways = self._ways
         if self._guard.state is Lifecycle.CONNECTED and self._ask(timeout_s).error:
@@ -382,9 +382,3 @@ class KukaRsiArm:
     def _stamp(self, device_clock: int) -> Stamp:
         self._sequence += 1
         return Stamp(self._sequence, device_clock, self._clock.now_s())
-
-
-def _person(name: str) -> str:
-    if not name.strip():
-        raise ValueError("this needs the name of the person who acknowledges or confirms it")
-    return name

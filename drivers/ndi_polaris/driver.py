@@ -34,7 +34,7 @@ from drivers.ndi_polaris.transport import Transport, open_transport
 from drivers.ndi_polaris.volume import MeasuringVolume
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.devices.strays import StrayAverage, average_strays
 from ronna_hw.endpoints import Endpoint
@@ -224,8 +224,7 @@ class PolarisTracker:
         bumped on top of the acknowledged fault. FAULT then stays latched.
         """
         self._guard.require("recover", {Lifecycle.FAULT})
-        if not acknowledged_by.strip():
-            raise ValueError("a recovery needs the name of the person who acknowledges the fault")
+        require_person(acknowledged_by)
         deadline_s = self._monotonic() + timeout_s
         before, cause = self._identity, self._guard.fault
         self._let_go()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError, StateError
+from ronna_hw.errors import ConfigurationError, DataError, RefusedError, StateError
 
 
 class WrongState(StateError):
@@ -38,3 +38,10 @@ class BadStrays(DataError):
 
     code = "DEV-005"
     action = "Give positions of three finite numbers in mm, a positive radius and a share from 0 to 1."
+
+
+class NobodyNamed(RefusedError, ValueError):
+    """A fault is to be acknowledged, or a danger confirmed, in nobody's name."""
+
+    code = "DEV-006"
+    action = "Give the name of the person who stands for it."

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
-from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.errors import NobodyNamed, WrongState
 from ronna_hw.errors import RonnaError
 
 
@@ -93,12 +93,19 @@ class Device(Protocol):
         ...
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Leave FAULT after re-reading the device; never moves anything by itself."""
+        """Leave FAULT after re-reading the device; never moves anything by itself. Raises DEV-006."""
         ...
 
     def close(self) -> None:
         """End the session. Bounded in time; never raises because the peer is gone."""
         ...
+
+
+def require_person(name: str) -> str:
+    """The name of whoever acknowledges or confirms; raises DEV-006 when it is blank."""
+    if not name.strip():
+        raise NobodyNamed("this needs the name of the person who acknowledges or confirms it")
+    return name
 
 
 class LifecycleGuard:

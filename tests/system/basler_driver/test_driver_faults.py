@@ -10,7 +10,7 @@ from peer_cameras import HANG_LIMIT_S, wait_until
 
 from drivers.basler_stereo.errors import CameraLost, ControlLost, NoAnswer, ReceptionEnded
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.errors import NobodyNamed, WrongState
 from ronna_hw.devices.readings import Validity
 
 
@@ -78,7 +78,7 @@ def test_a_recovery_needs_a_name(pair, peers):
     wait_until(lambda: any(camera.lost for camera in pair._pair))
     with pytest.raises(ControlLost):
         pair.grab_pair(1.0)
-    with pytest.raises(ValueError, match="name"):
+    with pytest.raises(NobodyNamed, match="DEV-006"):
         pair.recover("  ")
 
 
