@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from ronna_hw.command_line import console
+from ronna_hw.command_line import console, tables
 from ronna_hw.command_line.errors import (
     DiskFull,
     InternalFault,
@@ -219,7 +219,7 @@ WORDY = [
 def test_a_table_on_a_terminal_cuts_no_word_and_no_heading(
     width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(console, "on_terminal", lambda stream: True)
+    monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", str(width))
     headings = ["step", "what it does", "needs-everything"]
     console.print_table("title", headings, WORDY)
@@ -235,7 +235,7 @@ def test_a_table_on_a_terminal_cuts_no_word_and_no_heading(
 def test_a_heading_too_wide_for_the_frame_gives_tab_separated_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(console, "on_terminal", lambda stream: True)
+    monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", "20")
     console.print_table("title", ["a-long-heading", "note"], [[1, "text"]])
     assert capsys.readouterr().out == "a-long-heading\tnote\n1\ttext\n"

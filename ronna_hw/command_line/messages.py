@@ -1,0 +1,47 @@
+"""Messages on standard error: coloured and wrapped on a terminal, one unwrapped line elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from typing import TYPE_CHECKING, TextIO
+
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def on_terminal(stream: TextIO) -> bool:
+    """True when a person looks at this stream."""
+    try:
+        return stream.isatty()
+    except ValueError:  # closed
+        return False
+
+
+def tell(line: str) -> None:
+    """Print one line of message on standard error; silent when nobody listens any more."""
+    with contextlib.suppress(OSError, ValueError):  # nobody listens any more
+        sys.stderr.write(line + "\n")
+        sys.stderr.flush()
+
+
+def fail_with(error: RonnaError) -> None:
+    """Print an error as `run` would, for commands that go on after it."""
+    line = " ".join(str(error).split())
+    if not on_terminal(sys.stderr):
+        tell(line)
+        return
+    from rich.text import Text
+
+    code, _, rest = line.partition(": ") if error.code else ("", "", line)
+    with contextlib.suppress(OSError):
+        message_console().print(Text.assemble((f"{code} " if code else "", "bold red"), rest))
+
+
+def message_console() -> Console:
+    """The rich console for messages (standard error)."""
+    from rich.console import Console
+
+    return Console(stderr=True, soft_wrap=not on_terminal(sys.stderr))

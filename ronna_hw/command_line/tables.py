@@ -1,0 +1,60 @@
+"""Tables on standard output: framed on a terminal that is wide enough, tab-separated lines elsewhere."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Sequence
+
+from ronna_hw.command_line.messages import on_terminal
+
+FRAME_WIDTH = 3  # of a table's frame, per column
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a table on standard output: framed where it fits on a terminal, tab-separated lines elsewhere.
+
+    Cells and headings are folded between words only. A word or a number is never cut: where the frame would
+    do so, the lines are printed instead.
+    """
+    table_rows = [list(columns), *([str(cell) for cell in row] for row in rows)]
+    widths = _column_widths(table_rows, _terminal_width()) if on_terminal(sys.stdout) else None
+    if widths is None:
+        for row in table_rows:
+            sys.stdout.write("\t".join(row) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=title, title_justify="left")
+    for column, width in zip(columns, widths, strict=True):
+        table.add_column(Text(column), width=width, overflow="fold")
+    for row in table_rows[1:]:
+        table.add_row(*(Text(cell) for cell in row))
+    Console().print(table)
+
+
+def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
+    """Widths that fill the terminal without cutting a word, headings included; None where none do."""
+    by_column = list(zip(*rows, strict=True))
+    widths = [_least_width(cells) for cells in by_column]
+    wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
+    spare = terminal_width - 1 - FRAME_WIDTH * len(widths) - sum(widths)
+    if spare < 0:
+        return None
+    for _ in range(spare):  # one more to the column that lacks most
+        lacking = [want - width for want, width in zip(wanted, widths, strict=True)]
+        if max(lacking, default=0) <= 0:
+            break
+        widths[lacking.index(max(lacking))] += 1
+    return widths
+
+
+def _least_width(cells: Sequence[str]) -> int:
+    """Width that a column needs so that no word of it is folded."""
+    return max((len(word) for cell in cells for word in cell.split()), default=0)
+
+
+def _terminal_width() -> int:
+    return shutil.get_terminal_size().columns
