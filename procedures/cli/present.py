@@ -7,17 +7,10 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from procedures.cli.case_outcome import unfinished
+from procedures.cli.case_request import CaseRequest, check_request, forget_if_empty, new_run_folder
 from procedures.cli.pause import pause_on_interrupt
-from procedures.cli.run_case import (
-    CaseRequest,
-    Watcher,
-    check_request,
-    forget_if_empty,
-    new_run_folder,
-    report,
-    run_case,
-    unfinished,
-)
+from procedures.cli.run_case import Watcher, run_case
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table
 
 if TYPE_CHECKING:
@@ -120,6 +113,8 @@ def follow_case(request: CaseRequest, *, as_json: bool, verbose: bool) -> None:
         raise
     outcome["report"] = None
     try:
-        outcome["report"] = str(report(folder, outcome))
+        from procedures.reporting.report import write_report
+
+        outcome["report"] = str(write_report(folder, outcome))
     finally:  # the errors at the targets are known, whatever became of the report
         show_outcome(outcome, as_json=as_json)

@@ -14,7 +14,7 @@ from ronna_hw.command_line.console import JsonOption, VerboseOption, run, set_up
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.cli.run_case import CaseRequest
+    from procedures.cli.case_request import CaseRequest
 
 app = typer.Typer(
     name="ronna-procedure",
@@ -234,7 +234,7 @@ def _request(
     faults: Path | None,
     out: Path,
 ) -> CaseRequest:
-    from procedures.cli.run_case import CaseRequest
+    from procedures.cli.case_request import CaseRequest
 
     if sim == (config is not None):
         raise UsageMistake("give either --sim or --config", action="See ronna-procedure run --help.")

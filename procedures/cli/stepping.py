@@ -6,8 +6,9 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from procedures.cli.case_request import CaseRequest, check_request, new_run_folder
 from procedures.cli.pause import pause_on_interrupt
-from procedures.cli.run_case import CaseRequest, Watcher, check_request, new_run_folder, opened_engine
+from procedures.cli.run_case import Watcher, opened_engine
 from procedures.engine.errors import UnknownStep
 from ronna_hw.command_line.console import fail_with, on_terminal
 from ronna_hw.errors import RefusedError, RonnaError

@@ -23,7 +23,7 @@ DATING = {
     "sim/phantom",
     "procedures/engine/journal.py",
     "procedures/reporting/report.py",
-    "procedures/cli/run_case.py",
+    "procedures/cli/case_request.py",
     "procedures/cli/stereo_room.py",
     "procedures/cli/stereo_session.py",
     "procedures/exchange/sphere_files.py",

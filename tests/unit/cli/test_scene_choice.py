@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.cli.run_case import CaseRequest
+from procedures.cli.case_request import CaseRequest
 from procedures.cli.scene_choice import SceneChoice
 
 
