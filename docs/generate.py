@@ -7,9 +7,17 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-import sys
 from pathlib import Path
 from types import ModuleType
+
+from checklists import checklist_pages
+from disturbance_table import PAGE as DISTURBANCES
+from disturbance_table import disturbance_page
+from hazard_matrix import hazard_page
+from key_pages import key_pages
+from open_questions import PAGE as ROBOT_PARAMETERS
+from open_questions import robot_parameters_page
+from option_pages import option_pages
 
 import drivers
 import procedures
@@ -19,16 +27,6 @@ from procedures.engine.machine import mermaid
 from ronna_hw.errors import concrete_errors
 from sim.polaris.parameters import parameter_rows
 from sim.theatre.faults import FAULT_KINDS
-
-sys.path.append(str(Path(__file__).parent))  # when this file is loaded by path, its neighbours are not found
-from checklists import checklist_pages
-from disturbance_table import PAGE as DISTURBANCES
-from disturbance_table import disturbance_page
-from hazard_matrix import hazard_page
-from key_pages import key_pages
-from open_questions import PAGE as ROBOT_PARAMETERS
-from open_questions import robot_parameters_page
-from option_pages import option_pages
 
 REFERENCE = Path(__file__).parent / "reference"
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures)

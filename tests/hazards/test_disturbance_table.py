@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
-
-import pytest
+import disturbance_table
 
 from drivers.kuka_rsi import errors
 from ronna_hw.errors import RonnaError
 from sim.theatre.faults.robot import ROBOT_FAULTS
 
-ROOT = Path(__file__).resolve().parents[2]
 # A driver in automatic mode meets nothing of these, or what it meets stands in another line.
 OTHER_FAULTS = {
     "short_first": "old RSI only; a telegram of another form",
@@ -23,43 +17,27 @@ OTHER_FAULTS = {
 }
 
 
-@pytest.fixture(scope="module")
-def table() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("disturbance_table", ROOT / "docs" / "disturbance_table.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_every_test_of_the_table_exists_once(table: ModuleType) -> None:
-    files = table.files_of_tests()
-    named = {name for one in table.read_disturbances() for name in one.tests}
+def test_every_test_of_the_table_exists_once() -> None:
+    files = disturbance_table.files_of_tests()
+    named = {name for one in disturbance_table.read_disturbances() for name in one.tests}
     assert {name: files.get(name, ()) for name in named if len(files.get(name, ())) != 1} == {}
 
 
-def test_every_promise_has_a_test_and_each_code_stands_in_one_of_them(table: ModuleType) -> None:
-    files = table.files_of_tests()
+def test_every_promise_has_a_test_and_each_code_stands_in_one_of_them() -> None:
+    files = disturbance_table.files_of_tests()
     classes = {
         error.code: error.__name__
         for error in vars(errors).values()
         if isinstance(error, type) and issubclass(error, RonnaError) and "code" in vars(error)
     }
-    for one in table.read_disturbances():
+    for one in disturbance_table.read_disturbances():
         assert one.tests, one.disturbance
         text = "".join(path.read_text(encoding="utf-8") for name in one.tests for path in files[name])
         for code in one.codes:
             assert code in text or classes[code] in text, f"{one.disturbance}: {code}"
 
 
-def test_every_fault_of_the_robot_has_its_promise(table: ModuleType) -> None:
-    promised = {fault for one in table.read_disturbances() for fault in one.faults}
+def test_every_fault_of_the_robot_has_its_promise() -> None:
+    promised = {fault for one in disturbance_table.read_disturbances() for fault in one.faults}
     assert promised | set(OTHER_FAULTS) == {kind.name for kind in ROBOT_FAULTS}
     assert not promised & set(OTHER_FAULTS)
-
-
-def test_the_page_is_up_to_date(table: ModuleType) -> None:
-    page = (ROOT / "docs" / "reference" / table.PAGE).read_text(encoding="utf-8")
-    assert page.endswith(table.disturbance_page()), "run make docs"

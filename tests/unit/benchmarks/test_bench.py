@@ -6,10 +6,10 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
+from benchmarks import contest, figures, robot_link, run
 from drivers.kuka_rsi.errors import RecordedCycle
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -24,17 +24,7 @@ for _ in range(2):
 """
 
 
-@pytest.fixture(scope="module")
-def bench() -> dict[str, ModuleType]:
-    sys.path.append(str(ROOT))
-    try:
-        from benchmarks import contest, figures, robot_link, run
-    finally:
-        sys.path.remove(str(ROOT))
-    return {"contest": contest, "figures": figures, "robot_link": robot_link, "run": run}
-
-
-def test_contestants_take_turns_and_the_first_rounds_do_not_count(bench: dict[str, ModuleType]) -> None:
+def test_contestants_take_turns_and_the_first_rounds_do_not_count() -> None:
     order: list[str] = []
 
     def contestant(name: str) -> float:
@@ -42,24 +32,20 @@ def test_contestants_take_turns_and_the_first_rounds_do_not_count(bench: dict[st
         return float(len(order))
 
     names = ("a", "b", "c")
-    samples = bench["contest"].contest({n: (lambda n=n: contestant(n)) for n in names}, 2, warm_up=1)
+    samples = contest.contest({n: (lambda n=n: contestant(n)) for n in names}, 2, warm_up=1)
     assert "".join(order) == "abcbcacab"
     assert samples == {"a": [6.0, 8.0], "b": [4.0, 9.0], "c": [5.0, 7.0]}
 
 
-def test_a_ratio_is_taken_round_by_round_so_that_a_stall_of_the_machine_cancels(
-    bench: dict[str, ModuleType],
-) -> None:
+def test_a_ratio_is_taken_round_by_round_so_that_a_stall_of_the_machine_cancels() -> None:
     samples = {"ours": [2.0, 20.0, 2.2], "bare": [1.0, 10.0, 1.0]}
-    ours, bare = bench["figures"].compared("time", "s", samples, "bare")
+    ours, bare = figures.compared("time", "s", samples, "bare")
     assert (ours.value, ours.ratio, ours.baseline) == (2.2, 2.0, "bare")
     assert (bare.value, bare.ratio) == (1.0, None)
 
 
-def test_a_goal_is_for_the_value_or_for_the_ratio_and_a_miss_is_called_one(
-    bench: dict[str, ModuleType],
-) -> None:
-    ours, bare = bench["figures"].compared("rate", "1/s", {"ours": [40.0], "bare": [100.0]}, "bare")
+def test_a_goal_is_for_the_value_or_for_the_ratio_and_a_miss_is_called_one() -> None:
+    ours, bare = figures.compared("rate", "1/s", {"ours": [40.0], "bare": [100.0]}, "bare")
     assert (bare.goal, bare.met) == ("", None)
     assert bare.with_goal(at_least=100.0).met
     assert ours.with_goal(at_least_ratio=0.4).met
@@ -70,7 +56,7 @@ def test_a_goal_is_for_the_value_or_for_the_ratio_and_a_miss_is_called_one(
         bare.with_goal(at_least_ratio=1.0)
 
 
-def test_the_rate_in_lock_step_is_of_the_cycles_in_which_the_arm_moves(bench: dict[str, ModuleType]) -> None:
+def test_the_rate_in_lock_step_is_of_the_cycles_in_which_the_arm_moves() -> None:
     def cycle(number: int, received_us: int, A1_rad: float) -> RecordedCycle:
         return RecordedCycle(
             number, 4 * number, received_us * 1000, 10.0, "go", REST_RAD, (A1_rad, *REST_RAD[1:])
@@ -79,29 +65,29 @@ def test_the_rate_in_lock_step_is_of_the_cycles_in_which_the_arm_moves(bench: di
     waiting = [cycle(1, 0, 0.0), cycle(2, 4000, 0.0), cycle(3, 8000, 0.0)]
     moving = [cycle(4, 8100, 0.1), cycle(5, 8200, 0.2), cycle(6, 8300, 0.3)]
     afterwards = [cycle(7, 8400, 0.3), cycle(9, 19_000, 0.4)]
-    rate_hz = bench["robot_link"].rate_in_motion([*waiting, *moving, *afterwards])
+    rate_hz = robot_link.rate_in_motion([*waiting, *moving, *afterwards])
     assert rate_hz == pytest.approx(10_000.0)
-    assert bench["robot_link"].rate_in_motion(waiting) == 0.0
+    assert robot_link.rate_in_motion(waiting) == 0.0
 
 
-def test_processor_time_of_a_process_grows_with_its_work(bench: dict[str, ModuleType]) -> None:
+def test_processor_time_of_a_process_grows_with_its_work() -> None:
     with subprocess.Popen(
         [sys.executable, "-c", BUSY], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as busy:
         assert busy.stdin is not None
         assert busy.stdout is not None
         busy.stdout.readline()
-        first = bench["contest"].process_cpu_s(busy.pid)
+        first = contest.process_cpu_s(busy.pid)
         busy.stdin.write(b"\n")
         busy.stdin.flush()
         busy.stdout.readline()
-        second = bench["contest"].family_cpu_s(busy.pid)
+        second = contest.family_cpu_s(busy.pid)
         busy.stdin.close()
     assert 0.0 < first < second
 
 
-def test_every_measurement_that_can_be_named_exists(bench: dict[str, ModuleType]) -> None:
-    for module in bench["run"].MEASUREMENTS.values():
+def test_every_measurement_that_can_be_named_exists() -> None:
+    for module in run.MEASUREMENTS.values():
         assert (ROOT / "benchmarks" / f"{module}.py").exists()
 
 

@@ -1,14 +1,9 @@
-import importlib.util
 from pathlib import Path
 
+import generate
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-SPEC = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
-assert SPEC is not None
-assert SPEC.loader is not None
-generate = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(generate)
 PAGES: dict[str, str] = generate.pages()
 
 
