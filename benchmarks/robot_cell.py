@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,18 +11,12 @@ from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.free_port import free_udp_port
 from sim.theatre.process import load_scene
 from sim.theatre.world import World
 
 PEERS = Path(__file__).parent / "peers"
 SILENCE_LIMIT_S = 5.0  # lock-step waits up to 2 s for a reply
-
-
-def free_udp_port() -> int:
-    """A port that is free now; whoever asked binds it in a moment."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def peer(name: str, *arguments: str) -> ChildProcess:

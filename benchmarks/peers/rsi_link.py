@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import sys
 import threading
 
@@ -21,6 +20,7 @@ from ronna_hw.arm.model import arm_model
 from ronna_hw.arm.planning import plan_joint_move
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.free_port import free_udp_port
 from ronna_hw.wire.kuka_context import load_context
 from sim.theatre.process import end_with_parent
 
@@ -31,9 +31,7 @@ SWING_RAD = 0.6
 def main() -> None:
     """Serve until this process is ended; the real-time process ends by itself when it is alone."""
     end_with_parent(lambda: os._exit(0))
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_udp_port()
     options = KukaOptions(silence_limit_s=PATIENCE_S, heartbeat_limit_s=PATIENCE_S)
     if "unrehearsed" in sys.argv:
         options = options.model_copy(update={"rehearsal_lead_us": 0})

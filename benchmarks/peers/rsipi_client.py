@@ -6,12 +6,12 @@ import json
 import logging
 import os
 import re
-import socket
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+from ronna_hw.free_port import free_udp_port
 from sim.theatre.process import end_with_parent
 
 LONGEST_LIFE_S = 600.0
@@ -23,9 +23,7 @@ def main() -> None:
 
     end_with_parent(lambda: os._exit(0))
     logging.disable(logging.CRITICAL)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_udp_port()
     text = Path(sys.argv[1]).read_text(encoding="utf-8")
     text = re.sub("<IP_NUMBER>[^<]*", "<IP_NUMBER>127.0.0.1", text)
     text = re.sub("<PORT>[^<]*", f"<PORT>{port}", text)

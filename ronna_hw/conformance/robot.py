@@ -33,6 +33,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
+from ronna_hw.free_port import free_udp_port
 from ronna_hw.registry import make_device
 
 HOLDING_S = 0.2  # theatre time over which an arm with zero corrections is watched
@@ -47,19 +48,12 @@ CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
 CONNECT_LIMIT_S = 3.0
 
 
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 SUITE = Suite(
     "robot",
     driver="kuka_rsi",
     simulator=(
         "kuka",
-        *("--rsi", f"udp://127.0.0.1:{_free_port()}"),  # a client binds it, so the suite chooses it
+        *("--rsi", f"udp://127.0.0.1:{free_udp_port()}"),  # a client binds it, so the suite chooses it
         *("--eki", "tcp://127.0.0.1:0", "--eki-project", "tcp://127.0.0.1:0"),
     ),
     motions=(

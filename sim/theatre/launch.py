@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import socket
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.free_port import free_udp_port
 from ronna_hw.records import write_whole
 from sim.polaris.definition import write_definition
 from sim.theatre.control import ControlPort, Room
@@ -94,7 +93,7 @@ class Theatre:
 
     def _start_devices(self, parameters: Mapping[str, Sequence[str]]) -> dict[str, Any]:
         world = ("--world", self.world.endpoint)
-        rsi = f"udp://127.0.0.1:{_free_udp_port()}"
+        rsi = f"udp://127.0.0.1:{free_udp_port()}"
         free = "tcp://127.0.0.1:0"
         arguments = {
             "polaris": world,
@@ -121,10 +120,3 @@ class Theatre:
             write_whole(path, write_definition(tool))
             files[tool.name] = str(path.resolve())
         return files
-
-
-def _free_udp_port() -> int:
-    """A port that is free now; the client binds it in a moment."""
-    with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from itertools import pairwise
 from math import degrees
 from typing import Any
+
+from waiting import eventually
 
 from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.devices import Lifecycle
@@ -20,13 +21,6 @@ FAR = radians6(60, -60, 60, 30, 80, 90)
 def state_of(arm: Any) -> Lifecycle:
     state: Lifecycle = arm.state
     return state
-
-
-def eventually(condition: Any, limit_s: float = 30.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def largest_step(replies: list[tuple[int, tuple[float, ...], int]]) -> float:

@@ -7,8 +7,6 @@ import os
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -69,10 +67,3 @@ class Peer:
 def pattern(area: AreaOfInterest, block_id: int) -> NDArray[np.int64]:
     rows, columns = np.mgrid[: area.height, : area.width]
     return (columns + area.offset_x) + 3 * (rows + area.offset_y) + 7 * block_id
-
-
-def wait_until(condition: Callable[[], bool], limit_s: float = HANG_LIMIT_S) -> None:
-    deadline_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "the awaited condition did not come"
-        time.sleep(0.01)

@@ -8,6 +8,8 @@ import socket
 import threading
 from collections.abc import Callable, Sequence
 
+from ronna_hw.free_port import free_udp_port
+
 LOOK_S = 0.05  # between two looks whether to end
 DATAGRAM_BYTES = 4096
 LOOPBACK = "127.0.0.1"
@@ -36,9 +38,7 @@ class RsiTap:
         self._front.bind((LOOPBACK, int(controller_sends_to.rpartition(":")[2])))
         self._back = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._back.bind((LOOPBACK, 0))
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind((LOOPBACK, 0))
-            self._driver = free.getsockname()
+        self._driver = (LOOPBACK, free_udp_port())
         self.endpoint = f"udp://{LOOPBACK}:{self._driver[1]}"
         self._look = look
         self._late, self._never = late, never

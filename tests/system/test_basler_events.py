@@ -5,10 +5,11 @@ from __future__ import annotations
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from faulty_cameras import LIMIT_S, Cameras
+from waiting import eventually
 
 from drivers.basler_stereo import BaslerStereoPair
 from ronna_hw.child_process import ChildProcess, command
@@ -24,13 +25,6 @@ def cameras() -> Iterator[Cameras]:
         running = Cameras(child)
         yield running
         running.close()
-
-
-def awaited(condition: Callable[[], bool]) -> bool:
-    deadline_s = time.monotonic() + LIMIT_S
-    while not condition() and time.monotonic() < deadline_s:
-        time.sleep(0.01)
-    return condition()
 
 
 def exposures(pair: BaslerStereoPair) -> list[int]:
@@ -49,7 +43,7 @@ def test_every_exposure_is_reported_and_a_trigger_that_comes_too_early_is_counte
     assert pair.notices == ()
     for _ in range(3):
         assert pair.grab_pair(LIMIT_S).validity is Validity.OK
-    assert awaited(lambda: exposures(pair) == [3, 3])
+    eventually(lambda: exposures(pair) == [3, 3])
     assert [counters.missed_triggers for counters in pair.event_counters] == [0, 0]
     pair.set_exposure(LONG_EXPOSURE_US, 36)
     left = pair._pair[0]
@@ -57,7 +51,7 @@ def test_every_exposure_is_reported_and_a_trigger_that_comes_too_early_is_counte
         trigger_left(pair)
     missed = left.features.whole("OvertriggerCount")
     assert missed > 0
-    assert awaited(lambda: pair.event_counters[0].missed_triggers == missed)
+    eventually(lambda: pair.event_counters[0].missed_triggers == missed)
     assert pair.event_counters[1].missed_triggers == 0
 
 
@@ -66,7 +60,7 @@ def test_messages_that_get_lost_are_repeated_and_counted_once(cameras: Cameras) 
     cameras.fault("lose events both 30 %")
     for _ in range(8):
         assert pair.grab_pair(LIMIT_S).validity is Validity.OK
-    assert awaited(lambda: exposures(pair) == [8, 8])
+    eventually(lambda: exposures(pair) == [8, 8])
 
 
 def test_images_do_not_need_the_events(cameras: Cameras) -> None:

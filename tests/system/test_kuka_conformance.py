@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 from pathlib import Path
 
 import pytest
 
 from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.free_port import free_udp_port
 
 SUITE = "ronna_hw.conformance.cli"
 
@@ -43,9 +43,7 @@ def test_the_arm_passes_the_whole_suite_on_its_stand_in(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_at_an_endpoint_nothing_is_moved_unless_asked() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        rsi = f"udp://127.0.0.1:{probe.getsockname()[1]}"
+    rsi = f"udp://127.0.0.1:{free_udp_port()}"
     free = "tcp://127.0.0.1:0"
     arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
     with ChildProcess("ronna-sim kuka", arguments) as child:

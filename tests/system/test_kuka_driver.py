@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from math import radians
 from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.kuka_rsi.errors import LinkProcessDied, MotionStopped
@@ -26,6 +25,7 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.free_port import free_udp_port
 
 MODEL = arm_model("kr6_r900_sixx")
 TOOL_MM = (0.0, 0.0, 150.0)
@@ -52,27 +52,14 @@ sys.stdin.read()
 """
 
 
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def _moved(joints: JointVector, *offsets_deg: float) -> JointVector:
     A1, A2, A3, A4, A5, A6 = (a + radians(d) for a, d in zip(joints, offsets_deg, strict=True))
     return (A1, A2, A3, A4, A5, A6)
 
 
-def _eventually(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 @pytest.fixture
 def endpoints() -> Iterator[dict[str, str]]:
-    rsi = f"udp://127.0.0.1:{_free_port()}"
+    rsi = f"udp://127.0.0.1:{free_udp_port()}"
     free = "tcp://127.0.0.1:0"
     arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
     with ChildProcess("ronna-sim kuka", arguments) as child:
@@ -146,7 +133,7 @@ def test_hold_in_motion_comes_to_rest_and_a_new_motion_may_follow(make_arm: Call
 
     mover = threading.Thread(target=move)
     mover.start()
-    _eventually(lambda: arm.read_state().joints_rad[0] > start[0] + radians(2))
+    eventually(lambda: arm.read_state().joints_rad[0] > start[0] + radians(2))
     arm.stop(StopKind.HOLD)
     mover.join()
     assert stopped
@@ -173,7 +160,7 @@ def test_when_the_program_is_killed_the_arm_stops_and_the_controller_is_left_cle
         link_pid = int(program.stdout.readline())
         program.send_signal(how)
         program.wait()
-        _eventually(lambda: not Path(f"/proc/{link_pid}").exists())
+        eventually(lambda: not Path(f"/proc/{link_pid}").exists())
     arm = make_arm()
     arm.connect()
     before = arm.read_state().joints_rad
@@ -192,9 +179,9 @@ def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
     start = arm.read_state().joints_rad
     assert arm._ways.open_link is not None
     os.kill(arm._ways.open_link._process.pid, signal.SIGKILL)
-    _eventually(lambda: _state(arm) is Lifecycle.FAULT)
+    eventually(lambda: _state(arm) is Lifecycle.FAULT)
     assert isinstance(arm.fault, LinkProcessDied)
-    _eventually(
+    eventually(
         lambda: (
             arm._ways.open_eki is not None
             and arm._ways.open_eki.latest is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from xml.etree import ElementTree
 import pytest
 
 from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.free_port import free_udp_port
 
 CLIENT = """
 import json, sys, time
@@ -63,9 +63,7 @@ def config(tmp_path: Path) -> Path:
     """RSIPI's own `joints` context file, with an address that is free here."""
     from RSIPI import context
 
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_udp_port()
     text = Path(context("joints")).read_text("utf-8-sig")
     path = tmp_path / "joints.xml"
     path.write_text(text.replace("10.10.10.10", "127.0.0.1").replace("64000", str(port)), "utf-8")

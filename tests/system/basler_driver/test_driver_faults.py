@@ -6,7 +6,8 @@ import os
 import signal
 
 import pytest
-from peer_cameras import HANG_LIMIT_S, wait_until
+from peer_cameras import HANG_LIMIT_S
+from waiting import eventually
 
 from drivers.basler_stereo.errors import CameraLost, ControlLost, NoAnswer, ReceptionEnded
 from ronna_hw.devices import Lifecycle
@@ -60,7 +61,7 @@ def test_a_camera_that_does_not_answer_while_it_is_set_is_a_fault(pair, peers):
 
 def test_a_camera_that_lets_go_is_noticed_by_the_heartbeat(pair, peers):
     peers[0].fault("let-go")
-    wait_until(lambda: any(camera.lost for camera in pair._pair))
+    eventually(lambda: any(camera.lost for camera in pair._pair))
     with pytest.raises(ControlLost, match="GEV-015"):
         pair.grab_pair(1.0)
     assert pair.state is Lifecycle.FAULT
@@ -75,7 +76,7 @@ def test_a_refused_trigger_means_that_control_is_lost(pair, peers):
 
 def test_a_recovery_needs_a_name(pair, peers):
     peers[0].fault("let-go")
-    wait_until(lambda: any(camera.lost for camera in pair._pair))
+    eventually(lambda: any(camera.lost for camera in pair._pair))
     with pytest.raises(ControlLost):
         pair.grab_pair(1.0)
     with pytest.raises(NobodyNamed, match="DEV-006"):

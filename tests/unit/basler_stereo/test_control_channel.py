@@ -12,6 +12,7 @@ import pytest
 from drivers.basler_stereo.control import ControlChannel, register_write, send_together
 from drivers.basler_stereo.description import fetch_description
 from drivers.basler_stereo.errors import BadDescription, BrokenAnswer, CommandRefused, NoAnswer
+from ronna_hw.free_port import free_udp_port
 
 
 class Answering:
@@ -99,9 +100,7 @@ def test_silence_ends_at_the_deadline(channel_to):
 
 
 def test_nobody_listening_ends_at_the_deadline_too():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_udp_port()
     channel = ControlChannel("127.0.0.1", port=port)
     with pytest.raises(NoAnswer, match="GEV-007"):
         channel.read_register(0, soon(0.3))

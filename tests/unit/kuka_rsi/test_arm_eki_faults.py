@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from driven_arm import THERE, eventually, state_of
+from driven_arm import THERE, state_of
+from waiting import eventually
 
 from drivers.kuka_rsi.errors import (
     CommandRefused,

@@ -11,7 +11,8 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from driven_arm import THERE, eventually, largest_step, moving, state_of
+from driven_arm import THERE, largest_step, moving, state_of
+from waiting import eventually
 
 from drivers.kuka_rsi.errors import (
     ControllerRestarted,

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import time
-from collections.abc import Callable
 from typing import Any
 
 import pytest
+from waiting import eventually
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.errors import (
@@ -31,13 +30,6 @@ from ronna_hw.devices.errors import WrongState
 from ronna_hw.wire.kuka_context import ContextInvalid, context_hash, load_context
 
 THERE = radians6(10, -85, 85, 5, 65, -10)
-
-
-def _eventually(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def _configured(arm: Any) -> Any:
@@ -136,7 +128,7 @@ def test_a_real_time_process_that_stands_still_is_latched_though_nobody_asks(
         controller.tell()  # as it does every 0.1 s, whatever happens on the other link
         return bool(arm._guard.state is Lifecycle.FAULT)
 
-    _eventually(latched)
+    eventually(latched)
     assert isinstance(arm.fault, LinkProcessStalled)
     with pytest.raises(LinkProcessStalled):
         arm.move_joints(THERE)

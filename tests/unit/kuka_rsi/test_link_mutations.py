@@ -14,6 +14,7 @@ from drivers.kuka_rsi.link_state import CommandKind, Phase
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.stream import link_settings
 from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.free_port import free_udp_port
 from ronna_hw.wire.kuka_context import load_context
 
 THROUGH_THE_CODEC = 20_000
@@ -36,9 +37,7 @@ def test_mutants_in_a_session_move_nothing() -> None:
 
 
 def test_mutants_over_the_socket_crash_nothing_and_move_nothing() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_udp_port()
     options = KukaOptions(silence_limit_s=60.0, heartbeat_limit_s=60.0, real_time_priority=0)
     link = LinkClient(link_settings(parse_endpoint(f"udp://127.0.0.1:{port}"), load_context(), options))
     try:

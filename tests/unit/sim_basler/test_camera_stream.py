@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 from typing import Any
 
 import numpy as np
@@ -36,13 +35,6 @@ def header(packet: bytes) -> tuple[int, int, int, int]:
 
 def stamp(frame: list[bytes]) -> int:
     return int(struct.unpack_from(LEADER_LAYOUT, frame[0], 8)[2])
-
-
-def awaited(condition: Any) -> None:
-    deadline = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
 
 
 def test_26_a_frame_is_leader_payload_and_trailer(bench: Any) -> None:
