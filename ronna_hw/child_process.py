@@ -34,19 +34,14 @@ class ChildNotReady(LinkTimeout):
 class ChildProcess:
     """One child. `ready` holds what its READY line says."""
 
-    def __init__(self, name: str, arguments: Sequence[str], *, timeout_s: float = READY_TIMEOUT_S) -> None:
-        self.begin(name, arguments)
-        self.await_ready(timeout_s)
+    def __init__(
+        self, name: str, arguments: Sequence[str], *, timeout_s: float | None = READY_TIMEOUT_S
+    ) -> None:
+        """Start the process and wait until it is ready; raises PRC-001.
 
-    @classmethod
-    def begun(cls, name: str, arguments: Sequence[str]) -> ChildProcess:
-        """Start without waiting, so that several children become ready side by side."""
-        child = cls.__new__(cls)
-        child.begin(name, arguments)
-        return child
-
-    def begin(self, name: str, arguments: Sequence[str]) -> None:
-        """Start the process; `await_ready` must follow."""
+        With `timeout_s` None it is not waited for, so that several become ready side by side: `await_ready`
+        must follow.
+        """
         self.name = name
         self.ready: dict[str, Any] = {}
         self._lines: SimpleQueue[str | None] = SimpleQueue()
@@ -66,6 +61,8 @@ class ChildProcess:
         ]
         for reader in self._readers:
             reader.start()
+        if timeout_s is not None:
+            self.await_ready(timeout_s)
 
     def await_ready(self, timeout_s: float = READY_TIMEOUT_S) -> dict[str, Any]:
         """Wait for the READY line; raises PRC-001 with the child's own last words, and ends the child."""

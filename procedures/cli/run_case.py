@@ -51,9 +51,9 @@ def opened_engine(request: CaseRequest, folder: Path, watcher: Watcher) -> Itera
             importlib.import_module("procedures.steps.catalogue")  # a second of imports, meanwhile
             simulated.await_patient()
             watcher.status("opening the theatre")
-            simulated.await_theatre()
-            series, plan, theatre_file = simulated.series, simulated.plan, simulated.theatre_file
-            operator = stack.enter_context(contextlib.closing(ScriptedOperator(simulated.control)))
+            simulated.theatre.await_ready()
+            series, plan, theatre_file = simulated.series, simulated.plan, simulated.theatre.file
+            operator = stack.enter_context(contextlib.closing(ScriptedOperator(simulated.theatre.control)))
         engine = _make_engine(request, folder, (series, plan, theatre_file), operator, watcher)
         outcome = "failed"
         try:

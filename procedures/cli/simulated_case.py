@@ -8,9 +8,9 @@ from types import TracebackType
 from typing import Self
 
 from procedures.cli.scene_choice import SceneChoice
+from procedures.cli.simulated_theatre import SimulatedTheatre
 from procedures.engine.errors import CommandRefused
-from ronna_hw.child_process import ChildNotReady, ChildProcess, command
-from ronna_hw.errors import EXIT_LINK_LOST
+from ronna_hw.child_process import ChildNotReady, command
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 
@@ -21,10 +21,10 @@ class SimulatedCase:
     def __init__(self, choice: SceneChoice, folder: Path, *, speed: str, faults: Path | None) -> None:
         self.series = folder / "case" / "ct"
         self.plan = folder / "case" / "plan.toml"
-        arguments = [*choice.arguments(), "--speed", speed, "--out", str(folder / "theatre")]
-        if faults is not None:
-            arguments += ["--faults", str(faults)]
-        self._theatre = ChildProcess.begun("ronna-sim theatre", command("sim.cli", "theatre", *arguments))
+        script = () if faults is None else ("--faults", str(faults))
+        self.theatre = SimulatedTheatre(
+            *choice.arguments(), "--speed", speed, "--out", str(folder / "theatre"), *script
+        )
         self._phantom = subprocess.Popen(
             command(
                 "sim.cli", "phantom", "--with-parent", *choice.arguments(), "--out", str(folder / "case")
@@ -50,27 +50,6 @@ class SimulatedCase:
         if self._phantom.returncode != 0:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 
-    def await_theatre(self) -> None:
-        """Return when every device of the theatre is ready; raises PRO-013 with the command's words."""
-        try:
-            self._theatre.await_ready()
-        except ChildNotReady as error:
-            words = self._theatre.messages
-            if not words:
-                raise
-            code = self._theatre.process.returncode
-            raise CommandRefused("ronna-sim theatre", words[-1], code) from error
-
-    @property
-    def theatre_file(self) -> Path:
-        """The theatre file that was written."""
-        return Path(self._theatre.ready["file"])
-
-    @property
-    def control(self) -> str:
-        """Endpoint of the control port."""
-        return str(self._theatre.ready["endpoints"]["control"])
-
     def __enter__(self) -> Self:
         return self
 
@@ -82,9 +61,6 @@ class SimulatedCase:
             self._phantom.wait()
         if self._phantom.stderr is not None:
             self._phantom.stderr.close()
-        fallen = not self._theatre.alive
-        self._theatre.stop()
-        if fallen and error is not None and self._theatre.ready:
-            # What the procedure met is only the consequence: a device of the theatre has ended.
-            words = " / ".join(self._theatre.messages) or "nothing and ended"
-            raise CommandRefused("ronna-sim theatre", words, EXIT_LINK_LOST) from error
+        fallen = self.theatre.stop()
+        if fallen is not None and error is not None:
+            raise fallen from error  # what the procedure met is only the consequence

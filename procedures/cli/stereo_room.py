@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.operators import ScriptedOperator, TerminalOperator
 from procedures.cli.scene_choice import SceneChoice
-from procedures.engine.errors import CommandRefused
-from ronna_hw.child_process import ChildNotReady, ChildProcess, command
+from procedures.cli.simulated_theatre import SimulatedTheatre
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.errors import EXIT_REFUSED
 
 if TYPE_CHECKING:
     from procedures.engine.step import StepContext
@@ -50,10 +48,11 @@ def opened_room(
     operator: ScriptedOperator | TerminalOperator = TerminalOperator()
     with contextlib.ExitStack() as stack:
         if source.config is None:
-            theatre = stack.enter_context(_started(source.choice, folder / "theatre"))
-            theatre_file = Path(theatre.ready["file"])
-            control = str(theatre.ready["endpoints"]["control"])
-            operator = stack.enter_context(contextlib.closing(ScriptedOperator(control)))
+            theatre = SimulatedTheatre(*source.choice.arguments(), "--out", str(folder / "theatre"))
+            stack.callback(theatre.stop)
+            theatre.await_ready()
+            theatre_file = theatre.file
+            operator = stack.enter_context(contextlib.closing(ScriptedOperator(theatre.control)))
         else:
             theatre_file = source.config
         context = _context(theatre_file, folder, operator, progress)
@@ -117,22 +116,3 @@ def _of_now(calibrations: Calibrations) -> Calibrations:
             for name in ("stereo_head", "tool_tip", "tracker_frame")
         }
     )
-
-
-@contextlib.contextmanager
-def _started(choice: SceneChoice, folder: Path) -> Iterator[ChildProcess]:
-    """The simulated theatre as a command, ready; raises PRO-013 with its words when it is not."""
-    theatre = ChildProcess.begun(
-        "ronna-sim theatre", command("sim.cli", "theatre", *choice.arguments(), "--out", str(folder))
-    )
-    try:
-        try:
-            theatre.await_ready()
-        except ChildNotReady as error:
-            if not theatre.messages:
-                raise
-            code = theatre.process.returncode or EXIT_REFUSED
-            raise CommandRefused("ronna-sim theatre", theatre.messages[-1], code) from error
-        yield theatre
-    finally:
-        theatre.stop()

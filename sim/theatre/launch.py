@@ -101,9 +101,10 @@ class Theatre:
             "basler": world,
         }
         self._children = [
-            ChildProcess.begun(
+            ChildProcess(
                 f"ronna-sim {name}",
                 command("sim.cli", name, *more, *(f"--set={one}" for one in parameters.get(name, ()))),
+                timeout_s=None,
             )
             for name, more in arguments.items()
         ]

@@ -43,12 +43,12 @@ def test_each_device_is_started_with_its_own(monkeypatch: pytest.MonkeyPatch, tm
     class Enough(Exception):
         pass
 
-    def begun(name: str, arguments: list[str]) -> None:
+    def started_without_waiting(name: str, arguments: list[str], *, timeout_s: float | None) -> None:
         started[name] = arguments
         if len(started) == 3:
             raise Enough
 
-    monkeypatch.setattr("sim.theatre.launch.ChildProcess.begun", begun)
+    monkeypatch.setattr("sim.theatre.launch.ChildProcess", started_without_waiting)
     with pytest.raises(Enough):
         Theatre(
             built_in_scene("mini", seed=1),
