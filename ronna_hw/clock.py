@@ -37,6 +37,11 @@ class ClockUnavailable(ConnectError):
 class Clock(Protocol):
     """Theatre time in seconds since the theatre began."""
 
+    @property
+    def paced(self) -> bool:
+        """True when theatre time follows the host's clock, so that durations on the host mean something."""
+        ...
+
     def now_s(self) -> float:
         """Present theatre time, seconds."""
         ...
@@ -51,6 +56,10 @@ class HostClock:
 
     def __init__(self) -> None:
         self._epoch_ns = time.monotonic_ns()
+
+    @property
+    def paced(self) -> bool:
+        return True
 
     def now_s(self) -> float:
         return (time.monotonic_ns() - self._epoch_ns) / 1e9
@@ -93,7 +102,6 @@ class SharedClock:
 
     @property
     def paced(self) -> bool:
-        """True when theatre time follows the host's clock."""
         return self._paced
 
     def now_ns(self) -> int:

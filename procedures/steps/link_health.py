@@ -10,7 +10,7 @@ def link_payload(context: StepContext) -> dict[str, object]:
     statistics = context.devices.arm.link_statistics()
     return {
         # Without the host's pace a turnaround says nothing about real time; it is kept, and marked.
-        "lock_step": not getattr(context.clock, "paced", True),
+        "lock_step": not context.clock.paced,
         "cycles": statistics.cycles,
         "late_cycles": statistics.late_cycles,
         "lost_cycles": statistics.lost_cycles,

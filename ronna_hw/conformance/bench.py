@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ronna_hw.clock import Clock, HostClock, SharedClock
+from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.conformance.polaris_tap import PolarisTap
@@ -121,7 +121,7 @@ class Bench:
                 found.add("serial line")
         if self._control is not None:
             found.add("live faults")
-        if isinstance(self.clock, HostClock) or (isinstance(self.clock, SharedClock) and self.clock.paced):
+        if self.clock.paced:
             found.add("host time")
         if self._can_be_disturbed():
             found.add("line faults")

@@ -289,6 +289,8 @@ class UnitInProcess:
 class StillClock:
     """Theatre time that a test sets by hand."""
 
+    paced = False
+
     def __init__(self) -> None:
         self.time_s = 0.0
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from polaris_unit_in_process import StillClock
 
 from drivers.ndi_polaris import PolarisTracker, errors
 from drivers.ndi_polaris.robot_frame import robot_frame
@@ -15,7 +16,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import NobodyNamed
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.endpoints import BadEndpoint, parse_endpoint
-from ronna_hw.errors import EXIT_LINK_LOST, EXIT_NOT_FOUND, EXIT_SAFETY_STOP, RonnaError, concrete_errors
+from ronna_hw.errors import EXIT_LINK_LOST, EXIT_NOT_FOUND, EXIT_SAFETY_STOP
 from ronna_hw.wire.polaris import ERROR_MEANINGS
 
 Make = Callable[..., PolarisTracker]
@@ -63,7 +64,9 @@ def test_the_unit_that_cannot_initialise_says_so(make_tracker: Make, unit: Any) 
 
 def test_a_port_that_cannot_be_opened(tmp_path: Path) -> None:
     for endpoint in (f"serial://{tmp_path}/none", "serial:///dev/null", "tcp://127.0.0.1:1"):
-        device = PolarisTracker("tracker", DeviceConfig(driver="ndi_polaris", endpoint=endpoint), _Still())
+        device = PolarisTracker(
+            "tracker", DeviceConfig(driver="ndi_polaris", endpoint=endpoint), StillClock()
+        )
         with pytest.raises(errors.PortUnavailable) as caught:
             device.connect(1.0)
         assert caught.value.exit_code == EXIT_NOT_FOUND
@@ -73,7 +76,7 @@ def test_a_port_that_cannot_be_opened(tmp_path: Path) -> None:
 
 def test_an_endpoint_of_another_kind() -> None:
     with pytest.raises(BadEndpoint):
-        PolarisTracker("t", DeviceConfig(driver="ndi_polaris", endpoint="udp://127.0.0.1:1"), _Still())
+        PolarisTracker("t", DeviceConfig(driver="ndi_polaris", endpoint="udp://127.0.0.1:1"), StillClock())
     assert parse_endpoint("serial:///dev/ttyUSB0").scheme == "serial"
 
 
@@ -233,18 +236,3 @@ def test_two_tools_of_one_geometry(make_tracker: Make, tmp_path: Path) -> None:
     tools = [{"name": "M", "rom": "robot_frame.rom"}, {"name": "twin", "rom": str(tmp_path / "twin.rom")}]
     with pytest.raises(errors.SameGeometry):
         make_tracker(tools=tools)
-
-
-def test_the_codes_are_unique_and_each_has_an_action() -> None:
-    ours = [kind for kind in concrete_errors() if kind.code.startswith("NDI-")]
-    codes = [kind.code for kind in ours]
-    assert len(set(codes)) == len(codes) >= 20
-    assert all(kind.action and issubclass(kind, RonnaError) for kind in ours)
-
-
-class _Still:
-    def now_s(self) -> float:
-        return 0.0
-
-    def sleep(self, duration_s: float) -> None:
-        return

@@ -6,10 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import (
     BadReplyCrc,
     CommandGarbled,
@@ -21,10 +18,6 @@ from drivers.ndi_polaris.errors import (
 )
 from drivers.ndi_polaris.parameters import read_parameter
 from drivers.ndi_polaris.session import Session
-from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import Validity
-from ronna_hw.errors import RonnaError
 
 
 def once(unit: Any, change: Callable[[bytes], list[tuple[float, bytes]]], name: str | None = None) -> None:
@@ -177,124 +170,3 @@ def test_an_error_reply_is_not_repeated(session: Session, unit: Any) -> None:
         session.ask("TSTOP")
     assert caught.value.vendor_code == 0x0C
     assert unit.commands.count("TSTOP:") == 1
-
-
-mutations = st.lists(
-    st.tuples(
-        st.sampled_from(
-            ["keep", "flip", "cut", "drop", "double", "insert", "delay", "join", "text", "swallow"]
-        ),
-        st.integers(0, 10_000),
-    ),
-    min_size=1,
-    max_size=5,
-)
-
-
-def mutate(kind: str, at: int, reply: bytes) -> list[tuple[float, bytes]]:
-    """One disturbed delivery of a reply."""
-    k = at % len(reply)
-    if kind == "flip":
-        return [(0.001, reply[:k] + bytes([reply[k] ^ 1 << at % 8]) + reply[k + 1 :])]
-    if kind == "cut":
-        return [(0.001, reply[:k])]
-    if kind == "drop":
-        return [(0.001, reply[:k] + reply[k + 1 :])]
-    if kind == "double":
-        return [(0.001, reply), (0.001 + at % 700 / 1000, reply)]
-    if kind == "insert":
-        return [(0.001, reply[:k] + bytes([at % 256]) + reply[k:])]
-    if kind == "delay":
-        return [(at % 6000 / 1000, reply)]
-    if kind == "join":
-        return [(0.001, reply + reply[: k + 1])]
-    if kind == "text":
-        return [(0.001, b"ERROR01" + b"6BC2\r")]
-    if kind == "swallow":
-        return []
-    return [(0.001, reply)]
-
-
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(mutations)
-@pytest.mark.hazard(16)
-def test_no_disturbance_of_the_line_gives_a_wrong_reading_or_outlasts_two_commands(
-    new_unit: Any, disturbances: list[tuple[str, int]]
-) -> None:
-    unit = new_unit(baud=None)
-    config = DeviceConfig(
-        driver="ndi_polaris",
-        endpoint="tcp://127.0.0.1:1",
-        options={"tools": [{"name": "M", "rom": "robot_frame.rom"}]},
-    )
-    device = PolarisTracker(
-        "tracker",
-        config,
-        Still(),
-        transport=lambda *_: unit,
-        monotonic=lambda: unit.now_s,
-        pause=lambda _: None,
-    )
-    device.connect()
-    device.configure()
-    device.activate()
-    queue = list(disturbances)
-    doubled = any(kind == "double" for kind, _ in disturbances)
-
-    def deliver(name: str, reply: bytes) -> list[tuple[float, bytes]]:
-        if not queue:
-            return [(0.001, reply)]
-        kind, at = queue.pop(0)
-        return mutate(kind, at, reply)
-
-    unit.deliver = deliver
-    for _ in range(len(disturbances)):
-        try:
-            check(device.read_frame(), unit, doubled=doubled)
-        except RonnaError:
-            if device.state is Lifecycle.FAULT:  # silent for longer than the unit may be
-                assert any(kind in ("swallow", "delay", "cut") for kind, _ in disturbances)
-                recover(device)
-                device.activate()
-    queue.clear()
-    unit.now_s += 10.0  # late replies have come by now
-    recovered = 0
-    for _ in range(3):
-        try:
-            check(device.read_frame(), unit, doubled=doubled)
-            recovered += 1
-        except RonnaError:
-            recovered = 0
-    assert recovered >= 1
-    device.close()
-
-
-def recover(device: PolarisTracker) -> None:
-    """While the line is still disturbed, or the unit still busy, an operator tries again."""
-    for _ in range(5):
-        try:
-            device.recover("tester")
-            return
-        except RonnaError:
-            continue
-    raise AssertionError("no recovery in five tries")
-
-
-class Still:
-    def now_s(self) -> float:
-        return 0.0
-
-    def sleep(self, duration_s: float) -> None:
-        return
-
-
-def check(frame: Any, unit: Any, *, doubled: bool) -> None:
-    """A reading is that of the last request, or says that it is stale; its pose is that of its frame.
-
-    A doubled reply looks exactly like a frame that the unit repeats, so it may cost one frame of delay.
-    """
-    number = frame.stamp.device_clock
-    assert number >= unit.frame - doubled or frame.validity is Validity.STALE
-    pose = frame.tool("M").position_mm
-    assert pose is not None
-    assert pose[2] == pytest.approx(-1500.0 - number / 100, abs=2e-3)
