@@ -43,26 +43,39 @@ RIGID_BODY = planar_tool(
 RIGID_BODY = dataclasses.replace(RIGID_BODY, sequence=3, minimum_markers=4, maximum_error_mm=0.75)
 
 
-def test_a_definition_has_the_bytes_of_a_real_one() -> None:
+@pytest.mark.parametrize(
+    ("offset", "content"),
+    [
+        pytest.param(0, b"NDI\0", id="magic"),
+        pytest.param(6, bytes([0, 0, 1, 0, 0, 0]), id="constant one"),
+        pytest.param(12, bytes([0]), id="subtype"),
+        pytest.param(15, bytes([1]), id="main type"),
+        pytest.param(20, bytes.fromhex("03148034"), id="serial number"),
+        pytest.param(24, bytes([90]), id="largest angle"),
+        pytest.param(28, bytes([4]), id="number of markers"),
+        pytest.param(32, bytes([4]), id="fewest markers"),
+        pytest.param(36, struct.pack("<f", 0.75), id="largest error"),
+        pytest.param(64, struct.pack("<f", 10.0), id="constant ten"),
+        pytest.param(84, struct.pack("<3f", 28.59, 41.02, 0.0), id="second marker"),
+        pytest.param(552, bytes([0, 1, 2, 3]), id="firing sequence"),
+        pytest.param(572, bytes([31, 31, 31, 31, 9]), id="no LED, a tool in the port"),
+        pytest.param(580, b"NDI".ljust(12, b"\0"), id="manufacturer"),
+        pytest.param(592, b"8700339".ljust(20, b"\0"), id="part number"),
+        pytest.param(612, bytes([9, 1, 1, 1, 1, 0]), id="constant nine, faces of the markers"),
+        pytest.param(633, bytes([1, 1, 1, 1, 0]), id="groups of the markers"),
+        pytest.param(653, bytes([0x80]), id="flags"),
+        pytest.param(655, bytes([0x29]), id="marker type"),
+        pytest.param(656, struct.pack("<3f", 0.0, 0.0, -1.0), id="normal of the face"),
+    ],
+)
+def test_each_field_stands_where_a_real_file_has_it(offset: int, content: bytes) -> None:
+    block = encode_definition(RIGID_BODY)
+    assert block[offset : offset + len(content)] == content
+
+
+def test_a_definition_has_752_bytes_and_the_sum_of_those_after_its_checksum() -> None:
     block = encode_definition(RIGID_BODY)
     assert len(block) == 752
-    assert block[:4] == b"NDI\0"
-    assert block[6:12] == bytes([0, 0, 1, 0, 0, 0])
-    assert block[12] == 0
-    assert block[15] == 1
-    assert block[20:24] == bytes.fromhex("03148034")
-    assert (block[24], block[28], block[32]) == (90, 4, 4)
-    assert struct.unpack_from("<f", block, 36) == (0.75,)
-    assert struct.unpack_from("<f", block, 64) == (10.0,)
-    assert struct.unpack_from("<3f", block, 84) == pytest.approx((28.59, 41.02, 0.0))
-    assert block[552:556] == bytes([0, 1, 2, 3])
-    assert block[572:577] == bytes([31, 31, 31, 31, 9])
-    assert block[580:592] == b"NDI".ljust(12, b"\0")
-    assert block[592:612] == b"8700339".ljust(20, b"\0")
-    assert block[612:618] == bytes([9, 1, 1, 1, 1, 0])
-    assert block[633:638] == bytes([1, 1, 1, 1, 0])
-    assert (block[653], block[655]) == (0x80, 0x29)
-    assert struct.unpack_from("<3f", block, 656) == (0.0, 0.0, -1.0)
     assert int.from_bytes(block[4:6], "little") == sum(block[6:]) % 65536
 
 
