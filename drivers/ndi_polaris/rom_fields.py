@@ -17,6 +17,7 @@ from ronna_hw.devices.readings import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
 _F3 = struct.Struct("<3f")
+_MARKER_VECTORS_BYTES = layout.ROM_MARKERS * _F3.size
 Bits = tuple[int, int]  # lowest bit, number of bits
 
 
@@ -93,8 +94,8 @@ def _write_markers(block: bytearray, markers_mm: tuple[Vector3, ...]) -> None:
     count = len(markers_mm)
     if count != _count(block):  # slots begin or end to be used: nothing of a former marker stays behind
         block[layout.MARKER_COUNT_OFFSET] = count
-        for offset, size in ((layout.MARKER_POSITIONS_OFFSET, 12), (layout.MARKER_NORMALS_OFFSET, 12)):
-            block[offset : offset + layout.ROM_MARKERS * size] = bytes(layout.ROM_MARKERS * size)
+        for offset in (layout.MARKER_POSITIONS_OFFSET, layout.MARKER_NORMALS_OFFSET):
+            block[offset : offset + _MARKER_VECTORS_BYTES] = bytes(_MARKER_VECTORS_BYTES)
         for slot in range(layout.ROM_MARKERS):
             used = slot < count
             block[layout.FIRING_SEQUENCE_OFFSET + slot] = slot if used else 0
@@ -151,20 +152,20 @@ _SERIAL = ((layout.SERIAL_OFFSET, 4),)
 FIELDS: tuple[Field, ...] = (
     Field(
         "markers_mm",
-        ((layout.MARKER_COUNT_OFFSET, 1), (layout.MARKER_POSITIONS_OFFSET, layout.ROM_MARKERS * 12)),
+        ((layout.MARKER_COUNT_OFFSET, 1), (layout.MARKER_POSITIONS_OFFSET, _MARKER_VECTORS_BYTES)),
         lambda block: _read_vectors(block, layout.MARKER_POSITIONS_OFFSET, _count(block)),
         _write_markers,
     ),
     Field(
         "normals",
-        ((layout.MARKER_NORMALS_OFFSET, layout.ROM_MARKERS * 12),),
+        ((layout.MARKER_NORMALS_OFFSET, _MARKER_VECTORS_BYTES),),
         lambda block: _read_vectors(block, layout.MARKER_NORMALS_OFFSET, _count(block)),
         lambda block, value: _write_vectors(block, layout.MARKER_NORMALS_OFFSET, value),
     ),
     Field("faces", ((layout.MARKER_FACES_OFFSET, layout.ROM_MARKERS),), _read_faces, _write_faces),
     Field(
         "face_normals",
-        ((layout.FACE_NORMALS_OFFSET, layout.ROM_FACES * 12),),
+        ((layout.FACE_NORMALS_OFFSET, layout.ROM_FACES * _F3.size),),
         _read_face_normals,
         lambda block, value: _write_vectors(block, layout.FACE_NORMALS_OFFSET, value),
     ),
@@ -185,7 +186,7 @@ FIELDS: tuple[Field, ...] = (
     _number("maximum_error_mm", "<f", layout.MAXIMUM_ERROR_OFFSET),
     Field(
         "minimum_spread_mm",
-        ((layout.MINIMUM_SPREAD_OFFSET, 12),),
+        ((layout.MINIMUM_SPREAD_OFFSET, _F3.size),),
         lambda block: _read_vectors(block, layout.MINIMUM_SPREAD_OFFSET, 1)[0],
         lambda block, value: _F3.pack_into(block, layout.MINIMUM_SPREAD_OFFSET, *value),
     ),
