@@ -5,7 +5,7 @@ Work happens here, never in a transition of the state chart. Whatever ends a ste
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +15,7 @@ from procedures.engine.errors import JournalNotWritable, StepRefused, UnknownSte
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.machine import ProcedureMachine
 from procedures.engine.operator import Operator, Question
+from procedures.engine.order import sequence_of
 from procedures.engine.step import Outcome, Progress, StepContext, StepKey, StepSpec
 from ronna_hw.clock import Clock
 from ronna_hw.config import TheatreFile
@@ -22,18 +23,6 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
 
 Listener = Callable[[StepKey, Outcome], None]
-
-
-def sequence_of(steps: Mapping[str, StepSpec], trajectories: Sequence[str]) -> tuple[StepKey, ...]:
-    """The order of the whole case: every localization of every trajectory before the tool change."""
-    common = [name for name, step in steps.items() if not step.per_trajectory and name != "tool_change"]
-    keys = [StepKey(name) for name in common]
-    for trajectory in trajectories:
-        keys += [StepKey("relocalization", trajectory), StepKey("registration", trajectory)]
-    keys.append(StepKey("tool_change"))
-    for trajectory in trajectories:
-        keys += [StepKey(name, trajectory) for name in ("positioning", "at_target", "retreat")]
-    return tuple(keys)
 
 
 @dataclass
@@ -57,7 +46,7 @@ class Engine:
     _workspace: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.sequence = sequence_of(self.steps, self.trajectories)
+        self.sequence = sequence_of(self.trajectories)
         self._calibrations = calibrations_of(self.theatre)
 
     @property

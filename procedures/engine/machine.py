@@ -11,29 +11,7 @@ from typing import Any, cast
 from transitions.extensions import HierarchicalMachine
 from transitions.extensions.nesting import NestedState
 
-PHASES: dict[str, tuple[str, ...]] = {
-    "preoperative": ("ct_import", "fiducial_localization", "plan_check"),
-    "preparation": ("set_up", "global_localization", "correspondence", "path_check"),
-    "operation": ("relocalization", "registration", "tool_change", "positioning", "at_target", "retreat"),
-}
-# For every step: which steps may come right before it.
-PREDECESSORS: dict[str, tuple[str, ...]] = {
-    "ct_import": ("idle",),
-    "fiducial_localization": ("ct_import",),
-    "plan_check": ("fiducial_localization",),
-    "set_up": ("plan_check",),
-    "global_localization": ("set_up",),
-    "correspondence": ("global_localization",),
-    "path_check": ("correspondence",),
-    "relocalization": ("path_check", "registration"),
-    "registration": ("relocalization",),
-    "tool_change": ("registration",),
-    "positioning": ("tool_change", "retreat"),
-    "at_target": ("positioning",),
-    "retreat": ("at_target",),
-}
-ENDS = ("finished", "fault", "aborted")
-
+from procedures.engine.order import ENDS, IDLE, PHASES, PREDECESSORS
 
 SEPARATOR = "."  # between phase and step; the library's own underscore occurs in names of steps
 
@@ -69,7 +47,7 @@ class ProcedureMachine:
             self.model,
             states=_states(),
             transitions=_transitions(),
-            initial="idle",
+            initial=IDLE,
             auto_transitions=False,
             send_event=True,
         )
@@ -110,7 +88,7 @@ def _all_met(event: Any) -> bool:
 
 def _states() -> list[Any]:
     nested = [{"name": phase, "children": list(steps)} for phase, steps in PHASES.items()]
-    return ["idle", *nested, *ENDS]
+    return [IDLE, *nested, *ENDS]
 
 
 def _transitions() -> list[dict[str, Any]]:
@@ -124,7 +102,7 @@ def _transitions() -> list[dict[str, Any]]:
         }
         for step in steps
     ]
-    running = ["idle", *(state_of(step) for step in steps)]
+    running = [IDLE, *(state_of(step) for step in steps)]
     rows.append({"trigger": "finish", "source": state_of("retreat"), "dest": "finished"})
     rows.append({"trigger": "fail", "source": running, "dest": "fault"})
     rows.append({"trigger": "abort", "source": running, "dest": "aborted"})
@@ -133,7 +111,7 @@ def _transitions() -> list[dict[str, Any]]:
 
 def mermaid() -> str:
     """The state chart as mermaid text, generated from the machine's own tables."""
-    lines = ["stateDiagram-v2", "  [*] --> idle"]
+    lines = ["stateDiagram-v2", f"  [*] --> {IDLE}"]
     for phase, steps in PHASES.items():
         lines.append(f"  state {phase} {{")
         lines.extend(f"    {step}" for step in steps)

@@ -1,7 +1,8 @@
 import pytest
 from transitions import MachineError
 
-from procedures.engine.machine import PHASES, ProcedureMachine, mermaid, state_of
+from procedures.engine.machine import ProcedureMachine, mermaid, state_of
+from procedures.engine.order import PHASES, sequence_of
 
 
 def test_steps_follow_each_other_only_in_the_order_of_the_chart() -> None:
@@ -18,28 +19,24 @@ def test_a_step_with_unmet_preconditions_is_not_entered() -> None:
     assert machine.state == "idle"
 
 
-def test_localizations_repeat_for_each_trajectory_and_none_comes_after_the_tool_change() -> None:
+@pytest.mark.parametrize("trajectories", [("T1",), ("T1", "T2", "T3")])
+def test_the_sequence_of_a_case_leads_through_the_chart_to_its_end(trajectories: tuple[str, ...]) -> None:
     machine = ProcedureMachine()
-    for step in (
-        "ct_import",
-        "fiducial_localization",
-        "plan_check",
-        "set_up",
-        "global_localization",
-        "correspondence",
-        "path_check",
-        "relocalization",
-        "registration",
-        "relocalization",
-        "registration",
-        "tool_change",
-    ):
-        assert machine.begin(step, ())
-    assert not machine.may_follow("relocalization")
-    for step in ("positioning", "at_target", "retreat", "positioning", "at_target", "retreat"):
-        assert machine.begin(step, ())
+    for key in sequence_of(trajectories):
+        assert machine.begin(key.name, ())
     machine.finish()
     assert machine.state == "finished"
+
+
+def test_every_trajectory_is_registered_before_the_tool_change_and_none_after_it() -> None:
+    names = [str(key) for key in sequence_of(("T1", "T2"))]
+    exchanged = names.index("tool_change")
+    assert max(names.index("registration:T1"), names.index("registration:T2")) < exchanged
+    assert exchanged < min(names.index("positioning:T1"), names.index("positioning:T2"))
+    machine = ProcedureMachine()
+    for key in sequence_of(("T1", "T2"))[: exchanged + 1]:
+        machine.begin(key.name, ())
+    assert not machine.may_follow("relocalization")
 
 
 @pytest.mark.parametrize("step", [step for steps in PHASES.values() for step in steps])

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.engine.machine import PREDECESSORS
+from procedures.engine.order import PREDECESSORS
 from sim.errors import BadFaultScript
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.faults import (
