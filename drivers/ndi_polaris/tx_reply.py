@@ -10,20 +10,28 @@ from ronna_hw.devices.readings import Vector3
 from ronna_hw.wire.polaris import (
     LF,
     MAXIMUM_STRAYS,
+    REPLY_DISABLED,
+    REPLY_MISSING,
+    REPLY_UNOCCUPIED,
+    TX_ERROR_CHARACTERS,
     TX_ERROR_SCALE,
+    TX_FRAME_DIGITS,
+    TX_PORT_STATUS_DIGITS,
     TX_POSITION_CHARACTERS,
     TX_POSITION_SCALE,
+    TX_QUATERNION_CHARACTERS,
     TX_QUATERNION_SCALE,
     TX_SYSTEM_STATUS_DIGITS,
 )
 
-_QUATERNION = r"([+-][0-9]{5})"
-_POSITION = r"([+-][0-9]{6})"
-_HEX8 = r"([0-9A-F]{8})"
-_VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _QUATERNION + _HEX8 * 2)
-_MISSING = re.compile("MISSING" + _HEX8 * 2)
+_QUATERNION = rf"([+-][0-9]{{{TX_QUATERNION_CHARACTERS - 1}}})"
+_POSITION = rf"([+-][0-9]{{{TX_POSITION_CHARACTERS - 1}}})"
+_ERROR = rf"([+-][0-9]{{{TX_ERROR_CHARACTERS - 1}}})"
+_STATUS_AND_FRAME = rf"([0-9A-F]{{{TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{TX_FRAME_DIGITS}}})"
+_VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _ERROR + _STATUS_AND_FRAME)
+_MISSING = re.compile(REPLY_MISSING + _STATUS_AND_FRAME)
 # Clients differ on whether a disabled or empty handle carries status and frame: both are accepted.
-_ABSENT = re.compile(f"(DISABLED|UNOCCUPIED)(?:{_HEX8 * 2})?")
+_ABSENT = re.compile(f"({REPLY_DISABLED}|{REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
 _HEX2 = re.compile("[0-9A-F]{2}")
 _STATUS = re.compile(f"[0-9A-F]{{{TX_SYSTEM_STATUS_DIGITS}}}")
 _HEX = re.compile("[0-9A-F]*")
@@ -77,7 +85,7 @@ def _handle(record: str, text: str) -> HandleReport:
             frame=int(match[2], 16),
         )
     if match := _ABSENT.fullmatch(content):
-        state = HandleState.DISABLED if match[1] == "DISABLED" else HandleState.UNOCCUPIED
+        state = HandleState.DISABLED if match[1] == REPLY_DISABLED else HandleState.UNOCCUPIED
         return HandleReport(number, state)
     raise _malformed(f"TX record of handle {number:02X} has an unknown form", text)
 

@@ -15,7 +15,6 @@ from ronna_hw.wire.polaris import (
 )
 
 PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the shape whose formula is known
-NO_CAP_MM = 9999.99
 SLOPE_PER = 1000.0  # slopes are sent per 1000
 
 _DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")

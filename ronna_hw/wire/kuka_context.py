@@ -41,7 +41,6 @@ POSCORRMON_DEFAULT_MAX_ROTATION_DEG = 6.0
 
 Channel = Annotated[int, Field(ge=1, le=CHANNELS)]
 ElementType = Literal["BOOL", "STRING", "LONG", "DOUBLE"]
-AxisName = Literal["A1", "A2", "A3", "A4", "A5", "A6"]
 SixDegrees = Annotated[tuple[float, ...], Field(min_length=AXES, max_length=AXES)]
 
 

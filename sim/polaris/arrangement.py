@@ -20,7 +20,6 @@ from sim.theatre.world import ArmState
 Vectors = NDArray[np.float64]
 
 SUNLIGHT_NOISE = 2.0  # by which ambient infrared light worsens the noise; no source, an estimate
-_NOTHING = np.empty((0, 3))
 
 
 @dataclass(frozen=True)
