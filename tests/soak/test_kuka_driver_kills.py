@@ -6,21 +6,20 @@ from __future__ import annotations
 
 import random
 import signal
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import radians
 from pathlib import Path
 
 import pytest
-from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.free_port import free_udp_port
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600), pytest.mark.hazard(30)]
 
@@ -50,12 +49,21 @@ while True:
 
 @pytest.fixture
 def endpoints() -> Iterator[dict[str, str]]:
-    rsi = f"udp://127.0.0.1:{free_udp_port()}"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        rsi = f"udp://127.0.0.1:{probe.getsockname()[1]}"
     free = "tcp://127.0.0.1:0"
     arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
     with ChildProcess("ronna-sim kuka", arguments) as child:
         yield {"rsi": rsi, "eki_project": child.ready["endpoints"]["eki_project"]}
         assert child.alive
+
+
+def _eventually(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_killed_at_random_moments_the_arm_rests_and_the_next_program_goes_on(
@@ -70,7 +78,7 @@ def test_killed_at_random_moments_the_arm_rests_and_the_next_program_goes_on(
             time.sleep(chance.random() * LONGEST_LIFE_S)
             program.send_signal(signal.SIGKILL)
             program.wait()
-        eventually(lambda pid=link_pid: not Path(f"/proc/{pid}").exists())  # type: ignore[misc]
+        _eventually(lambda pid=link_pid: not Path(f"/proc/{pid}").exists())  # type: ignore[misc]
         _look_after(endpoints)
 
 
@@ -79,7 +87,7 @@ def _look_after(endpoints: dict[str, str]) -> None:
     arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
     try:
         arm.connect()
-        eventually(lambda: not arm.controller.state().moving)
+        _eventually(lambda: not arm.controller.state().moving)
         rest = arm.read_state().joints_rad
         assert arm.controller.state().error == 0  # ended by its STOP object, not by the Timeout
         arm.configure()
