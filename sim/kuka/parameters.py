@@ -34,7 +34,9 @@ class ControllerParameters:
     ipo_filter_s: Annotated[
         float, "First-order filter of corrections in a 12 ms run (#IPO); 0 is none. #IPO_FAST has none."
     ] = 0.012
-    readout_step_deg: Annotated[float, "Step in which axes are measured and told; 0 is none."] = 0.0001
+    readout_step_deg: Annotated[
+        float, "Step in which axes are measured; 0: finer than the digits in which they are told."
+    ] = 0.0
     rest_error_deg: Annotated[float, "Nearer than this to its command the servo has arrived."] = 0.0005
     # One held value after one lost reply at 1/8 of full speed is a step of 2/8, which passes.
     step_share: Annotated[

@@ -89,6 +89,7 @@ class RsiRun:
         self._counting = not settings.counts_from_first_reply and not context.ethernet.only_send
         self._cycles = 0
         self._parameters = parameters
+        self._acts_early = parameters.corrections_act == "rsi_on"
         behind = parameters.delay_lag_cycles + 1
         self._delays = deque([0] * behind, maxlen=behind)  # what D tells now and is still to tell
         self._timeout = context.ethernet.timeout_packets
@@ -171,7 +172,7 @@ class RsiRun:
     def finish(self, reply: Reply | None) -> None:
         """End the cycle with the reply that came, or without one; sets `over` when the run ends."""
         self._cycles += 1
-        if not self.streams:
+        if not self._told_once and not self.streams:
             self._enter_movecorr()
             return
         self._told_once = True
@@ -191,9 +192,11 @@ class RsiRun:
         values = self._outputs.take(reply.values if reply is not None else None)
         if self._flow.stop_rises(values) and not self._stop_asked():
             return
-        if self._acts:
+        acts = self.state is RsiState.MOVECORR
+        if acts or (self._acts_early and not self._held):
             self._correct(values, heard=reply is not None)
-        self._enter_movecorr()
+        if not acts:
+            self._enter_movecorr()
 
     def hold(self) -> None:
         """The program is stopped but not cancelled: it keeps streaming, corrections act no more."""
@@ -223,16 +226,9 @@ class RsiRun:
         """True after `hold`."""
         return self._held
 
-    @property
-    def _acts(self) -> bool:
-        return self.state is RsiState.MOVECORR or (
-            self._parameters.corrections_act == "rsi_on" and not self._held
-        )
-
     def _enter_movecorr(self) -> None:
-        if self.state is RsiState.MOVECORR or self._held or not self._confirmed:
-            return
-        if self._cycles >= self._parameters.movecorr_after_cycles:
+        waited = self._cycles >= self._parameters.movecorr_after_cycles
+        if waited and self._confirmed and not self._held:
             self.state = RsiState.MOVECORR
 
     def _delay(self) -> int:
