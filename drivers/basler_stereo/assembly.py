@@ -51,6 +51,7 @@ class StreamCounters:
     resend_requests: int = 0
     frames: int = 0
     incomplete_frames: int = 0
+    refusals: int = 0  # of packets that were asked for again: the camera has not got them
 
 
 @dataclass
@@ -203,6 +204,7 @@ class FrameAssembler:
     def _take(self, block: _Block, header: PacketHeader, content: memoryview) -> None:
         packet_id = header.packet_id
         if header.status in _GONE:
+            self.counters.refusals += 1
             # until the trailer came, "unavailable" may only mean "not yet"
             if block.came[self._trailer_id]:
                 block.gone.add(packet_id)

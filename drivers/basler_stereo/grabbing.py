@@ -24,6 +24,7 @@ PARTNER_LIMIT_S = 2.0  # for the second image of a pair after the first has come
 PATIENCE_S = 0.1  # beyond the exposure, until an image of which nothing came is asked for
 FIRST_TRY_SHARE = 0.6  # of the time limit, for the first of two triggers
 SHORTEST_LIMIT_FOR_TWO_S = 1.0  # with less there is one
+NOT_TAKEN = "Connect again to set their triggers anew; where they are still busy then, grab less often."
 NO_PULSE = "Check what pulses the trigger line, and its wiring to the input Line1 of both cameras."
 
 Frames = tuple[Frame | None, Frame | None]
@@ -165,15 +166,19 @@ class PairGrabber:
                 raise camera.lost
             camera.check_control(time.monotonic() + ALIVE_LIMIT_S)
         if frames == (None, None):
-            pulsed = self._options.trigger == "line1"
-            raise TriggerMissed(
-                "no pulse came on the trigger line" if pulsed else "no image after a trigger",
-                awaited="an image from either camera",
-                last="packets came, no whole image"
-                if any(camera.receiver.begun for camera in self._cameras)
-                else "not one packet",
-                action=NO_PULSE if pulsed else None,
-            )
+            raise self._missed()
+
+    def _missed(self) -> TriggerMissed:
+        """Neither camera sent an image: what is known about the reason."""
+        awaited = "an image from either camera"
+        if self._options.trigger == "line1":
+            return TriggerMissed("no pulse came on the trigger line", awaited=awaited, action=NO_PULSE)
+        if any(camera.receiver.begun for camera in self._cameras):
+            return TriggerMissed("no whole image after a trigger", awaited=awaited, last="some packets of it")
+        if any(camera.receiver.counters.refusals for camera in self._cameras):
+            said = "the cameras say that they have none"
+            return TriggerMissed("no image after a trigger", awaited=awaited, last=said, action=NOT_TAKEN)
+        return TriggerMissed("no image after a trigger", awaited=awaited, last="not one packet")
 
     def _reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
         match, moments_s = self._match(frames, triggered_s)

@@ -113,8 +113,9 @@ class StreamReceiver:
 
     @property
     def begun(self) -> bool:
-        """True when any packet came since the stream was opened."""
-        return self.counters.packets > 0
+        """True when any packet of an image came since the stream was opened."""
+        counters = self.counters
+        return counters.packets > counters.refusals
 
     def expect(self, block_id: int, patience_s: float) -> None:
         """A block was triggered; have it asked for when nothing of it has come after `patience_s`."""

@@ -15,7 +15,7 @@ from drivers.basler_stereo.assembly import Frame, StreamCounters
 from drivers.basler_stereo.gvsp import Leader
 
 SLOTS = 32  # more than may be received at a time; the others are whole and wait a third of a second
-_COUNTERS = struct.Struct("<6Q")
+_COUNTERS = struct.Struct("<7Q")
 _WORD = struct.Struct("<Q")
 _USES_AT = 64
 _DATA_AT = mmap.PAGESIZE
@@ -83,6 +83,7 @@ class FrameSlots:
             counters.resend_requests,
             counters.frames,
             counters.incomplete_frames,
+            counters.refusals,
         )
 
     def counters(self) -> StreamCounters:

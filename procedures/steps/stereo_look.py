@@ -73,7 +73,7 @@ def look(context: StepContext) -> Look:
         raise PairNotUsable(
             "no pair of images can be used",
             limit=f"{1 + FURTHER_TRIES} pairs in a row",
-            last=f"the pair is {reading.validity}",
+            last=f"the pair is {reading.validity}: {_sides(reading)}",
         )
     images = (_placed(reading.left), _placed(reading.right))
     try:
@@ -85,6 +85,11 @@ def look(context: StepContext) -> Look:
         rims = f"{seen.left.rim_fraction:.0%} left, {seen.right.rim_fraction:.0%} right"
         problem = NotTrusted(seen.doubt, last=f"rim in view {rims}")
     return Look(reading, seen.left, seen.right, seen.point, problem)
+
+
+def _sides(reading: StereoReading) -> str:
+    sides = (("left", reading.left), ("right", reading.right))
+    return ", ".join(f"{name} {image.validity if image else 'no image'}" for name, image in sides)
 
 
 def _placed(image: CameraImage) -> AreaImage:

@@ -113,9 +113,16 @@ def test_one_camera_that_misses_a_trigger_leaves_the_other_unpaired(cameras):
 def test_a_trigger_that_reaches_nobody_is_told(cameras):
     pair = cameras.streaming()
     cameras.fault("miss triggers both")
-    with pytest.raises(TriggerMissed, match="GEV-013"):
-        pair.grab_pair(0.5)
+    with pytest.raises(TriggerMissed, match=r"GEV-013.*they have none\. Connect again"):
+        pair.grab_pair(2.0)
     assert pair.state is Lifecycle.ACTIVE
+
+
+def test_images_that_the_network_swallows_are_told_from_triggers_that_nobody_took(cameras):
+    pair = cameras.streaming(resend=False)
+    cameras.fault("omit frames both")
+    with pytest.raises(TriggerMissed, match=r"GEV-013.*not one packet.*firewall"):
+        pair.grab_pair(2.0)
 
 
 @pytest.mark.hazard(25)

@@ -58,5 +58,5 @@ def test_a_copy_is_not_changed_by_later_frames(sides):
 
 def test_counters_are_seen_by_the_other_side(sides):
     writer, reader = sides
-    writer.write_counters(StreamCounters(1, 2, 3, 4, 5, 6))
-    assert reader.counters() == StreamCounters(1, 2, 3, 4, 5, 6)
+    writer.write_counters(StreamCounters(1, 2, 3, 4, 5, 6, 7))
+    assert reader.counters() == StreamCounters(1, 2, 3, 4, 5, 6, 7)
