@@ -20,6 +20,8 @@ from ronna_hw.wire.kuka_eki import (
     StateAttribute,
 )
 
+IN_A_CONTEXT = "a context of the same telegrams, Type, wiring, limits, HOLDON, Timeout and Precision"
+
 
 @dataclass(frozen=True)
 class ControllerState:
@@ -90,7 +92,10 @@ def require_ours(state: ControllerState, context: RsiContext, variant: ArmVarian
         if said is not None and said != awaited
     ]
     if wrong:
-        raise WrongController("the controller is not set up for this driver: " + "; ".join(wrong))
+        raise WrongController(
+            "the controller is not set up for this driver: " + "; ".join(wrong),
+            awaited=IN_A_CONTEXT if state.context_hash not in (None, context_hash(context)) else None,
+        )
     return tuple(name for name, _, said in facts if said is None)
 
 

@@ -242,7 +242,10 @@ class WrongController(ConnectError):
     """The controller runs another context, cycle, mode or arm than the driver was made for."""
 
     code = "EKI-005"
-    action = "Load the files of drivers/kuka_rsi/controller on the controller, or correct option variant."
+    action = (
+        "Load the files of drivers/kuka_rsi/controller on the controller, or correct the options variant, "
+        "cycle_ms and context."
+    )
 
 
 class Unverified(ConnectError):

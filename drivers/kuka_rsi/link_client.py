@@ -194,8 +194,9 @@ class LinkClient:
         if state is None:
             raise LinkNotStarted(f"the real-time process for {where} says nothing", limit=f"{timeout_s:g} s")
         if state.phase is Phase.FAILED:
-            reason = f"cannot listen on {where}: {os.strerror(state.errno)}"
-            if state.errno == errno.EADDRNOTAVAIL:
+            known = os.strerror(state.errno) if state.errno > 0 else "there is no such address"
+            reason = f"cannot listen on {where}: {known}"
+            if state.errno <= 0 or state.errno == errno.EADDRNOTAVAIL:
                 raise LinkNotStarted(reason, awaited="an address of this computer", action=GIVE_OUR_ADDRESS)
             raise LinkNotStarted(reason)
 

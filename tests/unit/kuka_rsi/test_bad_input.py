@@ -38,11 +38,17 @@ def _configured(arm: Any) -> Any:
     return arm
 
 
-def test_an_address_that_is_not_this_computers_is_told_when_the_port_is_taken(controller: Any) -> None:
-    endpoints = {"rsi": "udp://203.0.113.7:59152", "eki_project": f"tcp://127.0.0.1:{controller.eki_port}"}
+@pytest.mark.parametrize(
+    ("host", "reason"),
+    [("203.0.113.7", "Cannot assign requested address"), ("nowhere.invalid", "there is no such address")],
+)
+def test_an_address_that_is_not_this_computers_is_told_when_the_port_is_taken(
+    controller: Any, host: str, reason: str
+) -> None:
+    endpoints = {"rsi": f"udp://{host}:59152", "eki_project": f"tcp://127.0.0.1:{controller.eki_port}"}
     arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
     arm.connect()
-    with pytest.raises(LinkNotStarted, match=r"203.0.113.7.*Cannot assign requested address") as caught:
+    with pytest.raises(LinkNotStarted, match=f"{host}.*{reason}") as caught:
         arm.configure()
     assert "subnet of the controller's RSI interface" in caught.value.advice
     arm.close()
