@@ -75,7 +75,7 @@ class RonnaError(Exception):
         if self.wire:
             parts.append(f"last bytes {self.wire.hex(' ')}")
         line = "; ".join(parts)
-        return f"{line}. {self.advice}" if self.advice else line
+        return f"{line.removesuffix('.')}. {self.advice}" if self.advice else line
 
 
 class ConfigurationError(RonnaError):
