@@ -69,20 +69,9 @@ class PairGrabber:
 
         Once more when neither camera sent an image, or the images are not of one moment, as happens when
         the computer stalls between the two commands. After a pair that is not whole the streams begin
-        anew, so that a late image is never taken for one of the next trigger. A camera that does not
-        answer is waited for: it stays ours until its heartbeat time-out. Raises GEV-007 when it is silent to
-        the deadline, GEV-014 when it is silent for longer than that time-out; GEV-013, GEV-015, GEV-017.
+        anew, so that a late image is never taken for one of the next trigger. Raises GEV-007, GEV-013 to
+        GEV-015, GEV-017.
         """
-        while True:
-            try:
-                return self._grab_twice(sequence, deadline_s)
-            except NoAnswer:
-                self._out_of_step = True  # the trigger may have acted on the other side
-                if time.monotonic() >= deadline_s:
-                    raise
-                self._await_answers(deadline_s)
-
-    def _grab_twice(self, sequence: int, deadline_s: float) -> StereoReading:
         limit_s = deadline_s - time.monotonic()
         twice = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
         if twice:
@@ -94,8 +83,11 @@ class PairGrabber:
                 pass  # the command or every packet was lost, or the camera was busy
         return self._grab(sequence, deadline_s)
 
-    def _await_answers(self, deadline_s: float) -> None:
-        """Return when both cameras answer again. Whether one is gone is for its heartbeat to say."""
+    def await_answers(self, deadline_s: float) -> None:
+        """Return when both cameras answer again.
+
+        Whether one is gone is for its heartbeat to say: raises GEV-014, GEV-015, at the deadline GEV-007.
+        """
         for camera in self._cameras:
             while True:
                 if camera.lost is not None:
@@ -115,12 +107,14 @@ class PairGrabber:
         for camera in self._cameras:
             camera.expect_next(PATIENCE_S + self.exposure_us * 1e-6)
         triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
+        self._out_of_step = True  # until it is known what became of the trigger
         self._trigger(deadline_s)
         frames = self._collect(deadline_s)
         self.block_ids = tuple(frame.block_id if frame else None for frame in frames)  # type: ignore[assignment]
+        # a line without a pulse is no reason to miss the next one
+        no_pulse = self._options.trigger == "line1" and frames == (None, None)
+        self._out_of_step = None in frames and not no_pulse
         if None in frames:
-            # a line without a pulse is no reason to miss the next one
-            self._out_of_step = self._options.trigger != "line1" or frames != (None, None)
             self._explain_absence(frames)
         return self._reading(frames, sequence, triggered_s)
 

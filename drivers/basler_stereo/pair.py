@@ -36,7 +36,11 @@ T = TypeVar("T")
 
 
 class BaslerStereoPair:
-    """Calls are synchronous; one thread at a time. Time limits are host time, in seconds."""
+    """Calls are synchronous; one thread at a time. Time limits are host time, in seconds.
+
+    A camera that falls silent is waited for within the time limit, and what was under way is done anew: it
+    remains ours until its heartbeat time-out, so a short absence costs time only.
+    """
 
     wire_protocol = "gige-vision"  # which byte-level conformance cases apply
 
@@ -135,16 +139,18 @@ class BaslerStereoPair:
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start both streams; the cameras then wait for triggers."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
-        self._watched(lambda: self._streams.begin(time.monotonic() + timeout_s))
+        deadline_s = time.monotonic() + timeout_s
+        self._watched(lambda: self._streams.begin(deadline_s), deadline_s)
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop both streams; control is kept."""
         self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
-        self._watched(lambda: self._streams.end(time.monotonic() + timeout_s))
+        deadline_s = time.monotonic() + timeout_s
+        self._watched(lambda: self._streams.end(deadline_s), deadline_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
-    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
         """Choose the part of each sensor to read; raises GEV-011 with both cameras as they were.
 
         A running stream is stopped for it and started again; its block ids begin anew.
@@ -152,10 +158,11 @@ class BaslerStereoPair:
         self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         if (left, right) == self.areas:
             return
-        self._watched(lambda: self._change_areas((left, right), time.monotonic() + timeout_s))
+        deadline_s = time.monotonic() + timeout_s
+        self._watched(lambda: self._change_areas((left, right), deadline_s), deadline_s)
         self._areas = (left, right)
 
-    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         """Set both cameras alike; raises GEV-011."""
         self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         deadline_s = time.monotonic() + timeout_s
@@ -164,7 +171,7 @@ class BaslerStereoPair:
             for camera in self._pair:
                 camera.set_exposure(exposure_us, gain_raw, deadline_s)
 
-        self._watched(change)
+        self._watched(change, deadline_s)
         self._exposure = (exposure_us, gain_raw)
         self._streams.exposure_us = exposure_us
 
@@ -177,14 +184,13 @@ class BaslerStereoPair:
         still nothing. After a pair that is not whole the streams begin anew, so that a late image is never
         taken for that of the next trigger.
 
-        A camera that falls silent is waited for, since it remains ours until its heartbeat time-out: a short
-        absence costs time only. Raises GEV-007 when it is silent up to `timeout_s`; ask again then. Raises,
-        with FAULT latched, GEV-014 (a camera is silent beyond its heartbeat time-out), GEV-015 (control
-        lost) or GEV-017 (our reception ended).
+        Raises GEV-007 when a camera is silent up to `timeout_s`; ask again then. Raises, with FAULT latched,
+        GEV-014 (a camera is silent beyond its heartbeat time-out), GEV-015 (control lost) or GEV-017 (our
+        reception ended).
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
         deadline_s = time.monotonic() + timeout_s
-        return self._watched(lambda: self._grab(deadline_s), silence_is_loss=False)
+        return self._watched(lambda: self._grab(deadline_s), deadline_s, leaves_settings=True)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED by a new session with the same cameras, areas and exposure.
@@ -225,16 +231,22 @@ class BaslerStereoPair:
         assert self._grabber is not None, "the lifecycle allows this call only with controlled cameras"
         return self._grabber
 
-    def _watched(self, work: Callable[[], T], *, silence_is_loss: bool = True) -> T:
-        """Do one piece of work; a camera that is gone or no longer ours latches FAULT.
+    def _watched(self, work: Callable[[], T], deadline_s: float, *, leaves_settings: bool = False) -> T:
+        """Do one piece of work, again after a silence; a camera that is gone or no longer ours latches FAULT.
 
-        So does one that does not answer while it is being set: nobody knows what it has taken.
+        So does one that stays silent while it is being set: nobody knows what it has taken.
         """
         try:
-            for camera in self._pair:
-                if camera.lost is not None:
-                    raise camera.lost
-            return work()
+            while True:
+                for camera in self._pair:
+                    if camera.lost is not None:
+                        raise camera.lost
+                try:
+                    return work()
+                except NoAnswer:
+                    if time.monotonic() >= deadline_s:
+                        raise
+                    self._streams.await_answers(deadline_s)
         except _FAULTS as fault:
             self._guard.latch(fault)
             raise
@@ -245,7 +257,7 @@ class BaslerStereoPair:
             self._guard.latch(taken)
             raise taken from error
         except NoAnswer as error:
-            if not silence_is_loss:
+            if leaves_settings:
                 raise
             lost = CameraLost("a camera no longer answers", last=error.what)
             self._guard.latch(lost)
@@ -293,13 +305,16 @@ class BaslerStereoPair:
         try:
             for camera, area in zip(self._pair, areas, strict=True):
                 camera.set_area(area, deadline_s)
+        except NoAnswer:
+            raise  # nothing more can be asked of that camera now
         except RonnaError:
             for camera, area in zip(self._pair, before, strict=True):
                 camera.set_area(area, deadline_s)
-            raise
-        finally:
             if running:
                 self._streams.begin(deadline_s)
+            raise
+        if running:
+            self._streams.begin(deadline_s)
 
     def _grab(self, deadline_s: float) -> StereoReading:
         reading = self._streams.grab(self._sequence + 1, deadline_s)

@@ -112,7 +112,7 @@ class PylonStereoPair:
         self._end()
         self._guard.enter(Lifecycle.CONFIGURED)
 
-    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
         """Choose the part of each sensor to read; raises GEV-011 with both cameras as they were."""
         self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         before, running = self.areas, self.state is Lifecycle.ACTIVE
@@ -128,7 +128,7 @@ class PylonStereoPair:
                 self._begin()
         self._areas = (left, right)
 
-    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         """Set both cameras alike; raises GEV-011."""
         self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         for camera in self._pair:

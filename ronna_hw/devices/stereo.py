@@ -17,11 +17,11 @@ class StereoPair(Device, Protocol):
         """Serial numbers read from the cameras, left and right."""
         ...
 
-    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
         """Choose the part of each sensor to read; the stream is re-armed when it was running."""
         ...
 
-    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         """Set both cameras alike; values outside the device's limits raise LimitError."""
         ...
 

@@ -80,14 +80,14 @@ class IdealPair:
         self.guard.require("deactivate", {Lifecycle.ACTIVE})
         self.guard.enter(Lifecycle.CONFIGURED)
 
-    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
         self.guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         for area in (left, right):
             if area.offset_x + area.width > FULL.width or area.offset_y + area.height > FULL.height:
                 raise LimitError("beyond the sensor")
         self.areas = (left, right)
 
-    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         if not 0.0 < exposure_us <= LONGEST_EXPOSURE_US:
             raise LimitError("no such exposure")
 

@@ -20,7 +20,7 @@ from drivers.basler_stereo.errors import (
 from drivers.basler_stereo.finding import find_cameras
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import Validity
+from ronna_hw.devices.readings import AreaOfInterest, Validity
 
 SILENT_SIDE_S = 5.0  # waited for in vain; the other side needs its time on a busy computer
 
@@ -190,6 +190,17 @@ def test_an_absence_that_begins_during_a_grab_costs_time_only(cameras):
     cameras.fault("unplug right for 2 s")  # longer than a command is repeated
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
     assert pair.block_ids == (1, 1)  # the streams were begun anew
+    assert pair.state is Lifecycle.ACTIVE
+
+
+@pytest.mark.hazard(4)
+def test_an_absence_that_begins_while_areas_are_set_costs_time_only(cameras):
+    pair = cameras.streaming(heartbeat_ms=10_000)
+    part = AreaOfInterest(896, 416, 128, 128)
+    cameras.fault("unplug right for 2 s")
+    pair.set_areas(AREA, part, LIMIT_S)
+    reading = pair.grab_pair(LIMIT_S)
+    assert (reading.left.area, reading.right.area) == (AREA, part)
     assert pair.state is Lifecycle.ACTIVE
 
 

@@ -52,11 +52,14 @@ def test_a_camera_whose_power_went_latches_a_fault(pair, peers):
     assert pair.state is Lifecycle.FAULT
 
 
-def test_a_camera_that_does_not_answer_while_it_is_set_is_a_fault(pair, peers):
+def test_settings_that_may_have_been_taken_or_not_are_a_fault(make_pair, peers):
+    device = make_pair(heartbeat_ms=60_000)
+    device.connect(HANG_LIMIT_S)
+    device.configure(HANG_LIMIT_S)
     peers[1].fault("mute")
-    with pytest.raises(CameraLost, match="GEV-014"):
-        pair.set_exposure(500.0, 40)
-    assert pair.state is Lifecycle.FAULT
+    with pytest.raises(CameraLost, match=f"GEV-014.*{peers[1].address}: no answer"):
+        device.set_exposure(500.0, 40, 0.5)
+    assert device.state is Lifecycle.FAULT
 
 
 def test_a_camera_that_lets_go_is_noticed_by_the_heartbeat(pair, peers):

@@ -86,7 +86,7 @@ def still_clock(reading: StereoReading) -> StereoReading:
     return altered(reading, stamp=replace(reading.stamp, device_clock=7))
 
 
-def unchecked_areas(self: IdealPair, left: Any, right: Any, timeout_s: float = 2.0) -> None:
+def unchecked_areas(self: IdealPair, left: Any, right: Any, timeout_s: float = 5.0) -> None:
     self.areas = (left, right)
 
 
