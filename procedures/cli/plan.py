@@ -16,14 +16,13 @@ from ronna_hw.command_line.errors import UsageMistake
 if TYPE_CHECKING:
     from procedures.imaging import Volume
     from procedures.planning.check import PlanCheck
-    from procedures.planning.clear_ways import PreviewedWay
+    from procedures.planning.motions import PreviewedMotion
     from procedures.planning.reach import ArmSetting
     from procedures.planning.sight import StereoSight
     from ronna_hw.cell import CellConfig
 
 READING_SHARE = 0.4  # of the work, when the markers are localized too
 SixNumbers = tuple[float, float, float, float, float, float]
-MASTER = "master"  # the arm that carries the tool, by its name in the theatre file
 
 
 class Theatre(NamedTuple):
@@ -55,12 +54,13 @@ def check(
         Path, typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was made on.")
     ],
     markers: Annotated[
-        bool, typer.Option("--markers", help="Localize the markers too: their number, and the ways to them.")
+        bool,
+        typer.Option("--markers", help="Localize the markers too: their number, and the motions to them."),
     ] = False,
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config", metavar="FILE", help="Theatre file: check every way of its arm, with its cell."
+            "--config", metavar="FILE", help="Theatre file: check every motion of its arm, with its cell."
         ),
     ] = None,
     robot_from_ct: Annotated[
@@ -79,9 +79,9 @@ def check(
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
 ) -> None:
-    """Check a plan against its CT series and, when told where the head will be, every way of the arm.
+    """Check a plan against its CT series and, when told where the head will be, every motion of the arm.
 
-    The ways are those that the procedure drives, from home to every target and back;
+    The motions are those of the procedure, from home to every target and back;
     with --markers also those of the stereo head to the markers. They are shown with duration, joint ranges,
     smallest distance and distance from a singularity before anything moves.
 
@@ -100,7 +100,7 @@ def check(
         planned,
         volume,
         fiducials_mm=fiducials_mm,
-        arm=theatre and _in_the_room(theatre, volume, fiducials_mm),
+        arm=theatre and _in_its_scene(theatre, volume, fiducials_mm),
         sight=theatre and theatre.sight,
     )
     for sentence in (*volume.warnings, *result.warnings):
@@ -109,8 +109,8 @@ def check(
         console.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
     elif result.passed:
         _print_trajectories(result)
-        if result.ways:
-            _print_ways(result)
+        if result.motions:
+            _print_motions(result)
     result.require()
 
 
@@ -121,12 +121,13 @@ def _theatre(
     if config is None and robot_from_ct is None and home_deg is None:
         return None
     if config is None or robot_from_ct is None:
-        raise UsageMistake("the ways of the arm need both --config and --robot-from-ct")
+        raise UsageMistake("the motions of the arm need both --config and --robot-from-ct")
     for option, numbers in (("--robot-from-ct", robot_from_ct), ("--home", home_deg or ())):
         if not all(math.isfinite(value) for value in numbers):
             raise UsageMistake(
                 f"{option} needs finite numbers", last=" ".join(f"{value:g}" for value in numbers)
             )
+    from procedures.engine.devices import MASTER
     from procedures.planning.posture import HOME_DEG
     from procedures.planning.reach import ArmSetting
     from procedures.planning.sight import StereoSight
@@ -164,14 +165,15 @@ def _theatre(
     return Theatre(arm, theatre.cell, StereoSight.of(theatre.calibration.stereo_head))
 
 
-def _in_the_room(
+def _in_its_scene(
     theatre: Theatre, volume: Volume, fiducials_mm: list[tuple[float, float, float]] | None
 ) -> ArmSetting:
     """The arm with the head of this CT, its markers and the cell around it. Raises PLAN-014."""
-    from procedures.planning.clear_ways import Room
     from procedures.planning.head_shape import head_shape
+    from procedures.planning.planning_scene import PlanningScene
 
-    return replace(theatre.arm, room=Room(theatre.cell, head_shape(volume), tuple(fiducials_mm or ())))
+    scene = PlanningScene(theatre.cell, head_shape(volume), tuple(fiducials_mm or ()))
+    return replace(theatre.arm, scene=scene)
 
 
 def _read_ct(series_dir: Path, with_markers: bool) -> tuple[Volume, list[tuple[float, float, float]] | None]:
@@ -208,24 +210,25 @@ def _print_trajectories(result: PlanCheck) -> None:
     )
 
 
-def _print_ways(result: PlanCheck) -> None:
+def _print_motions(result: PlanCheck) -> None:
     turned = [f"{name} by {math.degrees(turn):+.0f} deg" for name, turn in result.turns_rad if turn]
     about = f"; turned about its axis: {', '.join(turned)}" if turned else ""
+    duration_s = sum(motion.preview.duration_s for motion in result.motions)
     console.print_table(
-        f"ways of the arm, {sum(way.preview.duration_s for way in result.ways):.0f} s in all{about}",
-        ["from", "to", "way", "s", "smallest distance mm", "head mm", "singularity", "A1..A6 deg"],
-        [_way_row(way) for way in result.ways],
+        f"motions of the arm, {duration_s:.0f} s in all{about}",
+        ["from", "to", "kind", "s", "smallest distance mm", "head mm", "singularity", "A1..A6 deg"],
+        [_motion_row(motion) for motion in result.motions],
     )
 
 
-def _way_row(way: PreviewedWay) -> list[str]:
-    seen = way.preview
+def _motion_row(motion: PreviewedMotion) -> list[str]:
+    seen = motion.preview
     closest, head = seen.closest, seen.nearest_to_head_mm
     ranges = [f"{math.degrees(low):.0f}..{math.degrees(high):.0f}" for low, high in seen.joint_ranges_rad]
     return [
-        way.way.start,
-        way.way.end,
-        way.way.kind,
+        motion.motion.start,
+        motion.motion.end,
+        motion.motion.kind,
         f"{seen.duration_s:.1f}",
         "-" if closest is None else f"{closest.distance_mm:.0f} {closest.first}, {closest.second}",
         "-" if head is None else f"{head:.0f}",

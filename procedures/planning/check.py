@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from procedures.planning.errors import (
     FiducialsNotYet,
@@ -26,9 +26,12 @@ from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
-    from procedures.planning.clear_ways import PreviewedWay
+    from procedures.planning.motions import PreviewedMotion
     from procedures.planning.reach import ArmSetting
     from procedures.planning.sight import StereoSight
+
+Array = NDArray[np.float64]
+Judged = tuple[list[RonnaError], list[str]]  # findings, warnings
 
 WITHIN_ROUNDING_MM = 0.5  # what the check of a path leaves open between two samples
 FEWEST_THAT_TELL_A_MOVE = 4  # with three, one that moved cannot be told from the others
@@ -39,14 +42,14 @@ KNOWN_TOOLS = ("guide",)  # the calibration records of a theatre know this one o
 class PlanCheck:
     """What a check found: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
 
-    `ways` are all motions of the procedure as the arm would drive them, when it was given and reaches all.
+    `motions` are those of the whole procedure as the arm would drive them, when it was given and reaches all.
     `turns_rad` say by trajectory how far it was turned about its axis for that.
     """
 
     plan: Plan
     findings: tuple[RonnaError, ...]
     warnings: tuple[str, ...]
-    ways: tuple[PreviewedWay, ...] = ()
+    motions: tuple[PreviewedMotion, ...] = ()
     turns_rad: tuple[tuple[str, float], ...] = ()
 
     @property
@@ -69,7 +72,7 @@ class PlanCheck:
             ],
             "findings": [{"code": one.code, "what": one.what, "action": one.advice} for one in self.findings],
             "warnings": list(self.warnings),
-            "ways": [way.as_payload() for way in self.ways],
+            "motions": [motion.as_payload() for motion in self.motions],
             "free_angle_turns_rad": dict(self.turns_rad),
         }
 
@@ -85,28 +88,49 @@ def check_plan(
     """Check a plan against its CT series, and against the fiducials (n, 3) in LPS mm and the arm if given.
 
     With `sight` the arm may turn trajectories about their axes, as the procedure does, so that the stereo
-    head sees the fiducials and all ways are clear.
+    head sees the fiducials and all motions are clear.
 
     Never raises for a wrong plan: all findings come back together; `PlanCheck.require` raises them.
     """
     findings: list[RonnaError] = _unknown(plan)
     warnings: list[str] = []
+    for found, warned in (_in_this_series(plan, volume), _this_patient(plan, volume)):
+        findings += found
+        warnings += warned
+    if fiducials_mm is not None:
+        found, warned = _these_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
+        findings += found
+        warnings += warned
+    motions: tuple[PreviewedMotion, ...] = ()
+    turns: tuple[tuple[str, float], ...] = ()
+    if arm is not None:
+        refused, motions, turns = _driven(plan, fiducials_mm, arm, sight)
+        findings += refused
+        warnings += _too_near_from_the_start(motions)
+    return PlanCheck(plan, tuple(findings), tuple(warnings), motions, turns)
+
+
+def _in_this_series(plan: Plan, volume: Volume) -> Judged:
+    """The plan belongs to this series, and every trajectory leads into the head that it shows."""
     if plan.series_instance_uid != volume.series_instance_uid:
-        findings.append(
-            WrongSeries(
-                "the plan belongs to another CT series",
-                awaited=plan.series_instance_uid,
-                last=volume.series_instance_uid,
-            )
+        wrong = WrongSeries(
+            "the plan belongs to another CT series",
+            awaited=plan.series_instance_uid,
+            last=volume.series_instance_uid,
         )
-    else:
-        outside = _outside(plan, volume)
-        findings += outside
-        if not outside:
-            for one in plan.trajectories:
-                finding, warning = way_into_head(volume, one)
-                findings += [finding] if finding else []
-                warnings += [warning] if warning else []
+        return [wrong], []
+    findings = _outside(plan, volume)
+    if findings:
+        return findings, []
+    into_head = [way_into_head(volume, one) for one in plan.trajectories]
+    findings += [finding for finding, _ in into_head if finding]
+    return findings, [warning for _, warning in into_head if warning]
+
+
+def _this_patient(plan: Plan, volume: Volume) -> Judged:
+    """The patient lay as the plan says, with enough fiducials to notice one that moves."""
+    findings: list[RonnaError] = []
+    warnings: list[str] = []
     if not volume.patient_position:
         warnings.append("the series does not say how the patient lay; compare left and right by eye")
     elif volume.patient_position != plan.patient_orientation.value:
@@ -119,33 +143,27 @@ def check_plan(
         )
     if plan.implanted < FEWEST_THAT_TELL_A_MOVE:
         warnings.append(f"{plan.implanted} fiducials: one that moves cannot be found out")
-    if fiducials_mm is not None:
-        points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
-        if len(points) != plan.implanted:
-            findings.append(
-                WrongMarkerCount(
-                    "the CT shows another number of fiducials",
-                    awaited=str(plan.implanted),
-                    last=str(len(points)),
-                )
-            )
-        else:
-            warnings += layout_warnings(points)
-    ways: tuple[PreviewedWay, ...] = ()
-    turns: tuple[tuple[str, float], ...] = ()
-    if arm is not None:
-        refused, ways, turns = _driven(plan, fiducials_mm, arm, sight)
-        findings += refused
-        warnings += _too_near_from_the_start(ways)
-    return PlanCheck(plan, tuple(findings), tuple(warnings), ways, turns)
+    return findings, warnings
+
+
+def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
+    """The CT shows as many fiducials (n, 3) as were implanted, in a layout that tells them apart."""
+    if len(points_mm) == plan.implanted:
+        return [], layout_warnings(points_mm)
+    wrong = WrongMarkerCount(
+        "the CT shows another number of fiducials",
+        awaited=str(plan.implanted),
+        last=str(len(points_mm)),
+    )
+    return [wrong], []
 
 
 def _driven(
     plan: Plan, fiducials_mm: ArrayLike | None, arm: ArmSetting, sight: StereoSight | None
-) -> tuple[list[RonnaError], tuple[PreviewedWay, ...], tuple[tuple[str, float], ...]]:
-    """What keeps the arm from the plan; else its ways, where there is a room, and what was turned."""
-    from procedures.planning.clear_ways import previews_of
+) -> tuple[list[RonnaError], tuple[PreviewedMotion, ...], tuple[tuple[str, float], ...]]:
+    """What keeps the arm from the plan; else its motions, where there is a scene, and what was turned."""
     from procedures.planning.free_angle import TurnedPaths, choose_free_angles
+    from procedures.planning.motions import previews_of
     from procedures.planning.reach import check_paths
 
     trajectories = tuple(one.trajectory for one in plan.trajectories)
@@ -159,22 +177,22 @@ def _driven(
         unmet: list[RonnaError] = [NotReachable(f"{one.pose}: {one.reason}") for one in turned.check.unmet]
         return unmet, (), ()
     turns = tuple((one.identifier, turn) for one, turn in zip(trajectories, turned.turns_rad, strict=True))
-    if arm.room is None:
+    if arm.scene is None:
         return [], (), turns
-    return [], previews_of(arm, arm.room, turned.check, turned.trajectories), turns
+    return [], previews_of(arm, arm.scene, turned.check, turned.trajectories), turns
 
 
-def _too_near_from_the_start(ways: Sequence[PreviewedWay]) -> list[str]:
-    """Bodies that are nearer than the margin where a way begins may stay or leave: is that so meant?"""
+def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
+    """Bodies that are nearer than the margin where a motion begins may stay or leave: is that so meant?"""
     told: dict[tuple[str, str], str] = {}
-    for one in ways:
+    for one in motions:
         closest = one.preview.closest
-        if closest is not None and closest.distance_mm < one.way.around.margin_mm - WITHIN_ROUNDING_MM:
+        if closest is not None and closest.distance_mm < one.motion.around.margin_mm - WITHIN_ROUNDING_MM:
             pair = (closest.first, closest.second)
             told.setdefault(
                 pair,
                 f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at"
-                f" {one.way.start} already: another place of head or home",
+                f" {one.motion.start} already: another place of head or home",
             )
     return list(told.values())
 

@@ -27,7 +27,7 @@ from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 
 if TYPE_CHECKING:
-    from procedures.planning.clear_ways import Room
+    from procedures.planning.planning_scene import PlanningScene
 
 APPROACH_MM = 60.0  # outside the head, before the fiducial or the entry
 
@@ -150,8 +150,8 @@ class ArmSetting:
     """The arm as the check needs it: where the CT is thought to be, what hangs on the flange, the start.
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
-    head's tool centre point (by design the same; None takes the guide's). With a `room`, every way must also
-    be clear of what is in it.
+    head's tool centre point (by design the same; None takes the guide's). With a `scene`, every motion must
+    also be clear of what is in it.
     """
 
     model: ArmModel
@@ -162,7 +162,7 @@ class ArmSetting:
     start_rad: JointVector = START_RAD
     limits: MotionLimits | None = None
     approach_mm: float = APPROACH_MM
-    room: Room | None = None
+    scene: PlanningScene | None = None
 
     def __post_init__(self) -> None:
         """Raises FRM-001 when a transform maps between other frames."""
@@ -247,7 +247,7 @@ def drive(
 ) -> PathCheck:
     """Joints for these visits, one after the other, in this branch, and what is unmet in it.
 
-    Whether the ways between them are clear is asked last, when all poses are reached; with `first_only` no
+    Whether the motions between them are clear is asked last, when all poses are reached; with `first_only` no
     further than to the first that is not.
     """
     limits = setting.limits or working_limits(setting.model)
@@ -262,11 +262,11 @@ def drive(
             continue
         _note(journey, visit, posture)
     check = PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
-    if setting.room is None or not check.passed:
+    if setting.scene is None or not check.passed:
         return check
-    from procedures.planning.clear_ways import unclear  # which looks at what is found here
+    from procedures.planning.motions import unclear  # which looks at what is found here
 
-    return replace(check, unmet=unclear(setting, setting.room, check, trajectories, first_only=first_only))
+    return replace(check, unmet=unclear(setting, setting.scene, check, trajectories, first_only=first_only))
 
 
 def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:

@@ -1,4 +1,4 @@
-"""Check every pose and way of the whole procedure before it moves: sight, reach, clearance, one branch."""
+"""Check every pose and motion of the whole procedure before it moves: sight, reach, clearance, one branch."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from procedures.engine.step import Outcome, StepContext, StepSpec
-from procedures.planning.clear_ways import PreviewedWay, previews_of
 from procedures.planning.free_angle import TurnedPaths, choose_free_angles
+from procedures.planning.motions import PreviewedMotion, previews_of
 from procedures.planning.reach import ArmSetting, PathCheck, Reached, VisitKind
 from procedures.planning.sight import StereoSight
 from procedures.steps.arm_frames import guide_in_flange, model_of, stereo_tool_in_flange
 from procedures.steps.payloads import points_from, pose_from, pose_payload
 from procedures.steps.plan_check import planned
-from procedures.steps.room import room_of
+from procedures.steps.surroundings import planning_scene_of
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.orientation import back_along_axis
 from ronna_hw.arm.inverse import branch_of, solve_branch
@@ -33,7 +33,7 @@ def run(context: StepContext) -> Outcome:
     markers = localization.payload["markers"]
     matched = [int(pair[0]) for pair in correspondence.payload["pairs"]]
     home: JointVector = tuple(context.case.get("set_up").payload["home_rad"])
-    room = room_of(context)
+    scene = planning_scene_of(context)
     setting = ArmSetting(
         model=model_of(context),
         robot_from_ct=pose_from(correspondence.payload["robot_from_ct"]),
@@ -42,7 +42,7 @@ def run(context: StepContext) -> Outcome:
         flange_from_stereo=stereo_tool_in_flange(context),
         start_rad=home,
         approach_mm=context.theatre.procedure.standoff_mm,
-        room=room,
+        scene=scene,
     )
     trajectories = [one.trajectory for one in planned(context).trajectories]
     centres = points_from([markers[index]["centre_mm"] for index in matched])
@@ -52,7 +52,7 @@ def run(context: StepContext) -> Outcome:
     )
     check = turned.check
     check.require()
-    ways = previews_of(setting, room, check, turned.trajectories)
+    motions = previews_of(setting, scene, check, turned.trajectories)
     return Outcome(
         payload={
             "strategy": STRATEGY,
@@ -62,17 +62,18 @@ def run(context: StepContext) -> Outcome:
             "branch_status": None if check.branch is None else check.branch.status,
             "joint_ranges_rad": [list(limits) for limits in check.joint_ranges_rad],
             "largest_move_rad": max(move.largest_rad for move in check.moves),
-            "ways": [way.as_payload() for way in ways],
+            "motions": [motion.as_payload() for motion in motions],
             "localizations": _localizations(check, matched),
             "targets": _targets(check, setting),
         },
         parents=(correspondence, plan, context.case.get("set_up")),
-        summary=f"{len(check.reached)} poses in one branch" + _closest_told(ways) + _turns_told(turned),
+        summary=f"{len(check.reached)} poses in one branch" + _closest_told(motions) + _turns_told(turned),
     )
 
 
-def _closest_told(ways: Sequence[PreviewedWay]) -> str:
-    distances = [way.preview.closest.distance_mm for way in ways if way.preview.closest is not None]
+def _closest_told(motions: Sequence[PreviewedMotion]) -> str:
+    closest = [motion.preview.closest for motion in motions]
+    distances = [one.distance_mm for one in closest if one is not None]
     return f", clear by {min(distances):.0f} mm" if distances else ""
 
 

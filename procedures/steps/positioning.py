@@ -7,7 +7,7 @@ from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.steps.arm_frames import model_of
 from procedures.steps.guide_path import flange_of, standoff_pose, target_pose
 from procedures.steps.payloads import pose_payload
-from procedures.steps.room import move_clear, surround_guide
+from procedures.steps.surroundings import move_clear, surround_guide
 from ronna_hw.arm.inverse import branch_of, solve_branch
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector

@@ -23,9 +23,9 @@ from procedures.relocalization import ServoState, recorded_point, search_pose
 from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.arm_frames import model_of, stereo_tool_in_flange, tool_pose
 from procedures.steps.payloads import points_payload, pose_from
-from procedures.steps.room import move_clear, surround_stereo_head
 from procedures.steps.stereo_look import Look, area_around_tool, look, whole_sensor
 from procedures.steps.stereo_picture import keep_picture
+from procedures.steps.surroundings import move_clear, surround_stereo_head
 from procedures.strategies.orientation import back_along_axis
 from ronna_hw.arm.inverse import branch_of, solve_branch
 from ronna_hw.arm.pose import Pose

@@ -6,7 +6,7 @@ from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.steps.guide_path import flange_of, standoff_pose
 from procedures.steps.link_health import link_payload
 from procedures.steps.payloads import pose_from
-from procedures.steps.room import surround_guide
+from procedures.steps.surroundings import surround_guide
 from ronna_hw.devices.readings import JointVector
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from procedures.engine.errors import WrongTool
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.steps.link_health import link_payload
-from procedures.steps.room import surround_stereo_head
+from procedures.steps.surroundings import surround_stereo_head
 from ronna_hw.devices.readings import JointVector
 
 

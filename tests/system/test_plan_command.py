@@ -184,36 +184,36 @@ def test_markers_that_cannot_be_localized_are_the_localizers_error(case):
     assert one_line(done).startswith("CT-")
 
 
-def test_the_ways_of_the_arm_are_shown_before_anything_moves(case, theatre):
+def test_the_motions_of_the_arm_are_shown_before_anything_moves(case, theatre):
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR)
     assert done.returncode == 0, done.stderr
-    header, *ways = done.stdout.splitlines()[-4:]
+    header, *motions = done.stdout.splitlines()[-4:]
     for word in ("s", "smallest distance mm", "singularity", "A1..A6 deg"):
         assert word in header.split("\t")
-    assert [way.split("\t")[:3] for way in ways] == [
+    assert [motion.split("\t")[:3] for motion in motions] == [
         ["home", "T1/target", "move"],
         ["T1/target", "T1/target", "line"],
         ["T1/target", "home", "move"],
     ]
 
 
-def test_every_way_has_its_preview_in_json(case, theatre):
+def test_every_motion_has_its_preview_in_json(case, theatre):
     done = ronna_plan(
         "check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR, "--json"
     )
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
-    assert [(way["from"], way["to"]) for way in document["ways"]] == [
+    assert [(motion["from"], motion["to"]) for motion in document["motions"]] == [
         ("home", "T1/target"),
         ("T1/target", "T1/target"),
         ("T1/target", "home"),
     ]
-    for way in document["ways"]:
-        assert way["clear"]
-        assert way["duration_s"] > 0.5
-        assert len(way["joint_ranges_rad"]) == 6
-        assert way["closest"]["distance_mm"] >= 9.5  # the cell's margin, on a path of half a millimetre
-        assert 0.0 < min(way["singularity"].values()) <= 1.0
+    for motion in document["motions"]:
+        assert motion["clear"]
+        assert motion["duration_s"] > 0.5
+        assert len(motion["joint_ranges_rad"]) == 6
+        assert motion["closest"]["distance_mm"] >= 9.5  # the cell's margin, on a path of half a millimetre
+        assert 0.0 < min(motion["singularity"].values()) <= 1.0
     assert document["free_angle_turns_rad"].keys() == {"T1"}
 
 
@@ -239,7 +239,7 @@ def test_a_body_of_the_cell_in_the_way_is_refused_by_name(case, theatre):
     finding = json.loads(done.stdout)["findings"][0]
     assert finding["code"] == "PLAN-007"
     assert finding["action"]
-    assert json.loads(done.stdout)["ways"] == []
+    assert json.loads(done.stdout)["motions"] == []
 
 
 def test_a_head_beside_the_arm_at_home_is_warned_about(case, theatre):
@@ -257,7 +257,7 @@ def test_a_home_outside_the_joint_ranges_is_refused(case, theatre):
     assert one_line(done).startswith("ARM-003: A1 would leave its range")
 
 
-def test_the_ways_need_both_options(case, theatre):
+def test_the_motions_need_both_options(case, theatre):
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre)
     assert done.returncode == 2
     assert "--robot-from-ct" in one_line(done)

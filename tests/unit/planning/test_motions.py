@@ -1,4 +1,4 @@
-"""Every way of the procedure is clear of head, clamp and table, or is refused with pair and place."""
+"""Every motion of the procedure is clear of head, clamp and table, or is refused with pair and place."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.planning.clear_ways import HOME, Room, previews_of, ways_of
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_shape import HeadShape
+from procedures.planning.motions import HOME, motions_of, previews_of
+from procedures.planning.planning_scene import PlanningScene
 from procedures.planning.reach import ArmSetting, check_paths
 from procedures.planning.sight import StereoSight
 from procedures.strategies.catalogue import strategy_named
@@ -48,7 +49,7 @@ def _setting(cell: CellConfig | None = None) -> ArmSetting:
         flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
         strategy=strategy_named("ocs"),
         start_rad=CASE_HOME,
-        room=None if cell is None else Room(cell, HEAD, FIDUCIALS),
+        scene=None if cell is None else PlanningScene(cell, HEAD, FIDUCIALS),
     )
 
 
@@ -58,33 +59,33 @@ def _with_body(name: str, place_mm: tuple[float, float, float], radius_mm: float
     return CellConfig(bodies=(*CellConfig().bodies, ball))
 
 
-def test_the_ways_lead_from_home_through_all_visits_and_back_home() -> None:
+def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
     setting = _setting(CellConfig())
-    assert setting.room is not None
+    assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     assert check.passed, check.unmet
-    ways = list(ways_of(setting, setting.room, check, TRAJECTORIES))
-    assert ways[0].start == ways[-1].end == HOME
-    for before, after in pairwise(ways):
+    motions = list(motions_of(setting, setting.scene, check, TRAJECTORIES))
+    assert motions[0].start == motions[-1].end == HOME
+    for before, after in pairwise(motions):
         # A line ends where it will be left: at its approach point.
         assert after.start == before.end
-    exchanged = [way for way in ways[:-1] if way.end == HOME]
+    exchanged = [motion for motion in motions[:-1] if motion.end == HOME]
     assert len(exchanged) >= 1
-    assert {part.name for part in ways[0].around.tool} != {part.name for part in ways[-1].around.tool}
-    assert [way.kind for way in ways].count("line") == len(check.reached)
+    assert {part.name for part in motions[0].around.tool} != {part.name for part in motions[-1].around.tool}
+    assert [motion.kind for motion in motions].count("line") == len(check.reached)
 
 
-def test_every_way_has_a_preview_that_a_record_can_hold() -> None:
+def test_every_motion_has_a_preview_that_a_record_can_hold() -> None:
     setting = _setting(CellConfig())
-    assert setting.room is not None
+    assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
-    previews = previews_of(setting, setting.room, check, TRAJECTORIES)
+    previews = previews_of(setting, setting.scene, check, TRAJECTORIES)
     payload = json.loads(json.dumps([one.as_payload() for one in previews], allow_nan=False))
-    assert all(way["clear"] for way in payload)
-    assert all(way["closest"]["distance_mm"] >= 10.0 - 0.5 for way in payload)
-    into = [way for way in payload if way["kind"] == "line" and way["to"].endswith("target")]
+    assert all(motion["clear"] for motion in payload)
+    assert all(motion["closest"]["distance_mm"] >= 10.0 - 0.5 for motion in payload)
+    into = [motion for motion in payload if motion["kind"] == "line" and motion["to"].endswith("target")]
     assert len(into) == 2
-    assert all(way["nearest_to_head_mm"] == 0.0 for way in into)
+    assert all(motion["nearest_to_head_mm"] == 0.0 for motion in into)
 
 
 @pytest.mark.hazard(24)

@@ -1,0 +1,54 @@
+"""What is around the arm when a motion is planned: the head of the CT with its spheres, and the cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from procedures.planning.head_shape import HeadShape
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.surroundings import Corridor, Surroundings
+from ronna_hw.cell import CellConfig, ToolBody
+from ronna_hw.frames import Transform
+
+Points = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class PlanningScene:
+    """The head as the CT shows it, and the cell of the theatre file around it."""
+
+    cell: CellConfig
+    head: HeadShape
+    fiducials_ct_mm: Points = ()
+
+    def with_stereo_head(self, robot_from_ct: Transform, flange_from_tool: Transform) -> Surroundings:
+        """What is around while spheres are localized."""
+        return self._around(self.cell.stereo_head, robot_from_ct, flange_from_tool, None)
+
+    def with_guide(
+        self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
+    ) -> Surroundings:
+        """What is around while the guide hangs there; the way of this trajectory into the head is open."""
+        corridor = None
+        if trajectory is not None:
+            entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()
+            corridor = Corridor(tuple(entry), tuple(target), self.cell.corridor_mm)
+        return self._around(self.cell.guide, robot_from_ct, flange_from_tool, corridor)
+
+    def _around(
+        self,
+        tool: tuple[ToolBody, ...],
+        robot_from_ct: Transform,
+        flange_from_tool: Transform,
+        corridor: Corridor | None,
+    ) -> Surroundings:
+        in_robot = Pose.from_matrix(robot_from_ct.as_matrix().tolist())
+        return self.cell.surroundings(
+            tool,
+            Pose.from_matrix(flange_from_tool.as_matrix().tolist()),
+            Pose(in_robot.apply(self.head.centre_mm), in_robot.rotation),
+            self.head.semi_axes_mm,
+            tuple(in_robot.apply(point) for point in self.fiducials_ct_mm),
+            corridor,
+        )
