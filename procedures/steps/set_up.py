@@ -30,6 +30,9 @@ def run(context: StepContext) -> Outcome:
         context.progress(number / len(devices), f"connecting the {role}")
         identities[role] = _payload(device.connect())
         device.configure()
+    notices = [
+        f"{role}: {notice}" for role, device in devices.items() for notice in getattr(device, "notices", ())
+    ]
     left, right = context.devices.stereo.serials
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)
@@ -39,13 +42,14 @@ def run(context: StepContext) -> Outcome:
     return Outcome(
         payload={
             "identities": identities,
+            "notices": notices,
             "calibrations": {
                 name: _calibration(getattr(calibrations, name))
                 for name in ("stereo_head", "tool_tip", "tracker_frame")
             },
             "home_rad": list(context.devices.arm.read_state().joints_rad),
         },
-        summary=", ".join(identity["model"] for identity in identities.values()),
+        summary="; ".join([", ".join(identity["model"] for identity in identities.values()), *notices]),
     )
 
 
