@@ -27,6 +27,7 @@ from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 if TYPE_CHECKING:
     from ronna_hw.conformance.bench import Bench
     from ronna_hw.conformance.report import Report
+    from ronna_hw.conformance.stand import Choice
 
 app = typer.Typer(
     name="ronna-conformance",
@@ -79,7 +80,8 @@ def tracker(
     verbose: VerboseOption = False,
 ) -> int:
     """An optical tracker."""
-    return _run("tracker", sim, config, endpoint, driver, None, allow, only, report, json, verbose, control)
+    choice = _choice(sim, config, endpoint, driver, allow, control=control)
+    return _run("tracker", choice, only, report, json, verbose)
 
 
 @app.command()
@@ -98,21 +100,8 @@ def robot(
     verbose: VerboseOption = False,
 ) -> int:
     """A robot arm."""
-    return _run(
-        "robot",
-        sim,
-        config,
-        endpoint,
-        driver,
-        device,
-        allow,
-        only,
-        report,
-        json,
-        verbose,
-        control,
-        confirmed_by,
-    )
+    choice = _choice(sim, config, endpoint, driver, allow, device=device, control=control)
+    return _run("robot", choice, only, report, json, verbose, confirmed_by)
 
 
 @app.command()
@@ -128,22 +117,32 @@ def stereo(
     verbose: VerboseOption = False,
 ) -> int:
     """A stereo pair of cameras."""
-    return _run("stereo", sim, config, endpoint, driver, None, allow, only, report, json, verbose)
+    choice = _choice(sim, config, endpoint, driver, allow)
+    return _run("stereo", choice, only, report, json, verbose)
 
 
-def _run(
-    kind: str,
+def _choice(
     sim: bool,
     config: Path | None,
     endpoints: list[str] | None,
     driver: str | None,
-    device: str | None,
     allow: list[str] | None,
+    *,
+    device: str | None = None,
+    control: str | None = None,
+) -> Choice:
+    from ronna_hw.conformance.stand import Choice
+
+    return Choice(sim, config, tuple(endpoints or ()), driver, device, tuple(allow or ()), control)
+
+
+def _run(
+    kind: str,
+    choice: Choice,
     only: list[str] | None,
     report_file: Path | None,
     json: bool,
     verbose: bool,
-    control: str | None = None,
     confirmed_by: str | None = None,
 ) -> int:
     set_up_logging(verbose)
@@ -154,8 +153,8 @@ def _run(
     if report_file is not None:
         write_whole(report_file, b"")  # a place that cannot be written is told before the work, not after
     suite = load_suite(kind).only(only or [])
-    with stand(suite, sim, config, endpoints or [], driver, device, allow or [], control) as bench:
-        moves = suite.moving() if "motion" in bench.offers and not sim else []
+    with stand(suite, choice) as bench:
+        moves = suite.moving() if "motion" in bench.offers and not choice.sim else []
         person = _who_confirms(suite.motions, moves, bench, confirmed_by) if moves else ""
         with progress_bar(f"{kind} suite") as progress:
             report = run_suite(suite, bench, progress, confirmed_by=person)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,48 +28,58 @@ def load_suite(kind: str) -> Suite:
     return suite
 
 
-@contextmanager
-def stand(
-    suite: Suite,
-    sim: bool,
-    config: Path | None,
-    endpoints: list[str],
-    driver: str | None,
-    device: str | None,
-    allow: list[str],
-    control: str | None = None,
-) -> Iterator[Bench]:
-    """A bench for what the command line names; whatever was started for it is ended afterwards.
+@dataclass(frozen=True)
+class Choice:
+    """What the command line names: exactly one of `sim`, `config` and `endpoints`, and what goes with it."""
 
-    On a simulator everything is allowed. `control` is the control port of one that was started elsewhere.
+    sim: bool = False
+    config: Path | None = None  # a theatre file
+    endpoints: tuple[str, ...] = ()  # URI, or NAME=URI for each of several
+    driver: str | None = None  # instead of the usual one
+    device: str | None = None  # which robot of the theatre file
+    allow: tuple[str, ...] = ()  # of PERMISSIONS; on a simulator of ours everything is allowed
+    control: str | None = None  # control port of a simulator that was started elsewhere
+
+    def check(self) -> None:
+        """Raise CNF-001 when nothing or too much is chosen, or something unknown allowed."""
+        if (self.sim, self.config is not None, bool(self.endpoints)).count(True) != 1:
+            raise NoDeviceChosen("what to test is not said, or said twice")
+        if unknown := sorted(set(self.allow) - set(PERMISSIONS)):
+            raise NoDeviceChosen(
+                f"--allow knows no {', '.join(unknown)}",
+                awaited=" or ".join(PERMISSIONS),
+                action="Correct it.",
+            )
+
+
+@contextmanager
+def stand(suite: Suite, choice: Choice) -> Iterator[Bench]:
+    """A bench for what is chosen; whatever was started for it is ended afterwards.
+
     Raises CNF-001, CNF-002, CFG-00x, DEV-002, PRC-001.
     """
-    if (sim, config is not None, bool(endpoints)).count(True) != 1:
-        raise NoDeviceChosen("what to test is not said, or said twice")
-    if unknown := sorted(set(allow) - set(PERMISSIONS)):
-        raise NoDeviceChosen(
-            f"--allow knows no {', '.join(unknown)}", awaited=" or ".join(PERMISSIONS), action="Correct it."
-        )
+    choice.check()
     with ExitStack() as stack:
         name, clock = suite.kind, "host:"
-        allowed = frozenset(PERMISSIONS if sim else allow)
-        if config is not None:
-            theatre = read_theatre_file(config)
-            name, chosen = _from_file(theatre, suite.kind, device)
+        allowed = frozenset(PERMISSIONS if choice.sim else choice.allow)
+        driver, control = choice.driver or suite.driver, choice.control
+        if choice.config is not None:
+            theatre = read_theatre_file(choice.config)
+            name, chosen = _from_file(theatre, suite.kind, choice.device)
             clock = theatre.clock.endpoint
-            if driver is not None:
+            if choice.driver is not None:
                 chosen = chosen.model_copy(update={"driver": driver})
-        elif sim:
+        elif choice.sim:
             child = stack.enter_context(
                 ChildProcess(f"ronna-sim {suite.simulator[0]}", command(SIMULATOR_MODULE, *suite.simulator))
             )
             control = child.ready.get("control")
             addresses = child.ready.get("endpoints") or {None: child.ready["endpoint"]}
-            chosen = _device(driver or suite.driver, addresses)
+            chosen = _device(driver, addresses)
         else:
-            chosen = _device(driver or suite.driver, _by_name(endpoints))
+            chosen = _device(driver, _by_name(choice.endpoints))
         theatre_clock = open_clock(clock)
-        known = sim or config is not None
+        known = choice.sim or choice.config is not None
         bench = Bench(name, chosen, theatre_clock, allowed, clock_known=known, control=control)
         stack.callback(bench.release)
         yield bench
@@ -85,7 +96,7 @@ def _device(driver: str, addresses: dict[str | None, str]) -> DeviceConfig:
     return DeviceConfig(driver=driver, endpoints=named, options=options)
 
 
-def _by_name(endpoints: list[str]) -> dict[str | None, str]:
+def _by_name(endpoints: Sequence[str]) -> dict[str | None, str]:
     named = [_named(text) for text in endpoints]
     names = [name for name, _ in named]
     if len(named) > 1 and (None in names or len(set(names)) < len(names)):

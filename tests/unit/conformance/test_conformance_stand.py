@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 
 from ronna_hw.child_process import ChildNotReady
-from ronna_hw.conformance import stand as stand_module
 from ronna_hw.conformance.case import Suite
 from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen
-from ronna_hw.conformance.stand import load_suite, stand
+from ronna_hw.conformance.stand import Choice, load_suite, stand
 from ronna_hw.control_port import ControlPortSilent, ControlRequestRefused
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.endpoints import BadEndpoint
 from ronna_hw.errors import EXIT_USAGE
 
+NOBODY = ("tcp://127.0.0.1:1",)
 THEATRE = """
 schema = 1
 theatre = "two arms"
@@ -51,18 +51,18 @@ def suite() -> Suite:
 @pytest.mark.parametrize(
     ("sim", "file", "endpoints"),
     [
-        (False, False, []),
-        (True, True, []),
-        (True, False, ["tcp://127.0.0.1:1"]),
-        (False, True, ["tcp://127.0.0.1:1"]),
+        (False, False, ()),
+        (True, True, ()),
+        (True, False, NOBODY),
+        (False, True, NOBODY),
     ],
 )
 def test_exactly_one_thing_must_be_named(
-    suite: Suite, theatre: Path, sim: bool, file: bool, endpoints: list[str]
+    suite: Suite, theatre: Path, sim: bool, file: bool, endpoints: tuple[str, ...]
 ) -> None:
     with (
         pytest.raises(NoDeviceChosen) as caught,
-        stand(suite, sim, theatre if file else None, endpoints, None, None, []),
+        stand(suite, Choice(sim=sim, config=theatre if file else None, endpoints=endpoints)),
     ):
         pass
     assert caught.value.exit_code == EXIT_USAGE
@@ -72,13 +72,13 @@ def test_exactly_one_thing_must_be_named(
 def test_an_unknown_permission_is_refused(suite: Suite) -> None:
     with (
         pytest.raises(NoDeviceChosen, match="fire"),
-        stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, ["fire"]),
+        stand(suite, Choice(endpoints=NOBODY, allow=("fire",))),
     ):
         pass
 
 
 def test_the_device_of_a_theatre_file_keeps_its_options(suite: Suite, theatre: Path) -> None:
-    with stand(suite, False, theatre, [], None, None, []) as bench:
+    with stand(suite, Choice(config=theatre)) as bench:
         assert bench.name == "tracker"
         assert bench.config.endpoint == "tcp://127.0.0.1:8765"
         assert bench.make().tools == ("M",)
@@ -95,49 +95,53 @@ def test_the_device_of_a_theatre_file_keeps_its_options(suite: Suite, theatre: P
 def test_a_device_that_the_file_does_not_hold_is_told(theatre: Path) -> None:
     with (
         pytest.raises(DeviceNotInFile) as caught,
-        stand(Suite("stereo", "basler_stereo", ()), False, theatre, [], None, None, []),
+        stand(Suite("stereo", "basler_stereo", ()), Choice(config=theatre)),
     ):
         pass
     assert caught.value.code == "CNF-002"
     for device in (None, "middle"):
         with (
             pytest.raises(DeviceNotInFile, match="left, right"),
-            stand(Suite("robot", "kuka_rsi", ()), False, theatre, [], None, device, []),
+            stand(Suite("robot", "kuka_rsi", ()), Choice(config=theatre, device=device)),
         ):
             pass
 
 
 def test_an_endpoint_alone_means_the_usual_driver_with_its_usual_options(suite: Suite) -> None:
-    with stand(suite, False, None, ["serial:///dev/ttyUSB0"], None, None, ["destructive"]) as bench:
+    with stand(suite, Choice(endpoints=("serial:///dev/ttyUSB0",), allow=("destructive",))) as bench:
         assert bench.config.driver == "ndi_polaris"
         assert bench.make().tools == ("robot_frame",)
         assert "destructive" in bench.offers
 
 
 def test_bad_endpoints_and_drivers_are_told(suite: Suite) -> None:
-    with pytest.raises(BadEndpoint), stand(suite, False, None, ["8765"], None, None, []):
+    with pytest.raises(BadEndpoint), stand(suite, Choice(endpoints=("8765",))):
         pass
     with (
         pytest.raises(UnknownDriver),
-        stand(suite, False, None, ["tcp://127.0.0.1:1"], "no_such_driver", None, []),
+        stand(suite, Choice(endpoints=NOBODY, driver="no_such_driver")),
     ):
         pass
-    two = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:2"]
-    with pytest.raises(NoDeviceChosen), stand(suite, False, None, two, None, None, []):
+    two = (*NOBODY, "tcp://127.0.0.1:2")
+    with pytest.raises(NoDeviceChosen), stand(suite, Choice(endpoints=two)):
         pass
 
 
 def test_named_endpoints_reach_the_driver_by_their_names() -> None:
-    named = stand_module._named
-    assert named("rsi=udp://127.0.0.1:1") == ("rsi", "udp://127.0.0.1:1")
-    assert named("udp://127.0.0.1:1") == (None, "udp://127.0.0.1:1")
-    assert named("serial:///dev/a=b") == (None, "serial:///dev/a=b")
+    named = ("rsi=udp://127.0.0.1:1", "eki_project=tcp://127.0.0.1:2")
+    with stand(load_suite("robot"), Choice(endpoints=named)) as bench:
+        assert bench.config.endpoints == {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:2"}
+
+
+def test_an_equals_sign_in_an_address_is_no_name(suite: Suite) -> None:
+    with stand(suite, Choice(endpoints=("serial:///dev/a=b",))) as bench:
+        assert bench.config.endpoint == "serial:///dev/a=b"
 
 
 def test_a_simulator_that_does_not_start_is_told() -> None:
     with (
         pytest.raises(ChildNotReady),
-        stand(Suite("tracker", "ndi_polaris", ("no-such-device",)), True, None, [], None, None, []),
+        stand(Suite("tracker", "ndi_polaris", ("no-such-device",)), Choice(sim=True)),
     ):
         pass
 
@@ -163,7 +167,7 @@ def control_port(answer: bytes) -> Iterator[tuple[str, list[bytes]]]:
 def test_a_control_port_offers_live_faults(suite: Suite) -> None:
     with (
         control_port(b'{"ok": true}\n') as (control, heard),
-        stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, [], control) as bench,
+        stand(suite, Choice(endpoints=NOBODY, control=control)) as bench,
     ):
         assert "live faults" in bench.offers
         bench.fault("now: tracker bump")
@@ -171,14 +175,14 @@ def test_a_control_port_offers_live_faults(suite: Suite) -> None:
 
 
 def test_without_a_control_port_nothing_is_made_to_fail(suite: Suite) -> None:
-    with stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, []) as bench:
+    with stand(suite, Choice(endpoints=NOBODY)) as bench:
         assert "live faults" not in bench.offers
 
 
 def test_a_fault_that_the_control_port_refuses_is_told(suite: Suite) -> None:
     with (
         control_port(b'{"ok": false, "reason": "SIM-003: no such fault"}\n') as (control, _),
-        stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, [], control) as bench,
+        stand(suite, Choice(endpoints=NOBODY, control=control)) as bench,
         pytest.raises(ControlRequestRefused, match="no such fault"),
     ):
         bench.fault("now: tracker nonsense")
@@ -186,7 +190,7 @@ def test_a_fault_that_the_control_port_refuses_is_told(suite: Suite) -> None:
 
 def test_a_control_port_where_nobody_is_is_told(suite: Suite) -> None:
     with (
-        stand(suite, False, None, ["tcp://127.0.0.1:1"], None, None, [], "tcp://127.0.0.1:1") as bench,
+        stand(suite, Choice(endpoints=NOBODY, control=NOBODY[0])) as bench,
         pytest.raises(ControlPortSilent, match="no answer"),
     ):
         bench.clear_faults()
