@@ -134,7 +134,10 @@ def read_theatre_file(path: Path) -> TheatreFile:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise BadTheatreFile(f"cannot read {path.name}: {error.strerror}") from error
+        raise BadTheatreFile(
+            f"cannot read {path.name}: {error.strerror}",
+            action="Give the path of a theatre file; ronna-sim theatre writes one to begin with.",
+        ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise BadTheatreFile(f"{path.name} is not TOML: {error}") from error
     theatre = parse_theatre(content, path.name)
