@@ -28,6 +28,7 @@ WATCHED = 20  # cycles over which an arm must be seen at rest, or moving
 BRAKING = 50  # cycles, generous for an arm that hardly moves
 STANDS_STILL_DEG = 0.001
 TOLD_WITHIN = 1000  # cycles after which a fault is not told any more
+STATE_CYCLES, LEAST_STATES = 100, 3  # one comes every 100 ms: at 4 ms every 25 cycles
 MOST_OLD_STATES = 2
 # What stops the arm, and what the state tells of it.
 STOPS = (
@@ -157,8 +158,10 @@ def conversation_is_lost(bench: Bench) -> None:
 def stops_are_told(bench: Bench) -> None:
     for sign, (fault, attribute, value) in zip(itertools.cycle((1, -1)), STOPS, strict=False):
         with stream(bench) as line:
-            line.cycles(WATCHED)
             line.eki.already("State")
+            line.cycles(STATE_CYCLES)
+            states = line.eki.already("State")
+            check(len(states) >= LEAST_STATES, f"{LEAST_STATES} states in {STATE_CYCLES} cycles", len(states))
             try:
                 bench.fault(f"now: robot {fault}")
                 _require_told(line, attribute, value, sign * STEP_DEG)
@@ -171,7 +174,7 @@ def stops_are_told(bench: Bench) -> None:
 
 def _require_told(line: RsiLine, attribute: str, value: str, step_deg: float) -> None:
     """Turn A6 evenly until the state tells `value`, and go on: the arm must come to rest all the same."""
-    told: list[str | None] = []
+    told = [state.get(attribute) for state in line.eki.already("State")][-1:]  # by now it is injected
     angles: list[float] = []
     ends_at = TOLD_WITHIN
     for cycle in itertools.count(1):
@@ -184,7 +187,7 @@ def _require_told(line: RsiLine, attribute: str, value: str, step_deg: float) ->
         if value in told:
             ends_at = min(ends_at, cycle + BRAKING + WATCHED)
     check(value in told, f"{attribute} {value} in the state", told[-1:] or "no state")
-    # They come every 100 ms: one may have been under way, and one due before the controller knew.
+    # One may have been under way, and one due before the controller knew.
     old = told.index(value)
     check(old <= MOST_OLD_STATES, f"{attribute} {value} in the next state", f"{old} others before it")
     moved = max(abs(angle - angles[-1]) for angle in angles[-WATCHED:])

@@ -2,40 +2,23 @@
 
 from __future__ import annotations
 
-import socket
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.free_port import free_udp_port
 from sim.theatre.process import load_scene
 from sim.theatre.world import World
 
 NEVER_S = 10**9  # theatre time
-
-Condition = Callable[[], bool]
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-def eventually(condition: Condition, limit_s: float = 20.0) -> None:
-    """Wait for a condition in host time; the limit only ends a test that has failed."""
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 class RobotCell:

@@ -6,26 +6,28 @@ from __future__ import annotations
 
 import random
 import signal
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from math import radians
 from pathlib import Path
 
 import pytest
+from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.free_port import free_udp_port
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600), pytest.mark.hazard(30)]
 
 KILLS = 100
 LONGEST_LIFE_S = 1.5  # of a program after its arm has begun to move
 STILL_RAD = radians(0.002)
+GENEROUS_S = 60.0  # host time: a soak runs beside other work
 
 MOVER = """
 import sys
@@ -34,10 +36,12 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 
 endpoints = {"rsi": sys.argv[1], "eki_project": sys.argv[2]}
-arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
-arm.connect()
-arm.configure()
-arm.activate()
+limits = {"silence_limit_s": 5.0, "heartbeat_limit_s": 5.0}  # what is not the subject here
+config = DeviceConfig(driver="kuka_rsi", endpoints=endpoints, options=limits)
+arm = KukaRsiArm("robot.master", config, HostClock())
+arm.connect(60.0)
+arm.configure(60.0)
+arm.activate(60.0)
 print(arm._ways.link._process.pid, flush=True)
 away = 0.5
 while True:
@@ -49,21 +53,12 @@ while True:
 
 @pytest.fixture
 def endpoints() -> Iterator[dict[str, str]]:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        rsi = f"udp://127.0.0.1:{probe.getsockname()[1]}"
+    rsi = f"udp://127.0.0.1:{free_udp_port()}"
     free = "tcp://127.0.0.1:0"
     arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
     with ChildProcess("ronna-sim kuka", arguments) as child:
         yield {"rsi": rsi, "eki_project": child.ready["endpoints"]["eki_project"]}
         assert child.alive
-
-
-def _eventually(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_killed_at_random_moments_the_arm_rests_and_the_next_program_goes_on(
@@ -78,7 +73,7 @@ def test_killed_at_random_moments_the_arm_rests_and_the_next_program_goes_on(
             time.sleep(chance.random() * LONGEST_LIFE_S)
             program.send_signal(signal.SIGKILL)
             program.wait()
-        _eventually(lambda pid=link_pid: not Path(f"/proc/{pid}").exists())  # type: ignore[misc]
+        eventually(lambda pid=link_pid: not Path(f"/proc/{pid}").exists())  # type: ignore[misc]
         _look_after(endpoints)
 
 
@@ -86,14 +81,14 @@ def _look_after(endpoints: dict[str, str]) -> None:
     """What a person would look at before going on."""
     arm = KukaRsiArm("robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), HostClock())
     try:
-        arm.connect()
-        _eventually(lambda: not arm.controller.state().moving)
-        rest = arm.read_state().joints_rad
-        assert arm.controller.state().error == 0  # ended by its STOP object, not by the Timeout
-        arm.configure()
-        arm.activate()
+        arm.connect(GENEROUS_S)
+        eventually(lambda: not arm.controller.state(GENEROUS_S).moving)
+        rest = arm.read_state(GENEROUS_S).joints_rad
+        assert arm.controller.state(GENEROUS_S).error == 0  # ended by its STOP object, not by the Timeout
+        arm.configure(GENEROUS_S)
+        arm.activate(GENEROUS_S)
         there = arm.read_state().joints_rad
         assert max(abs(a - b) for a, b in zip(rest, there, strict=True)) < STILL_RAD
-        arm.deactivate()
+        arm.deactivate(GENEROUS_S)
     finally:
         arm.close()

@@ -31,6 +31,7 @@ from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.arm.planning import plan_joint_move
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.free_port import free_udp_port
 from ronna_hw.wire.kuka_context import DEFAULT_CONTEXT_FILE, context_hash, load_context
 
 MODEL = arm_model("kr6_r900_sixx")
@@ -53,18 +54,12 @@ print("RESULT", server.faulty_packets, *(pose[axis] for axis in ("A1", "A2", "A3
 """
 
 
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.fixture
 def ethernet_file(tmp_path: Path) -> Path:
     """RSIPI's own `joints` file, with an address that is free here."""
     from RSIPI import context  # type: ignore[import-untyped]
 
-    port = _free_port()
+    port = free_udp_port()
     text = Path(context("joints")).read_text("utf-8-sig")
     path = tmp_path / "joints.xml"
     path.write_text(text.replace("10.10.10.10", "127.0.0.1").replace("64000", str(port)), "utf-8")
@@ -110,7 +105,7 @@ def _wait(link: LinkClient, condition: Callable[[LinkState], bool]) -> LinkState
     return state
 
 
-def _await_free_port() -> None:
+def _awaitfree_udp_port() -> None:
     """The echo server's port is fixed, and tests run side by side."""
     deadline = time.monotonic() + HANG_S
     while time.monotonic() < deadline:
@@ -124,7 +119,7 @@ def _await_free_port() -> None:
 @contextmanager
 def echo_server(ethernet_file: Path, folder: Path) -> Iterator[Callable[[], list[float]]]:
     """Runs it; the call ends it and gives the axes that it has come to, in deg."""
-    _await_free_port()
+    _awaitfree_udp_port()
     with subprocess.Popen(
         [sys.executable, "-P", "-W", "ignore", "-c", SERVER, str(ethernet_file)],
         stdin=subprocess.PIPE,
@@ -166,7 +161,7 @@ def test_the_link_moves_the_arm_of_a_foreign_controller(
 @pytest.fixture
 def foreign_arm(tmp_path: Path) -> Iterator[tuple[KukaRsiArm, Path]]:
     """Our driver with the tags that the echo server knows, and the Ethernet file that we make for it."""
-    port = _free_port()
+    port = free_udp_port()
     text = files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8")
     description = tmp_path / "context.toml"
     description.write_text(

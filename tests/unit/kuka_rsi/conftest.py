@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,19 +11,13 @@ from fake_controller import FakeController
 from drivers.kuka_rsi.arm import KukaRsiArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+from ronna_hw.free_port import free_udp_port
 
 
 @pytest.fixture
 def controller() -> Iterator[FakeController]:
     fake = FakeController()
-    fake.rsi_address = ("127.0.0.1", free_port())
+    fake.rsi_address = ("127.0.0.1", free_udp_port())
     yield fake
     fake.close()
 

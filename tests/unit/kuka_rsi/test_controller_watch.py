@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 from itertools import pairwise
 from math import degrees
 from typing import Any
 
 import pytest
+from waiting import eventually
 
 from drivers.kuka_rsi.errors import (
     ControllerNotReady,
@@ -25,19 +24,12 @@ THERE = radians6(10, -85, 85, 5, 65, -10)
 FULL_SPEED_DEG_S = degrees(arm_model("kr6_r900_sixx").full_speed_rad_s[0])
 
 
-def _eventually(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-
-
 @pytest.mark.parametrize("change", [{"EStop": "1"}, {"Guard": "1"}, {"Mode": "AUT"}])
 def test_recovery_is_refused_while_the_cause_stands(
     controller: Any, active_arm: Any, change: dict[str, str]
 ) -> None:
     controller.tell(**change)
-    _eventually(lambda: bool(active_arm.state is Lifecycle.FAULT))
+    eventually(lambda: bool(active_arm.state is Lifecycle.FAULT))
     with pytest.raises(ControllerNotReady):
         active_arm.recover("Ana")
     assert active_arm.state is Lifecycle.FAULT
@@ -48,7 +40,7 @@ def test_a_channel_that_says_nothing_any_more_is_latched_though_nobody_asks(
     controller: Any, active_arm: Any
 ) -> None:
     controller.tells = False
-    _eventually(lambda: active_arm._guard.state is Lifecycle.FAULT)
+    eventually(lambda: active_arm._guard.state is Lifecycle.FAULT)
     assert isinstance(active_arm.fault, NoAnswer)
     assert "says nothing" in str(active_arm.fault)
     controller.tells = True
@@ -87,7 +79,7 @@ def test_in_T1_the_pendant_may_start_the_program_and_no_axis_goes_beyond_a_tenth
     arm.allow_t1("Ana")
 
     def press_the_start_key() -> None:
-        _eventually(lambda: "RSI_START" in controller.commands)
+        eventually(lambda: "RSI_START" in controller.commands)
         controller.facts["RSI"] = "2"
         controller.streaming.set()
 
