@@ -11,6 +11,13 @@ import typer
 from ronna_hw.command_line.console import JsonOption, print_json, print_table
 
 
+class CycleMs(StrEnum):
+    """Sensor cycle of the robot's controller: #IPO_FAST or #IPO."""
+
+    FAST = "4"
+    SLOW = "12"
+
+
 class Speed(StrEnum):
     """Pace of the theatre's time."""
 
@@ -27,6 +34,9 @@ def theatre(
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
     speed: Annotated[Speed, typer.Option(help="max: as fast as the devices go; 1: real time.")] = Speed.MAX,
+    cycle_ms: Annotated[
+        CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
+    ] = None,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     parameter: Annotated[
         list[str] | None,
@@ -51,7 +61,14 @@ def theatre(
     parameters = parameters_by_device(parameter or ())
     ended = threading.Event()
     end_with_parent(ended.set)
-    running = Theatre(truth, out, paced=speed is Speed.REAL, faults=script, parameters=parameters)
+    running = Theatre(
+        truth,
+        out,
+        paced=speed is Speed.REAL,
+        cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
+        faults=script,
+        parameters=parameters,
+    )
     reasons: list[str] = []
     try:
 

@@ -35,10 +35,14 @@ class Theatre:
         folder: Path,
         *,
         paced: bool,
+        cycle_ms: int | None = None,
         faults: str = "",
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
     ) -> None:
-        """`parameters`: NAME=VALUE by device command. Raises PRC-001 when a device does not become ready."""
+        """`cycle_ms` of the robot, None for its context's; `parameters`: NAME=VALUE by device command.
+
+        Raises PRC-001 when a device does not become ready.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.file = folder / THEATRE_FILE
@@ -49,7 +53,7 @@ class Theatre:
         self._control = ControlPort(Room(self.world, folder))
         self._children: list[ChildProcess] = []
         try:
-            self.endpoints = self._start_devices(parameters)
+            self.endpoints = self._start_devices(parameters, cycle_ms)
             limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S
             write_theatre_file(
                 theatre_content(
@@ -58,6 +62,7 @@ class Theatre:
                     self.world.clock_endpoint,
                     self._write_tools(),
                     limit_s,
+                    cycle_ms,
                 ),
                 self.file,
             )
@@ -91,13 +96,14 @@ class Theatre:
             child.stop(max(0.0, deadline - time.monotonic()))
         self._control.close()
 
-    def _start_devices(self, parameters: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    def _start_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> dict[str, Any]:
         world = ("--world", self.world.endpoint)
         rsi = f"udp://127.0.0.1:{free_udp_port()}"
         free = "tcp://127.0.0.1:0"
+        cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
         arguments = {
             "polaris": world,
-            "kuka": (*world, "--rsi", rsi, "--eki", free, "--eki-project", free),
+            "kuka": (*world, *cycle, "--rsi", rsi, "--eki", free, "--eki-project", free),
             "basler": world,
         }
         self._children = [

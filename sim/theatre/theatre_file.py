@@ -35,8 +35,12 @@ def theatre_content(
     clock: str,
     tool_files: dict[str, str],
     silence_limit_s: float,
+    cycle_ms: int | None = None,
 ) -> dict[str, Any]:
-    """The content of the theatre file as plain data, in the form of `ronna_hw.config.TheatreFile`."""
+    """The content of the theatre file as plain data, in the form of `ronna_hw.config.TheatreFile`.
+
+    `cycle_ms` where the robot runs at another cycle than its context's.
+    """
     return {
         "schema": 1,
         "theatre": f"{scene.name} scene, seed {scene.seed}",
@@ -54,6 +58,7 @@ def theatre_content(
                 "options": {
                     "variant": scene.arm.variant,
                     "silence_limit_s": silence_limit_s,
+                    **({} if cycle_ms is None else {"cycle_ms": cycle_ms}),
                 },
             }
         },

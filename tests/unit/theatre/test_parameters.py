@@ -54,7 +54,10 @@ def test_each_device_is_started_with_its_own(monkeypatch: pytest.MonkeyPatch, tm
             built_in_scene("mini", seed=1),
             tmp_path,
             paced=False,
+            cycle_ms=12,
             parameters=parameters_by_device(("robot.lag_s=0.03", "robot.dead_time_cycles=3")),
         )
-    assert started["ronna-sim kuka"][-2:] == ["--set=lag_s=0.03", "--set=dead_time_cycles=3"]
+    robot = started["ronna-sim kuka"]
+    assert robot[robot.index("--cycle-ms") + 1] == "12"
+    assert robot[-2:] == ["--set=lag_s=0.03", "--set=dead_time_cycles=3"]
     assert not any("--set" in word for word in (*started["ronna-sim polaris"], *started["ronna-sim basler"]))

@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.kuka_rsi.options import read_options
 from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
 from sim.theatre.built_in import built_in_scene
@@ -79,3 +80,10 @@ def test_a_calibration_that_is_no_number_is_refused(value: float) -> None:
     head["flange_from_tool"]["translation_mm"] = [value, 0.0, 0.0]
     with pytest.raises(ConfigurationError, match=r"CFG-001: .*flange_from_tool.translation_mm.0"):
         parse_theatre(content)
+
+
+def test_a_robot_at_another_cycle_is_told_to_its_driver() -> None:
+    scene = built_in_scene("mini")
+    for cycle_ms, told in ((12, 12), (None, None)):
+        theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms))
+        assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == told
