@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.step import StepContext
-from procedures.planning.reach import Visit, VisitKind
 from procedures.planning.sight import StereoSight
+from procedures.planning.visits import Visit, VisitKind
 from procedures.relocalization import StereoPoint
 from procedures.steps import relocalization
 from procedures.steps.relocalization import FoundSphere, centre_on

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from procedures.imaging import Volume
     from procedures.planning.check import PlanCheck
     from procedures.planning.motions import PreviewedMotion
-    from procedures.planning.reach import ArmSetting
     from procedures.planning.sight import StereoSight
+    from procedures.planning.visits import ArmSetting
     from ronna_hw.cell import CellConfig
 
 READING_SHARE = 0.4  # of the work, when the markers are localized too
@@ -129,8 +129,8 @@ def _theatre(
             )
     from procedures.engine.devices import MASTER
     from procedures.planning.posture import HOME_DEG
-    from procedures.planning.reach import ArmSetting
     from procedures.planning.sight import StereoSight
+    from procedures.planning.visits import ArmSetting
     from procedures.strategies.catalogue import strategy_named
     from ronna_hw.arm.model import ArmVariant, arm_model, radians6
     from ronna_hw.arm.planning import require_in_range

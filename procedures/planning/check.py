@@ -27,8 +27,8 @@ from ronna_hw.errors import RonnaError
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
     from procedures.planning.motions import PreviewedMotion
-    from procedures.planning.reach import ArmSetting
     from procedures.planning.sight import StereoSight
+    from procedures.planning.visits import ArmSetting
 
 Array = NDArray[np.float64]
 Judged = tuple[list[RonnaError], list[str]]  # findings, warnings

@@ -14,16 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.reach import (
-    ArmSetting,
-    PathCheck,
-    Unmet,
-    branches_for,
-    check_paths,
-    drive,
-    visits_of,
-)
+from procedures.planning.reach import branches_for, check_paths, drive
 from procedures.planning.sight import StereoSight
+from procedures.planning.visits import ArmSetting, PathCheck, Unmet, visits_of
 from procedures.planning.wrist import WristState
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.inverse import Branch

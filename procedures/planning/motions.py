@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from procedures.planning.planning_scene import PlanningScene
-from procedures.planning.reach import ArmSetting, PathCheck, Reached, Unmet, VisitKind
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance import Closest, sweep_path
 from ronna_hw.arm.limits import MotionLimits, working_limits

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Self
 
-from procedures.planning.reach import PathCheck, VisitKind
+from procedures.planning.visits import PathCheck, VisitKind
 
 LEAST_A5_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was seen, three times the usual
 MOST_A4_CHANGE_RAD = math.radians(45.0)  # between a localization and the target

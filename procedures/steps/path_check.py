@@ -9,8 +9,8 @@ from typing import Any
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.planning.free_angle import TurnedPaths, choose_free_angles
 from procedures.planning.motions import PreviewedMotion, previews_of
-from procedures.planning.reach import ArmSetting, PathCheck, Reached, VisitKind
 from procedures.planning.sight import StereoSight
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
 from procedures.steps.arm_frames import guide_in_flange, model_of, stereo_tool_in_flange
 from procedures.steps.payloads import points_from, pose_from, pose_payload
 from procedures.steps.plan_check import planned

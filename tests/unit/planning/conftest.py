@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.planning.reach import ArmSetting
+from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.arm.model import ArmVariant, arm_model
 from ronna_hw.frames import Frame, Transform

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from procedures.planning.free_angle import FURTHEST_RAD, choose_free_angles, turns_rad
-from procedures.planning.reach import ArmSetting, check_paths, visits_of
+from procedures.planning.reach import check_paths
 from procedures.planning.sight import StereoSight
+from procedures.planning.visits import ArmSetting, visits_of
 from procedures.planning.wrist import LEAST_A5_RAD, WristState
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory

@@ -15,8 +15,9 @@ from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_shape import HeadShape
 from procedures.planning.motions import HOME, motions_of, previews_of
 from procedures.planning.planning_scene import PlanningScene
-from procedures.planning.reach import ArmSetting, check_paths
+from procedures.planning.reach import check_paths
 from procedures.planning.sight import StereoSight
+from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import forward

@@ -11,7 +11,8 @@ import pytest
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.posture import ranked_branches
-from procedures.planning.reach import VisitKind, check_paths, visits_of
+from procedures.planning.reach import check_paths
+from procedures.planning.visits import VisitKind, visits_of
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.inverse import branch_of
 from ronna_hw.arm.kinematics import forward

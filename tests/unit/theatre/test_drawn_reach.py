@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.reach import ArmSetting
 from procedures.planning.sight import StereoSight
+from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.model import arm_model

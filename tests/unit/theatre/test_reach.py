@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from procedures.planning.reach import ArmSetting, check_paths
+from procedures.planning.reach import check_paths
+from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.model import arm_model, radians6

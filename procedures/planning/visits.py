@@ -1,0 +1,197 @@
+"""The poses that the arm visits in a procedure, and what is found when it is asked to reach them.
+
+Each pose is approached and left along the tool axis, from a point outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from procedures.planning.errors import NotReachable
+from procedures.planning.planning_scene import PlanningScene
+from procedures.planning.posture import START_RAD
+from procedures.strategies.orientation import back_along_axis, require_frames
+from procedures.strategies.strategy import Strategy
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.inverse import Branch
+from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.model import ArmModel
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Frame, Transform
+
+APPROACH_MM = 60.0  # outside the head, before the fiducial or the entry
+
+
+class VisitKind(StrEnum):
+    """What the arm does at a pose."""
+
+    LOCALIZATION = "localization"
+    TARGET = "target"
+
+
+@dataclass(frozen=True)
+class Visit:
+    """One pose of the procedure, ROBOT <- TOOL, and its approach point back along the tool axis.
+
+    `identifier` reads like `T1/fiducial 2` (fiducials counted from 0) or `T1/target`. `approach_mm` is the
+    distance of the approach point from the pose; retreat is the same line backwards.
+    """
+
+    identifier: str
+    kind: VisitKind
+    trajectory: str
+    fiducial: int | None
+    pose: Transform
+    approach_mm: float
+
+    @property
+    def approach(self) -> Transform:
+        """The approach pose ROBOT <- TOOL."""
+        return back_along_axis(self.pose, self.approach_mm)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """A visit with the joint angles chosen for it, at the approach point and at the pose."""
+
+    visit: Visit
+    approach_rad: JointVector
+    at_rad: JointVector
+
+
+@dataclass(frozen=True)
+class JointMove:
+    """A joint move between two approach points; `change_rad` per axis."""
+
+    start: str
+    end: str
+    change_rad: JointVector
+
+    @property
+    def largest_rad(self) -> float:
+        """The largest turn of any axis."""
+        return max(abs(value) for value in self.change_rad)
+
+
+@dataclass(frozen=True)
+class Unmet:
+    """A precondition that fails: which pose, and why."""
+
+    pose: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class PathCheck:
+    """The answer: every visit with its joints in one branch, or what is unmet in the best branch."""
+
+    branch: Branch | None
+    reached: tuple[Reached, ...]
+    moves: tuple[JointMove, ...]
+    unmet: tuple[Unmet, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the whole procedure can be driven in this branch."""
+        return not self.unmet
+
+    @property
+    def joint_ranges_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle per axis over all poses; empty when nothing is reached."""
+        angles = [joints for one in self.reached for joints in (one.approach_rad, one.at_rad)]
+        return tuple((min(axis), max(axis)) for axis in zip(*angles, strict=True))
+
+    def at(self, identifier: str) -> Reached:
+        """The visit with this identifier; raises KeyError."""
+        for one in self.reached:
+            if one.visit.identifier == identifier:
+                return one
+        raise KeyError(identifier)
+
+    def require(self) -> None:
+        """Raises PLAN-007 with every unmet precondition."""
+        if self.unmet:
+            lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
+            raise NotReachable(f"{len(self.unmet)} pose(s) cannot be driven: {lines}")
+
+    def as_payload(self) -> dict[str, Any]:
+        """Plain numbers for a record."""
+        return {
+            "passed": self.passed,
+            "branch_status": None if self.branch is None else self.branch.status,
+            "poses": [
+                {
+                    "id": one.visit.identifier,
+                    "kind": one.visit.kind.value,
+                    "approach_rad": list(one.approach_rad),
+                    "at_rad": list(one.at_rad),
+                }
+                for one in self.reached
+            ],
+            "moves": [
+                {"from": move.start, "to": move.end, "largest_rad": move.largest_rad} for move in self.moves
+            ],
+            "unmet": [{"pose": one.pose, "reason": one.reason} for one in self.unmet],
+        }
+
+
+@dataclass(frozen=True)
+class ArmSetting:
+    """The arm as the check needs it: where the CT is thought to be, what hangs on the flange, the start.
+
+    `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
+    head's tool centre point (by design the same; None takes the guide's). With a `scene`, every motion must
+    also be clear of what is in it.
+    """
+
+    model: ArmModel
+    robot_from_ct: Transform
+    flange_from_tool: Transform
+    strategy: Strategy
+    flange_from_stereo: Transform | None = None
+    start_rad: JointVector = START_RAD
+    limits: MotionLimits | None = None
+    approach_mm: float = APPROACH_MM
+    scene: PlanningScene | None = None
+
+    def __post_init__(self) -> None:
+        """Raises FRM-001 when a transform maps between other frames."""
+        require_frames(self.robot_from_ct, Frame.ROBOT, Frame.CT)
+        require_frames(self.flange_from_tool, Frame.FLANGE, Frame.TOOL)
+        if self.flange_from_stereo is not None:
+            require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
+
+
+def visits_of(
+    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike
+) -> tuple[Visit, ...]:
+    """All poses in the order of the procedure: localizations, then, after the tool change, targets."""
+    points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+    localized = trajectories if setting.strategy.localizes_per_trajectory else trajectories[:1]
+    visits = []
+    for trajectory in localized:
+        poses = setting.strategy.localization_poses(trajectory, points, setting.robot_from_ct)
+        for index, pose in enumerate(poses):
+            identifier = f"{trajectory.identifier}/fiducial {index}"
+            visits.append(
+                Visit(
+                    identifier,
+                    VisitKind.LOCALIZATION,
+                    trajectory.identifier,
+                    index,
+                    pose,
+                    setting.approach_mm,
+                )
+            )
+    for trajectory in trajectories:
+        pose = setting.strategy.target_pose(trajectory, setting.robot_from_ct)
+        away_mm = trajectory.depth_mm + setting.approach_mm
+        identifier = f"{trajectory.identifier}/target"
+        visits.append(Visit(identifier, VisitKind.TARGET, trajectory.identifier, None, pose, away_mm))
+    return tuple(visits)
