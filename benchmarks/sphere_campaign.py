@@ -31,6 +31,7 @@ OCCLUDED = Case("20 % of the width hidden, 3 % stained", rim_lost=(0.295, 0.295)
 HALF_HIDDEN = Case("38 to 60 % of the rim hidden", reach_mm=2.5, rim_lost=(0.38, 0.60))
 JUST_HIDDEN = Case("38 to 42 % of the rim hidden", reach_mm=2.5, rim_lost=(0.38, 0.42), stained=0.03)
 UNITY_GAIN_RAW = 32
+HONEST = (0.7, 1.4)  # chi square per degree of freedom, as for the CT: goal 6
 LIMB = 0.75  # brightness of the film at the rim
 
 

@@ -69,7 +69,7 @@ class SphereNotFound(RefusedError):
     """The stereo head does not see a sphere where it should be, nor around it."""
 
     code = "PRO-008"
-    action = "Check that the sphere is mounted and unobstructed, then repeat; or plan without it."
+    action = "Check that the sphere is mounted, lit and unobstructed, lenses uncovered; or plan without it."
 
 
 class WrongTool(LimitError):

@@ -31,10 +31,9 @@ RELIABLE_CONTRAST_TO_NOISE = 6.0
 FILLED_SHARE = 0.6  # of the inside that must be brighter than half the step
 FILLED_AREA = (0.02, 0.8)  # where it is sampled, as a share of the area from the centre
 FILLED_RINGS, FILLED_RAYS = 12, 36
-# Grain, uneven light and the edges of stains move the centre by about this much whatever the noise: in drawn
-# pictures, where it makes the covariance an honest one; real films and lights are not known yet (U).
-MODEL_ERROR_PX = 0.004
-MODEL_ERROR_BLURS = 0.003  # where the rim is soft, of its blur
+# Neighbouring rays share grain, uneven light and the edges of stains, so they say less than independent ones.
+# With this factor covariances are honest in drawn pictures; films and lights of the hardware are unknown (U).
+SHARED_ERRORS = 2.5
 
 
 def judged(
@@ -66,8 +65,7 @@ def judged(
         / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
         / (1.0 + (RELIABLE_CONTRAST_TO_NOISE / contrast_to_noise) ** 2)
     )
-    model_error = max(MODEL_ERROR_PX, MODEL_ERROR_BLURS * blur)
-    covariance = fit.centre_covariance_px2 + model_error**2 * np.eye(2)
+    covariance = SHARED_ERRORS * fit.centre_covariance_px2
     return SphereImage(
         centre_px=fit.ellipse.centre_px,
         axes_px=(major, minor),

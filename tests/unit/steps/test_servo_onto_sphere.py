@@ -89,11 +89,11 @@ def test_of_a_thousand_starts_no_sphere_is_lost_and_999_end_within_eight_steps()
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_of_ten_thousand_starts_999_in_a_thousand_end_within_eight_steps() -> None:
+def test_of_five_thousand_starts_999_in_a_thousand_end_within_eight_steps() -> None:
     """With looks that tell the truth: what keeps a servo from its end is that the arm does not repeat."""
-    found = servo_campaign(10_000, drawn=False)
+    found = servo_campaign(5000, drawn=False)
     assert found.failures == []
-    assert found.within >= 9990
+    assert found.within >= 4995
 
 
 @pytest.mark.soak
