@@ -14,7 +14,7 @@ from ronna_hw.child_process import ChildProcess, command
 from sim.theatre.world import World
 
 FREE = "tcp://127.0.0.1:0"
-LIMIT_S = 10.0
+LIMIT_S = 30.0
 ZERO = (0.0,) * 6
 _IPOC = re.compile(rb"<IPOC>(\d+)</IPOC></Rob>$")
 _DELAY = re.compile(rb'<Delay D="(\d+)"/>')
