@@ -35,7 +35,9 @@ from drivers.kuka_rsi.telegram import (
 )
 from drivers.kuka_rsi.turnaround import bin_of
 
-QUIET_AFTER_PARENT_NS = 100_000_000  # no telegram for so long: nobody is left to answer
+# Without the parent, no telegram for so long: nobody is left to answer.
+QUIET_AFTER_STOP_NS = 100_000_000  # the program has been told to end
+QUIET_BEFORE_STOP_NS = 400_000_000  # the usual Timeout of a controller: a computer under load stalls for less
 LONGEST_ENDING_CYCLES = 250  # of Stop being sent after the parent is gone
 BUNCH_S = 200e-6  # in which telegrams that were held up together come
 GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
@@ -79,6 +81,7 @@ class LinkLoop:
         self._command_number = 0
         self._told: tuple[object, ...] = ()
         self._ending_cycles = 0
+        self._stop_sent = False  # by the last reply
         self._cycles_since_fault = 0
 
     def run(self) -> None:
@@ -217,6 +220,7 @@ class LinkLoop:
     def _after_reply(self, ipoc: bytes, orders: Orders) -> None:
         """Prepare the next reply, and keep account of this one."""
         session, mailbox = self.session, self._mailbox
+        self._stop_sent = session.phase is Phase.ENDING
         session.after_reply(self._new_command(orders.command_number))
         mailbox.count_turnaround(bin_of(self._turnaround_us))
         mailbox.count_jitter(bin_of(session.jitter_us))
@@ -280,7 +284,8 @@ class LinkLoop:
             return True
         if session.phase is Phase.ENDING:
             self._ending_cycles += 1
+        quiet_ns = QUIET_AFTER_STOP_NS if self._stop_sent else QUIET_BEFORE_STOP_NS
         return (
             self._ending_cycles > LONGEST_ENDING_CYCLES
-            or session.silent_for_ns(time.monotonic_ns()) > QUIET_AFTER_PARENT_NS
+            or session.silent_for_ns(time.monotonic_ns()) > quiet_ns
         )
