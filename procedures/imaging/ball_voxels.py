@@ -11,7 +11,14 @@ from scipy.spatial import cKDTree
 
 from procedures.imaging.ball_model import BALL, SLOPE, SXY, SZ, intensities, polynomial
 from procedures.imaging.region import Region
-from procedures.imaging.robust_fit import flat_weights, minimise, scale
+from procedures.imaging.robust_fit import (
+    cauchy_growth,
+    cauchy_weights,
+    flat_growth,
+    flat_weights,
+    minimise,
+    scale,
+)
 from procedures.imaging.streak_background import FITTED_DEGREES
 
 Array = NDArray[np.float64]
@@ -33,16 +40,19 @@ class BallVoxels:
     background: Array
     spacing_mm: Array
     farthest_mm: float  # from the start: further away is another object
+    covered: bool = False  # much of the surface borders on something else, whose traces may be anywhere
 
     @classmethod
-    def of(cls, region: Region, usable: NDArray[np.bool_], radius_mm: float) -> Self:
+    def of(
+        cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
+    ) -> Self:
         """The usable voxels of a region around a ball of about that radius."""
         where = np.argwhere(usable)
         points_mm = (where + region.start) * region.spacing_mm
         places = (points_mm - points_mm.mean(axis=0)) / radius_mm
         background = polynomial(places, FITTED_DEGREES)
         values = region.values[usable]
-        return cls(where, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm)
+        return cls(where, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm, covered)
 
     def robust_fit(self, ball: Array) -> Array | None:
         """All unknowns from those of the ball alone; None when nothing settles nearby.
@@ -96,8 +106,12 @@ class BallVoxels:
         modelled, derivatives = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
         noise_hu = scale(residuals)
-        weights = flat_weights(residuals, noise_hu)
+        weights = (cauchy_weights if self.covered else flat_weights)(residuals, noise_hu)
         return derivatives, weights * residuals, weights, noise_hu
+
+    def growth(self, weights: Array) -> float:
+        """How fast the pull grows with the residual, over its weight, on average."""
+        return (cauchy_growth if self.covered else flat_growth)(weights)
 
 
 def _with_possible_blur(unknowns: Array) -> Array:

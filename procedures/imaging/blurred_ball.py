@@ -61,7 +61,8 @@ def fit_blurred_ball(
     distance = np.sqrt((z - start_mm[0]) ** 2 + (y - start_mm[1]) ** 2 + (x - start_mm[2]) ** 2)
     clean = _far_from_metal(region)
     usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
-    if hidden_ways is not None and len(hidden_ways) > 0:
+    covered = hidden_ways is not None and len(hidden_ways) > 0
+    if hidden_ways is not None and covered:
         usable &= ~_hidden(region, start_mm, hidden_ways, distance > radius_mm - HIDDEN_DEPTH_MM)
     if usable.sum() < MIN_VOXELS:
         return None
@@ -69,7 +70,7 @@ def fit_blurred_ball(
     metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
     slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
     start = np.array([*start_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
-    voxels = BallVoxels.of(region, usable, radius_mm)
+    voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
     settled = voxels.robust_fit(start)
     fitted = None if settled is None else fit_whitened(voxels.without_outliers(settled), settled)
     if fitted is None:

@@ -20,9 +20,6 @@ from procedures.imaging.voxel_spectra import Spectrum, VoxelGrid
 Array = NDArray[np.float64]
 
 WINDOW_MM = 3.0  # noise of voxels further apart counts as independent
-# of the variance: no detail counts as freer of noise than this, since no window measures and no model fits
-# closer; 0.03 would gain 1 % on the phantom's noise
-LEAST_POWER = 0.1
 PASSES = 3  # what a fit takes is a few per cent: given back in two passes to 0.1 %
 
 
@@ -37,17 +34,20 @@ class CorrelatedNoise:
     power: Array
 
     @classmethod
-    def of_fit(cls, grid: VoxelGrid, pull: Array, taken: Spectrum) -> Self:
-        """From the weighted residuals (n,) of a fit with derivatives whose spectra are `taken` (m, ...)."""
+    def of_fit(cls, grid: VoxelGrid, pull: Array, taken: Spectrum, least: float) -> Self:
+        """From the weighted residuals (n,) of a fit with derivatives whose spectra are `taken` (m, ...).
+
+        No detail counts as freer of noise than `least`, of the variance.
+        """
         pulled = np.abs(grid.spectra(pull[:, None])[0]) ** 2
         given = grid.projected(taken)
         pairs = fft.irfftn(np.abs(grid.spectra(np.ones((len(pull), 1)))[0]) ** 2, s=grid.padded)
         scale = _taper(grid) / np.maximum(_mirrored(pairs), 1.0)
-        least = LEAST_POWER * float(np.mean(pull**2))
+        least_hu2 = least * float(np.mean(pull**2))
         power = np.zeros(pulled.shape)
         for _ in range(PASSES):
             sums = fft.irfftn(pulled + power * given, s=grid.padded)
-            power = np.maximum(fft.rfftn(_mirrored(sums) * scale).real, least)
+            power = np.maximum(fft.rfftn(_mirrored(sums) * scale).real, least_hu2)
         return cls(grid, power)
 
     def with_more(self, power_hu2: float) -> CorrelatedNoise:

@@ -76,10 +76,19 @@ def flat_weights(residuals: Array, noise: float) -> Array:
     return np.asarray(1.0 / (1.0 + (residuals / (FLAT_TO * noise)) ** 4))
 
 
-def pull_growth(flat: Array) -> float:
-    """How fast the pull w·r grows with the residual r, over its weight, on average, for flat weights."""
-    # 4w² - 3w is the derivative of r·w(r)
-    return max(float(np.mean(4.0 * flat**2 - 3.0 * flat)), MIN_GROWTH) / float(np.mean(flat))
+def cauchy_growth(weights: Array) -> float:
+    """How fast the pull w·r grows with the residual r, over its weight, on average, for Cauchy weights."""
+    return _growth(2.0 * weights**2 - weights, weights)
+
+
+def flat_growth(weights: Array) -> float:
+    """The same for flat weights."""
+    return _growth(4.0 * weights**2 - 3.0 * weights, weights)
+
+
+def _growth(by_residual: Array, weights: Array) -> float:
+    """`by_residual` (n,) are the derivatives of w·r."""
+    return max(float(np.mean(by_residual)), MIN_GROWTH) / float(np.mean(weights))
 
 
 def products(one: Array, other: Array) -> Array:

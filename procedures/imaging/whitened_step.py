@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.noise_covariance import CorrelatedNoise
-from procedures.imaging.robust_fit import products, pull_growth
+from procedures.imaging.robust_fit import products
 from procedures.imaging.voxel_spectra import Spectrum
 
 Array = NDArray[np.float64]
@@ -47,12 +47,13 @@ class WhitenedStep:
         noise: CorrelatedNoise,
         derivatives: Array,
         spectra: Spectrum,
-        weights: Array,
+        growth: float,
         smooth: NDArray[np.bool_],
     ) -> Self:
-        """From weighted derivatives (n, m), their spectra and weights (n,) at a robust fit; nothing is drawn.
+        """From weighted derivatives (n, m) at a robust fit and their spectra; nothing is drawn.
 
-        `smooth` (m,) tells the derivatives that are smooth where the voxels end.
+        `growth` is how fast the pull grows with the residual, over its weight; `smooth` (m,) tells the
+        derivatives that are smooth where the voxels end.
         """
         instruments = derivatives / noise.slow_power
         instruments[:, ~smooth] = noise.grid.values(spectra[~smooth] / noise.power)
@@ -60,7 +61,7 @@ class WhitenedStep:
         filtered[~smooth] = noise.grid.spectra(instruments[:, ~smooth])
         return cls(
             instruments,
-            pull_growth(weights) * products(instruments, derivatives),
+            growth * products(instruments, derivatives),
             noise.grid.products(filtered, filtered, noise.power),
             np.zeros(len(smooth)),
         )

@@ -86,8 +86,7 @@ def equations(voxels: BallVoxels) -> tuple[WhitenedStep, Array, VoxelGrid]:
     noise = CorrelatedNoise(grid, np.maximum(power, 0.1 * NOISE_HU**2))
     smooth = np.ones(derivatives.shape[1], dtype=bool)
     smooth[EDGE] = False
-    weights = np.ones(len(derivatives))
-    step = WhitenedStep.of_fit(noise, derivatives, grid.spectra(derivatives), weights, smooth)
+    step = WhitenedStep.of_fit(noise, derivatives, grid.spectra(derivatives), 1.0, smooth)
     return step, derivatives, grid
 
 
@@ -120,8 +119,8 @@ def test_the_noise_is_measured_and_what_the_fit_took_is_given_back(voxels: BallV
     for seed in range(6):
         values = noise_hu(seed)[tuple(voxels.where.T)]
         left = values - orthogonal @ (orthogonal.T @ values)
-        given.append(CorrelatedNoise.of_fit(grid, left, grid.spectra(derivatives)).slow_power)
-        kept.append(CorrelatedNoise.of_fit(grid, left, grid.spectra(derivatives[:, :1])).slow_power)
+        given.append(CorrelatedNoise.of_fit(grid, left, grid.spectra(derivatives), 0.1).slow_power)
+        kept.append(CorrelatedNoise.of_fit(grid, left, grid.spectra(derivatives[:, :1]), 0.1).slow_power)
     assert np.mean(given) == pytest.approx(true_slow, rel=0.15)
     assert np.mean(kept) < 0.93 * np.mean(given)
 
