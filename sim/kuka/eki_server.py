@@ -98,12 +98,12 @@ class EkiServer:
         return bool(self._outgoing)
 
     def spoil_next(self, how: Callable[[bytes], bytes]) -> None:
-        """Write the next telegram spoilt: `half`, `after_garbage` or `padded`."""
-        self._spoils = how
+        """Write the next telegram to the present client spoilt: `half`, `after_garbage` or `padded`."""
+        self._spoils = how if self.connected else None
 
     def overflow(self) -> None:
-        """Fill the memory of the channel: the next request finds no room."""
-        self._full = True
+        """Fill the memory of the channel: the next request of the present client finds no room."""
+        self._full = self.connected
 
     def serve(self, ready: socket.socket) -> None:
         """Handle a socket that is ready to be read."""

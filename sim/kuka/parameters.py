@@ -75,7 +75,9 @@ class ControllerParameters:
     ] = "total"
     delay_lag_cycles: Annotated[int, "Telegrams by which D is behind what was late."] = 0
     stat_tells_limits: Annotated[bool, "Stat has bits for limits beside bit 0, correction active."] = True
-    reply_window: Annotated[float, "Share of the cycle within which a reply is in time.", Most(1.0)] = 1.0
+    reply_window: Annotated[
+        float, "Share of the cycle within which a reply is in time; lock-step waits for it.", Most(1.0)
+    ] = 1.0
     second_reply: Annotated[
         Literal["ignored", "taken"], "A second reply to the same telegram, while its cycle lasts."
     ] = "ignored"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -12,14 +13,15 @@ from kuka_clients import Cell, EkiClient, RsiClient
 
 from sim.kuka.description import description
 from sim.theatre.built_in import built_in_scene
-from sim.theatre.faults.robot import ROBOT_FAULTS
+from sim.theatre.faults.robot import ROBOT_FAULTS, TRIPS
 from sim.theatre.world import World
 
 pytestmark = pytest.mark.soak
 
 ROUNDS = 60
 FULL_STEP_DEG = [joint.full_speed_deg_s * 0.004 for joint in description("kr6_r900_sixx").joints]
-WORDS = {"INT": ("1", "3"), "NUMBER": ("5", "30", "100"), "NAME": ("T1", "AUT")}
+WORDS = {"INT": ("1", "3"), "NUMBER": ("5", "30", "100")}
+NAMES = {"mode": ("T1", "AUT"), "trip": TRIPS}
 
 
 @pytest.fixture
@@ -33,7 +35,8 @@ def _storm(generator: random.Random, begin_s: float) -> str:
     """Up to four faults that begin within a fifth of a second."""
     lines = []
     for kind in generator.sample(ROBOT_FAULTS, generator.randint(1, 4)):
-        words = [generator.choice(WORDS.get(word, (word,))) for word in kind.phrase.split()]
+        choices = {**WORDS, "NAME": NAMES.get(kind.name, ())}
+        words = [generator.choice(choices.get(word, (word,))) for word in kind.phrase.split()]
         lasting = "" if kind.momentary else f" for {generator.uniform(0.02, 0.3):.3f} s"
         moment_s = begin_s + generator.uniform(0.0, 0.2)
         lines.append(f"at {moment_s:.6f} s: robot {' '.join(words)}{lasting}")
@@ -56,9 +59,12 @@ def _ride(rsi: RsiClient, world: World) -> None:
 
 
 def _bring_back(cell: Cell, eki: EkiClient) -> EkiClient:
-    eki.close()
-    eki = cell.project()
-    eki.state(Mode="EXT", EStop="0", Guard="0")
+    while True:
+        eki.close()
+        eki = cell.project()
+        with contextlib.suppress(ConnectionError):  # somebody else held the channel until a moment ago
+            eki.state(Mode="EXT", EStop="0", Guard="0")
+            break
     eki.command("CANCEL")
     assert eki.command("ACK_ERRORS") == 0
     eki.state(RSI="0", Moving="0")

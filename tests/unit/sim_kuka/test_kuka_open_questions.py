@@ -9,13 +9,16 @@ from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
+from sim.kuka.autostart import Autostart
 from sim.kuka.command import kuka
+from sim.kuka.eki_project import ProjectChannel
 from sim.kuka.parameters import ControllerParameters
 from sim.kuka.reply import ReplyReader
 from sim.kuka.true_arm import TrueArm
@@ -285,6 +288,53 @@ def test_a_lost_eki_connection_may_end_the_run(bench_with: Callable[..., Any], c
     bench.enter_movecorr()
     bench.controller.lose_eki()
     assert (bench.controller.run is None) is cancels
+
+
+class Heard:
+    """An EKI channel that keeps what the program says."""
+
+    connected = True
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def attach(self, _peer: object) -> None:
+        pass
+
+    def send(self, text: str) -> None:
+        self.texts.append(text)
+
+
+def _ask(bench: Any, request: str) -> list[ElementTree.Element]:
+    heard: Any = Heard()
+    channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, wanted=False))
+    channel.request(ElementTree.fromstring(request))
+    return [ElementTree.fromstring(text) for text in heard.texts]
+
+
+@pytest.mark.parametrize("inverted", [0, 2, 7])
+def test_bits_of_the_status_may_mean_the_opposite_when_told_and_when_taken(
+    make_bench: Callable[..., Any], inverted: int
+) -> None:
+    bench = make_bench(parameters=ControllerParameters(inverted_status=inverted), start=False)
+    bench.controller.switch_drives(True)
+    home_deg = list(bench.controller.arm.axes_deg)
+    position = _ask(bench, '<Cmd Id="3" Name="STATUS"></Cmd>')[0].find("Pos")
+    assert position is not None
+    assert int(position.attrib["S"]) == 0b010 ^ inverted
+    told = " ".join(f'{name}="{value}"' for name, value in position.attrib.items())
+    acknowledged = _ask(bench, f'<Cmd Id="4" Name="PTP_POS" {told}></Cmd>')[0]
+    assert acknowledged.get("Code") == "0"
+    while bench.controller.moving:
+        bench.controller.settle()
+    assert bench.controller.arm.axes_deg == pytest.approx(home_deg, abs=1e-3)
+
+
+def test_a_text_ends_where_a_KRL_string_does(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(parameters=ControllerParameters(longest_text=10), start=False)
+    acknowledged = _ask(bench, f'<Cmd Id="{"7" * 30}" Name="NONSENSE"></Cmd>')[0]
+    assert acknowledged.get("Id") == "7" * 10
+    assert acknowledged.get("Text") == "unknown co"
 
 
 # -- the true arm
