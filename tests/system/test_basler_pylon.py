@@ -20,6 +20,10 @@ from drivers.basler_stereo.errors import (
 from drivers.basler_stereo.pylon_pair import PylonStereoPair
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance.case import Case, Outcome
+from ronna_hw.conformance.report import run_case
+from ronna_hw.conformance.stereo import SUITE
 from ronna_hw.devices import Lifecycle, StereoPair
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import AreaOfInterest, Validity
@@ -27,9 +31,25 @@ from ronna_hw.devices.readings import AreaOfInterest, Validity
 os.environ.setdefault("PYLON_CAMEMU", "2")  # read once, when the library is loaded
 AREA = AreaOfInterest(0, 0, 256, 128)  # the emulated sensors have 16 million pixels
 SERIALS = ("0815-0000", "0815-0001")
+EMULATION_LACKS = {"S05": "time stamps", "S11": "control privilege", "S12": "addresses", "S13": "addresses"}
 pytestmark = pytest.mark.skipif(
     find_spec("pypylon") is None, reason="the optional extra pylon is not installed"
 )
+
+
+def configured(**options: object) -> DeviceConfig:
+    return DeviceConfig(
+        driver="basler_pylon",
+        endpoints={"left": "gev://127.0.0.1", "right": "gev://127.0.0.2"},
+        options={
+            "device_class": "BaslerCamEmu",
+            "left_serial": SERIALS[0],
+            "right_serial": SERIALS[1],
+            "expected_model": "Emulation",
+            "gain_raw": 200,
+            **options,
+        },
+    )
 
 
 @pytest.fixture
@@ -37,19 +57,7 @@ def make_pair():
     made = []
 
     def make(**options) -> PylonStereoPair:
-        config = DeviceConfig(
-            driver="basler_pylon",
-            endpoints={"left": "gev://127.0.0.1", "right": "gev://127.0.0.2"},
-            options={
-                "device_class": "BaslerCamEmu",
-                "left_serial": SERIALS[0],
-                "right_serial": SERIALS[1],
-                "expected_model": "Emulation",
-                "gain_raw": 200,
-                **options,
-            },
-        )
-        made.append(PylonStereoPair("stereo", config, HostClock()))
+        made.append(PylonStereoPair("stereo", configured(**options), HostClock()))
         return made[-1]
 
     yield make
@@ -84,6 +92,21 @@ def test_it_is_a_stereo_pair_that_follows_the_lifecycle(make_pair):
     device.deactivate()
     device.close()
     assert device.state is Lifecycle.CLOSED
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, id=case.number)
+        for case in SUITE.cases
+        if case.number[0] == "S" and case.number not in EMULATION_LACKS
+    ],
+)
+def test_it_passes_the_suite_of_any_pair_as_far_as_the_emulation_goes(case: Case) -> None:
+    bench = Bench("stereo", configured(), HostClock())
+    result = run_case(case, bench)
+    bench.release()
+    assert result.outcome is Outcome.PASS, result.reason
 
 
 def test_every_trigger_gives_one_pair(pair):
