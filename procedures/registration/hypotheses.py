@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from procedures.registration.consistency import bits
-from procedures.registration.rigid import fit_rigid, mirrored_sum_mm2, residuals
+from procedures.registration.correspondence import Hypothesis
+from procedures.registration.rigid import as_transform, fit_rigid, mirrored_sum_mm2, residuals
 
 Array = NDArray[np.float64]
 
@@ -131,3 +132,10 @@ def leave_one_out(masks: Sequence[int]) -> list[int]:
     Dropping only the worst pair would leave swapped pairs behind.
     """
     return list(dict.fromkeys(mask & ~(1 << node) for mask in masks for node in bits(mask)))
+
+
+def as_hypothesis(one: Candidate, physical_count: int) -> Hypothesis:
+    """A candidate as it is told: pairs of indices, their transform and their score."""
+    pairs = np.stack(np.divmod(np.array(bits(one.nodes), dtype=np.intp), physical_count), axis=1)
+    transform = as_transform(one.rotation, one.translation_mm)
+    return Hypothesis(pairs, transform, one.chi_square, gate(one.size), one.score_nats)

@@ -42,7 +42,7 @@ def match(
     for name, points in (("image", image), ("physical", physical)):
         if len(points) > MOST_POINTS:
             raise BadPoints(f"{len(points)} {name} points", limit=f"{MOST_POINTS} per set")
-    evidence = _evidence(sigma_image_mm, sigma_physical_mm)
+    evidence = evidence_of(sigma_image_mm, sigma_physical_mm)
     _check_expected(expected)
     checked_prior = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
     search = PairingSearch(image, physical, evidence, expected, checked_prior)
@@ -55,7 +55,8 @@ def match(
     return search.answer()
 
 
-def _evidence(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
+def evidence_of(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
+    """What agreement is worth under these standard deviations, as `match` takes them. Raises REG-007."""
     variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
         raise BadParameter("at least one sigma must be positive", last=f"{variance} mm2")

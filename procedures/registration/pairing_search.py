@@ -8,11 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.registration.consistency import CLIQUE_SLACK, CliqueSearch, bits, consistency_graph
-from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
-from procedures.registration.hypotheses import Candidate, Evidence, evaluate, gate, leave_one_out
+from procedures.registration.consistency import CLIQUE_SLACK, CliqueSearch, consistency_graph
+from procedures.registration.correspondence import Match, MatchStatus, Prior
+from procedures.registration.hypotheses import (
+    Candidate,
+    Evidence,
+    as_hypothesis,
+    evaluate,
+    gate,
+    leave_one_out,
+)
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.rigid import as_transform
 
 Array = NDArray[np.float64]
 
@@ -187,7 +193,7 @@ class PairingSearch:
             np.zeros((0, 2), dtype=np.intp),
             None,
             reason,
-            self._hypothesis(miss) if miss else None,
+            as_hypothesis(miss, len(self.physical)) if miss else None,
             0.0,
             tuple(range(len(self.image))),
             tuple(range(len(self.physical))),
@@ -196,24 +202,18 @@ class PairingSearch:
     def _result(
         self, status: MatchStatus, reason: str, best: Candidate, rival: Candidate | None, margin: float
     ) -> Match:
-        shown = self._hypothesis(best)
+        shown = as_hypothesis(best, len(self.physical))
         used_image, used_physical = set(shown.pairs[:, 0].tolist()), set(shown.pairs[:, 1].tolist())
         return Match(
             status,
             shown.pairs,
             shown.transform,
             reason,
-            self._hypothesis(rival) if rival else None,
+            as_hypothesis(rival, len(self.physical)) if rival else None,
             margin,
             tuple(index for index in range(len(self.image)) if index not in used_image),
             tuple(index for index in range(len(self.physical)) if index not in used_physical),
         )
-
-    def _hypothesis(self, one: Candidate) -> Hypothesis:
-        nodes = np.array(bits(one.nodes), dtype=np.intp)
-        pairs = np.stack([nodes // len(self.physical), nodes % len(self.physical)], axis=1)
-        transform = as_transform(one.rotation, one.translation_mm)
-        return Hypothesis(pairs, transform, one.chi_square, gate(one.size), one.score_nats)
 
 
 def _mirror_reason(one: Candidate) -> str:

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.registration.correspondence import Match, MatchStatus, Prior
-from procedures.registration.matching import match
+from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
+from procedures.registration.hypotheses import as_hypothesis, evaluate
+from procedures.registration.matching import evidence_of, match
 from procedures.registration.points import checked_points
-from procedures.registration.rigid import as_transform, fit_rigid
+
+Array = NDArray[np.float64]
 
 TEMPLATE_SIGMA_MM = 0.05  # per axis: how exactly such a frame is made and measured
 
@@ -33,8 +35,9 @@ def match_by_template(
 ) -> Match:
     """Pair image points (n, 3) with physical points (m, 3) by a template (k, 3), k at least 3, all in mm.
 
-    UNIQUE only when all k template points are found on both sides, each in one way. The reason of a failure
-    names the side; its runner-up pairs template points with points of that side. Raises REG-001 and REG-007.
+    UNIQUE only when all k template points are found on both sides, each in one way, and agree between them.
+    The reason of a failure names the side; its runner-up then pairs template points with that side's.
+    Raises REG-001 and REG-007.
     """
     template = checked_points(template_mm, "template")
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
@@ -54,34 +57,40 @@ def match_by_template(
             return _failed(found, side, image, physical)
         sides[side] = found
     in_image, in_physical = sides["image"].pairs[:, 1], sides["physical"].pairs[:, 1]
-    pairs = np.column_stack([in_image, in_physical])
-    pairs = pairs[pairs[:, 0].argsort()]
-    fit = fit_rigid(image[pairs[:, 0]], physical[pairs[:, 1]])
+    nodes = sum(1 << int(i) * len(physical) + int(j) for i, j in zip(in_image, in_physical, strict=True))
+    (pairing,) = evaluate([nodes], image, physical, evidence_of(sigma_image_mm, sigma_physical_mm))
+    paired = as_hypothesis(pairing, len(physical))
     checked_prior = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
-    if checked_prior is not None and not checked_prior.allows(fit.rotation):
-        outside = replace(
-            sides["physical"], status=MatchStatus.INCONSISTENT, reason="outside the orientation"
-        )
-        return _failed(outside, "physical", image, physical)
+    if checked_prior is not None and not checked_prior.allows(pairing.rotation):
+        reason = "the template is found only in an orientation that the prior excludes"
+        return _nothing(reason, paired, image, physical)
+    if not pairing.passed:
+        return _nothing("image and physical points differ beyond the noise", paired, image, physical)
     return Match(
         MatchStatus.UNIQUE,
-        pairs,
-        as_transform(fit.rotation, fit.translation_mm),
+        paired.pairs,
+        paired.transform,
         f"all {len(template)} template points were found on both sides",
         runner_up=None,
         margin_nats=min(one.margin_nats for one in sides.values()),
-        unmatched_image=_others(len(image), pairs[:, 0]),
-        unmatched_physical=_others(len(physical), pairs[:, 1]),
+        unmatched_image=_others(len(image), paired.pairs[:, 0]),
+        unmatched_physical=_others(len(physical), paired.pairs[:, 1]),
     )
 
 
-def _failed(found: Match, side: str, image: NDArray[np.float64], physical: NDArray[np.float64]) -> Match:
-    nothing = np.empty((0, 2), dtype=np.intp)
-    return replace(
-        found,
-        pairs=nothing,
-        transform=None,
-        reason=f"the template among the {side} points: {found.reason}",
+def _failed(found: Match, side: str, image: Array, physical: Array) -> Match:
+    nothing = _nothing(f"the template among the {side} points: {found.reason}", None, image, physical)
+    return replace(nothing, status=found.status, runner_up=found.runner_up)
+
+
+def _nothing(reason: str, nearest: Hypothesis | None, image: Array, physical: Array) -> Match:
+    return Match(
+        MatchStatus.INCONSISTENT,
+        np.empty((0, 2), dtype=np.intp),
+        None,
+        reason,
+        nearest,
+        margin_nats=0.0,
         unmatched_image=tuple(range(len(image))),
         unmatched_physical=tuple(range(len(physical))),
     )

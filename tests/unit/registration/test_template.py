@@ -52,7 +52,24 @@ def test_an_orientation_that_cannot_be_is_refused(random, any_pose):
     prior = Prior(Rotation.from_rotvec([0.0, 0.0, np.pi]) * turn.rotation)
     found = match_by_template(FRAME, FRAME, turn.apply(FRAME), prior=prior, **SIGMAS)
     assert found.status is MatchStatus.INCONSISTENT
-    assert "outside the orientation" in found.reason
+    assert "orientation that the prior excludes" in found.reason
+    assert found.runner_up.pairs.tolist() == [[0, 0], [1, 1], [2, 2], [3, 3]]
+
+
+def test_sides_that_fit_the_template_but_not_each_other_are_refused(random, any_pose):
+    """A coarse template lets both sides pass that differ by more than their own noise."""
+    bent = FRAME + np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [1.0, 1.0, 0]])
+    found = match_by_template(
+        FRAME,
+        FRAME,
+        any_pose(random).apply(bent),
+        sigma_image_mm=0.02,
+        sigma_physical_mm=0.02,
+        sigma_template_mm=1.0,
+    )
+    assert found.status is MatchStatus.INCONSISTENT
+    assert "differ beyond the noise" in found.reason
+    assert found.runner_up.chi_square > found.runner_up.chi_square_limit
 
 
 def test_a_template_with_holes_is_refused():
