@@ -34,6 +34,7 @@ SILENCE_SLACK_S = 1.5  # for a busy computer; both are below what EKI may be sil
 GATHERED_S = 0.05
 TURN_RAD = 0.0175  # one degree of the last axis
 LONG_TURN_RAD = 20 * TURN_RAD  # interrupted as soon as it is seen to move
+SEEN_RAD = TURN_RAD / 10
 SLOW = 0.1  # of the driver's working speed
 LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed: beyond, a controller may take it for a fault
 # What forbids a start, and what the state tells of it.
@@ -183,7 +184,7 @@ def motion_ends_with_silence(bench: Bench) -> None:
         ends: list[RonnaError] = []
         mover = threading.Thread(target=_move, args=(arm, _away(start, LONG_TURN_RAD), ends))
         mover.start()
-        under_way = wait_for(lambda: abs(arm.read_state().joints_rad[5] - start[5]) > TURN_RAD / 2, LIMIT_S)
+        under_way = wait_for(lambda: abs(arm.read_state().joints_rad[5] - start[5]) > SEEN_RAD, LIMIT_S)
         tap.hold()
         mover.join()
         tap.heard()
