@@ -137,8 +137,8 @@ class Camera:
         set_up.set_area(self.features, area)
         self.area = area
 
-    def set_exposure(self, exposure_us: float, gain_raw: int, deadline_s: float) -> None:
-        """Exposure and gain, also while streaming; raises GEV-011."""
+    def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
+        """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
         self._until(deadline_s)
         set_up.set_exposure(self.features, exposure_us, gain_raw)
 

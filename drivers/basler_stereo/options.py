@@ -37,9 +37,9 @@ class BaslerOptions(Strict):
     exposure_us: Annotated[float, Field(gt=0, le=gev.EXPOSURE_MAXIMUM_US)] = Field(
         default=2000.0, description="Exposure of both cameras, in microseconds."
     )
-    gain_raw: Annotated[int, Field(ge=0, le=gev.GAIN_RAW_MAXIMUM)] = Field(
-        default=gev.GAIN_RAW_MINIMUM,
-        description="Gain of both, in the camera's own unit; 20 log10(raw/32) dB.",
+    gain_raw: Annotated[int, Field(ge=0, le=gev.GAIN_RAW_MAXIMUM)] | None = Field(
+        default=None,
+        description="Gain of both, in the camera's own unit, 20 log10(raw/32) dB; none takes the smallest.",
     )
     pixel_format: Literal["Mono8", "Mono12", "Mono12Packed"] = Field(
         default="Mono8", description="Form of the pixels on the wire."

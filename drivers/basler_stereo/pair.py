@@ -56,7 +56,7 @@ class BaslerStereoPair:
         self._grabber: PairGrabber | None = None
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
-        self._exposure = (self._options.exposure_us, self._options.gain_raw)
+        self._exposure: tuple[float, int | None] = (self._options.exposure_us, self._options.gain_raw)
         self._sequence = 0
 
     @staticmethod

@@ -112,8 +112,8 @@ class PylonCamera:
         set_up.set_area(self.features, area)
         self.area = area
 
-    def set_exposure(self, exposure_us: float, gain_raw: int) -> None:
-        """Exposure and gain, also while streaming; raises GEV-011."""
+    def set_exposure(self, exposure_us: float, gain_raw: int | None) -> None:
+        """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
         set_up.set_exposure(self.features, exposure_us, gain_raw)
 
     def start(self) -> None:

@@ -56,7 +56,7 @@ class PylonStereoPair:
         self._cameras: tuple[PylonCamera, PylonCamera] | None = None
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._pair_clock = PairClock((None, None), 0.0)
-        self._exposure = (self._options.exposure_us, self._options.gain_raw)
+        self._exposure: tuple[float, int | None] = (self._options.exposure_us, self._options.gain_raw)
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
         self._sequence = 0
         self._out_of_step = False

@@ -95,13 +95,14 @@ def arm_trigger(features: Features, options: BaslerOptions) -> None:
     features.choose("TriggerMode", "On")
 
 
-def set_exposure(features: Features, exposure_us: float, gain_raw: int) -> None:
-    """Exposure in microseconds and raw gain; raises GEV-011 with the camera's limits."""
+def set_exposure(features: Features, exposure_us: float, gain_raw: int | None) -> None:
+    """Exposure in microseconds and raw gain, None for the smallest; raises GEV-011 with the limits."""
     exposure, gain = _first(features, EXPOSURE_NAMES), _first(features, GAIN_NAMES)
     _require_within(features, exposure, exposure_us)
-    _require_within(features, gain, gain_raw)
+    wanted_gain = features.limits(gain).minimum or 0 if gain_raw is None else gain_raw
+    _require_within(features, gain, wanted_gain)
     features.set_number(exposure, round(exposure_us) if exposure.endswith("Raw") else exposure_us)
-    features.set_number(gain, gain_raw)
+    features.set_number(gain, wanted_gain)
 
 
 def full_area(features: Features) -> AreaOfInterest:

@@ -7,8 +7,8 @@ import struct
 import time
 
 from ronna_hw.conformance.bench import Bench
-from ronna_hw.conformance.case import Suite, check
-from ronna_hw.conformance.gige_link import GigeLink, camera_addresses, cameras, controlled
+from ronna_hw.conformance.case import NotShown, Suite, check
+from ronna_hw.conformance.gige_link import GigeLink, cameras, controlled
 from ronna_hw.conformance.gige_stream import GigeStream, started
 from ronna_hw.wire.gige_vision import (
     CCP_CONTROL,
@@ -22,7 +22,6 @@ from ronna_hw.wire.gige_vision import (
     GvcpCommand,
 )
 
-LOOPBACK_BROADCAST = "127.255.255.255"
 EVERYBODY = "255.255.255.255"
 FOUND_LIMIT_S = 2.0
 BEATS, BEAT_S = 8, 0.2  # three times the shortest heartbeat time-out
@@ -37,19 +36,21 @@ case = CONTROL.case
 
 @case("G01", "cameras answer a discovery that is sent to everybody, each from its own address")
 def broadcast_discovery(bench: Bench) -> None:
-    wanted = set(camera_addresses(bench))
-    target = LOOPBACK_BROADCAST if all(each.startswith("127.") for each in wanted) else EVERYBODY
-    found: set[str] = set()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller:
-        caller.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        caller.settimeout(FOUND_LIMIT_S)
-        caller.sendto(struct.pack(">BBHHH", GVCP_KEY, 1, GvcpCommand.DISCOVERY, 0, 11), (target, GVCP_PORT))
-        try:
-            while not wanted <= found:
-                found.add(caller.recvfrom(1024)[1][0])
-        except TimeoutError:
-            pass
-    check(wanted <= found, f"answers from {', '.join(sorted(wanted))}", ", ".join(sorted(found)) or "none")
+    question = struct.pack(">BBHHH", GVCP_KEY, 1, GvcpCommand.DISCOVERY, 0, 11)
+    for camera in cameras(bench):
+        found: set[str] = set()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller:
+            caller.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            caller.settimeout(FOUND_LIMIT_S)
+            caller.bind((camera.local_address, 0))  # the network card on which the camera is
+            try:
+                caller.sendto(question, (EVERYBODY, GVCP_PORT))
+                while camera.address not in found:
+                    found.add(caller.recvfrom(1024)[1][0])
+            except TimeoutError:
+                check(False, f"an answer from {camera.address}", ", ".join(sorted(found)) or "none")
+            except OSError as error:
+                raise NotShown(f"{camera.local_address} cannot ask everybody: {error.strerror}") from error
 
 
 @case("G11", "of several writes the first failure ends the command and its index is told")

@@ -32,7 +32,7 @@ FAKE_CAMERA = shutil.which("arv-fake-gv-camera-0.8")
 ADDRESS = "127.0.0.1"
 SERIAL = "STRANGER01"
 HANG_LIMIT_S = 30.0
-OPTIONS = BaslerOptions(expected_model="", gain_raw=5, packet_bytes=1500)
+OPTIONS = BaslerOptions(expected_model="", packet_bytes=1500)
 AREA = AreaOfInterest(64, 32, 640, 480)
 
 pytestmark = pytest.mark.skipif(

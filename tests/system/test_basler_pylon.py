@@ -46,7 +46,6 @@ def configured(**options: object) -> DeviceConfig:
             "left_serial": SERIALS[0],
             "right_serial": SERIALS[1],
             "expected_model": "Emulation",
-            "gain_raw": 200,
             **options,
         },
     )
