@@ -64,7 +64,7 @@ class StartPose:
 
 
 class RsiRun:
-    """The state of one run. `ended` says why it is over: a message, or None when the client asked for it."""
+    """The state of one run. When it is `over`, `message` says why; None when the client asked for it."""
 
     def __init__(
         self,
