@@ -18,7 +18,7 @@ from procedures.relocalization.vision import GreyImage
 Array = NDArray[np.float64]
 
 BLUR_FLOOR_PX = 0.5  # linear interpolation between pixels alone blurs about as much
-STEP_ITERATIONS = 4
+STEP_ITERATIONS = 3  # ten change a centre by less than 0.005 px
 SHIFT_LIMIT_PX = 1.0  # of one iteration
 DAMPING = 1e-3
 INVERSE_ROOT_TWO_PI = 1.0 / np.sqrt(2.0 * np.pi)
