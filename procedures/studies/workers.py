@@ -10,12 +10,14 @@ from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context, parent_process
 from typing import Any
+from urllib.parse import urlsplit
 
 from procedures.studies.errors import ExtraMissing, SchedulerUnreachable, UnitFailed
 from procedures.studies.ledger import Ledger
 from procedures.studies.unit import Study, Sums, Unit
 
 SCHEDULER_LIMIT_S = 10.0
+SCHEDULER_SCHEMES = ("tcp", "tls", "ws", "wss")
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 Finished = Iterator[tuple[Unit, Sums]]
@@ -99,8 +101,22 @@ def _on_pool(pool: ProcessPoolExecutor, study: Study, units: list[Unit]) -> Fini
         yield waiting[future], _result(waiting[future], future.result)
 
 
+def _require_address(scheduler: str) -> None:
+    """Dask's client, given another text, breaks off half made and complains long after."""
+    try:
+        parts = urlsplit(scheduler)
+        whole = parts.scheme in SCHEDULER_SCHEMES and parts.hostname and parts.port
+    except ValueError:  # a port that is none
+        whole = None
+    if not whole:
+        raise SchedulerUnreachable(
+            "that is no address of a Dask scheduler", awaited="tcp://HOST:PORT", last=scheduler
+        )
+
+
 @contextmanager
 def _dask_client(scheduler: str) -> Iterator[Any]:
+    _require_address(scheduler)
     try:
         from distributed import Client
     except ImportError as error:

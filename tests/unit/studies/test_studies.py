@@ -74,6 +74,14 @@ def test_nobody_at_the_schedulers_address_is_said_so(tmp_path: Path, monkeypatch
         results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:9")
 
 
+@pytest.mark.parametrize(
+    "address", ["nonsense", "tcp://", "http://127.0.0.1:8786", "tcp://127.0.0.1:99999", ""]
+)
+def test_what_is_no_address_is_refused_before_dask_sees_it(address: str, tmp_path: Path) -> None:
+    with pytest.raises(SchedulerUnreachable, match="STU-003: that is no address"):
+        results(SMALL, tmp_path, scheduler=address)
+
+
 def test_a_failed_study_keeps_what_was_finished_and_goes_on(tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     broken.touch()
