@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,6 +22,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RefusedError, RonnaError
+from ronna_hw.free_port import free_udp_port
 from ronna_hw.registry import load_driver, make_device
 from ronna_hw.wire.kuka_context import load_context
 
@@ -60,7 +60,7 @@ def tapped(bench: Bench, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
     if getattr(load_driver(config.driver), "wire_protocol", None) != KUKA:
         raise NotShown("the driver does not say that it speaks RSI and EKI of KUKA")
     bench.release()
-    port = _free_port()
+    port = free_udp_port()
     changed = {**config.endpoints, **endpoints, "rsi": f"udp://127.0.0.1:{port}"}
     with RsiTap(parse_endpoint(config.endpoints["rsi"]), ("127.0.0.1", port)) as tap:
         arm: Any = make_device(bench.name, config.model_copy(update={"endpoints": changed}), bench.clock)
@@ -316,10 +316,3 @@ def _move(arm: Any, target: JointVector, ends: list[RonnaError]) -> None:
 
 def _stamps(datagrams: list[bytes]) -> list[int]:
     return [int(match[1]) for data in datagrams if (match := _IPOC.search(data)) is not None]
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

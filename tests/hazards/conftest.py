@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.child_process import ChildProcess, command
@@ -75,8 +74,3 @@ def robot_cell() -> Iterator[Callable[..., RobotCell]]:
     yield make
     for cell in cells:
         cell.close()
-
-
-@pytest.fixture
-def awaited() -> Callable[..., None]:
-    return eventually

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from waiting import eventually
 
 from ronna_hw.devices import Lifecycle
 from ronna_hw.errors import RonnaError
@@ -83,9 +84,7 @@ def _parameters(cases: tuple[Case, ...]) -> list[Any]:
     ]
 
 
-def _moved_through(
-    cell: Any, arm: Any, happen: Callable[[], None], awaited: Any, speed: float = 0.4
-) -> RonnaError | None:
+def _moved_through(cell: Any, arm: Any, happen: Callable[[], None], speed: float = 0.4) -> RonnaError | None:
     """The error of a long motion in which something happens on the way; None when it arrives."""
     start = arm.read_state().joints_rad
     caught: list[RonnaError] = []
@@ -98,7 +97,7 @@ def _moved_through(
 
     mover = threading.Thread(target=move)
     mover.start()
-    awaited(lambda: abs(cell.true_joints_rad()[0] - start[0]) > UNDER_WAY_RAD)
+    eventually(lambda: abs(cell.true_joints_rad()[0] - start[0]) > UNDER_WAY_RAD)
     happen()
     mover.join(HANG_S)
     assert not mover.is_alive()
@@ -111,13 +110,11 @@ def _begin(cell: Any, fault: str) -> Callable[[], None]:
 
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("case", _parameters(WORKED_THROUGH))
-def test_what_the_link_can_lose_is_worked_through(
-    robot_cell: Any, awaited: Callable[..., None], case: Case
-) -> None:
+def test_what_the_link_can_lose_is_worked_through(robot_cell: Any, case: Case) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(**LIMITS)
     start = cell.true_joints_rad()
-    error = _moved_through(cell, arm, _begin(cell, case.fault), awaited, case.speed_fraction)
+    error = _moved_through(cell, arm, _begin(cell, case.fault), case.speed_fraction)
     assert error is None, error
     assert arm.state is Lifecycle.ACTIVE
     assert cell.true_joints_rad()[0] == pytest.approx(start[0] + AWAY_RAD, abs=1e-3)
@@ -128,19 +125,17 @@ def test_what_the_link_can_lose_is_worked_through(
 @pytest.mark.hazard(4)
 @pytest.mark.hazard(38)
 @pytest.mark.parametrize("case", _parameters(STOPPED))
-def test_what_the_controller_or_the_wire_does_stops_the_arm_and_is_named(
-    robot_cell: Any, awaited: Callable[..., None], case: Case
-) -> None:
+def test_what_the_controller_or_the_wire_does_stops_the_arm_and_is_named(robot_cell: Any, case: Case) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(**LIMITS)
     start = cell.true_joints_rad()
-    error = _moved_through(cell, arm, _begin(cell, case.fault), awaited, case.speed_fraction)
+    error = _moved_through(cell, arm, _begin(cell, case.fault), case.speed_fraction)
     assert error is not None
     assert error.code in case.codes, error
     assert case.words in str(error)
     assert "flight-record-robot.master.txt" in error.attachments
     assert arm.state is Lifecycle.FAULT
-    awaited(lambda: cell.world.arm().at_rest)
+    eventually(lambda: cell.world.arm().at_rest)
     rest = cell.true_joints_rad()
     assert abs(rest[0] - start[0]) < AWAY_RAD - 0.01
     # The cause goes away; recovery acknowledges and reads anew, and moves nothing.
@@ -151,26 +146,24 @@ def test_what_the_controller_or_the_wire_does_stops_the_arm_and_is_named(
             arm.recover("Ana")
         return bool(arm.state is Lifecycle.CONFIGURED)
 
-    awaited(recovered)
+    eventually(recovered)
     arm.activate()
     assert np.abs(cell.true_joints_rad() - rest).max() < 1e-3
     arm.move_joints(arm.read_state().commanded_rad)
 
 
 @pytest.mark.hazard(4)
-def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(
-    robot_cell: Any, awaited: Callable[..., None]
-) -> None:
+def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(robot_cell: Any) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(silence_limit_s=0.25, heartbeat_limit_s=1.0)
     process = arm._ways.link._process
     start = cell.true_joints_rad()
-    error = _moved_through(cell, arm, lambda: os.kill(process.pid, signal.SIGSTOP), awaited)
+    error = _moved_through(cell, arm, lambda: os.kill(process.pid, signal.SIGSTOP))
     assert error is not None
     # Whoever is first: the controller that gets no replies, or the driver that sees its process stand.
     assert error.code in ("RSI-020", "EKI-010"), error
     assert arm.state is Lifecycle.FAULT
-    awaited(lambda: cell.world.arm().at_rest)
+    eventually(lambda: cell.world.arm().at_rest)
     assert abs(cell.true_joints_rad()[0] - start[0]) < AWAY_RAD - 0.01
     arm.recover("Ana")
     assert process.poll() is not None
@@ -180,9 +173,7 @@ def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(
 @pytest.mark.slow  # a busy machine adds stalls of its own
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("stall_ms", [5, 50, 500])
-def test_a_stall_of_the_host_is_worked_through_or_named(
-    robot_cell: Any, awaited: Callable[..., None], stall_ms: int
-) -> None:
+def test_a_stall_of_the_host_is_worked_through_or_named(robot_cell: Any, stall_ms: int) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(**LIMITS)
     process = arm._ways.link._process
@@ -191,11 +182,11 @@ def test_a_stall_of_the_host_is_worked_through_or_named(
     def stall() -> None:
         os.kill(process.pid, signal.SIGSTOP)
         begun_s = cell.world.clock.now_s()
-        awaited(lambda: cell.world.clock.now_s() - begun_s >= stall_ms / 1000.0)
+        eventually(lambda: cell.world.clock.now_s() - begun_s >= stall_ms / 1000.0)
         os.kill(process.pid, signal.SIGCONT)
 
-    error = _moved_through(cell, arm, stall, awaited)
-    awaited(lambda: cell.world.arm().at_rest)
+    error = _moved_through(cell, arm, stall)
+    eventually(lambda: cell.world.arm().at_rest)
     if error is None:
         assert arm.state is Lifecycle.ACTIVE
         assert cell.true_joints_rad()[0] == pytest.approx(start[0] + AWAY_RAD, abs=1e-3)

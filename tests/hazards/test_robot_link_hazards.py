@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from rsi_tap import RsiTap
 from user_commands import Commands
+from waiting import eventually
 
 from drivers.kuka_rsi.errors import ControllerStopped, WrongController
 from ronna_hw.arm.limits import WORKING_SPEED_FRACTION
@@ -86,7 +87,7 @@ def _largest_steps(tap: RsiTap) -> tuple[float, float]:
     "lost_percent", [pytest.param(1, marks=pytest.mark.slow), 5, pytest.param(10, marks=pytest.mark.slow), 20]
 )
 def test_while_replies_are_lost_at_full_working_speed_the_arm_arrives_without_a_jump(
-    tapped_cell: Any, awaited: Callable[..., None], lost_percent: int, late: bool
+    tapped_cell: Any, lost_percent: int, late: bool
 ) -> None:
     cell, tap = tapped_cell(late=late)
     arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S)
@@ -99,7 +100,7 @@ def test_while_replies_are_lost_at_full_working_speed_the_arm_arrives_without_a_
     assert max(_largest_steps(tap)) < (LATE_STEP_SHARE if late else WORKING_STEP_SHARE)
     assert arm.degraded or lost_percent == 1
     cell.world.set_fault_script("")
-    awaited(lambda: arm.link_statistics().late_cycles == tap.lost)
+    eventually(lambda: arm.link_statistics().late_cycles == tap.lost)
     assert tap.lost > 0
     assert arm.link_statistics().lost_cycles == 0
 
@@ -163,7 +164,7 @@ def test_what_a_controller_never_tells_is_one_longer_step_that_it_takes(
 
 @pytest.mark.hazard(18)
 def test_two_neighbours_that_a_controller_never_tells_end_in_its_stop_at_full_working_speed(
-    tapped_cell: Any, awaited: Callable[..., None]
+    tapped_cell: Any,
 ) -> None:
     cell, tap = tapped_cell(never=True)
     arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S)
@@ -172,7 +173,7 @@ def test_two_neighbours_that_a_controller_never_tells_end_in_its_stop_at_full_wo
     with pytest.raises(ControllerStopped, match="message"):
         arm.move_joints(_away(start))
     assert arm.state is Lifecycle.FAULT
-    awaited(lambda: cell.world.arm().at_rest)
+    eventually(lambda: cell.world.arm().at_rest)
     # The longer step was refused and not followed.
     _, truly = _largest_steps(tap)
     assert truly < LATE_STEP_SHARE
@@ -236,7 +237,7 @@ def test_a_controller_that_dies_on_the_way_latches_a_fault_and_gives_no_more_pos
 @pytest.mark.hazard(30)
 @pytest.mark.parametrize("halt", [signal.SIGSTOP, signal.SIGKILL])
 def test_when_the_program_that_leads_the_arm_halts_the_arm_comes_to_rest_on_its_way(
-    robot_cell: Any, awaited: Callable[..., None], halt: signal.Signals
+    robot_cell: Any, halt: signal.Signals
 ) -> None:
     cell = robot_cell(paced=True)
     start = cell.true_joints_rad()
@@ -247,9 +248,9 @@ def test_when_the_program_that_leads_the_arm_halts_the_arm_comes_to_rest_on_its_
     try:
         assert mover.stdout is not None
         assert mover.stdout.readline() == "moving\n"
-        awaited(lambda: cell.true_joints_rad()[0] > start[0] + 0.1)
+        eventually(lambda: cell.true_joints_rad()[0] > start[0] + 0.1)
         os.kill(mover.pid, halt)
-        awaited(lambda: cell.world.arm().at_rest)
+        eventually(lambda: cell.world.arm().at_rest)
         assert cell.true_joints_rad()[0] < start[0] + 2.4  # on the way, not at the end of the motion
         rest = cell.world.arm()
         # The program on the controller ends as well: nobody is left to correct it.

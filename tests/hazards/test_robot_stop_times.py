@@ -6,13 +6,14 @@ so that nothing here depends on the pace of the machine.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from rsi_tap import RsiTap
+from waiting import eventually
 
 from ronna_hw.arm.limits import WORKING_SPEED_FRACTION
 from ronna_hw.arm.model import ArmVariant, arm_model
@@ -55,9 +56,8 @@ QUICK = ("robot emergency stop for 1 s", "robot guard open for 1 s", "robot eki 
 class Witness:
     """Begins a fault at full working speed, and holds the telegram after it until the driver has heard."""
 
-    def __init__(self, cell: Any, tap: RsiTap, arm: Any, case: Case, awaited: Callable[..., None]) -> None:
+    def __init__(self, cell: Any, tap: RsiTap, arm: Any, case: Case) -> None:
         self._world, self._tap, self._arm, self._case = cell.world, tap, arm, case
-        self._awaited = awaited
         self._stops = arm._ways.link.stop_number
         self.begun_at = -1  # the cycle at whose end the fault begins
         self.heard = False
@@ -74,7 +74,7 @@ class Witness:
             if self._case.asks:
                 with suppress(RonnaError):
                     self._arm.read_tool_identity(HANG_S)
-            self._awaited(lambda: self._arm._ways.link.stop_number > self._stops)
+            eventually(lambda: self._arm._ways.link.stop_number > self._stops)
             self.heard = True
 
     def _largest_step(self) -> float:
@@ -105,11 +105,11 @@ def tapped_arm(robot_cell: Any) -> Iterator[tuple[Any, RsiTap, Any]]:
     ],
 )
 def test_the_first_telegram_after_it_was_told_is_answered_by_a_stop_and_the_arm_rests_in_time(
-    tapped_arm: tuple[Any, RsiTap, Any], awaited: Callable[..., None], case: Case
+    tapped_arm: tuple[Any, RsiTap, Any], case: Case
 ) -> None:
     cell, tap, arm = tapped_arm
     start = arm.read_state().joints_rad
-    witness = Witness(cell, tap, arm, case, awaited)
+    witness = Witness(cell, tap, arm, case)
     with pytest.raises(RonnaError) as caught:
         arm.move_joints((start[0] + AWAY_RAD, *start[1:]))
     assert witness.heard
@@ -121,7 +121,7 @@ def test_the_first_telegram_after_it_was_told_is_answered_by_a_stop_and_the_arm_
     first_stop = next(cycle for cycle in arm.recorded_cycles if cycle.choice == "stop")
     assert first_stop.cycle - 1 == witness.begun_at + 1
     rest_at = witness.begun_at + LONGEST_STOP_CYCLES
-    awaited(lambda: len(tap.seen) > rest_at + STANDS_CYCLES)
+    eventually(lambda: len(tap.seen) > rest_at + STANDS_CYCLES)
     truly, sent = np.array(tap.seen), np.array(tap.acting_deg)
     assert len(np.unique(sent[rest_at:], axis=0)) == 1
     assert np.abs(truly[rest_at:] - truly[-1]).max() < STILL_RAD

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from math import radians
 
 import pytest
@@ -13,6 +12,7 @@ from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
+from ronna_hw.free_port import free_udp_port
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.world import World
 
@@ -43,19 +43,12 @@ ROWS = [
 ]
 
 
-@pytest.fixture
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.mark.parametrize(("cycle_ms", "parameters"), ROWS)
 def test_the_arm_arrives_by_joints_by_lines_and_along_its_tool(
-    free_port: int, cycle_ms: int, parameters: tuple[str, ...]
+    cycle_ms: int, parameters: tuple[str, ...]
 ) -> None:
     world = World.create(built_in_scene("mini", seed=5), paced=False)
-    rsi, free = f"udp://127.0.0.1:{free_port}", "tcp://127.0.0.1:0"
+    rsi, free = f"udp://127.0.0.1:{free_udp_port()}", "tcp://127.0.0.1:0"
     arguments = ["--rsi", rsi, "--eki", free, "--eki-project", free, "--world", world.endpoint]
     arguments += ["--cycle-ms", str(cycle_ms), *(f"--set={one}" for one in parameters)]
     with ChildProcess("ronna-sim kuka", command("sim.cli", "kuka", *arguments)) as child:

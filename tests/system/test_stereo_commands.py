@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from head_looks import ENDPOINTS, TrueHead, observation_set, true_head
 from ideal_arm import with_ideal_arm, with_turned_camera, write_scene
 from scipy.spatial.transform import Rotation
 from user_commands import Commands, one_error
 
+from benchmarks.head_looks import ENDPOINTS, TrueHead, observation_set, true_head
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
 from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_looks
 from procedures.cli.stereo import app
@@ -24,8 +24,8 @@ from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.command_line.console import exit_code_of
 from ronna_hw.config import read_theatre_file
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.frames import Transform
-from sim.theatre.door import ask_room
 from sim.theatre.scene import Scene
 from sim.theatre.theatre_file import theatre_content
 
@@ -210,8 +210,8 @@ def theatre(running: ChildProcess) -> Path:
 def fault(running: ChildProcess) -> Iterator[Callable[[str], None]]:
     """Switches a fault on in the theatre for the rest of the test."""
     control = running.ready["endpoints"]["control"]
-    yield lambda line: ask_room(control, {"do": "fault", "line": f"now: {line}"})
-    ask_room(control, {"do": "clear_faults"})
+    yield lambda line: ask_control_port(control, "fault", line=f"now: {line}")
+    ask_control_port(control, "clear_faults")
 
 
 @pytest.mark.hazard(27)

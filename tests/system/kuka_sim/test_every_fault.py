@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from kuka_clients import Cell, RsiClient
 
-from sim.theatre.door import ask_room
+from ronna_hw.control_port import ask_control_port
 from sim.theatre.faults import FaultKind
 from sim.theatre.faults.robot import CELL_FAULTS, EKI_FAULTS, LINK_FAULTS
 from sim.theatre.world import World
@@ -63,7 +63,7 @@ def test_every_fault_is_switched_on_live_and_logged_with_its_telegram(
     control = here.child.ready["control"]
     # What ends the run comes last: a stopped program has no telegrams to log with.
     for kind in (*LINK_FAULTS, *EKI_FAULTS, *CELL_FAULTS):
-        ask_room(control, {"do": "fault", "line": f"now: {line_of(kind)}"})
+        ask_control_port(control, "fault", line=f"now: {line_of(kind)}")
         wanted = f": {line_of(kind)}" + ("" if kind.momentary else " begins")
         deadline = time.monotonic() + HANG_S
         while not (logged := [line for line in here.child.messages if line.endswith(wanted)]):
@@ -71,7 +71,7 @@ def test_every_fault_is_switched_on_live_and_logged_with_its_telegram(
             time.sleep(0.001)
         if kind not in CELL_FAULTS:
             assert ", IPOC " in logged[0]
-        ask_room(control, {"do": "clear_faults"})
+        ask_control_port(control, "clear_faults")
     assert here.child.alive
 
 

@@ -7,9 +7,9 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
-from head_looks import TrueHead, observation_set, true_head
 from scipy.spatial.transform import Rotation
 
+from benchmarks.head_looks import TrueHead, observation_set, true_head
 from procedures.calibration import Observation, ObservationSet, calibrate_head
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import BadObservations, DegeneratePoses, DoesNotFit, TooFewPoses

@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from head_looks import TrueHead, observation_set, true_head
 from scipy.spatial.transform import Rotation
 
+from benchmarks.head_looks import TrueHead, observation_set, true_head
 from procedures.calibration import Baseline, CheckResult, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
 from procedures.calibration.pose_set import calibration_looks, check_looks

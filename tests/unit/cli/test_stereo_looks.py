@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from head_looks import ENDPOINTS
 from scipy.spatial.transform import Rotation
 
+from benchmarks.head_looks import ENDPOINTS
 from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
 from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_variants
 from procedures.cli import stereo_ball, stereo_looks, stereo_session

@@ -12,7 +12,8 @@ from math import degrees
 from typing import Any
 
 import pytest
-from driven_arm import FAR, THERE, eventually, largest_step, moving, state_of
+from driven_arm import FAR, THERE, largest_step, moving, state_of
+from waiting import eventually
 
 from drivers.kuka_rsi.eki_framing import LONGEST_TELEGRAM
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerLost, ControllerStopped

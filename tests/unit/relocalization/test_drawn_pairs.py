@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stereo_bench import (
+
+from benchmarks.false_spheres import DECEIVING, SPHERE_SIZED_GLARE, deceive
+from benchmarks.sphere_campaign import (
     CENTRED,
-    DECEIVING,
     DEFOCUSED,
     HALF_HIDDEN,
     HONEST,
     JUST_HIDDEN,
     OCCLUDED,
     OFF_AXIS,
-    SPHERE_SIZED_GLARE,
-    Studio,
     campaign,
-    deceive,
 )
+from benchmarks.stereo_pictures import Studio
 
 
 @pytest.mark.parametrize(

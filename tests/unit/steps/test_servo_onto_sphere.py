@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from stereo_bench import StereoCell, calibrated_cell, servo_campaign, without_arm_errors
 
+from benchmarks.servo_campaign import calibrated_cell, servo_campaign
+from benchmarks.stereo_cell import StereoCell, without_arm_errors
 from procedures.cli.stereo_present import show_look
 from procedures.engine.errors import SphereNotFound
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
