@@ -41,6 +41,8 @@ class Anything:
         self.state = Lifecycle.CONFIGURED
         self.calls: list[str] = []
 
+    notices: tuple[str, ...] = ()
+
     def connect(self) -> Identity:
         return Identity(vendor="", model="", serial="", firmware="")
 
