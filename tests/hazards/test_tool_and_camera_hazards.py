@@ -35,13 +35,13 @@ STEREO_HEAD, GUIDE = 1, 2
 class Anything:
     """A device that answers and notes what is asked of it."""
 
+    notices: tuple[str, ...] = ()
+
     def __init__(self, serials: tuple[str, str] = ("", ""), tool: int = STEREO_HEAD) -> None:
         self.serials = serials
         self.tool = tool
         self.state = Lifecycle.CONFIGURED
         self.calls: list[str] = []
-
-    notices: tuple[str, ...] = ()
 
     def connect(self) -> Identity:
         return Identity(vendor="", model="", serial="", firmware="")
