@@ -20,7 +20,7 @@ from ronna_hw.command_line.errors import UsageMistake, as_ronna_error
 from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, tell
 from ronna_hw.command_line.progress import Progress, progress_bar
 from ronna_hw.command_line.tables import print_table
-from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED
+from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 from ronna_hw.own_packages import require_own_packages
 
 __all__ = [
@@ -47,6 +47,8 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 
 # the base of typer's usage errors: unknown option, missing argument, bad value
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
+# one of them: nothing was asked for, its message is the help
+_NOTHING_ASKED: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsHelpError
 
 
 def run(app: typer.Typer) -> NoReturn:
@@ -116,9 +118,12 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
     try:
         outcome = command.main(args=list(arguments), standalone_mode=False)
     except _USAGE_ERROR as mistake:
+        said = mistake.format_message() if hasattr(mistake, "format_message") else str(mistake)
+        if isinstance(mistake, _NOTHING_ASKED):
+            tell(said)
+            return EXIT_USAGE
         context = getattr(mistake, "ctx", None)
         where = context.command_path if context is not None else command.name
-        said = mistake.format_message() if hasattr(mistake, "format_message") else str(mistake)
         raise UsageMistake(said.rstrip("."), action=f"See {where} --help.") from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
 

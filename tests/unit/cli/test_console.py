@@ -112,6 +112,17 @@ def test_a_wrong_command_line_is_a_usage_mistake(
     assert err.count("\n") == 1
 
 
+def test_a_command_without_arguments_shows_its_help_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+    for name in ("make", "show"):
+        app.command(name)(lambda: None)
+    assert console.exit_code_of(app, []) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("Usage: ")
+    assert {"  make", "  show"} <= set(line.rstrip() for line in err.splitlines())
+
+
 def test_an_interrupt_ends_with_130(capsys: pytest.CaptureFixture[str]) -> None:
     assert console.exit_code_of(raising(KeyboardInterrupt()), []) == 130
     assert capsys.readouterr().err == "interrupted\n"
