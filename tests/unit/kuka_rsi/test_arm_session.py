@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from driven_arm import MODEL, THERE, largest_step, moving, state_of
+from waiting import eventually
 
 from ronna_hw.arm.errors import OutOfJointRange
 from ronna_hw.arm.kinematics import forward
@@ -17,6 +18,8 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices import Lifecycle, RobotArm
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
+
+CYCLES_AFTERWARDS = 5  # in which a motion that was not refused would show
 
 
 def test_it_is_a_robot_arm(make_arm: Any) -> None:
@@ -65,6 +68,7 @@ def test_the_stream_can_be_started_again_from_where_the_arm_is(controller: Any, 
     active_arm.move_joints(THERE)
     active_arm.deactivate()
     active_arm.activate()
+    eventually(lambda: bool(controller.replies))
     assert controller.replies[0][1] == (0.0,) * 6
     active_arm.move_joints(radians6(0, -90, 90, 0, 60, 0))
     assert controller.axes_deg == pytest.approx((0, -90, 90, 0, 60, 0), abs=1e-5)
@@ -81,6 +85,8 @@ def test_a_target_out_of_range_is_refused_before_motion(controller: Any, active_
     with pytest.raises(OutOfJointRange):
         active_arm.move_joints(radians6(0, -90, 90, 0, 130, 0))
     assert state_of(active_arm) is Lifecycle.ACTIVE
+    cycles = len(controller.replies)
+    eventually(lambda: len(controller.replies) > cycles + CYCLES_AFTERWARDS)
     assert {r[1] for r in controller.replies} == {(0.0,) * 6}
 
 
