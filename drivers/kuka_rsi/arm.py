@@ -68,10 +68,10 @@ class KukaRsiArm:
         self._model = arm_model(options.variant)
         self._planner = MotionPlanner(name, self._model, options)
         self._guard = LifecycleGuard(name)
-        self._ways = Connections(name, config, options, self._context)
-        self._watch = FaultWatch(name, self._guard, self._ways, options)
+        self._connections = Connections(name, config, options, self._context)
+        self._watch = FaultWatch(name, self._guard, self._connections, options)
         cycle_s = self._context.program.cycle_ms / 1000.0
-        self._follower = MotionFollower(name, self._ways, self._watch, cycle_s)
+        self._follower = MotionFollower(name, self._connections, self._watch, cycle_s)
         self._sequence = 0
         self._t1_confirmed_by = ""
 
@@ -99,12 +99,12 @@ class KukaRsiArm:
     @property
     def controller(self) -> ControllerCommands:
         """Everything that is no motion: tool and base, override, program, the controller's own state."""
-        return ControllerCommands(self._name, self._guard, self._ways)
+        return ControllerCommands(self._name, self._guard, self._connections)
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """The last cycles of the stream, oldest first; they stand still once a fault is latched."""
-        link = self._ways.open_link
+        link = self._connections.open_link
         return link.recorded_cycles() if link is not None else ()
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
@@ -113,14 +113,14 @@ class KukaRsiArm:
         Raises EKI-001 when nothing answers, EKI-005 or EKI-006 when it is another controller or set-up.
         """
         self._guard.require("connect", (Lifecycle.DISCONNECTED,))
-        identity = self._ways.find_controller(timeout_s, self._watch)
+        identity = self._connections.find_controller(timeout_s, self._watch)
         self._guard.enter(Lifecycle.CONNECTED)
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
         """Start the real-time process, which takes the RSI port. Raises RSI-001."""
         self._guard.require("configure", (Lifecycle.CONNECTED,))
-        self._ways.start_link(timeout_s)
+        self._connections.start_link(timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def allow_t1(self, confirmed_by: str) -> None:
@@ -138,7 +138,7 @@ class KukaRsiArm:
         EKI disagree about the axes. What goes wrong after the start is latched: `recover` leaves it.
         """
         self._guard.require("activate", (Lifecycle.CONFIGURED,))
-        if not self._ways.verified:
+        if not self._connections.verified:
             raise Unverified(f"{self._name}: the controller does not say what it runs")
         self._start(timeout_s)
         self._guard.enter(Lifecycle.ACTIVE)
@@ -154,11 +154,13 @@ class KukaRsiArm:
         self._start(timeout_s)
         try:
             limits = self._planner.limits(self._watch.mode)
-            verify_by_motion(self._name, self._ways.link, self._model, limits)
+            verify_by_motion(self._name, self._connections.link, self._model, limits)
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
-                stream.end_stream(self._ways.eki, self._ways.link, time.monotonic() + CLOSING_STOP_S)
+                stream.end_stream(
+                    self._connections.eki, self._connections.link, time.monotonic() + CLOSING_STOP_S
+                )
             raise
         self._guard.enter(Lifecycle.ACTIVE)
 
@@ -166,10 +168,10 @@ class KukaRsiArm:
         """Bring the arm to rest and end the RSI program."""
         self._guard.require("deactivate", STREAMING)
         deadline = time.monotonic() + timeout_s
-        if self._ways.link.state.moving:
+        if self._connections.link.state.moving:
             self.stop(StopKind.HOLD, timeout_s)
         try:
-            stream.end_stream(self._ways.eki, self._ways.link, deadline)
+            stream.end_stream(self._connections.eki, self._connections.link, deadline)
         except RonnaError as error:
             self._watch.latch(error)
             raise
@@ -185,36 +187,38 @@ class KukaRsiArm:
         self._watch.notice()
         require_person(acknowledged_by)
         deadline = time.monotonic() + timeout_s
-        ways = self._ways
+        connections = self._connections
         if self._guard.state is Lifecycle.CONNECTED and self._ask(timeout_s).error:
-            stream.acknowledge(ways.eki, self._context, self._options, deadline)
+            stream.acknowledge(connections.eki, self._context, self._options, deadline)
             return
         self._guard.require("recover", (Lifecycle.FAULT,))
-        if ways.open_eki is None or ways.open_eki.failure is not None:
-            ways.find_controller(timeout_s, self._watch, retry=True)
-        link = ways.open_link
+        if connections.open_eki is None or connections.open_eki.failure is not None:
+            connections.find_controller(timeout_s, self._watch, retry=True)
+        link = connections.open_link
         if link is not None:
             if link.alive and link.stalled_s < RUNS_S:
                 with contextlib.suppress(RonnaError):
-                    stream.end_stream(ways.eki, link, time.monotonic() + 0.5 * stream.rest_of(deadline))
-            ways.close_link()
-        stream.acknowledge(ways.eki, self._context, self._options, deadline)
-        ways.start_link(stream.rest_of(deadline))
+                    stream.end_stream(
+                        connections.eki, link, time.monotonic() + 0.5 * stream.rest_of(deadline)
+                    )
+            connections.close_link()
+        stream.acknowledge(connections.eki, self._context, self._options, deadline)
+        connections.start_link(stream.rest_of(deadline))
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
         """Stop the arm, end the RSI program and the session. Bounded in time, never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
-        ways = self._ways
+        connections = self._connections
         with contextlib.suppress(Exception):
-            link = ways.open_link
+            link = connections.open_link
             if link is not None and link.alive and link.state.phase in (Phase.RUNNING, Phase.FAULT):
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
-                stream.end_stream(ways.eki, link, time.monotonic() + CLOSING_STOP_S)
-        ways.close_eki()  # first: what its reader hears it judges beside the link's own memory
-        ways.close_link()
+                stream.end_stream(connections.eki, link, time.monotonic() + CLOSING_STOP_S)
+        connections.close_eki()  # first: what its reader hears it judges beside the link's own memory
+        connections.close_link()
         self._guard.enter(Lifecycle.CLOSED)
 
     # Reading
@@ -224,7 +228,7 @@ class KukaRsiArm:
         self._watch.raise_new()
         self._guard.require("read_state", READABLE)
         if self._guard.state in STREAMING:
-            return self._reading(self._ways.link.state)
+            return self._reading(self._connections.link.state)
         state = self._ask(timeout_s)
         return ArmReading(
             self._stamp(0), Validity.OK, radians6(*state.axes_deg), commanded_rad=None, moving=state.moving
@@ -239,7 +243,7 @@ class KukaRsiArm:
     def link_statistics(self) -> LinkStatistics:
         """Health of the link since the last `activate`."""
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
-        link = self._ways.open_link
+        link = self._connections.open_link
         if link is None:
             return link_statistics(NO_STATE, ())
         return link_statistics(link.state, link.histogram(), link.jitter_histogram())
@@ -247,7 +251,7 @@ class KukaRsiArm:
     @property
     def degraded(self) -> bool:
         """Whether the arm goes slower because cycles were lost."""
-        return self._ways.open_link is not None and self._ways.open_link.state.degraded
+        return self._connections.open_link is not None and self._connections.open_link.state.degraded
 
     # Motion
 
@@ -311,7 +315,7 @@ class KukaRsiArm:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
         self._watch.notice()
         self._guard.require("stop", (*STREAMING, Lifecycle.FAULT))
-        link = self._ways.open_link
+        link = self._connections.open_link
         if link is None or not link.alive:
             return  # nothing moves the arm
         number = link.stop(_STOP_ORDERS[kind])
@@ -319,7 +323,7 @@ class KukaRsiArm:
             lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
         )
         if kind is StopKind.DRIVES_OFF:
-            self._ways.eki.require(CommandName.DRIVES, timeout_s, On=0)
+            self._connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
         if resting is None and not link.state.fault:
             raise MotionNotFinished(f"{self._name}: the arm does not come to rest", limit=f"{timeout_s:g} s")
         self._watch.notice()
@@ -343,7 +347,7 @@ class KukaRsiArm:
     ) -> ArmReading:
         self._watch.raise_new()
         self._guard.require(call, (Lifecycle.ACTIVE,))
-        link, mode = self._ways.link, self._watch.mode
+        link, mode = self._connections.link, self._watch.mode
         stops = link.stop_number
         planned = plan(link.state.commanded_rad, self._planner.limits(mode, speed_fraction))
         clear = self._planner.clear(planned, link, mode)
@@ -352,7 +356,7 @@ class KukaRsiArm:
     def _start(self, timeout_s: float) -> None:
         t1_allowed, self._t1_confirmed_by = bool(self._t1_confirmed_by), ""
         modes = (OperationMode.EXT, OperationMode.T1) if t1_allowed else (OperationMode.EXT,)
-        eki, link = self._ways.eki, self._ways.link
+        eki, link = self._connections.eki, self._connections.link
         try:
             self._watch.mode = stream.start_stream(
                 eki, link, self._context, self._options, self._name, timeout_s, modes
@@ -363,7 +367,7 @@ class KukaRsiArm:
 
     def _ask(self, timeout_s: float) -> ControllerState:
         try:
-            return self._ways.eki.status(timeout_s)
+            return self._connections.eki.status(timeout_s)
         except RonnaError:
             self._watch.notice()
             raise

@@ -1,4 +1,4 @@
-"""The two ways to the controller: the EKI session, and the real-time process behind the RSI port."""
+"""The two connections to the controller: the EKI session, and the real-time process behind the RSI port."""
 
 from __future__ import annotations
 

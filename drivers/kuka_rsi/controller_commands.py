@@ -15,15 +15,15 @@ DEFAULT_TIMEOUT_S = 5.0
 class ControllerCommands:
     """`arm.controller`. Each call raises EKI-003 without an answer and EKI-008 when it is refused."""
 
-    def __init__(self, name: str, guard: LifecycleGuard, ways: Connections) -> None:
+    def __init__(self, name: str, guard: LifecycleGuard, connections: Connections) -> None:
         self._name = name
         self._guard = guard
-        self._ways = ways
+        self._connections = connections
 
     def state(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> ControllerState:
         """What the controller says of itself now."""
         self._guard.require("controller.state", (*READABLE, Lifecycle.FAULT))
-        return self._ways.eki.status(timeout_s)
+        return self._connections.eki.status(timeout_s)
 
     def set_tool(
         self,
@@ -57,7 +57,7 @@ class ControllerCommands:
 
     def _give(self, command: CommandName, timeout_s: float, **values: object) -> None:
         self._guard.require(f"controller {command}", AT_REST)
-        self._ways.eki.require(command, timeout_s, **values)
+        self._connections.eki.require(command, timeout_s, **values)
 
 
 def _frame(pose: Pose) -> dict[str, object]:

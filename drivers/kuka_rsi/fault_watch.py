@@ -26,10 +26,12 @@ STREAMING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
 class FaultWatch:
     """One per arm. Also the listener of its EKI session."""
 
-    def __init__(self, name: str, guard: LifecycleGuard, ways: Connections, options: KukaOptions) -> None:
+    def __init__(
+        self, name: str, guard: LifecycleGuard, connections: Connections, options: KukaOptions
+    ) -> None:
         self._name = name
         self._guard = guard
-        self._ways = ways
+        self._connections = connections
         self._options = options
         # As patient as that process is with us, and with the controller.
         self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
@@ -45,12 +47,12 @@ class FaultWatch:
 
     def notice(self) -> None:
         """Latch what the real-time process or the EKI channel has found wrong meanwhile."""
-        eki = self._ways.open_eki
+        eki = self._connections.open_eki
         if self._guard.state not in STREAMING:
             if eki is not None and eki.failure and self._guard.state in READABLE:
                 self._guard.latch(eki.failure)
             return
-        link = self._ways.link
+        link = self._connections.link
         error = self._error_of(link.state)
         if error is None and not link.alive:
             error = link.death()
@@ -70,7 +72,7 @@ class FaultWatch:
 
     def latch(self, error: RonnaError) -> None:
         """Latch an error that is about to be raised."""
-        link = self._ways.open_link
+        link = self._connections.open_link
         if link is not None and self._guard.state in STREAMING:
             self._keep(error, link)
         self._guard.latch(error)
@@ -110,7 +112,7 @@ class FaultWatch:
             self._stop_for(failure)
 
     def _stop_for(self, error: RonnaError) -> None:
-        link = self._ways.open_link
+        link = self._connections.open_link
         if link is None or self._guard.state not in STREAMING:
             return
         self._keep(error, link)
@@ -122,9 +124,9 @@ class FaultWatch:
         self._guard.latch(error)
 
     def _error_of(self, state: LinkState) -> RonnaError | None:
-        eki = self._ways.open_eki
+        eki = self._connections.open_eki
         latest = eki.latest if eki is not None else None
         message = latest.error if latest is not None else 0
-        link = self._ways.open_link
+        link = self._connections.open_link
         around = NOTHING_AROUND if link is None else link.surroundings
         return error_of_fault(self._name, state, self._options, message, around)

@@ -19,9 +19,9 @@ STOP_S = 1.0  # host time for a motion to come to rest that has used up its time
 class MotionFollower:
     """One motion at a time."""
 
-    def __init__(self, name: str, ways: Connections, watch: FaultWatch, cycle_s: float) -> None:
+    def __init__(self, name: str, connections: Connections, watch: FaultWatch, cycle_s: float) -> None:
         self._name = name
-        self._ways = ways
+        self._connections = connections
         self._watch = watch
         self._cycle_s = cycle_s
         self._under_way = threading.Lock()  # held while a motion is followed
@@ -42,13 +42,13 @@ class MotionFollower:
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
         """As `LinkClient.wait`; the death of the real-time process is latched as well."""
         try:
-            return self._ways.link.wait(condition, timeout_s)
+            return self._connections.link.wait(condition, timeout_s)
         except LinkProcessDied as error:
             self._watch.latch(error)
             raise
 
     def _carry_out(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
-        link = self._ways.link
+        link = self._connections.link
         number = link.command(CommandKind.MOVE, plan, stops)
         begun = link.state
 

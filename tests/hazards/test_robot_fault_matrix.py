@@ -163,7 +163,7 @@ def test_what_the_controller_or_the_wire_does_stops_the_arm_and_is_named(robot_c
 def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(robot_cell: Any) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(silence_limit_s=0.25, heartbeat_limit_s=1.0)
-    process = arm._ways.link._process
+    process = arm._connections.link._process
     start = cell.true_joints_rad()
     error = _moved_through(cell, arm, lambda: os.kill(process.pid, signal.SIGSTOP))
     assert error is not None
@@ -183,7 +183,7 @@ def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(robot_cell: 
 def test_a_stall_of_the_host_is_worked_through_or_named(robot_cell: Any, stall_ms: int) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(**LIMITS)
-    process = arm._ways.link._process
+    process = arm._connections.link._process
     start = cell.true_joints_rad()
 
     def stall() -> None:

@@ -138,7 +138,7 @@ def test_a_stranger_gets_no_reply_and_disturbs_no_motion(controller: Any, active
 
 
 def test_the_link_process_dying_is_noticed(controller: Any, active_arm: Any) -> None:
-    os.kill(active_arm._ways.open_link._process.pid, signal.SIGKILL)
+    os.kill(active_arm._connections.open_link._process.pid, signal.SIGKILL)
     eventually(lambda: state_of(active_arm) is Lifecycle.FAULT)
     assert isinstance(active_arm.fault, LinkProcessDied)
     active_arm.recover("operator")

@@ -128,7 +128,7 @@ def test_a_real_time_process_that_stands_still_is_latched_though_nobody_asks(
 ) -> None:
     arm = _configured(make_arm(heartbeat_limit_s=0.5))
     arm.activate()
-    os.kill(arm._ways.link._process.pid, signal.SIGSTOP)
+    os.kill(arm._connections.link._process.pid, signal.SIGSTOP)
 
     def latched() -> bool:
         controller.tell()  # as it does every 0.1 s, whatever happens on the other link

@@ -160,7 +160,7 @@ def test_what_an_unverified_controller_does_say_must_be_right(controller: Any, m
 def test_at_the_end_nobody_hears_the_controller_when_the_links_memory_is_closed(
     active_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader, link = active_arm._ways.eki._reader, active_arm._ways.link
+    reader, link = active_arm._connections.eki._reader, active_arm._connections.link
     heard: list[bool] = []
     close = link.close
 

@@ -69,12 +69,14 @@ class Eki:
 class Watched:
     def __init__(self, **options: Any) -> None:
         self.link, self.eki = Link(), Eki()
-        ways = type("Ways", (), {"open_eki": self.eki, "open_link": self.link, "link": self.link})
+        connections = type(
+            "OpenConnections", (), {"open_eki": self.eki, "open_link": self.link, "link": self.link}
+        )
         self.guard = LifecycleGuard("robot.master")
         for state in (Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE):
             self.guard.enter(state)
         self.watch = FaultWatch(
-            "robot.master", self.guard, cast("Connections", ways), KukaOptions.model_validate(options)
+            "robot.master", self.guard, cast("Connections", connections), KukaOptions.model_validate(options)
         )
 
     @property
