@@ -33,7 +33,7 @@ FILLED_AREA = (0.02, 0.8)  # where it is sampled, as a share of the area from th
 FILLED_RINGS, FILLED_RAYS = 12, 36
 # Neighbouring rays share grain, uneven light and the edges of stains, so they say less than independent ones.
 # With this factor covariances are honest in drawn pictures; films and lights of the hardware are unknown (U).
-SHARED_ERRORS = 2.5
+SHARED_ERRORS = 2.3
 
 
 def judged(
