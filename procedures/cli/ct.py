@@ -15,7 +15,7 @@ from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.imaging import Candidate, Localization, Volume
+    from procedures.imaging import Candidate, Localization, PatientIdentity, Volume
 
 
 class Method(StrEnum):
@@ -140,27 +140,28 @@ def localize(
         console.tell(f"warning: {sentence}")
     if refused is not None:
         likely = _likely_first(refused.candidates)
-        if show_candidates and as_json:
-            console.print_json({"candidates": _listed(likely)})
-        elif show_candidates:
-            _print_candidates(likely)
+        if show_candidates:
+            _show_candidates(likely, as_json=as_json)
         if pictures is not None:
             _write_candidate_pictures(pictures, volume, likely[:PICTURED_CANDIDATES])
         raise refused
     if pictures is not None:
         _write_pictures(pictures, volume, result)
     write_spheres(result, write or (), patient)
+    candidates = _likely_first(result.candidates) if show_candidates else None
     if as_json:
-        document = _document(result, elapsed_s)
-        if patient is not None:
-            document["patient"] = patient.as_dict()
-        if show_candidates:
-            document["candidates"] = _listed(_likely_first(result.candidates))
-        console.print_json(document)
+        console.print_json(_document(result, elapsed_s, patient, candidates))
+        return
+    _print_markers(result)
+    if candidates is not None:
+        _print_candidates(candidates)
+
+
+def _show_candidates(candidates: list[Candidate], *, as_json: bool) -> None:
+    if as_json:
+        console.print_json({"candidates": _listed(candidates)})
     else:
-        _print_markers(result)
-        if show_candidates:
-            _print_candidates(_likely_first(result.candidates))
+        _print_candidates(candidates)
 
 
 def _likely_first(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -174,8 +175,13 @@ def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
     ]
 
 
-def _document(result: Localization, elapsed_s: float) -> dict[str, Any]:
-    return {
+def _document(
+    result: Localization,
+    elapsed_s: float,
+    patient: PatientIdentity | None,
+    candidates: list[Candidate] | None,
+) -> dict[str, Any]:
+    document: dict[str, Any] = {
         "markers": [
             {
                 "centre_mm": marker.centre_mm.tolist(),
@@ -189,6 +195,11 @@ def _document(result: Localization, elapsed_s: float) -> dict[str, Any]:
         "series_instance_uid": result.series_instance_uid,
         "elapsed_s": elapsed_s,
     }
+    if patient is not None:
+        document["patient"] = patient.as_dict()
+    if candidates is not None:
+        document["candidates"] = _listed(candidates)
+    return document
 
 
 def _print_markers(result: Localization) -> None:
