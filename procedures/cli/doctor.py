@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras at 1500-byte packets
 ANSWER_S = 3.0  # host time per device
+JUDGED = ("device ", "line ", "stream port ", "camera gev:")  # one of them not well is the doctor's exit code
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ def examine(
     seen, documents = _look_at_cameras(cameras)
     findings += seen
     causes |= {each["endpoint"]: each["cause"] for each in documents if not each["well"]}
+    findings += [] if theatre is None else _stream_ports(theatre)
     for number, (name, device) in enumerate(devices, start=1):
         findings.append(_device(name, device, causes))
         progress((everything - len(devices) + number) / everything)
@@ -97,7 +99,7 @@ def show(report: Report, *, as_json: bool) -> None:
             ("looked at", "", "seen", "what to do"),
             [(f.subject, "well" if f.well else "look", f.seen, f.advice) for f in report.findings],
         )
-    if any(not f.well and f.subject.startswith(("device ", "line ", "camera gev:")) for f in report.findings):
+    if any(not f.well and f.subject.startswith(JUDGED) for f in report.findings):
         raise SystemExit(EXIT_NOT_FOUND)
 
 
@@ -243,6 +245,17 @@ def _look_at_cameras(cameras: Sequence[Awaited]) -> tuple[list[Finding], list[di
         documents.append(document(probe, verdict))
         findings.append(Finding(f"camera {camera.endpoint}", verdict.well, verdict.seen, verdict.advice))
     return findings, documents
+
+
+def _stream_ports(theatre: TheatreFile) -> list[Finding]:
+    """Where the robots' controllers are to send to: a driver listens there only while its stream runs."""
+    from procedures.cli.stream_port import look_at_stream_port
+
+    endpoints = [
+        parse_endpoint(text) for device in theatre.robot.values() for text in device.endpoints.values()
+    ]
+    ports = [look_at_stream_port(endpoint) for endpoint in endpoints if endpoint.scheme == "udp"]
+    return [Finding(f"stream port {port.endpoint}", port.well, port.seen, port.advice) for port in ports]
 
 
 def _devices(theatre: TheatreFile) -> list[tuple[str, DeviceConfig]]:

@@ -57,7 +57,7 @@ def bars(
     axes.set_ylabel(y_label)
     if logarithmic:
         axes.set_yscale("log")
-    axes.legend(fontsize=8)
+    figure.legend(fontsize=8, loc="outside right upper")  # beside the bars, never over one
     return _png(figure)
 
 

@@ -64,6 +64,10 @@ def require_in_range(model: ArmModel, joints_rad: JointVector) -> None:
 
 def _require_within(ranges: tuple[JointVector, JointVector], joints_rad: JointVector) -> None:
     lower_rad, upper_rad = ranges
+    if len(joints_rad) != len(lower_rad):
+        raise MotionInvalid(
+            f"a joint vector of {len(joints_rad)} values", awaited=f"{len(lower_rad)}, A1 to A6 in rad"
+        )
     for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
         if angle != angle:
             raise MotionInvalid(f"A{axis + 1} is not a number")

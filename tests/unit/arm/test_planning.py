@@ -9,7 +9,7 @@ from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, Singular, TooFas
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import ArmVariant, arm_model, degrees6, radians6
-from ronna_hw.arm.planning import plan_joint_move, plan_line
+from ronna_hw.arm.planning import plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.pose import Pose
 
 MODEL = arm_model(ArmVariant.SIXX)
@@ -52,6 +52,12 @@ def test_an_arm_that_stands_in_the_margin_may_stay_or_leave_and_go_no_further() 
     plan_joint_move(MODEL, at_end, START, LIMITS)
     with pytest.raises(OutOfJointRange):
         plan_joint_move(MODEL, at_end, radians6(0, -90, 90, 0, 119.9, 0), LIMITS)
+
+
+@pytest.mark.parametrize("joints", [(), (0.0,) * 5, (0.0,) * 7])
+def test_a_vector_of_another_number_of_joints_is_refused(joints: tuple[float, ...]) -> None:
+    with pytest.raises(MotionInvalid, match=f"of {len(joints)} values"):
+        require_in_range(MODEL, joints)  # type: ignore[arg-type]
 
 
 def test_a_target_that_is_no_number_is_refused() -> None:

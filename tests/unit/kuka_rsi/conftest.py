@@ -13,6 +13,8 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.free_port import free_udp_port
 
+PATIENT = {"silence_limit_s": 1.0, "heartbeat_limit_s": 5.0}  # these machines stall for tens of milliseconds
+
 
 @pytest.fixture
 def controller() -> Iterator[FakeController]:
@@ -27,7 +29,7 @@ MakeArm = Callable[..., KukaRsiArm]
 
 @pytest.fixture
 def make_arm(controller: FakeController) -> Iterator[MakeArm]:
-    """Arms for the fake controller, closed at the end."""
+    """Arms for the fake controller, closed at the end; patient, as these machines stall."""
     made: list[KukaRsiArm] = []
 
     def make(eki_port: int | None = None, **options: Any) -> KukaRsiArm:
@@ -37,7 +39,7 @@ def make_arm(controller: FakeController) -> Iterator[MakeArm]:
                 "rsi": f"udp://127.0.0.1:{controller.rsi_address[1]}",
                 "eki_project": f"tcp://127.0.0.1:{eki_port or controller.eki_port}",
             },
-            options=options,
+            options={**PATIENT, **options},
         )
         arm = KukaRsiArm("robot.master", config, HostClock())
         made.append(arm)
@@ -50,8 +52,7 @@ def make_arm(controller: FakeController) -> Iterator[MakeArm]:
 
 @pytest.fixture
 def active_arm(make_arm: MakeArm) -> KukaRsiArm:
-    # Generous limits: these machines stall for tens of milliseconds, and longer.
-    arm = make_arm(silence_limit_s=1.0, heartbeat_limit_s=5.0)
+    arm = make_arm()
     arm.connect()
     arm.configure()
     arm.activate()

@@ -1,0 +1,47 @@
+"""Whether this computer can listen where a controller is to send its stream."""
+
+from __future__ import annotations
+
+import errno
+import socket
+from dataclasses import dataclass
+
+from ronna_hw.endpoints import Endpoint
+
+
+@dataclass(frozen=True)
+class StreamPort:
+    """What was seen, and what to do where that is not well."""
+
+    endpoint: Endpoint
+    well: bool
+    seen: str
+    advice: str = ""
+
+
+def look_at_stream_port(endpoint: Endpoint) -> StreamPort:
+    """Take the port as the driver would, and give it back. Nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        try:
+            link.bind((endpoint.host, endpoint.port))
+        except OSError as error:
+            return _refused(endpoint, error)
+    return StreamPort(endpoint, True, "free for the driver to listen at")
+
+
+def _refused(endpoint: Endpoint, error: OSError) -> StreamPort:
+    seen, advice = {
+        errno.EADDRINUSE: (
+            "another program listens there",
+            f"See which by `ss -ulnp 'sport = {endpoint.port}'`: another run of the robot?",
+        ),
+        errno.EADDRNOTAVAIL: (
+            f"{endpoint.host} is no address of this computer",
+            "Give the adapter that the controller is wired to the address of the Ethernet file (IP_NUMBER).",
+        ),
+        errno.EACCES: (
+            "not permitted",
+            "Ports below 1024 are the system's: choose another one, here and in the Ethernet file.",
+        ),
+    }.get(error.errno or 0, (error.strerror or str(error), "Name an IPv4 address of this computer."))
+    return StreamPort(endpoint, False, seen, advice)
