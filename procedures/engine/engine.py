@@ -78,8 +78,8 @@ class Engine:
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
             raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
         step = self.steps[key.name]
-        self._write(Entry.INTENT, step=str(key), moves=step.moves)
         try:
+            self._write(Entry.INTENT, step=str(key), moves=step.moves)
             self.operator.announce(str(key))
             outcome = step.run(self._context(key))
             record = self.case.add(key.name, outcome.payload, outcome.parents, key.trajectory)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from procedures.engine.errors import JournalCorrupt, JournalNotWritable
 
@@ -34,13 +34,21 @@ class Entry(StrEnum):
     CLOSED = "closed"
 
 
+class _Chain(NamedTuple):
+    """What the file holds."""
+
+    size: int  # bytes
+    lines: int
+    last: str  # SHA-256 of the last line
+
+
 class Journal:
     """The journal of one run."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / JOURNAL_FILE
-        self._sequence = 0
-        self._previous = FIRST
+        self._chain = _Chain(0, 0, FIRST)
+        self._pending = b""  # a line that is being written
         try:
             self._file = os.open(
                 self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644
@@ -55,24 +63,42 @@ class Journal:
 
     def write(self, entry: Entry, theatre_time_s: float, **data: Any) -> None:
         """Append one line and return when it is on disk; raises PRO-003."""
+        self._settle()
         content = {
-            "sequence": self._sequence,
-            "previous": self._previous,
+            "sequence": self._chain.lines,
+            "previous": self._chain.last,
             "entry": entry.value,
             "host_time": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "theatre_time_s": theatre_time_s,
             **data,
         }
         line = json.dumps(content, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        self._pending = line
         try:
-            written = os.write(self._file, line)
-            if written != len(line):
-                raise OSError(0, "the line was cut")
+            os.write(self._file, line)
             os.fdatasync(self._file)
         except OSError as error:
-            raise JournalNotWritable(f"cannot write {self.path.name}: {error.strerror}") from error
-        self._sequence += 1
-        self._previous = hashlib.sha256(line).hexdigest()
+            raise self._not_writable(error.strerror) from error
+        self._settle()
+
+    def _settle(self) -> None:
+        """Count the pending line when it is in the file.
+
+        A signal may end a write at any point, also when the line is there and not counted yet. So what the
+        file holds decides, and chain and pending line change by one assignment each.
+        """
+        if not self._pending:
+            return
+        chain, line = self._chain, self._pending
+        size = os.fstat(self._file).st_size
+        if size == chain.size + len(line):
+            self._chain = _Chain(size, chain.lines + 1, hashlib.sha256(line).hexdigest())
+        elif size != chain.size:
+            raise self._not_writable("the line was cut")
+        self._pending = b""
+
+    def _not_writable(self, reason: str | None) -> JournalNotWritable:
+        return JournalNotWritable(f"cannot write {self.path.name}: {reason}")
 
     def close(self) -> None:
         """Close the file."""

@@ -194,3 +194,21 @@ def test_when_the_result_cannot_be_journalled_the_arm_is_stopped_and_nothing_fol
     assert engine.devices.arm.stops == 1
     assert engine.machine.state == "fault"
     assert engine.finished == ()
+
+
+def test_an_interruption_while_the_intent_is_written_stops_the_arm_and_is_journalled(
+    make: Any, tmp_path: Path
+) -> None:
+    engine = make()
+    original = engine.journal.write
+
+    def write(entry: Entry, theatre_time_s: float, **data: Any) -> None:
+        original(entry, theatre_time_s, **data)
+        if entry is Entry.INTENT:
+            raise KeyboardInterrupt
+
+    engine.journal.write = write
+    with pytest.raises(KeyboardInterrupt):
+        engine.run_step(engine.find("ct_import"))
+    assert engine.devices.arm.stops == 1
+    assert _entries(tmp_path)[-2:] == [("intent", "ct_import"), ("interrupted", "ct_import")]

@@ -1,4 +1,5 @@
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -54,3 +55,44 @@ def test_a_journal_on_a_full_disk_says_so(tmp_path: Path) -> None:
     journal._file = __import__("os").open("/dev/full", 1)
     with pytest.raises(JournalNotWritable, match="No space left"):
         journal.write(Entry.INTENT, 0.0)
+
+
+@pytest.mark.parametrize("moment", ["write", "fdatasync", "fstat"])
+@pytest.mark.parametrize("done", [False, True], ids=["before", "after"])
+def test_a_signal_at_any_moment_of_a_write_leaves_a_chain_that_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str, done: bool
+) -> None:
+    journal = Journal(tmp_path)
+    journal.write(Entry.OPENED, 0.0)
+    original = getattr(os, moment)
+
+    def interrupted(*arguments: object) -> object:
+        monkeypatch.setattr(os, moment, original)
+        if done:
+            original(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, moment, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        journal.write(Entry.INTENT, 1.0, step="ct_import")
+    journal.write(Entry.INTERRUPTED, 1.0, step="ct_import")
+    journal.write(Entry.CLOSED, 1.0)
+    journal.close()
+    in_file = moment != "write" or done
+    assert [line["entry"] for line in read_journal(journal.path)] == [
+        "opened",
+        *(["intent"] if in_file else []),
+        "interrupted",
+        "closed",
+    ]
+
+
+def test_a_line_that_was_cut_ends_the_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = Journal(tmp_path)
+    original = os.write
+    monkeypatch.setattr(os, "write", lambda file, line: original(file, line[:9]))
+    with pytest.raises(JournalNotWritable, match="cut"):
+        journal.write(Entry.OPENED, 0.0)
+    monkeypatch.undo()
+    with pytest.raises(JournalNotWritable, match="cut"):
+        journal.write(Entry.CLOSED, 0.0)
