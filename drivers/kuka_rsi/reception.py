@@ -33,6 +33,7 @@ class Reception:
         self._rehearse = rehearse
         self._now_ns = now_ns
         self._pace = Pace()
+        self._keeps_pace = False
         self.received_ns = 0  # when the last telegram was there
         self.queued = False  # whether it was there before anybody waited: others may be behind it
 
@@ -51,14 +52,16 @@ class Reception:
     def paced(self) -> bool:
         """The last datagram was a telegram of the session, a whole cycle after the one before.
 
-        True when the controller's schedule is known by now.
+        True once the controller's schedule was known, also when it paused since, until it hurries.
         """
         self._pace.arrived(self.received_ns)
-        return self._pace.due_ns > 0
+        self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
+        return self._keeps_pace
 
     def hurried(self) -> None:
         """It was one that followed as soon as the reply was out: nobody keeps a pace."""
         self._pace.forget()
+        self._keeps_pace = False
 
     def _await_the_moment(self) -> None:
         pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS

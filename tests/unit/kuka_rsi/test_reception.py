@@ -129,6 +129,20 @@ def test_with_a_controller_that_begins_to_hurry_nothing_is_rehearsed_from_then_o
     assert [moment for moment in world.rehearsed_ns if moment > paced[-1]] == []
 
 
+def test_a_controller_that_pauses_still_keeps_a_pace_and_one_that_hurries_does_not() -> None:
+    before = places(STEADY_ARRIVALS + 2)
+    after = [moment + 3_000_000_000 for moment in before]
+    world = ToldTime(before + after)
+    reception = world.reception()
+    told = []
+    while world.arrivals_ns:
+        if reception.next() is not None:
+            told.append(reception.paced())
+    assert told == [False] * (STEADY_ARRIVALS + 1) + [True] * (STEADY_ARRIVALS + 3)
+    reception.hurried()
+    assert not reception.paced()
+
+
 def test_an_early_telegram_is_taken_when_it_comes_without_a_rehearsal() -> None:
     due_ns = places(30)
     due_ns[-1] -= 700_000
