@@ -11,24 +11,18 @@ room they are drawn in). Prints one Markdown table.
 from __future__ import annotations
 
 import math
-import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product, repeat
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-ROOT = Path(__file__).resolve().parents[1]
-if str(ROOT) not in sys.path:
-    sys.path.append(str(ROOT))  # benchmarks are not installed; our packages are
-
-from procedures.registration.hypotheses import PAIR_ODDS, WIDE_SET_ODDS, Evidence  # noqa: E402
-from procedures.registration.pairing_search import PairingSearch  # noqa: E402
-from procedures.studies.correspondence import FALSE, OUTLIERS, UNSUCCESSFUL, verdict  # noqa: E402
-from procedures.studies.heads import (  # noqa: E402
+from procedures.registration.hypotheses import PAIR_ODDS, WIDE_SET_ODDS, Evidence
+from procedures.registration.pairing_search import PairingSearch
+from procedures.studies.correspondence import FALSE, OUTLIERS, UNSUCCESSFUL, verdict
+from procedures.studies.heads import (
     IMAGE_SIGMA_MM,
     OUTLIER_BALL_MM,
     PATIENTS,
@@ -38,7 +32,7 @@ from procedures.studies.heads import (  # noqa: E402
     per_axis_mm,
     sites_mm,
 )
-from procedures.studies.readings import Readings, draw_readings  # noqa: E402
+from procedures.studies.readings import Readings, draw_readings
 
 Setting = tuple[float, float]  # odds of a pair, odds of a set that is wider than a head
 Cell = tuple[NoiseReading, int, int, int]  # reading of the noise, patient, fiducials, outliers

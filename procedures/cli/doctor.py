@@ -251,11 +251,13 @@ def _stream_ports(theatre: TheatreFile) -> list[Finding]:
     """Where the robots' controllers are to send to: a driver listens there only while its stream runs."""
     from procedures.cli.stream_port import look_at_stream_port
 
-    endpoints = [
-        parse_endpoint(text) for device in theatre.robot.values() for text in device.endpoints.values()
-    ]
-    ports = [look_at_stream_port(endpoint) for endpoint in endpoints if endpoint.scheme == "udp"]
-    return [Finding(f"stream port {port.endpoint}", port.well, port.seen, port.advice) for port in ports]
+    texts = [text for device in theatre.robot.values() for text in device.endpoints.values()]
+    streams = [endpoint for endpoint in map(parse_endpoint, texts) if endpoint.scheme == "udp"]
+    return [_stream_port(endpoint, look_at_stream_port(endpoint)) for endpoint in streams]
+
+
+def _stream_port(endpoint: Endpoint, verdict: Verdict) -> Finding:
+    return Finding(f"stream port {endpoint}", verdict.well, verdict.seen, verdict.advice)
 
 
 def _devices(theatre: TheatreFile) -> list[tuple[str, DeviceConfig]]:

@@ -4,32 +4,22 @@ from __future__ import annotations
 
 import errno
 import socket
-from dataclasses import dataclass
 
+from procedures.cli.line_cause import Verdict
 from ronna_hw.endpoints import Endpoint
 
 
-@dataclass(frozen=True)
-class StreamPort:
-    """What was seen, and what to do where that is not well."""
-
-    endpoint: Endpoint
-    well: bool
-    seen: str
-    advice: str = ""
-
-
-def look_at_stream_port(endpoint: Endpoint) -> StreamPort:
+def look_at_stream_port(endpoint: Endpoint) -> Verdict:
     """Take the port as the driver would, and give it back. Nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         try:
             link.bind((endpoint.host, endpoint.port))
         except OSError as error:
             return _refused(endpoint, error)
-    return StreamPort(endpoint, True, "free for the driver to listen at")
+    return Verdict(True, "free for the driver to listen at")
 
 
-def _refused(endpoint: Endpoint, error: OSError) -> StreamPort:
+def _refused(endpoint: Endpoint, error: OSError) -> Verdict:
     seen, advice = {
         errno.EADDRINUSE: (
             "another program listens there",
@@ -44,4 +34,4 @@ def _refused(endpoint: Endpoint, error: OSError) -> StreamPort:
             "Ports below 1024 are the system's: choose another one, here and in the Ethernet file.",
         ),
     }.get(error.errno or 0, (error.strerror or str(error), "Name an IPv4 address of this computer."))
-    return StreamPort(endpoint, False, seen, advice)
+    return Verdict(False, seen, advice)

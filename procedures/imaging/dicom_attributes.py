@@ -35,9 +35,9 @@ def value(path: Path, header: Dataset, keyword: str) -> Any:
     """The decoded value; pydicom decodes only now, so a bad one shows here."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+            warnings.simplefilter("ignore")  # what matters of the value is checked by whoever asks
             return header.get(keyword)
-    except Exception as problem:
+    except Exception as problem:  # a damaged value can break the decoder in any way
         raise AttributeMissing(f"{path.name}: {keyword} is unreadable") from problem
 
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from ideal_device import IdealDevice
 
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
-from ronna_hw.errors import ConfigurationError, ConnectError, LimitError
+from ronna_hw.errors import ConnectError, LimitError
 
 LEFT, RIGHT = "gev://127.0.0.1", "gev://127.0.0.2"
 FULL = AreaOfInterest(0, 0, 128, 96)
@@ -34,23 +35,16 @@ class Rig:
     ticks: int = 0
 
 
-class IdealPair:
+class IdealPair(IdealDevice):
     """Does what the interface says. A subclass holds the rig."""
 
     rig: ClassVar[Rig]
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        if set(config.options) - {"left_serial", "right_serial"}:
-            raise ConfigurationError("an option is unknown")
-        self.name, self.config, self.clock = name, config, clock
-        self.guard = LifecycleGuard(name)
+        super().__init__(name, config, clock, known={"left_serial", "right_serial"})
         self.serials = ("", "")
         self.areas = (FULL, FULL)
         self.count = 0
-
-    @property
-    def state(self) -> Lifecycle:
-        return self.guard.state
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         self.guard.require("connect", {Lifecycle.DISCONNECTED})
@@ -70,15 +64,7 @@ class IdealPair:
         if self.rig.owner not in (None, self):
             raise ConnectError("another controller")
         self.rig.owner = self
-        self.guard.enter(Lifecycle.CONFIGURED)
-
-    def activate(self, timeout_s: float = 10.0) -> None:
-        self.guard.require("activate", {Lifecycle.CONFIGURED})
-        self.guard.enter(Lifecycle.ACTIVE)
-
-    def deactivate(self, timeout_s: float = 10.0) -> None:
-        self.guard.require("deactivate", {Lifecycle.ACTIVE})
-        self.guard.enter(Lifecycle.CONFIGURED)
+        super().configure()
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
         self.guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
@@ -101,13 +87,10 @@ class IdealPair:
         )
         return StereoReading(stamp, Validity.OK, left, right)
 
-    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        self.guard.require("recover", {Lifecycle.FAULT})
-
     def close(self) -> None:
         if self.rig.owner is self:
             self.rig.owner = None
-        self.guard.enter(Lifecycle.CLOSED)
+        super().close()
 
 
 def image(stamp: Stamp, serial: str, area: AreaOfInterest) -> CameraImage:

@@ -6,30 +6,24 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from ideal_device import IdealDevice
 
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance import bench as bench_module
 from ronna_hw.conformance.bench import Bench
-from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
-from ronna_hw.errors import ConfigurationError, ConnectError
+from ronna_hw.errors import ConnectError
 
 
-class GoodTracker:
+class GoodTracker(IdealDevice):
     """Does what the interface says, without any wire: `host:` is its endpoint."""
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        if set(config.options) - {"tools"}:
-            raise ConfigurationError("an option is unknown")
-        self.name, self.config, self.clock = name, config, clock
+        super().__init__(name, config, clock, known={"tools"})
         self.tools: tuple[str, ...] = tuple(config.options.get("tools", ("probe",)))
-        self.guard = LifecycleGuard(name)
         self.frame = 0
-
-    @property
-    def state(self) -> Lifecycle:
-        return self.guard.state
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         self.guard.require("connect", {Lifecycle.DISCONNECTED})
@@ -39,18 +33,6 @@ class GoodTracker:
             raise error
         self.guard.enter(Lifecycle.CONNECTED)
         return Identity("Test", "Good", "1", "0")
-
-    def configure(self, timeout_s: float = 10.0) -> None:
-        self.guard.require("configure", {Lifecycle.CONNECTED})
-        self.guard.enter(Lifecycle.CONFIGURED)
-
-    def activate(self, timeout_s: float = 10.0) -> None:
-        self.guard.require("activate", {Lifecycle.CONFIGURED})
-        self.guard.enter(Lifecycle.ACTIVE)
-
-    def deactivate(self, timeout_s: float = 10.0) -> None:
-        self.guard.require("deactivate", {Lifecycle.ACTIVE})
-        self.guard.enter(Lifecycle.CONFIGURED)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         self.guard.require("read_frame", {Lifecycle.ACTIVE})
@@ -66,12 +48,6 @@ class GoodTracker:
         if self.frame % 3 == 0:
             return ToolReading(tool, Validity.MISSING, None, None, None)
         return ToolReading(tool, Validity.OK, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -1500.0), 0.1)
-
-    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        self.guard.require("recover", {Lifecycle.FAULT})
-
-    def close(self) -> None:
-        self.guard.enter(Lifecycle.CLOSED)
 
 
 class QuickClock(HostClock):
