@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 
 from benchmarks.figures import Figure
-from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.host.child_process import ChildProcess, command
 
 ROUNDS = 3
 SEED = 7

@@ -11,7 +11,7 @@ from pathlib import Path
 from benchmarks.contest import contest, process_cpu_s, rate_of
 from benchmarks.peers.tracker_clients import MakeReader, Reader
 from benchmarks.robot_cell import peer
-from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.host.child_process import ChildProcess, command
 from sim.theatre.scene import Scene
 from sim.theatre.world import World
 

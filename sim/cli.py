@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ronna_hw.command_line.early_interruption  # noqa: F401 - imports can be interrupted
-import sim.theatre.parent  # noqa: F401 - first of all: a parent that dies during the imports is still noticed
+import ronna_hw.command_line.early_interruption
+import ronna_hw.host.parent_process  # noqa: F401 - first of all: a parent that dies during the imports is still noticed
 
 # isort: split
 import typer

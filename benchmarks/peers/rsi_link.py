@@ -20,7 +20,7 @@ from ronna_hw.arm.model import arm_model
 from ronna_hw.arm.planning import plan_joint_move
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.wire.kuka_context import load_context
 from sim.theatre.process import end_with_parent
 

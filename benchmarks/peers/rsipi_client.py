@@ -11,7 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 from sim.theatre.process import end_with_parent
 
 LONGEST_LIFE_S = 600.0

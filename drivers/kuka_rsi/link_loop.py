@@ -20,7 +20,6 @@ from drivers.kuka_rsi.errors import BadTelegram
 from drivers.kuka_rsi.link_sockets import Address, LinkSockets, Received
 from drivers.kuka_rsi.link_state import Command, Orders, Phase, Record
 from drivers.kuka_rsi.mailbox import Mailbox
-from drivers.kuka_rsi.processor import Processor
 from drivers.kuka_rsi.reception import Reception
 from drivers.kuka_rsi.rehearsal import Rehearsal
 from drivers.kuka_rsi.replies import Ready
@@ -34,6 +33,7 @@ from drivers.kuka_rsi.telegram import (
     telegram_of,
 )
 from drivers.kuka_rsi.turnaround import bin_of
+from ronna_hw.host.processor_affinity import ProcessorAffinity
 
 # Without the parent, no telegram for so long: nobody is left to answer.
 QUIET_AFTER_STOP_NS = 100_000_000  # the program has been told to end
@@ -66,7 +66,7 @@ class LinkLoop:
             self._sockets, lead_ns=settings.rehearsal_lead_us * 1000, rehearse=self._rehearse
         )
         self._rehearsal = Rehearsal()
-        self._processor = Processor(follows=real_time)
+        self._processor = ProcessorAffinity(follows=real_time)
         self._mailbox = mailbox
         self._event_fd = settings.event_fd
         self._granted = (real_time, locked)

@@ -16,15 +16,15 @@ from drivers.kuka_rsi.link_loop import LinkLoop
 from drivers.kuka_rsi.link_sockets import bind
 from drivers.kuka_rsi.link_state import NO_STATE, Phase
 from drivers.kuka_rsi.mailbox import Mailbox
-from drivers.kuka_rsi.real_time import (
+from drivers.kuka_rsi.settings import LinkSettings
+from ronna_hw.host.real_time import (
     PARENT_DEATH_SIGNAL,
     lock_memory,
     run_first,
     sleep_exactly,
     stop_collecting,
-    tell_parent_death,
+    signal_on_parent_death,
 )
-from drivers.kuka_rsi.settings import LinkSettings
 
 EXIT_NOT_STARTED = 2
 
@@ -78,7 +78,7 @@ def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
     signal.signal(signal.SIGTERM, terminated)
     # An interrupt on the terminal goes to the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    tell_parent_death()
+    signal_on_parent_death()
     if os.getppid() != parent_pid:
         loop.session.parent_gone = True
     threading.Thread(target=lifeline, name="lifeline", daemon=True).start()

@@ -17,7 +17,7 @@ from ipaddress import IPv4Address
 
 from procedures.cli.line_holders import Holder, holder_of_udp_port
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.networks import Interface, interface_of, interfaces
+from ronna_hw.host.networks import Interface, interface_of, interfaces
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCapability, GvcpCommand
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 from procedures.cli.case_request import CaseRequest
 from procedures.engine.errors import CommandRefused
-from ronna_hw.child_process import command
 from ronna_hw.command_line.errors import as_ronna_error
+from ronna_hw.host.child_process import command
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine

@@ -108,7 +108,7 @@ def _python() -> Finding:
 
 
 def _foreign_packages() -> Finding:
-    from ronna_hw.own_packages import foreign_packages
+    from ronna_hw.host.own_packages import foreign_packages
 
     foreign = foreign_packages()
     return Finding(

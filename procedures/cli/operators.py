@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
 from procedures.engine.operator import Question
-from ronna_hw.control_port import ControlPortClient
+from ronna_hw.host.control_port import ControlPortClient
 
 
 class ScriptedOperator:

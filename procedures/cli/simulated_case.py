@@ -10,7 +10,7 @@ from typing import Self
 from procedures.cli.scene_choice import SceneChoice
 from procedures.cli.simulated_theatre import SimulatedTheatre
 from procedures.engine.errors import CommandRefused
-from ronna_hw.child_process import ChildNotReady, command
+from ronna_hw.host.child_process import ChildNotReady, command
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from procedures.engine.errors import CommandRefused
-from ronna_hw.child_process import ChildNotReady, ChildProcess, command
 from ronna_hw.errors import EXIT_FAILED, EXIT_LINK_LOST
+from ronna_hw.host.child_process import ChildNotReady, ChildProcess, command
 
 NAME = "ronna-sim theatre"
 

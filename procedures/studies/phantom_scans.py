@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from procedures.imaging import Volume, read_series
 from procedures.studies.errors import PhantomFailed
-from ronna_hw.child_process import command
+from ronna_hw.host.child_process import command
 
 Array = NDArray[np.float64]
 

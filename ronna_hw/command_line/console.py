@@ -21,7 +21,7 @@ from ronna_hw.command_line.messages import fail_with, message_console, on_termin
 from ronna_hw.command_line.progress import Progress, progress_bar
 from ronna_hw.command_line.tables import print_table
 from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
-from ronna_hw.own_packages import require_own_packages
+from ronna_hw.host.own_packages import require_own_packages
 
 __all__ = [
     "JsonOption",

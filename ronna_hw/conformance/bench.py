@@ -8,10 +8,10 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.conformance.polaris_tap import PolarisTap
-from ronna_hw.control_port import ask_control_port
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import ConfigurationError
+from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.registry import load_driver, make_device
 
 CHECKED_PROTOCOLS = frozenset({"ndi-polaris"})  # their replies carry checksums

@@ -22,7 +22,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RefusedError, RonnaError
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.registry import load_driver, make_device
 from ronna_hw.wire.kuka_context import load_context
 

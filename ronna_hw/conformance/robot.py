@@ -33,7 +33,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.registry import make_device
 
 HOLDING_S = 0.2  # theatre time over which an arm with zero corrections is watched

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import Suite
 from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen
 from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import load_driver
 
 PERMISSIONS = ("motion", "destructive")

@@ -99,7 +99,7 @@ def mount(
     control: Annotated[str, typer.Option(help="Control port, as the theatre's READY line tells it.")],
 ) -> None:
     """Exchange the tool of a running theatre, as the staff would."""
-    from ronna_hw.control_port import ask_control_port
+    from ronna_hw.host.control_port import ask_control_port
 
     ask_control_port(control, "mount", number=number)
 
@@ -113,7 +113,7 @@ def fault(
     clear: Annotated[bool, typer.Option("--clear", help="End all faults first.")] = False,
 ) -> None:
     """Switch a fault on in a running theatre or simulator, at once or as the line says; or list all kinds."""
-    from ronna_hw.control_port import ask_control_port
+    from ronna_hw.host.control_port import ask_control_port
     from sim.theatre.faults import FAULT_KINDS, TRIGGERS
 
     if line is None and not clear:

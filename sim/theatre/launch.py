@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ronna_hw.child_process import ChildProcess, command
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.records import write_whole
 from sim.polaris.definition import write_definition
 from sim.theatre.control import ControlPort, Room

@@ -14,10 +14,10 @@ from pathlib import Path
 from types import FrameType
 
 from ronna_hw.errors import EXIT_FAILED
+from ronna_hw.host.parent_process import PARENT
 from sim.theatre.built_in import SCENES, built_in_scene
 from sim.theatre.control import ControlPort, Room
 from sim.theatre.faults import read_faults
-from sim.theatre.parent import PARENT
 from sim.theatre.scene import Scene, read_scene
 from sim.theatre.world import World
 

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.kuka_rsi import KukaRsiArm
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.free_port import free_udp_port
 from sim.theatre.process import load_scene
 from sim.theatre.world import World
 

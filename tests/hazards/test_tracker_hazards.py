@@ -11,10 +11,10 @@ import pytest
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import ForeignTool
 from drivers.ndi_polaris.shipped import FOLDER as SHIPPED_DEFINITIONS
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig, parse_theatre
 from ronna_hw.devices.readings import Validity
+from ronna_hw.host.child_process import ChildProcess, command
 from sim.theatre.process import load_scene
 from sim.theatre.theatre_file import theatre_content
 from sim.theatre.world import World

@@ -17,10 +17,10 @@ import pytest
 from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.free_port import free_udp_port
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600), pytest.mark.hazard(30)]
 

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from real_time import before_everything_else, used_s
 
 from drivers.ndi_polaris import PolarisTracker
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import Validity
+from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.polaris import FRAME_RATE_HZ
 from sim.polaris.definition import write_definition
 from sim.theatre.process import load_scene

@@ -13,7 +13,7 @@ from drivers.basler_stereo.assembly import Frame
 from drivers.basler_stereo.camera import Camera
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.reception import Reception
-from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.host.child_process import ChildProcess, command
 
 START_LIMIT_S = 30.0
 FRAME_LIMIT_S = 30.0

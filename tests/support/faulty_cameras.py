@@ -6,11 +6,11 @@ import json
 import socket
 
 from drivers.basler_stereo import BaslerStereoPair
-from ronna_hw.child_process import ChildProcess
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.child_process import ChildProcess
 
 AREA = AreaOfInterest(896, 416, 256, 256)
 LIMIT_S = 30.0  # of host time; what takes longer hangs

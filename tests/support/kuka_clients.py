@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from math import cos, pi
 from xml.etree import ElementTree
 
-from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.host.child_process import ChildProcess, command
 from sim.theatre.world import World
 
 FREE = "tcp://127.0.0.1:0"

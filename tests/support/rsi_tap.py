@@ -8,7 +8,7 @@ import socket
 import threading
 from collections.abc import Callable, Sequence
 
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 
 LOOK_S = 0.05  # between two looks whether to end
 DATAGRAM_BYTES = 4096

@@ -10,10 +10,10 @@ import pytest
 
 from drivers.basler_stereo import BaslerStereoPair
 from procedures.relocalization import SphereStatus, measure_sphere
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import AreaOfInterest, Validity
+from ronna_hw.host.child_process import ChildProcess, command
 
 AREA = AreaOfInterest(640, 160, 768, 768)
 

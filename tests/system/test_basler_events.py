@@ -12,8 +12,8 @@ from faulty_cameras import LIMIT_S, Cameras
 from waiting import eventually
 
 from drivers.basler_stereo import BaslerStereoPair
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.devices.readings import Validity
+from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.gige_vision import Bootstrap
 
 LONG_EXPOSURE_US = 1_000_000.0

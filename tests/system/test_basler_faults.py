@@ -18,9 +18,9 @@ from drivers.basler_stereo.errors import (
     TriggerMissed,
 )
 from drivers.basler_stereo.finding import find_cameras
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, Validity
+from ronna_hw.host.child_process import ChildProcess, command
 
 SILENT_SIDE_S = 5.0  # waited for in vain; the other side needs its time on a busy computer
 

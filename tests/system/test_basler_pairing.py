@@ -11,10 +11,10 @@ from faulty_cameras import AREA, LIMIT_S
 
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.basler_stereo.errors import TriggerMissed
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import StereoReading, Validity
+from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.gige_vision import TICK_FREQUENCY_HZ
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.world import World

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ronna_hw.child_process import STOP_TIMEOUT_S, ChildProcess, command
+from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
 from sim.theatre.built_in import built_in_scene
 from sim.theatre.world import World
 

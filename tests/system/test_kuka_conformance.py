@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.child_process import ChildProcess, command
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.free_port import free_udp_port
 
 SUITE = "ronna_hw.conformance.cli"
 

@@ -20,12 +20,12 @@ from drivers.kuka_rsi.errors import LinkProcessDied, MotionStopped
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.model import arm_model
 from ronna_hw.arm.pose import Pose
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.free_port import free_udp_port
 
 MODEL = arm_model("kr6_r900_sixx")
 TOOL_MM = (0.0, 0.0, 150.0)

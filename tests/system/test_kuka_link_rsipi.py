@@ -31,7 +31,7 @@ from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.arm.planning import plan_joint_move
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.wire.kuka_context import DEFAULT_CONTEXT_FILE, context_hash, load_context
 
 MODEL = arm_model("kr6_r900_sixx")

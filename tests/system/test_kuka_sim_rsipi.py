@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from ronna_hw.child_process import ChildProcess, command
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.free_port import free_udp_port
 
 CLIENT = """
 import json, sys, time

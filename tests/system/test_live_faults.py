@@ -5,10 +5,10 @@ from __future__ import annotations
 from user_commands import Commands, one_error
 
 from drivers.ndi_polaris import PolarisTracker
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import Validity
+from ronna_hw.host.child_process import ChildProcess, command
 
 
 def test_a_simulator_alone_takes_faults_at_its_control_port(shared_commands: Commands) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.child_process import command
+from ronna_hw.host.child_process import command
 
 END_LIMIT_S = 60.0  # on a busy computer; 2 s where there is time
 # Starts a simulator, tells its id, and dies after a while without a word.

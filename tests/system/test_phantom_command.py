@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ronna_hw.child_process import command
+from ronna_hw.host.child_process import command
 
 LARGEST_ERROR_MM = 0.05
 

@@ -12,7 +12,6 @@ from polaris_mutations import COMMANDS_TO_RECOVER, MUTATIONS, Delivery, whole_bi
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.disturbed_line import DisturbedLine
@@ -20,6 +19,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
+from ronna_hw.host.child_process import ChildProcess, command
 
 LIMIT_S = 0.3  # of the commands in tracking; the unit's own are 2 to 4 s
 LONGEST_DELAY_S = 2 * LIMIT_S

@@ -18,12 +18,12 @@ from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.driver import CLOSE_LIMIT_S
 from drivers.ndi_polaris.errors import LinkLost, ToolRefused
 from drivers.ndi_polaris.rom import encode_definition, planar_tool
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
+from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import make_device
 
 STALL_OF_THE_COMPUTER_S = 3.0

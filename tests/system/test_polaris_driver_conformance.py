@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.host.child_process import ChildProcess, command
 
 
 def cases(report: dict[str, Any], outcome: str) -> set[str]:

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from drivers.ndi_polaris import PolarisTracker, errors
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import RonnaError
+from ronna_hw.host.child_process import ChildProcess, command
 from sim.theatre.process import load_scene
 from sim.theatre.world import World
 

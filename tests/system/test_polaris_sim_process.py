@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.child_process import STOP_TIMEOUT_S, ChildProcess, command
-from ronna_hw.control_port import ask_control_port
+from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
+from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import crc16
 from sim.polaris.definition import write_definition
 from sim.theatre.built_in import robot_frame

@@ -21,11 +21,11 @@ from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
 from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_looks
 from procedures.cli.stereo import app
 from ronna_hw.calibration import StereoHeadCalibration
-from ronna_hw.child_process import ChildProcess, command
 from ronna_hw.command_line.console import exit_code_of
 from ronna_hw.config import read_theatre_file
-from ronna_hw.control_port import ask_control_port
 from ronna_hw.frames import Transform
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.control_port import ask_control_port
 from sim.theatre.scene import Scene
 from sim.theatre.theatre_file import theatre_content
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.child_process import ChildProcess
+from ronna_hw.host.child_process import ChildProcess
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "how-to" / "write-a-driver.md"
 BLOCK = re.compile(r"^```\w+ file=(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

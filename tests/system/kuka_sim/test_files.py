@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.child_process import ChildProcess, command
+from ronna_hw.host.child_process import ChildProcess, command
 from sim.theatre.world import World
 
 FREE = "tcp://127.0.0.1:0"

@@ -10,7 +10,7 @@ import sys
 
 from kuka_clients import FREE
 
-from ronna_hw.child_process import command
+from ronna_hw.host.child_process import command
 
 
 def test_it_ends_within_two_seconds_of_its_parents_death() -> None:

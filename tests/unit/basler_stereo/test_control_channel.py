@@ -12,7 +12,7 @@ import pytest
 from drivers.basler_stereo.control import ControlChannel, register_write, send_together
 from drivers.basler_stereo.description import fetch_description
 from drivers.basler_stereo.errors import BadDescription, BrokenAnswer, CommandRefused, NoAnswer
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 
 
 class Answering:

@@ -16,7 +16,7 @@ from procedures.cli.camera_probe import About, Access, CameraProbe, Control, fou
 from procedures.cli.doctor import examine, show
 from procedures.cli.line_holders import Holder, holder_of_udp_port
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.networks import Interface, interface_of, interfaces
+from ronna_hw.host.networks import Interface, interface_of, interfaces
 from ronna_hw.wire.gige_vision import GVCP_PORT
 
 MODEL = "acA2000-50gmNIR"

@@ -6,7 +6,7 @@ import socket
 
 from procedures.cli.stream_port import look_at_stream_port
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 
 
 def test_a_free_port_is_well_and_left_free() -> None:

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.child_process import ChildNotReady
 from ronna_hw.conformance.case import Suite
 from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen
 from ronna_hw.conformance.stand import Choice, load_suite, stand
-from ronna_hw.control_port import ControlPortSilent, ControlRequestRefused
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.endpoints import BadEndpoint
 from ronna_hw.errors import EXIT_USAGE
+from ronna_hw.host.child_process import ChildNotReady
+from ronna_hw.host.control_port import ControlPortSilent, ControlRequestRefused
 
 NOBODY = ("tcp://127.0.0.1:1",)
 THEATRE = """

@@ -11,7 +11,7 @@ from fake_controller import FakeController
 from drivers.kuka_rsi.arm import KukaRsiArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 
 PATIENT = {"silence_limit_s": 1.0, "heartbeat_limit_s": 5.0}  # these machines stall for tens of milliseconds
 

@@ -14,7 +14,7 @@ from drivers.kuka_rsi.link_state import CommandKind, Phase
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.stream import link_settings
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.free_port import free_udp_port
+from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.wire.kuka_context import load_context
 
 THROUGH_THE_CODEC = 20_000

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.own_packages import OWN_PACKAGES, foreign_packages, require_own_packages
+from ronna_hw.host.own_packages import OWN_PACKAGES, foreign_packages, require_own_packages
 
 PROGRAM = """
-from ronna_hw.own_packages import ForeignPackage, require_own_packages
+from ronna_hw.host.own_packages import ForeignPackage, require_own_packages
 try:
     require_own_packages()
 except ForeignPackage as error:

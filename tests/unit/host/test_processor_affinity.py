@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from drivers.kuka_rsi.processor import SURE_AFTER_TELEGRAMS, Processor
+from ronna_hw.host.processor_affinity import SURE_AFTER_TELEGRAMS, ProcessorAffinity
 
 EVERYWHERE = {0, 1, 2}
 
@@ -30,7 +30,7 @@ def test_it_moves_when_telegrams_come_by_another_processor_and_stays_there(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     system = System(monkeypatch)
-    processor = Processor(follows=True)
+    processor = ProcessorAffinity(follows=True)
     for _ in range(10):
         processor.follow(2)
     assert system.kept == [{2}]
@@ -38,7 +38,7 @@ def test_it_moves_when_telegrams_come_by_another_processor_and_stays_there(
 
 def test_one_telegram_by_another_processor_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     system = System(monkeypatch)
-    processor = Processor(follows=True)
+    processor = ProcessorAffinity(follows=True)
     for _ in range(SURE_AFTER_TELEGRAMS):
         processor.follow(1)
     for odd in (0, 1, 2, 1, 0, 1):
@@ -50,7 +50,7 @@ def test_set_free_it_goes_elsewhere_and_may_then_run_anywhere_it_might_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     system = System(monkeypatch)
-    processor = Processor(follows=True)
+    processor = ProcessorAffinity(follows=True)
     for _ in range(SURE_AFTER_TELEGRAMS):
         processor.follow(1)
     processor.free()
@@ -63,7 +63,7 @@ def test_a_processor_unknown_or_not_ours_is_not_followed(
     monkeypatch: pytest.MonkeyPatch, elsewhere: int
 ) -> None:
     system = System(monkeypatch)
-    processor = Processor(follows=True)
+    processor = ProcessorAffinity(follows=True)
     for _ in range(10):
         processor.follow(elsewhere)
     assert system.kept == []
@@ -71,7 +71,7 @@ def test_a_processor_unknown_or_not_ours_is_not_followed(
 
 def test_a_process_that_does_not_run_first_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     system = System(monkeypatch)
-    processor = Processor(follows=False)
+    processor = ProcessorAffinity(follows=False)
     for _ in range(10):
         processor.follow(1)
     processor.free()
@@ -80,7 +80,7 @@ def test_a_process_that_does_not_run_first_is_left_alone(monkeypatch: pytest.Mon
 
 def test_a_refusal_is_accepted_and_nothing_more_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     system = System(monkeypatch)
-    processor = Processor(follows=True)
+    processor = ProcessorAffinity(follows=True)
     system.refuses = True
     for _ in range(SURE_AFTER_TELEGRAMS):
         processor.follow(1)

@@ -1,4 +1,4 @@
-"""What a process can ask of the system to be on time. Each wish may be refused; the process goes on."""
+"""Real-time scheduling and memory locking; the system may refuse any of it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _PR_SET_PDEATHSIG = 1
 _PR_SET_TIMERSLACK = 29
 _LEAST_SLACK_NS = 1  # the usual 50,000 would double every short sleep
 ENOUGH_LOCKED_BYTES = 1 << 30  # several times what the process maps
-PARENT_DEATH_SIGNAL = signal.SIGUSR1  # not SIGTERM: that one means what it says
+PARENT_DEATH_SIGNAL = signal.SIGUSR1  # SIGTERM is an order to end
 
 
 def lock_memory() -> bool:
-    """Keep all pages in memory; True when granted."""
+    """Lock all pages in memory; True when granted."""
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if os.geteuid() != 0 and limit != resource.RLIM_INFINITY and limit < ENOUGH_LOCKED_BYTES:
-        return False  # granted now, it would refuse memory later on
+        return False  # granted, it would make later allocations fail
     try:
         return bool(ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
     except (OSError, AttributeError):
@@ -29,7 +29,7 @@ def lock_memory() -> bool:
 
 
 def run_first(priority: int) -> bool:
-    """Run before all ordinary processes (SCHED_FIFO); True when granted. Priority 0 asks for nothing."""
+    """Run ahead of all ordinary processes (SCHED_FIFO); True when granted. Priority 0 requests nothing."""
     if priority <= 0:
         return False
     try:
@@ -40,19 +40,19 @@ def run_first(priority: int) -> bool:
 
 
 def sleep_exactly() -> None:
-    """Let short sleeps end when they are over, also for a process of ordinary priority."""
+    """Make short sleeps precise (timer slack), at ordinary priority too."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
 
 
 def stop_collecting() -> None:
-    """No garbage collection from now on: a cycle makes no reference loops."""
+    """Turn garbage collection off: a control cycle creates no reference cycles."""
     gc.collect()
     gc.freeze()
     gc.disable()
 
 
-def tell_parent_death() -> None:
-    """Ask for a signal when the thread that started us ends; whoever handles it must look at the parent."""
+def signal_on_parent_death() -> None:
+    """Request a signal when the thread that started us ends; its handler must check the parent process."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, PARENT_DEATH_SIGNAL, 0, 0, 0)

@@ -1,7 +1,7 @@
-"""Notices a foreign package that bears one of our names.
+"""Detects a foreign package with the name of one of ours.
 
-`sim`, `drivers` and `procedures` are common words: another project on the path may have a package of
-that name. Then half of the program would be somebody else's, so it must not start.
+`sim`, `drivers` and `procedures` are common names: if another project on the path shadows one of them, half
+of the program would be foreign code, so it must not start.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ class ForeignPackage(ConfigurationError):
     """A package of ours is shadowed by another one on the path."""
 
     code = "CFG-003"
-    action = "Run in an environment of its own, and not from a folder with a package of that name."
+    action = "Use a virtual environment of its own, and do not run from a folder with a package of that name."
 
 
 def foreign_packages() -> tuple[str, ...]:
-    """Our package names that Python would load from somewhere else than beside `ronna_hw`."""
-    home = Path(__file__).resolve().parent.parent
+    """Those of our package names that Python would not load from beside `ronna_hw`."""
+    home = Path(__file__).resolve().parents[2]
     foreign = []
     for name in OWN_PACKAGES:
         spec = find_spec(name)
@@ -36,7 +36,7 @@ def foreign_packages() -> tuple[str, ...]:
 
 
 def require_own_packages() -> None:
-    """Raise CFG-003 when a foreign package would be loaded under one of our names."""
+    """Raise CFG-003 when one of our names would load a foreign package."""
     foreign = foreign_packages()
     if foreign:
-        raise ForeignPackage(f"another package is found under the name {' and '.join(foreign)}")
+        raise ForeignPackage(f"another package on the path is named {' and '.join(foreign)}")
