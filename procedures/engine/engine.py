@@ -15,7 +15,7 @@ from procedures.engine.errors import JournalNotWritable, StepRefused, UnknownSte
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.machine import ProcedureMachine
 from procedures.engine.operator import Operator, Question
-from procedures.engine.order import sequence_of
+from procedures.engine.order import may_follow, sequence_of
 from procedures.engine.step import Outcome, Progress, StepContext, StepKey, StepSpec
 from ronna_hw.clock import Clock
 from ronna_hw.config import TheatreFile
@@ -42,6 +42,7 @@ class Engine:
     safe_point: Callable[[], None] = lambda: None  # may wait, or raise to end the procedure here
     on_ending: Callable[[], None] = lambda: None  # before the arm is stopped for good
     machine: ProcedureMachine = field(default_factory=ProcedureMachine)
+    _latest: StepKey | None = None  # the step that was begun last
     _done: int = 0
     _workspace: dict[str, Any] = field(default_factory=dict)
 
@@ -68,7 +69,7 @@ class Engine:
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Everything that keeps a step from beginning now; empty when it may begin."""
-        reasons = [] if self.machine.may_follow(key.name) else [f"it may not follow {self.machine.state}"]
+        reasons = [] if self._may_follow(key) else [f"it may not follow {self._latest or self.machine.state}"]
         return (*reasons, *self.steps[key.name].unmet(self._context(key)))
 
     def run_step(self, key: StepKey) -> Record:
@@ -79,6 +80,7 @@ class Engine:
             raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
         step = self.steps[key.name]
         try:
+            self._latest = key
             self._write(Entry.INTENT, step=str(key), moves=step.moves)
             self.operator.announce(str(key))
             outcome = step.run(self._context(key))
@@ -117,6 +119,9 @@ class Engine:
             pass  # it has been reported where it broke; closing must go on
         finally:
             self.journal.close()
+
+    def _may_follow(self, key: StepKey) -> bool:
+        return self.machine.may_follow(key.name) and may_follow(key, self._latest)
 
     def _fail(self, key: StepKey, problem: Exception) -> None:
         self.devices.stop()

@@ -31,9 +31,20 @@ PREDECESSORS: dict[str, tuple[str, ...]] = {
     "at_target": ("positioning",),
     "retreat": ("at_target",),
 }
+# Of these a trajectory's step follows that of the same trajectory only.
+SAME_TRAJECTORY = {("relocalization", "registration"), ("positioning", "at_target"), ("at_target", "retreat")}
 ENDS = ("finished", "fault", "aborted")
 LOCALIZING = ("relocalization", "registration")  # for every trajectory, before the tool change
 TARGETING = ("positioning", "at_target", "retreat")  # for every trajectory, after it
+
+
+def may_follow(step: StepKey, before: StepKey | None) -> bool:
+    """Whether `step` may come right after `before`; None is the beginning of the case."""
+    if before is None:
+        return IDLE in PREDECESSORS[step.name]
+    if before.name not in PREDECESSORS[step.name]:
+        return False
+    return (before.name, step.name) not in SAME_TRAJECTORY or before.trajectory == step.trajectory
 
 
 def sequence_of(trajectories: Sequence[str]) -> tuple[StepKey, ...]:

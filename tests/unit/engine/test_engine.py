@@ -9,6 +9,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.errors import JournalNotWritable, NotConfirmed, StepRefused, UnknownStep
 from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from procedures.engine.operator import Question
+from procedures.engine.order import LOCALIZING, PHASES, TARGETING
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from ronna_hw.clock import HostClock
 from ronna_hw.config import TheatreFile
@@ -212,3 +213,44 @@ def test_an_interruption_while_the_intent_is_written_stops_the_arm_and_is_journa
         engine.run_step(engine.find("ct_import"))
     assert engine.devices.arm.stops == 1
     assert _entries(tmp_path)[-2:] == [("intent", "ct_import"), ("interrupted", "ct_import")]
+
+
+ORDER = (*(name for phase in PHASES.values() for name in phase),)
+PER_TRAJECTORY = (*LOCALIZING, *TARGETING)
+
+
+def _chain(tmp_path: Path) -> Engine:
+    """A case of two trajectories whose steps do nothing but leave results, each made from the one before."""
+
+    def work(name: str) -> StepSpec:
+        def run(context: StepContext) -> Outcome:
+            kinds = {"registration": "relocalization", "tool_change": "", "positioning": "registration"}
+            kind = kinds.get(name, "")
+            return Outcome({}, (context.result(kind),) if kind else ())
+
+        needs = {
+            "positioning": ("registration", "tool_change"),
+            "at_target": ("positioning",),
+            "retreat": ("positioning", "at_target"),
+        }.get(name, ())
+        everything = ("registration",) if name == "tool_change" else ()
+        return StepSpec(name, "", needs, run, name in PER_TRAJECTORY, everything)
+
+    return Engine(
+        steps={name: work(name) for name in ORDER},
+        trajectories=("T1", "T2"),
+        case=Case(tmp_path, tmp_path / "ct", tmp_path / "plan.toml"),
+        theatre=_theatre(),
+        devices=cast("DeviceSet", Devices()),
+        clock=HostClock(),
+        operator=Doubter(),
+        journal=Journal(tmp_path),
+    )
+
+
+def test_with_the_guide_at_one_target_the_retreat_of_another_trajectory_is_refused(tmp_path: Path) -> None:
+    engine = _chain(tmp_path)
+    engine.run_to(engine.find("at_target:T2"))
+    with pytest.raises(StepRefused, match="retreat:T1 may not begin: it may not follow at_target:T2"):
+        engine.run_step(engine.find("retreat:T1"))
+    assert engine.why_refused(engine.find("retreat:T2")) == ()
