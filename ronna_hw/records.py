@@ -24,6 +24,13 @@ class BadRecord(DataError):
     action = "Do not use this result; repeat the step that made it."
 
 
+class RecordExists(DataError):
+    """A record of that identifier is there already: identifiers are never used twice."""
+
+    code = "REC-002"
+    action = "Keep the folder as it is, and start a new run."
+
+
 @dataclass(frozen=True)
 class Record:
     """One result: `kind` says what it is, `parents` are the ids of the records it was made from."""
@@ -48,22 +55,32 @@ def canonical_json(content: Any) -> bytes:
 
 
 def write_record(record: Record, folder: Path) -> Path:
-    """Write `<id>.json` whole or not at all: to a temporary name, flushed, then renamed."""
+    """Write `<id>.json` whole or not at all; raises REC-002 rather than write a record twice."""
     path = folder / f"{record.identifier}.json"
     text = json.dumps({**asdict(record), "sha256": record.sha256}, indent=1, allow_nan=False)
-    write_whole(path, text.encode())
+    try:
+        write_whole(path, text.encode(), exclusive=True)
+    except FileExistsError as error:
+        raise RecordExists(f"{path.name} exists already") from error
     return path
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that it is never seen half written, not even after a crash."""
+def write_whole(path: Path, content: bytes, *, exclusive: bool = False) -> None:
+    """Write a file so that it is never seen half written, not even after a crash.
+
+    With `exclusive` an existing file is never replaced: raises FileExistsError.
+    """
     temporary = path.with_name(f".{path.name}.partial")
     try:
         with temporary.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(path)
+        if exclusive:
+            os.link(temporary, path)
+            temporary.unlink()
+        else:
+            temporary.replace(path)
     except OSError:
         temporary.unlink(missing_ok=True)
         raise

@@ -25,13 +25,15 @@ class Case:
         self.series = series
         self.plan = plan
         self._records: dict[tuple[str, str | None], Record] = {}
+        self._written = 0
         (folder / RECORDS_FOLDER).mkdir(parents=True, exist_ok=True)
 
     def add(
         self, kind: str, payload: dict[str, Any], parents: tuple[Record, ...], trajectory: str | None = None
     ) -> Record:
-        """Store a result; its id is its place in the run, its kind and its trajectory."""
-        name = "-".join(part for part in (f"{len(self._records) + 1:02d}", kind, trajectory) if part)
+        """Store a result; its id is its place in the run, its kind and its trajectory, and is never used twice."""
+        self._written += 1
+        name = "-".join(part for part in (f"{self._written:02d}", kind, trajectory) if part)
         record = Record(name, kind, tuple(parent.identifier for parent in parents), payload)
         write_record(record, self.folder / RECORDS_FOLDER)
         self._records[kind, trajectory] = record

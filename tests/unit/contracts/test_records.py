@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.records import BadRecord, Record, read_record, write_record, write_whole
+from ronna_hw.records import BadRecord, Record, RecordExists, read_record, write_record, write_whole
 
 
 def test_a_record_is_read_back_equal(tmp_path: Path) -> None:
@@ -43,3 +43,12 @@ def test_a_file_that_cannot_be_written_whole_leaves_nothing_behind(tmp_path: Pat
     with pytest.raises(OSError):  # noqa: PT011 - which one depends on the system
         write_whole(target, b"a folder of that name exists")
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_record_is_never_written_twice(tmp_path: Path) -> None:
+    first = Record("01-ct_import", "ct_import", (), {"slices": 3})
+    path = write_record(first, tmp_path)
+    with pytest.raises(RecordExists, match="REC-002: 01-ct_import.json exists already"):
+        write_record(Record("01-ct_import", "ct_import", (), {"slices": 4}), tmp_path)
+    assert read_record(path) == first
+    assert list(tmp_path.iterdir()) == [path]

@@ -14,6 +14,7 @@ from procedures.engine.step import Outcome, StepContext, StepSpec
 from ronna_hw.clock import HostClock
 from ronna_hw.config import TheatreFile
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.records import read_record
 
 
 class Arm:
@@ -254,3 +255,14 @@ def test_with_the_guide_at_one_target_the_retreat_of_another_trajectory_is_refus
     with pytest.raises(StepRefused, match="retreat:T1 may not begin: it may not follow at_target:T2"):
         engine.run_step(engine.find("retreat:T1"))
     assert engine.why_refused(engine.find("retreat:T2")) == ()
+
+
+def test_repeating_a_step_leaves_the_record_of_its_former_result_as_it_was(tmp_path: Path) -> None:
+    engine = _chain(tmp_path)
+    engine.run_to(engine.find("registration:T2"))
+    for name in ("relocalization:T1", "registration:T1") * 2:
+        engine.run_step(engine.find(name))
+    told = [line for line in read_journal(tmp_path / JOURNAL_FILE) if line["entry"] == Entry.RESULT]
+    kept = {path.stem: read_record(path).sha256 for path in (tmp_path / "records").glob("*.json")}
+    assert {line["record"]: line["sha256"] for line in told} == kept
+    assert len(told) == len(kept) == 15
