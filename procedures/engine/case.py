@@ -31,13 +31,27 @@ class Case:
     def add(
         self, kind: str, payload: dict[str, Any], parents: tuple[Record, ...], trajectory: str | None = None
     ) -> Record:
-        """Store a result; its id is its place in the run, its kind and its trajectory, and is never used twice."""
+        """Store a result, by which its former one and everything made from that is superseded.
+
+        Its id is its place in the run, its kind and its trajectory, and is never used twice.
+        """
         self._written += 1
         name = "-".join(part for part in (f"{self._written:02d}", kind, trajectory) if part)
         record = Record(name, kind, tuple(parent.identifier for parent in parents), payload)
         write_record(record, self.folder / RECORDS_FOLDER)
+        former = self._records.get((kind, trajectory))
+        if former is not None:
+            self._supersede(former.identifier)
         self._records[kind, trajectory] = record
         return record
+
+    def _supersede(self, identifier: str) -> None:
+        """Forget a record and whatever descends from it: no later step may read them."""
+        gone = {identifier}
+        for record in self.records:  # in order: a parent stands before its children
+            if gone.intersection(record.parents):
+                gone.add(record.identifier)
+        self._records = {key: one for key, one in self._records.items() if one.identifier not in gone}
 
     def has(self, kind: str, trajectory: str | None = None) -> bool:
         """True when that result exists."""

@@ -43,7 +43,7 @@ class Engine:
     on_ending: Callable[[], None] = lambda: None  # before the arm is stopped for good
     machine: ProcedureMachine = field(default_factory=ProcedureMachine)
     _latest: StepKey | None = None  # the step that was begun last
-    _done: int = 0
+    _journalled: set[str] = field(default_factory=set)  # identifiers
     _workspace: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -53,12 +53,12 @@ class Engine:
     @property
     def upcoming(self) -> StepKey | None:
         """The step that comes next, or None when the case is finished."""
-        return self.sequence[self._done] if self._done < len(self.sequence) else None
+        return next((key for key in self.sequence if not self._stands(key)), None)
 
     @property
     def finished(self) -> tuple[StepKey, ...]:
-        """The steps that are done, in order."""
-        return self.sequence[: self._done]
+        """The steps whose results stand, in order."""
+        return tuple(key for key in self.sequence if self._stands(key))
 
     def find(self, name: str) -> StepKey:
         """The step of that name, such as `registration:T1`; raises PRO-005 with the names that exist."""
@@ -95,9 +95,8 @@ class Engine:
         except Exception as problem:
             self._fail(key, problem)
             raise
-        if key == self.upcoming:
-            self._done += 1
-        if self._done == len(self.sequence):
+        self._journalled.add(record.identifier)
+        if self.upcoming is None:
             self.machine.finish()
         self.listener(key, outcome)
         return record
@@ -119,6 +118,12 @@ class Engine:
             pass  # it has been reported where it broke; closing must go on
         finally:
             self.journal.close()
+
+    def _stands(self, key: StepKey) -> bool:
+        """Whether a step has a result that is in the journal and has not been superseded."""
+        if not self.case.has(key.name, key.trajectory):
+            return False
+        return self.case.get(key.name, key.trajectory).identifier in self._journalled
 
     def _may_follow(self, key: StepKey) -> bool:
         return self.machine.may_follow(key.name) and may_follow(key, self._latest)

@@ -257,6 +257,19 @@ def test_with_the_guide_at_one_target_the_retreat_of_another_trajectory_is_refus
     assert engine.why_refused(engine.find("retreat:T2")) == ()
 
 
+def test_a_registration_whose_localization_was_repeated_is_superseded_and_moves_nothing(
+    tmp_path: Path,
+) -> None:
+    engine = _chain(tmp_path)
+    engine.run_to(engine.find("registration:T2"))
+    engine.run_step(engine.find("relocalization:T1"))
+    with pytest.raises(StepRefused, match="it may not follow relocalization:T1"):
+        engine.run_step(engine.find("registration:T2"))
+    assert not engine.case.has("registration", "T1")
+    assert engine.upcoming == engine.find("registration:T1")
+    assert "no result of registration for T1" in engine.why_refused(engine.find("tool_change"))
+
+
 def test_repeating_a_step_leaves_the_record_of_its_former_result_as_it_was(tmp_path: Path) -> None:
     engine = _chain(tmp_path)
     engine.run_to(engine.find("registration:T2"))
