@@ -5,9 +5,9 @@ from __future__ import annotations
 from ronna_hw.conformance import robot, stereo, tracker
 from ronna_hw.conformance.case import Suite
 from ronna_hw.conformance.checklist import Checklist
-from ronna_hw.conformance.gige_checklist import GIGE_CHECKLIST
-from ronna_hw.conformance.kuka_checklist import KUKA_CHECKLIST
-from ronna_hw.conformance.polaris_checklist import POLARIS_CHECKLIST
+from ronna_hw.conformance.gige.checklist import GIGE_CHECKLIST
+from ronna_hw.conformance.kuka.checklist import KUKA_CHECKLIST
+from ronna_hw.conformance.polaris.checklist import POLARIS_CHECKLIST
 
 POLARIS_HEAD = """# Checklist of the Polaris protocol
 

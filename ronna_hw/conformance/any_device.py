@@ -12,7 +12,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import ConfigurationError, ConnectError, StateError
 
 if TYPE_CHECKING:
-    from ronna_hw.conformance.bench import Bench
+    from ronna_hw.conformance.device_under_test import DeviceUnderTest
     from ronna_hw.devices.lifecycle import Device, Identity
 
 SLACK_S = 1.5  # beyond a time limit, for a busy computer
@@ -27,26 +27,26 @@ def ends_within(limit_s: float) -> Iterator[None]:
     check(elapsed_s < limit_s, f"an end within {limit_s:g} s", f"{elapsed_s:.1f} s")
 
 
-def offers(bench: Bench, interface: type[Any]) -> None:
+def offers(dut: DeviceUnderTest, interface: type[Any]) -> None:
     """A new driver has every call of its interface and the name it was given, and is not connected."""
-    device = bench.make()
+    device = dut.make()
     check(isinstance(device, interface), f"all calls of {interface.__name__}", type(device).__name__)
     check(device.state is Lifecycle.DISCONNECTED, "state disconnected", device.state)
-    check(device.name == bench.name, f"the name {bench.name}", device.name)
+    check(device.name == dut.name, f"the name {dut.name}", device.name)
 
 
-def tells_who_answers(bench: Bench) -> tuple[Any, Identity]:
+def tells_who_answers(dut: DeviceUnderTest) -> tuple[Any, Identity]:
     """The device and what it told of itself; it must name vendor and model."""
-    device = bench.make()
+    device = dut.make()
     identity: Identity = device.connect()
     check(bool(identity.vendor and identity.model), "vendor and model", identity)
     check(device.state is Lifecycle.CONNECTED, "state connected", device.state)
     return device, identity
 
 
-def refuses_early(bench: Bench, disconnected: Sequence[str], connected: Sequence[str]) -> Any:
+def refuses_early(dut: DeviceUnderTest, disconnected: Sequence[str], connected: Sequence[str]) -> Any:
     """Each call is refused in the state that its list is named after. Returns the connected device."""
-    device = bench.make()
+    device = dut.make()
     for call in disconnected:
         refused(getattr(device, call), StateError, f"{call} while disconnected")
     device.connect()
@@ -74,7 +74,7 @@ def finds_nobody(device: Device, limit_s: float) -> None:
     check(isinstance(error, ConnectError) and bool(error.code and error.advice), "a code and advice", error)
 
 
-def refuses_unknown_options(bench: Bench) -> None:
+def refuses_unknown_options(dut: DeviceUnderTest) -> None:
     """An option that no driver knows is refused before anything is opened."""
-    options = {**bench.config.options, "no_such_option": 1}
-    refused(lambda: bench.make(options=options), ConfigurationError, "an unknown option")
+    options = {**dut.config.options, "no_such_option": 1}
+    refused(lambda: dut.make(options=options), ConfigurationError, "an unknown option")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ronna_hw.conformance.errors import NoSuchCase
 
 if TYPE_CHECKING:
-    from ronna_hw.conformance.bench import Bench
+    from ronna_hw.conformance.device_under_test import DeviceUnderTest
 
 # What a case may need, and why it is left out when that is not there.
 NEEDS = {
@@ -52,7 +52,7 @@ class Case:
     number: str
     statement: str
     needs: frozenset[str]
-    run: Callable[[Bench], None]
+    run: Callable[[DeviceUnderTest], None]
 
 
 @dataclass
@@ -87,14 +87,14 @@ class Suite:
 
     def case(
         self, number: str, statement: str, *, needs: tuple[str, ...] = ()
-    ) -> Callable[[Callable[[Bench], None]], Callable[[Bench], None]]:
+    ) -> Callable[[Callable[[DeviceUnderTest], None]], Callable[[DeviceUnderTest], None]]:
         """Add the decorated function as a case; numbers must be unique and needs known."""
         if unknown := set(needs) - set(NEEDS):
             raise ValueError(f"case {number} needs the unknown {', '.join(sorted(unknown))}")
         if any(other.number == number for other in self.cases):
             raise ValueError(f"two cases have the number {number}")
 
-        def add(run: Callable[[Bench], None]) -> Callable[[Bench], None]:
+        def add(run: Callable[[DeviceUnderTest], None]) -> Callable[[DeviceUnderTest], None]:
             self.cases.append(Case(number, statement, frozenset(needs), run))
             return run
 

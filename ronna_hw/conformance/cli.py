@@ -25,7 +25,7 @@ from ronna_hw.command_line.console import (
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 
 if TYPE_CHECKING:
-    from ronna_hw.conformance.bench import Bench
+    from ronna_hw.conformance.device_under_test import DeviceUnderTest
     from ronna_hw.conformance.report import Report
     from ronna_hw.conformance.stand import Choice
 
@@ -153,11 +153,11 @@ def _run(
     if report_file is not None:
         write_whole(report_file, b"")  # a place that cannot be written is told before the work, not after
     suite = load_suite(kind).only(only or [])
-    with stand(suite, choice) as bench:
-        moves = suite.moving() if "motion" in bench.offers and not choice.sim else []
-        person = _who_confirms(suite.motions, moves, bench, confirmed_by) if moves else ""
+    with stand(suite, choice) as dut:
+        moves = suite.moving() if "motion" in dut.offers and not choice.sim else []
+        person = _who_confirms(suite.motions, moves, dut, confirmed_by) if moves else ""
         with progress_bar(f"{kind} suite") as progress:
-            report = run_suite(suite, bench, progress, confirmed_by=person)
+            report = run_suite(suite, dut, progress, confirmed_by=person)
     document = report.as_document()
     if report_file is not None:
         import json as json_module
@@ -170,18 +170,18 @@ def _run(
     return EXIT_DONE if report.passed else EXIT_FAILED
 
 
-def _who_confirms(motions: str, moves: list[str], bench: Bench, given: str | None) -> str:
+def _who_confirms(motions: str, moves: list[str], dut: DeviceUnderTest, given: str | None) -> str:
     """The name of the person who lets the device be moved; raises CNF-005 when there is none."""
     from ronna_hw.conformance.errors import NotConfirmed
 
-    where = bench.config.endpoint or ", ".join(bench.config.endpoints.values())
-    tell(f"{bench.name} at {where} will be moved by {', '.join(moves)}: {motions}.")
+    where = dut.config.endpoint or ", ".join(dut.config.endpoints.values())
+    tell(f"{dut.name} at {where} will be moved by {', '.join(moves)}: {motions}.")
     name = given
     if name is None and on_terminal(sys.stdin):
         tell("Look that nobody and nothing is within its reach, and hold the emergency stop.")
         name = typer.prompt("Who confirms this?", default="", show_default=False, err=True)
     if not name or not name.strip():
-        raise NotConfirmed(f"nobody has confirmed that {bench.name} may move", awaited="a person's name")
+        raise NotConfirmed(f"nobody has confirmed that {dut.name} may move", awaited="a person's name")
     return name.strip()
 
 

@@ -1,4 +1,4 @@
-"""Run the cases of a suite on a bench, and say what came of each."""
+"""Run the cases of a suite on a dut, and say what came of each."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NEEDS, Case, Nonconformity, NotShown, Outcome, Suite
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import canonical_json
@@ -70,40 +70,40 @@ class Report:
 
 def run_suite(
     suite: Suite,
-    bench: Bench,
+    dut: DeviceUnderTest,
     progress: Callable[[float], None] = lambda share: None,
     *,
     confirmed_by: str = "",
 ) -> Report:
-    """Run every case that the bench allows.
+    """Run every case that the device under test allows.
 
     The device is connected once first; raises ConnectError and the like when that is not possible, because
     then no case says anything.
     """
     started = datetime.now(UTC).isoformat(timespec="seconds")
-    device = bench.make()
+    device = dut.make()
     try:
         identity: Identity = device.connect()
         results = []
         for number, case in enumerate(suite.cases):
-            results.append(run_case(case, bench))
+            results.append(run_case(case, dut))
             progress((number + 1) / len(suite.cases))
     finally:
-        bench.release()
-    config = bench.config
+        dut.release()
+    config = dut.config
     endpoints = {"endpoint": config.endpoint} if config.endpoint is not None else dict(config.endpoints)
     return Report(suite.kind, config.driver, endpoints, identity, started, tuple(results), confirmed_by)
 
 
-def run_case(case: Case, bench: Bench) -> CaseResult:
+def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
     """Run one case, or say why not. Never raises; a session that a case left in FAULT is ended."""
     began_s = time.monotonic()
     outcome, reason = Outcome.PASS, ""
-    if missing := sorted(case.needs - bench.offers):
+    if missing := sorted(case.needs - dut.offers):
         outcome, reason = Outcome.SKIP, "; ".join(NEEDS[need] for need in missing)
     else:
         try:
-            case.run(bench)
+            case.run(dut)
         except NotShown as excuse:
             outcome, reason = Outcome.SKIP, str(excuse)
         except (Nonconformity, RonnaError) as problem:
@@ -111,7 +111,7 @@ def run_case(case: Case, bench: Bench) -> CaseResult:
         except Exception as problem:
             outcome, reason = Outcome.FAIL, f"raised {problem!r}, which is no error of the tree"
         if outcome is Outcome.FAIL:
-            bench.release()
+            dut.release()
     elapsed_s = round(time.monotonic() - began_s, 3)
     needs = tuple(sorted(case.needs))
     return CaseResult(case.number, case.statement, needs, outcome, " ".join(reason.split()), elapsed_s)

@@ -24,11 +24,11 @@ from ronna_hw.conformance.any_device import (
     refuses_unknown_options,
     tells_who_answers,
 )
-from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
-from ronna_hw.conformance.kuka_driver_cases import KUKA_DRIVER
-from ronna_hw.conformance.kuka_eki_cases import KUKA_EKI
-from ronna_hw.conformance.kuka_stream_cases import KUKA_STREAM
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.kuka.driver_cases import KUKA_DRIVER
+from ronna_hw.conformance.kuka.eki_cases import KUKA_EKI
+from ronna_hw.conformance.kuka.stream_cases import KUKA_STREAM
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
 from ronna_hw.devices.robot import RobotArm, StopKind
@@ -83,19 +83,19 @@ def model_of(arm: Any) -> ArmModel:
 
 
 @SUITE.case("R01", "the driver offers the interface of a robot arm, and starts disconnected")
-def offers_the_interface(bench: Bench) -> None:
-    offers(bench, RobotArm)
+def offers_the_interface(dut: DeviceUnderTest) -> None:
+    offers(dut, RobotArm)
 
 
 @SUITE.case("R02", "connecting says who answers")
-def identity_is_answered(bench: Bench) -> None:
-    tells_who_answers(bench)
+def identity_is_answered(dut: DeviceUnderTest) -> None:
+    tells_who_answers(dut)
 
 
 @SUITE.case("R03", "calls that come too early are refused")
-def early_calls_are_refused(bench: Bench) -> None:
+def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     arm = refuses_early(
-        bench,
+        dut,
         disconnected=("configure", "activate", "deactivate", "read_state", "read_tool_identity", "resume"),
         connected=("activate",),
     )
@@ -104,28 +104,28 @@ def early_calls_are_refused(bench: Bench) -> None:
 
 
 @SUITE.case("R04", "the axes can be read before anything is started, and are numbers an arm can have")
-def state_is_readable(bench: Bench) -> None:
-    reading: ArmReading = bench.at(Lifecycle.CONNECTED).read_state()
+def state_is_readable(dut: DeviceUnderTest) -> None:
+    reading: ArmReading = dut.at(Lifecycle.CONNECTED).read_state()
     check(reading.validity is Validity.OK, "validity ok", reading.validity)
     check(reading.commanded_rad is None, "no commanded axes without a stream", reading.commanded_rad)
     check(all(abs(angle) < math.tau for angle in reading.joints_rad), "axes within a turn", reading)
 
 
 @SUITE.case("R05", "the mounted tool can be read, 0 for none")
-def tool_is_readable(bench: Bench) -> None:
-    check(bench.at(Lifecycle.CONNECTED).read_tool_identity().number >= 0, "a number of 0 or more")
+def tool_is_readable(dut: DeviceUnderTest) -> None:
+    check(dut.at(Lifecycle.CONNECTED).read_tool_identity().number >= 0, "a number of 0 or more")
 
 
 @SUITE.case("R06", "the first correction is zero: starting the stream moves nothing")
-def first_correction_is_zero(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.CONFIGURED)
+def first_correction_is_zero(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.CONFIGURED)
     before = arm.read_state().joints_rad
     arm.activate()
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     reading: ArmReading = arm.read_state()
     check(reading.commanded_rad is not None, "commanded axes while the stream runs")
     for _ in range(5):
-        bench.clock.sleep(HOLDING_S / 5)
+        dut.clock.sleep(HOLDING_S / 5)
         reading = arm.read_state()
         moved = apart_rad(reading.joints_rad, before)
         check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
@@ -135,12 +135,12 @@ def first_correction_is_zero(bench: Bench) -> None:
 
 
 @SUITE.case("R07", "readings are counted one by one, their times never run back, the device's clock advances")
-def stamps_are_in_order(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
+def stamps_are_in_order(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
     stamps = []
     for _ in range(5):
         stamps.append(arm.read_state().stamp)
-        bench.clock.sleep(HOLDING_S / 5)
+        dut.clock.sleep(HOLDING_S / 5)
     for before, after in itertools.pairwise(stamps):
         check(after.sequence > before.sequence, "a later reading", after.sequence)
         check(after.theatre_time_s >= before.theatre_time_s, "a later theatre time", after.theatre_time_s)
@@ -148,9 +148,9 @@ def stamps_are_in_order(bench: Bench) -> None:
 
 
 @SUITE.case("R08", "the statistics of the link agree with themselves")
-def statistics_agree(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
-    bench.clock.sleep(HOLDING_S)
+def statistics_agree(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
+    dut.clock.sleep(HOLDING_S)
     s = arm.link_statistics()
     check(s.cycles > 0, "cycles while the stream runs", s.cycles)
     edges = s.histogram_edges_us
@@ -161,8 +161,8 @@ def statistics_agree(bench: Bench) -> None:
 
 
 @SUITE.case("R09", "a speed fraction outside 0..1 is refused before motion")
-def speed_fraction_is_checked(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
+def speed_fraction_is_checked(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
     here = arm.read_state().commanded_rad
     for fraction in (0.0, -0.5, 1.5, math.nan):
         refused(
@@ -173,21 +173,21 @@ def speed_fraction_is_checked(bench: Bench) -> None:
 
 
 @SUITE.case("R10", "the stream can be ended and started again without a jump")
-def stop_and_start_again(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
+def stop_and_start_again(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
     before = arm.read_state().joints_rad
     arm.deactivate()
     check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
     refused(lambda: arm.move_joints(before), StateError, "move_joints after deactivate")
     arm.activate()
-    bench.clock.sleep(HOLDING_S)
+    dut.clock.sleep(HOLDING_S)
     moved = apart_rad(arm.read_state().joints_rad, before)
     check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
 
 
 @SUITE.case("R11", "a small joint move ends where it was told to, and leads back", needs=("motion",))
-def small_joint_move(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
+def small_joint_move(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
     for target in (turned(start, SMALL_TURN_RAD), start):
         reading: ArmReading = arm.move_joints(target, speed_fraction=SLOW)
@@ -197,8 +197,8 @@ def small_joint_move(bench: Bench) -> None:
 
 
 @SUITE.case("R12", "a small straight line ends where it was told to, and leads back", needs=("motion",))
-def small_line(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
+def small_line(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
     model = model_of(arm)
     start = arm.read_state().commanded_rad
     here = forward(model, start)
@@ -211,8 +211,8 @@ def small_line(bench: Bench) -> None:
 
 
 @SUITE.case("R13", "a target outside the joint ranges is refused before motion", needs=("motion",))
-def target_out_of_range(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
+def target_out_of_range(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
     model = model_of(arm)
     here = arm.read_state().commanded_rad
     outside = (*here[:5], model.upper_rad[5] + SMALL_TURN_RAD)
@@ -223,11 +223,11 @@ def target_out_of_range(bench: Bench) -> None:
 
 
 @SUITE.case("R14", "a hold brings the moving arm to rest on its way; resume moves nothing", needs=("motion",))
-def hold_comes_to_rest(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
+def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
     target = turned(start, STOPPED_TURN_RAD)
-    ends = _stopped_on_the_way(bench, arm, start, target, StopKind.HOLD)
+    ends = _stopped_on_the_way(dut, arm, start, target, StopKind.HOLD)
     check(any(isinstance(error, StateError) for error in ends), "a motion that says it was stopped", ends)
     check(arm.state is Lifecycle.HOLD, "state hold", arm.state)
     refused(lambda: arm.move_joints(start), StateError, "move_joints in hold")
@@ -240,10 +240,10 @@ def hold_comes_to_rest(bench: Bench) -> None:
 
 
 @SUITE.case("R15", "a protective stop is latched, and recover leaves it without motion", needs=("motion",))
-def protective_stop_is_latched(bench: Bench) -> None:
-    arm = bench.at(Lifecycle.ACTIVE)
+def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
-    ends = _stopped_on_the_way(bench, arm, start, turned(start, STOPPED_TURN_RAD), StopKind.PROTECTIVE)
+    ends = _stopped_on_the_way(dut, arm, start, turned(start, STOPPED_TURN_RAD), StopKind.PROTECTIVE)
     check(bool(ends), "a motion that says it was stopped")
     check(arm.state is Lifecycle.FAULT, "state fault", arm.state)
     refused(lambda: arm.move_joints(start), StateError, "move_joints in fault")
@@ -254,45 +254,45 @@ def protective_stop_is_latched(bench: Bench) -> None:
 
 
 @SUITE.case("R16", "closing is bounded, final, and may be repeated")
-def close_is_bounded(bench: Bench) -> None:
-    closes(bench.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
+def close_is_bounded(dut: DeviceUnderTest) -> None:
+    closes(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 
 
 @SUITE.case("R17", "connecting again is a full new session with the same device, in the same place")
-def reconnect_is_a_full_session(bench: Bench) -> None:
-    first = bench.make()
+def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
+    first = dut.make()
     identity = first.connect()
-    before = bench.brought_to(Lifecycle.ACTIVE, first).read_state().joints_rad
+    before = dut.brought_to(Lifecycle.ACTIVE, first).read_state().joints_rad
     first.close()
-    second = bench.make()
+    second = dut.make()
     again = second.connect()
     check(identity == again, f"the identity {identity}", again)
-    moved = apart_rad(bench.brought_to(Lifecycle.ACTIVE, second).read_state().joints_rad, before)
+    moved = apart_rad(dut.brought_to(Lifecycle.ACTIVE, second).read_state().joints_rad, before)
     check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
-    bench.release()
+    dut.release()
 
 
 @SUITE.case("R18", "an endpoint where nobody is gives a connect error with code and advice, in time")
-def nobody_there(bench: Bench) -> None:
-    bench.release()
+def nobody_there(dut: DeviceUnderTest) -> None:
+    dut.release()
     with socket.create_server(("127.0.0.1", 0)) as free:
         nowhere = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    single = bench.config.endpoint
+    single = dut.config.endpoint
     elsewhere = {
         name: nowhere if address.startswith("tcp:") else address
-        for name, address in bench.config.endpoints.items()
+        for name, address in dut.config.endpoints.items()
     }
-    config = bench.config.model_copy(update={"endpoint": nowhere if single else None, "endpoints": elsewhere})
-    finds_nobody(make_device(bench.name, config, bench.clock), CONNECT_LIMIT_S)
+    config = dut.config.model_copy(update={"endpoint": nowhere if single else None, "endpoints": elsewhere})
+    finds_nobody(make_device(dut.name, config, dut.clock), CONNECT_LIMIT_S)
 
 
 @SUITE.case("R19", "an unknown option is refused before anything is opened")
-def unknown_option_is_refused(bench: Bench) -> None:
-    refuses_unknown_options(bench)
+def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
+    refuses_unknown_options(dut)
 
 
 def _stopped_on_the_way(
-    bench: Bench, arm: Any, start: JointVector, target: JointVector, kind: StopKind
+    dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector, kind: StopKind
 ) -> list[RonnaError]:
     """Move in a thread, stop once the arm has visibly left its start; what the motion raised."""
     ends: list[RonnaError] = []
@@ -307,7 +307,7 @@ def _stopped_on_the_way(
     mover.start()
     try:
         while mover.is_alive() and apart_rad(arm.read_state().joints_rad, start) < SMALL_TURN_RAD:
-            bench.clock.sleep(HOLDING_S / 20)
+            dut.clock.sleep(HOLDING_S / 20)
         arm.stop(kind)
     finally:
         mover.join()

@@ -11,8 +11,8 @@ from typing import Any
 
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
-from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import Suite
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
@@ -53,8 +53,8 @@ class Choice:
 
 
 @contextmanager
-def stand(suite: Suite, choice: Choice) -> Iterator[Bench]:
-    """A bench for what is chosen; whatever was started for it is ended afterwards.
+def stand(suite: Suite, choice: Choice) -> Iterator[DeviceUnderTest]:
+    """The device under test as chosen; whatever was started for it is ended afterwards.
 
     Raises CNF-001, CNF-002, CFG-00x, DEV-002, PRC-001.
     """
@@ -80,9 +80,9 @@ def stand(suite: Suite, choice: Choice) -> Iterator[Bench]:
             chosen = _device(driver, _by_name(choice.endpoints))
         theatre_clock = open_clock(clock)
         known = choice.sim or choice.config is not None
-        bench = Bench(name, chosen, theatre_clock, allowed, clock_known=known, control=control)
-        stack.callback(bench.release)
-        yield bench
+        dut = DeviceUnderTest(name, chosen, theatre_clock, allowed, clock_known=known, control=control)
+        stack.callback(dut.release)
+        yield dut
 
 
 def _device(driver: str, addresses: dict[str | None, str]) -> DeviceConfig:

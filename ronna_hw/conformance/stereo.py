@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from ronna_hw.conformance.any_device import closes, finds_nobody, offers, refuses_early, tells_who_answers
-from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
-from ronna_hw.conformance.gige_camera import GIGE_CAMERA
-from ronna_hw.conformance.gige_control_cases import CONTROL
-from ronna_hw.conformance.gige_feature_cases import FEATURES
-from ronna_hw.conformance.gige_stream_cases import STREAM
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.gige.control_cases import CONTROL
+from ronna_hw.conformance.gige.feature_cases import FEATURES
+from ronna_hw.conformance.gige.register_cases import GIGE_CAMERA
+from ronna_hw.conformance.gige.stream_cases import STREAM
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 from ronna_hw.devices.stereo import StereoPair
@@ -32,9 +32,9 @@ GAIN_RAW = 64
 SUITE = Suite("stereo", driver="basler_stereo", simulator=("basler",))
 
 
-def pairs_of(bench: Bench, count: int = PAIRS) -> list[StereoReading]:
+def pairs_of(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
     """Readings of the shared session, one trigger each."""
-    pair: StereoPair = bench.at(Lifecycle.ACTIVE)
+    pair: StereoPair = dut.at(Lifecycle.ACTIVE)
     return [pair.grab_pair() for _ in range(count)]
 
 
@@ -47,28 +47,28 @@ def both(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
     return reading.left, reading.right
 
 
-def beside(bench: Bench, **changes: Any) -> Any:
+def beside(dut: DeviceUnderTest, **changes: Any) -> Any:
     """A second driver object beside the shared one; the caller closes it."""
-    return make_device(bench.name, bench.config.model_copy(update=changes), bench.clock)
+    return make_device(dut.name, dut.config.model_copy(update=changes), dut.clock)
 
 
 @SUITE.case("S01", "the driver offers the interface of a stereo pair, and starts disconnected")
-def offers_the_interface(bench: Bench) -> None:
-    offers(bench, StereoPair)
+def offers_the_interface(dut: DeviceUnderTest) -> None:
+    offers(dut, StereoPair)
 
 
 @SUITE.case("S02", "connecting says who answers, and which camera is on which side")
-def identity_is_answered(bench: Bench) -> None:
-    pair, identity = tells_who_answers(bench)
+def identity_is_answered(dut: DeviceUnderTest) -> None:
+    pair, identity = tells_who_answers(dut)
     left, right = pair.serials
     check(bool(left and right) and left != right, "two serial numbers", pair.serials)
     check(left in identity.serial and right in identity.serial, "both in the identity", identity.serial)
 
 
 @SUITE.case("S03", "calls that come too early are refused")
-def early_calls_are_refused(bench: Bench) -> None:
+def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     pair = refuses_early(
-        bench,
+        dut,
         disconnected=("configure", "activate", "deactivate", "grab_pair"),
         connected=("connect", "activate", "grab_pair"),
     )
@@ -77,16 +77,16 @@ def early_calls_are_refused(bench: Bench) -> None:
 
 
 @SUITE.case("S04", "one trigger gives one complete pair, each image from its own side's camera")
-def one_pair_per_trigger(bench: Bench) -> None:
-    for reading in pairs_of(bench):
+def one_pair_per_trigger(dut: DeviceUnderTest) -> None:
+    for reading in pairs_of(dut):
         images = both(reading)
         serials = tuple(image.serial for image in images)
-        check(serials == bench.at(Lifecycle.ACTIVE).serials, "the serial numbers of the sides", serials)
+        check(serials == dut.at(Lifecycle.ACTIVE).serials, "the serial numbers of the sides", serials)
 
 
 @SUITE.case("S05", "readings are counted one by one, and every clock goes forward")
-def stamps_are_in_order(bench: Bench) -> None:
-    for before, after in itertools.pairwise(pairs_of(bench)):
+def stamps_are_in_order(dut: DeviceUnderTest) -> None:
+    for before, after in itertools.pairwise(pairs_of(dut)):
         check(after.stamp.sequence == before.stamp.sequence + 1, "the next number", after.stamp.sequence)
         check(after.stamp.theatre_time_s >= before.stamp.theatre_time_s, "a later theatre time")
         for earlier, later in zip(both(before), both(after), strict=True):
@@ -94,8 +94,8 @@ def stamps_are_in_order(bench: Bench) -> None:
 
 
 @SUITE.case("S06", "an image has the shape of its area, 8 or 12 bits, and cannot be changed")
-def images_have_their_shape(bench: Bench) -> None:
-    for image in both(pairs_of(bench, 1)[0]):
+def images_have_their_shape(dut: DeviceUnderTest) -> None:
+    for image in both(pairs_of(dut, 1)[0]):
         area = image.area
         check(image.pixels.shape == (area.height, area.width), f"shape of {area}", image.pixels.shape)
         check(image.pixels.dtype in (np.uint8, np.uint16), "uint8 or uint16", image.pixels.dtype)
@@ -104,8 +104,8 @@ def images_have_their_shape(bench: Bench) -> None:
 
 
 @SUITE.case("S07", "the area that is set is the area that is read, also on a running stream")
-def areas_are_honoured(bench: Bench) -> None:
-    pair = bench.at(Lifecycle.ACTIVE)
+def areas_are_honoured(dut: DeviceUnderTest) -> None:
+    pair = dut.at(Lifecycle.ACTIVE)
     whole = [image.area for image in both(pair.grab_pair())]
     parts = [_part(area) for area in whole]
     pair.set_areas(*parts)
@@ -117,8 +117,8 @@ def areas_are_honoured(bench: Bench) -> None:
 
 
 @SUITE.case("S08", "an area beside the sensor is refused, and the present one stays")
-def impossible_areas_are_refused(bench: Bench) -> None:
-    pair = bench.at(Lifecycle.ACTIVE)
+def impossible_areas_are_refused(dut: DeviceUnderTest) -> None:
+    pair = dut.at(Lifecycle.ACTIVE)
     whole = [image.area for image in both(pair.grab_pair())]
     beyond = AreaOfInterest(0, 0, 64 * whole[0].width, whole[0].height)
     refused(lambda: pair.set_areas(beyond, whole[1]), LimitError, "an area wider than the sensor")
@@ -128,16 +128,16 @@ def impossible_areas_are_refused(bench: Bench) -> None:
 
 
 @SUITE.case("S09", "an exposure that no camera can do is refused")
-def impossible_exposures_are_refused(bench: Bench) -> None:
-    pair = bench.at(Lifecycle.ACTIVE)
+def impossible_exposures_are_refused(dut: DeviceUnderTest) -> None:
+    pair = dut.at(Lifecycle.ACTIVE)
     for exposure_us in EXPOSURES_US:
         refused(partial(pair.set_exposure, exposure_us, GAIN_RAW), LimitError, f"{exposure_us} us")
     both(pair.grab_pair())
 
 
 @SUITE.case("S10", "a stream that was stopped starts again")
-def stream_starts_again(bench: Bench) -> None:
-    pair = bench.at(Lifecycle.ACTIVE)
+def stream_starts_again(dut: DeviceUnderTest) -> None:
+    pair = dut.at(Lifecycle.ACTIVE)
     pair.deactivate()
     refused(pair.grab_pair, StateError, "grab_pair after deactivate")
     pair.activate()
@@ -145,9 +145,9 @@ def stream_starts_again(bench: Bench) -> None:
 
 
 @SUITE.case("S11", "a second controller is refused, and the first goes on")
-def second_controller_is_refused(bench: Bench) -> None:
-    pair = bench.at(Lifecycle.ACTIVE)
-    second = beside(bench)
+def second_controller_is_refused(dut: DeviceUnderTest) -> None:
+    pair = dut.at(Lifecycle.ACTIVE)
+    second = beside(dut)
     try:
         second.connect()
         refused(second.configure, ConnectError, "configure beside another controller")
@@ -157,18 +157,18 @@ def second_controller_is_refused(bench: Bench) -> None:
 
 
 @SUITE.case("S12", "cameras at each other's address are noticed when their serial numbers are bound")
-def swapped_cameras_are_noticed(bench: Bench) -> None:
-    pair = bench.make()
+def swapped_cameras_are_noticed(dut: DeviceUnderTest) -> None:
+    pair = dut.make()
     pair.connect()
     left, right = pair.serials
-    bench.release()
-    roles = dict(bench.config.endpoints)
+    dut.release()
+    roles = dict(dut.config.endpoints)
     if set(roles) != {"left", "right"}:
         raise NotShown("the two cameras have no endpoint each")
-    options = {**bench.config.options, "left_serial": left, "right_serial": right}
+    options = {**dut.config.options, "left_serial": left, "right_serial": right}
     try:
-        bound = beside(bench, options=options)
-        swapped = beside(bench, options=options, endpoints={"left": roles["right"], "right": roles["left"]})
+        bound = beside(dut, options=options)
+        swapped = beside(dut, options=options, endpoints={"left": roles["right"], "right": roles["left"]})
     except ConfigurationError as error:
         raise NotShown("the driver has no options to bind serial numbers") from error
     try:
@@ -180,19 +180,19 @@ def swapped_cameras_are_noticed(bench: Bench) -> None:
 
 
 @SUITE.case("S13", "an address where nobody is is told in time")
-def nobody_there(bench: Bench) -> None:
-    if set(bench.config.endpoints) != {"left", "right"}:
+def nobody_there(dut: DeviceUnderTest) -> None:
+    if set(dut.config.endpoints) != {"left", "right"}:
         raise NotShown("the two cameras have no endpoint each")
-    lonely = beside(bench, endpoints={**bench.config.endpoints, "right": NOBODY})
+    lonely = beside(dut, endpoints={**dut.config.endpoints, "right": NOBODY})
     finds_nobody(lonely, CONNECT_LIMIT_S)
 
 
 @SUITE.case("S14", "closing is bounded in time, final, and leaves the cameras to the next")
-def closing_is_bounded(bench: Bench) -> None:
-    pair = bench.make()
-    bench.brought_to(Lifecycle.ACTIVE, pair)
+def closing_is_bounded(dut: DeviceUnderTest) -> None:
+    pair = dut.make()
+    dut.brought_to(Lifecycle.ACTIVE, pair)
     closes(pair, CLOSE_LIMIT_S)
-    both(bench.at(Lifecycle.ACTIVE).grab_pair())
+    both(dut.at(Lifecycle.ACTIVE).grab_pair())
 
 
 def _part(area: AreaOfInterest) -> AreaOfInterest:

@@ -17,9 +17,9 @@ from ronna_hw.conformance.any_device import (
     refuses_unknown_options,
     tells_who_answers,
 )
-from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
-from ronna_hw.conformance.polaris_unit import POLARIS_UNIT
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.polaris.cases import POLARIS_UNIT
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
 from ronna_hw.devices.tracker import OpticalTracker
@@ -38,46 +38,46 @@ RECOVERY_READS = 12  # lost readings after which a line that is whole again must
 SUITE = Suite("tracker", driver="ndi_polaris", simulator=("polaris",))
 
 
-def frames_of(bench: Bench, count: int = FRAMES) -> list[TrackerFrame]:
+def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
     """Consecutive readings of the shared session, not faster than the device measures."""
-    tracker: OpticalTracker = bench.at(Lifecycle.ACTIVE)
+    tracker: OpticalTracker = dut.at(Lifecycle.ACTIVE)
     frames = []
     for _ in range(count):
         frames.append(tracker.read_frame())
-        bench.clock.sleep(1 / 60)
+        dut.clock.sleep(1 / 60)
     return frames
 
 
-def tool_readings(bench: Bench) -> list[ToolReading]:
+def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
     """All readings of all tools; left undecided when no tool is configured."""
-    readings = [reading for frame in frames_of(bench) for reading in frame.tools]
+    readings = [reading for frame in frames_of(dut) for reading in frame.tools]
     if not readings:
         raise NotShown("no tool is configured")
     return readings
 
 
 @SUITE.case("T01", "the driver offers the interface of an optical tracker, and starts disconnected")
-def offers_the_interface(bench: Bench) -> None:
-    offers(bench, OpticalTracker)
+def offers_the_interface(dut: DeviceUnderTest) -> None:
+    offers(dut, OpticalTracker)
 
 
 @SUITE.case("T02", "connecting says who answers")
-def identity_is_answered(bench: Bench) -> None:
-    tells_who_answers(bench)
+def identity_is_answered(dut: DeviceUnderTest) -> None:
+    tells_who_answers(dut)
 
 
 @SUITE.case("T03", "calls that come too early are refused")
-def early_calls_are_refused(bench: Bench) -> None:
+def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     refuses_early(
-        bench,
+        dut,
         disconnected=("configure", "activate", "deactivate", "read_frame"),
         connected=("connect", "activate", "read_frame"),
     )
 
 
 @SUITE.case("T04", "configuring loads the tools that the theatre file names")
-def configure_loads_tools(bench: Bench) -> None:
-    tracker = bench.at(Lifecycle.CONFIGURED)
+def configure_loads_tools(dut: DeviceUnderTest) -> None:
+    tracker = dut.at(Lifecycle.CONFIGURED)
     check(tracker.state is Lifecycle.CONFIGURED, "state configured", tracker.state)
     names = tracker.tools
     check(len(set(names)) == len(names), "every tool name once", names)
@@ -85,39 +85,39 @@ def configure_loads_tools(bench: Bench) -> None:
 
 
 @SUITE.case("T05", "starting to track twice is refused")
-def second_start_is_refused(bench: Bench) -> None:
-    tracker = bench.at(Lifecycle.ACTIVE)
+def second_start_is_refused(dut: DeviceUnderTest) -> None:
+    tracker = dut.at(Lifecycle.ACTIVE)
     refused(tracker.activate, StateError, "activate while active")
     tracker.read_frame()
 
 
 @SUITE.case("T06", "the frame number advances and never goes backwards")
-def frame_number_advances(bench: Bench) -> None:
-    numbers = [frame.stamp.device_clock for frame in frames_of(bench)]
+def frame_number_advances(dut: DeviceUnderTest) -> None:
+    numbers = [frame.stamp.device_clock for frame in frames_of(dut)]
     check(all(b >= a for a, b in itertools.pairwise(numbers)), "numbers that never fall", numbers)
     check(numbers[-1] > numbers[0], "numbers that rise", numbers)
 
 
 @SUITE.case("T07", "readings are counted one by one, and theatre time never goes backwards")
-def stamps_are_in_order(bench: Bench) -> None:
-    stamps = [frame.stamp for frame in frames_of(bench)]
+def stamps_are_in_order(dut: DeviceUnderTest) -> None:
+    stamps = [frame.stamp for frame in frames_of(dut)]
     for before, after in itertools.pairwise(stamps):
         check(after.sequence == before.sequence + 1, f"reading {before.sequence + 1}", after.sequence)
         check(after.theatre_time_s >= before.theatre_time_s, "a later theatre time", after.theatre_time_s)
 
 
 @SUITE.case("T08", "every frame lists every tool in the order of the theatre file, seen or not")
-def every_tool_is_listed(bench: Bench) -> None:
-    frames = frames_of(bench, 3)
-    names = bench.at(Lifecycle.ACTIVE).tools
+def every_tool_is_listed(dut: DeviceUnderTest) -> None:
+    frames = frames_of(dut, 3)
+    names = dut.at(Lifecycle.ACTIVE).tools
     for frame in frames:
         found = tuple(reading.tool for reading in frame.tools)
         check(found == names, f"the tools {names}", found)
 
 
 @SUITE.case("T09", "a pose is there exactly when the validity carries one; missing data is never a number")
-def pose_and_validity_agree(bench: Bench) -> None:
-    for reading in tool_readings(bench):
+def pose_and_validity_agree(dut: DeviceUnderTest) -> None:
+    for reading in tool_readings(dut):
         parts = (reading.rotation, reading.position_mm, reading.fit_error_mm)
         if reading.validity in CARRY_POSE:
             check(None not in parts, f"a pose with validity {reading.validity}", reading)
@@ -128,8 +128,8 @@ def pose_and_validity_agree(bench: Bench) -> None:
 
 
 @SUITE.case("T10", "a pose is possible: everything tracked has a negative z, rotations have norm 1")
-def poses_are_possible(bench: Bench) -> None:
-    seen = [reading for reading in tool_readings(bench) if reading.position_mm and reading.rotation]
+def poses_are_possible(dut: DeviceUnderTest) -> None:
+    seen = [reading for reading in tool_readings(dut) if reading.position_mm and reading.rotation]
     if not seen:
         raise NotShown("no tool is in sight")
     for reading in seen:
@@ -139,16 +139,16 @@ def poses_are_possible(bench: Bench) -> None:
 
 
 @SUITE.case("T11", "the fit error of a pose is not negative")
-def fit_error_is_not_negative(bench: Bench) -> None:
-    errors = [reading.fit_error_mm for reading in tool_readings(bench) if reading.fit_error_mm is not None]
+def fit_error_is_not_negative(dut: DeviceUnderTest) -> None:
+    errors = [reading.fit_error_mm for reading in tool_readings(dut) if reading.fit_error_mm is not None]
     if not errors:
         raise NotShown("no tool is in sight")
     check(min(errors) >= 0, "errors of 0 or more", min(errors))
 
 
 @SUITE.case("T12", "strays have a place and a validity, never NaN")
-def strays_have_places(bench: Bench) -> None:
-    strays = [stray for frame in frames_of(bench) for stray in frame.strays]
+def strays_have_places(dut: DeviceUnderTest) -> None:
+    strays = [stray for frame in frames_of(dut) for stray in frame.strays]
     if not strays:
         raise NotShown("no stray marker is in sight")
     for stray in strays:
@@ -157,8 +157,8 @@ def strays_have_places(bench: Bench) -> None:
 
 
 @SUITE.case("T13", "tracking can be stopped and started again in one session")
-def stop_and_start_again(bench: Bench) -> None:
-    tracker = bench.at(Lifecycle.ACTIVE)
+def stop_and_start_again(dut: DeviceUnderTest) -> None:
+    tracker = dut.at(Lifecycle.ACTIVE)
     tracker.deactivate()
     check(tracker.state is Lifecycle.CONFIGURED, "state configured", tracker.state)
     refused(tracker.read_frame, StateError, "read_frame after deactivate")
@@ -167,51 +167,51 @@ def stop_and_start_again(bench: Bench) -> None:
 
 
 @SUITE.case("T14", "closing is bounded, final, and may be repeated")
-def close_is_bounded(bench: Bench) -> None:
-    closes(bench.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
+def close_is_bounded(dut: DeviceUnderTest) -> None:
+    closes(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 
 
 @SUITE.case("T15", "connecting again is a full new session with the same device")
-def reconnect_is_a_full_session(bench: Bench) -> None:
-    first = bench.brought_to(Lifecycle.ACTIVE, bench.make())
+def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
+    first = dut.brought_to(Lifecycle.ACTIVE, dut.make())
     first.read_frame()
     first.close()
-    second = bench.make()
+    second = dut.make()
     identity = second.connect()
-    again = bench.make().connect()
+    again = dut.make().connect()
     check(identity == again, f"the identity {identity}", again)
-    bench.at(Lifecycle.ACTIVE).read_frame()
+    dut.at(Lifecycle.ACTIVE).read_frame()
 
 
 @SUITE.case("T16", "an endpoint where nobody is gives a connect error with code and advice, in time")
-def nobody_there(bench: Bench) -> None:
+def nobody_there(dut: DeviceUnderTest) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    scheme = (bench.config.endpoint or "tcp://").partition("://")[0]
+    scheme = (dut.config.endpoint or "tcp://").partition("://")[0]
     nowhere = "serial:///dev/no-such-port" if scheme == "serial" else f"tcp://127.0.0.1:{port}"
-    finds_nobody(bench.make(endpoint=nowhere), CONNECT_LIMIT_S)
+    finds_nobody(dut.make(endpoint=nowhere), CONNECT_LIMIT_S)
 
 
 @SUITE.case("T17", "an unknown option is refused before anything is opened")
-def unknown_option_is_refused(bench: Bench) -> None:
-    refuses_unknown_options(bench)
+def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
+    refuses_unknown_options(dut)
 
 
 @SUITE.case("T18", "a reading from a silent line ends at its time limit", needs=("line faults",))
-def silence_ends_a_reading(bench: Bench) -> None:
-    with bench.disturbed_line() as line:
-        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+def silence_ends_a_reading(dut: DeviceUnderTest) -> None:
+    with dut.disturbed_line() as line:
+        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         line.silence()
         with ends_within(READ_LIMIT_S + SLACK_S):
             refused(lambda: tracker.read_frame(READ_LIMIT_S), LinkTimeout, "read_frame on a silent line")
         line.silence(False)
-        bench.release()
+        dut.release()
 
 
 @SUITE.case("T19", "closing on a silent line is bounded and raises nothing", needs=("line faults",))
-def close_on_a_dead_line(bench: Bench) -> None:
-    with bench.disturbed_line() as line:
-        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
+    with dut.disturbed_line() as line:
+        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         line.silence()
         with ends_within(CLOSE_LIMIT_S):
             tracker.close()
@@ -219,25 +219,25 @@ def close_on_a_dead_line(bench: Bench) -> None:
 
 
 @SUITE.case("T20", "a late reply costs one reading and is never taken for the next", needs=("line faults",))
-def late_reply(bench: Bench) -> None:
-    with bench.disturbed_line() as line:
-        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+def late_reply(dut: DeviceUnderTest) -> None:
+    with dut.disturbed_line() as line:
+        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         tracker.read_frame()
         line.delay_next(READ_LIMIT_S + 0.1)
         refused(lambda: tracker.read_frame(READ_LIMIT_S), RonnaError, "a reading that comes too late")
         tracker.read_frame(2.0)
         first = tracker.read_frame(2.0).stamp.device_clock
-        bench.clock.sleep(PAUSE_S)
+        dut.clock.sleep(PAUSE_S)
         second, third = (tracker.read_frame(2.0).stamp.device_clock for _ in range(2))
         # Were each answer the one to the request before, the pause would show one reading too late.
         check(third - second <= second - first, "a fresh frame after a pause", (first, second, third))
-        bench.release()
+        dut.release()
 
 
 @SUITE.case("T21", "a broken connection is a latched fault that recover leaves", needs=("line faults",))
-def broken_connection(bench: Bench) -> None:
-    with bench.disturbed_line() as line:
-        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+def broken_connection(dut: DeviceUnderTest) -> None:
+    with dut.disturbed_line() as line:
+        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         line.cut()
         for _ in range(RECOVERY_READS):
             if tracker.state is Lifecycle.FAULT:
@@ -247,8 +247,8 @@ def broken_connection(bench: Bench) -> None:
         check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)
         refused(tracker.read_frame, StateError, "read_frame in fault")
         tracker.recover("conformance suite")
-        bench.brought_to(Lifecycle.ACTIVE, tracker).read_frame()
-        bench.release()
+        dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame()
+        dut.release()
 
 
 @SUITE.case(
@@ -256,9 +256,9 @@ def broken_connection(bench: Bench) -> None:
     "a reply with one wrong bit or a lost byte is never a reading",
     needs=("line faults", "checked replies"),
 )
-def wrong_bits_are_noticed(bench: Bench) -> None:
-    with bench.disturbed_line() as line:
-        tracker = bench.brought_to(Lifecycle.ACTIVE, bench.make(endpoint=line.endpoint))
+def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
+    with dut.disturbed_line() as line:
+        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         for disturb in (line.flip_next, line.lose_next_byte):
             before = tracker.read_frame().stamp
             disturb()
@@ -267,7 +267,7 @@ def wrong_bits_are_noticed(bench: Bench) -> None:
                 after = tracker.read_frame(2.0).stamp
                 check(after.device_clock >= before.device_clock, "a later frame", after)
             tracker.read_frame(2.0)
-        bench.release()
+        dut.release()
 
 
 SUITE.cases.extend(POLARIS_UNIT.cases)

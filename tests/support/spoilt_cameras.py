@@ -13,7 +13,7 @@ import pytest
 
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.report import CaseResult, run_case
 from ronna_hw.conformance.stereo import SUITE
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus, GvcpCommand
@@ -47,11 +47,11 @@ class Stand:
 
     def run(self, number: str) -> CaseResult:
         config = DeviceConfig(driver="basler_stereo", endpoints=self.pair.endpoints)
-        bench = Bench("stereo", config, HostClock())
+        dut = DeviceUnderTest("stereo", config, HostClock())
         try:
-            return run_case(next(case for case in SUITE.cases if case.number == number), bench)
+            return run_case(next(case for case in SUITE.cases if case.number == number), dut)
         finally:
-            bench.release()
+            dut.release()
 
     def close(self) -> None:
         self.pair.end()

@@ -20,8 +20,8 @@ from drivers.basler_stereo.errors import (
 from drivers.basler_stereo.pylon_pair import PylonStereoPair
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance.bench import Bench
 from ronna_hw.conformance.case import Case, Outcome
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.report import run_case
 from ronna_hw.conformance.stereo import SUITE
 from ronna_hw.devices import Lifecycle, StereoPair
@@ -102,9 +102,9 @@ def test_it_is_a_stereo_pair_that_follows_the_lifecycle(make_pair):
     ],
 )
 def test_it_passes_the_suite_of_any_pair_as_far_as_the_emulation_goes(case: Case) -> None:
-    bench = Bench("stereo", configured(), HostClock())
-    result = run_case(case, bench)
-    bench.release()
+    dut = DeviceUnderTest("stereo", configured(), HostClock())
+    result = run_case(case, dut)
+    dut.release()
     assert result.outcome is Outcome.PASS, result.reason
 
 

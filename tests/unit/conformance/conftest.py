@@ -10,8 +10,8 @@ from ideal_device import IdealDevice
 
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance import bench as bench_module
-from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance import device_under_test
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import ConnectError
@@ -63,12 +63,16 @@ def good_tracker() -> type[GoodTracker]:
 
 
 @pytest.fixture
-def make_bench(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Bench]:
-    """A bench for a driver class, which need not be installed."""
+def make_dut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., DeviceUnderTest]:
+    """The device under test for a driver class, which need not be installed."""
 
-    def make(driver: Any, *, endpoint: str = "host:", allowed: frozenset[str] = frozenset()) -> Bench:
-        monkeypatch.setattr(bench_module, "load_driver", lambda name: driver)
-        monkeypatch.setattr(bench_module, "make_device", driver)
-        return Bench("tracker", DeviceConfig(driver="test", endpoint=endpoint), QuickClock(), allowed)
+    def make(
+        driver: Any, *, endpoint: str = "host:", allowed: frozenset[str] = frozenset()
+    ) -> DeviceUnderTest:
+        monkeypatch.setattr(device_under_test, "load_driver", lambda name: driver)
+        monkeypatch.setattr(device_under_test, "make_device", driver)
+        return DeviceUnderTest(
+            "tracker", DeviceConfig(driver="test", endpoint=endpoint), QuickClock(), allowed
+        )
 
     return make

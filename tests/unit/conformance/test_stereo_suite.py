@@ -11,40 +11,39 @@ from ideal_pair import LEFT, RIGHT, IdealPair, Rig, altered
 
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance import bench as bench_module
-from ronna_hw.conformance import stereo
-from ronna_hw.conformance.bench import Bench
+from ronna_hw.conformance import device_under_test, stereo
 from ronna_hw.conformance.case import Outcome
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.report import run_case
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import StereoReading
 from ronna_hw.errors import StateError
 
-MakeBench = Callable[..., Bench]
+MakeDut = Callable[..., DeviceUnderTest]
 
 
 @pytest.fixture
-def make_bench(monkeypatch: pytest.MonkeyPatch) -> MakeBench:
-    """A bench for an ideal pair, some of whose members are replaced."""
+def make_dut(monkeypatch: pytest.MonkeyPatch) -> MakeDut:
+    """The device under test for an ideal pair, some of whose members are replaced."""
 
-    def make(**members: Any) -> Bench:
+    def make(**members: Any) -> DeviceUnderTest:
         driver = type("Spoilt", (IdealPair,), {"rig": Rig(), **members})
-        monkeypatch.setattr(bench_module, "load_driver", lambda name: driver)
-        monkeypatch.setattr("ronna_hw.conformance.gige_link.load_driver", lambda name: driver)
-        for module in (bench_module, stereo):
+        monkeypatch.setattr(device_under_test, "load_driver", lambda name: driver)
+        monkeypatch.setattr("ronna_hw.conformance.gige.link.load_driver", lambda name: driver)
+        for module in (device_under_test, stereo):
             monkeypatch.setattr(module, "make_device", driver)
         config = DeviceConfig(driver="test", endpoints={"left": LEFT, "right": RIGHT})
-        return Bench("stereo", config, HostClock())
+        return DeviceUnderTest("stereo", config, HostClock())
 
     return make
 
 
-def outcomes(bench: Bench) -> dict[str, Outcome]:
-    return {case.number: run_case(case, bench).outcome for case in stereo.SUITE.cases}
+def outcomes(dut: DeviceUnderTest) -> dict[str, Outcome]:
+    return {case.number: run_case(case, dut).outcome for case in stereo.SUITE.cases}
 
 
-def test_a_good_pair_of_another_protocol_passes_everything_that_applies(make_bench: MakeBench) -> None:
-    found = outcomes(make_bench())
+def test_a_good_pair_of_another_protocol_passes_everything_that_applies(make_dut: MakeDut) -> None:
+    found = outcomes(make_dut())
     assert {number for number, outcome in found.items() if outcome is Outcome.PASS} == {
         f"S{number:02d}" for number in range(1, 15)
     }
@@ -142,10 +141,10 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_each_mistake_is_found_by_its_case(make_bench: MakeBench, mistake: str) -> None:
+def test_each_mistake_is_found_by_its_case(make_dut: MakeDut, mistake: str) -> None:
     number, members = MISTAKES[mistake]
     case = next(case for case in stereo.SUITE.cases if case.number == number)
-    assert run_case(case, make_bench(**members)).outcome is Outcome.FAIL
+    assert run_case(case, make_dut(**members)).outcome is Outcome.FAIL
 
 
 def test_every_case_of_any_pair_has_its_mistake() -> None:

@@ -1,0 +1,1 @@
+"""Cases for GigE Vision cameras on the wire (G)."""

@@ -1,0 +1,142 @@
+"""More of what a camera's control channel must do: finding, several writes, exclusive access, heartbeat."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+
+from ronna_hw.conformance.case import NotShown, Suite, check
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.gige.link import GigeLink, cameras, controlled
+from ronna_hw.conformance.gige.stream import GigeStream, started
+from ronna_hw.wire.gige_vision import (
+    CCP_CONTROL,
+    CCP_EXCLUSIVE,
+    CCP_OPEN,
+    GVCP_KEY,
+    GVCP_PORT,
+    HEARTBEAT_MINIMUM_MS,
+    Bootstrap,
+    GevStatus,
+    GvcpCommand,
+)
+
+EVERYBODY = "255.255.255.255"
+FOUND_LIMIT_S = 2.0
+BEATS, BEAT_S = 8, 0.2  # three times the shortest heartbeat time-out
+HEARTBEAT_SLACK = 0.1  # of the set time, plus a busy computer's
+BUSY_S = 0.4
+POLL_S = 0.02
+RELEASE_LIMIT_S = HEARTBEAT_MINIMUM_MS / 1000.0 + 2.0
+
+CONTROL = Suite("gige control", driver="basler_stereo", simulator=())
+case = CONTROL.case
+
+
+@case("G01", "cameras answer a discovery that is sent to everybody, each from its own address")
+def broadcast_discovery(dut: DeviceUnderTest) -> None:
+    question = struct.pack(">BBHHH", GVCP_KEY, 1, GvcpCommand.DISCOVERY, 0, 11)
+    for camera in cameras(dut):
+        found: set[str] = set()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller:
+            caller.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            caller.settimeout(FOUND_LIMIT_S)
+            caller.bind((camera.local_address, 0))  # the network card on which the camera is
+            try:
+                caller.sendto(question, (EVERYBODY, GVCP_PORT))
+                while camera.address not in found:
+                    found.add(caller.recvfrom(1024)[1][0])
+            except TimeoutError:
+                check(False, f"an answer from {camera.address}", ", ".join(sorted(found)) or "none")
+            except OSError as error:
+                raise NotShown(f"{camera.local_address} cannot ask everybody: {error.strerror}") from error
+
+
+@case("G11", "of several writes the first failure ends the command and its index is told")
+def several_writes(dut: DeviceUnderTest) -> None:
+    pairs = ((Bootstrap.SCPD, 7), (Bootstrap.VERSION, 1), (Bootstrap.SCPD, 9))
+    for camera in cameras(dut):
+        with controlled(camera):
+            (before,) = camera.registers(Bootstrap.SCPD)
+            payload = b"".join(struct.pack(">II", *pair) for pair in pairs)
+            answer = camera.exchange(GvcpCommand.WRITEREG, payload)
+            camera.expect(answer, GevStatus.WRITE_PROTECT, "the second of three writes")
+            index = struct.unpack(">HH", answer.payload)[1] if len(answer.payload) == 4 else None
+            check(index == 1, "the index 1 of the failure", index)
+            check(camera.registers(Bootstrap.SCPD) == [7], "the first write done, the third not")
+            camera.write(Bootstrap.SCPD, before)
+
+
+@case("G13", "under exclusive access others may not even read; under control access they may")
+def exclusive_access(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        with GigeLink(camera.address) as other:
+            with controlled(camera):
+                check(other.registers(Bootstrap.VERSION) != [], "a value for a reader beside the controller")
+            check(camera.write(Bootstrap.CCP, CCP_EXCLUSIVE) == GevStatus.SUCCESS, "exclusive access")
+            try:
+                answer = other.exchange(GvcpCommand.READREG, struct.pack(">I", Bootstrap.VERSION))
+                other.expect(answer, GevStatus.ACCESS_DENIED, "reading under another's exclusive access")
+            finally:
+                camera.write(Bootstrap.CCP, CCP_OPEN)
+
+
+@case("G14", "every command of the controller is a sign of life", needs=("host time",))
+def every_command_is_life(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        with controlled(camera):
+            camera.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS)
+            for _ in range(BEATS):
+                time.sleep(BEAT_S)
+                camera.registers(Bootstrap.VERSION)
+            check(camera.registers(Bootstrap.CCP) == [CCP_CONTROL], "control, held by reading anything")
+
+
+@case(
+    "G15",
+    "a controller that falls silent loses control after its heartbeat time-out, and its stream ends",
+    needs=("host time",),
+)
+def silence_ends_control(dut: DeviceUnderTest) -> None:
+    limit_s = HEARTBEAT_MINIMUM_MS / 1000.0
+    for camera in cameras(dut):
+        with GigeLink(camera.address) as silent, GigeStream(silent) as stream:
+            check(silent.write(Bootstrap.CCP, CCP_CONTROL) == GevStatus.SUCCESS, "control")
+            stream.small_frames(TriggerMode="Off")
+            stream.open_channel()
+            started(stream).frame()
+            silent.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS)
+            began_s = time.monotonic()
+            while camera.registers(Bootstrap.CCP) != [CCP_OPEN]:
+                waited_s = time.monotonic() - began_s
+                latest_s = limit_s * (1 + HEARTBEAT_SLACK) + BUSY_S
+                check(waited_s < latest_s, f"release after {limit_s} s", waited_s)
+                time.sleep(POLL_S)
+            waited_s = time.monotonic() - began_s
+            check(waited_s > limit_s * (1 - HEARTBEAT_SLACK), f"control for {limit_s} s", waited_s)
+            check(camera.registers(Bootstrap.SCP) == [0], "the channel closed")
+            stream.last_packets()
+        with controlled(camera), GigeStream(camera) as after:
+            after.open_channel()
+            check(after.silent(), "no acquisition without its controller")
+            after.features.execute("UserSetLoad")
+
+
+@case("G40", "a client that is gone never keeps the next one out", needs=("host time",))
+def a_dead_client_is_forgotten(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        with GigeLink(camera.address) as gone:
+            check(gone.write(Bootstrap.CCP, CCP_CONTROL) == GevStatus.SUCCESS, "control")
+            gone.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS)
+            with GigeStream(gone) as stream:
+                stream.small_frames()
+                stream.open_channel()
+                started(stream).trigger()
+        deadline_s = time.monotonic() + RELEASE_LIMIT_S
+        while camera.write(Bootstrap.CCP, CCP_CONTROL) != GevStatus.SUCCESS:
+            check(time.monotonic() < deadline_s, f"control within {RELEASE_LIMIT_S} s", "none")
+            time.sleep(BEAT_S)
+        found = camera.registers(Bootstrap.SCP)
+        camera.write(Bootstrap.CCP, CCP_OPEN)
+        check(found == [0], "the dead client's stream closed", found)

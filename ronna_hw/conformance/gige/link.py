@@ -1,0 +1,168 @@
+"""Plain datagrams to a camera that speaks GigE Vision, past every driver.
+
+What an answer should look like is written here from the protocol's reference a second time, so that a
+driver's misreading cannot hide in it.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.registry import load_driver
+from ronna_hw.wire.gige_vision import (
+    CCP_CONTROL,
+    CCP_OPEN,
+    GVCP_KEY,
+    GVCP_PORT,
+    Bootstrap,
+    GevStatus,
+    GvcpCommand,
+)
+
+ANSWER_LIMIT_S = 0.5
+TRIES = 3  # a datagram may be lost
+SILENCE_S = 0.15  # how long no answer must come to say that there is none
+GIGE_VISION = "gige-vision"  # `wire_protocol` of a driver that speaks it
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An acknowledge as it came."""
+
+    status: int
+    code: int
+    request_id: int
+    payload: bytes
+
+
+class GigeLink:
+    """One socket to one camera; every command gets a new request id."""
+
+    def __init__(self, address: str) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.connect((address, GVCP_PORT))
+        self._request_id = 0
+        self._last = b""
+        self.address = address
+
+    def __enter__(self) -> GigeLink:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._socket.close()
+
+    def exchange(self, command: int, payload: bytes = b"") -> Answer:
+        """Send a command and return its answer, whatever its status; fails when none comes."""
+        self._request_id = self._request_id % 0xFFFF + 1
+        datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
+        self._last = datagram
+        for _ in range(TRIES):
+            self._socket.send(datagram)
+            if (answer := self._answer(self._request_id)) is not None:
+                return answer
+        check(False, f"an answer from {self.address} to command 0x{command:04X}", "none")
+        raise AssertionError("check has raised")
+
+    def silent_after(self, datagram: bytes) -> bool:
+        """Send any datagram; True when nothing comes back."""
+        self._socket.send(datagram)
+        self._socket.settimeout(SILENCE_S)
+        try:
+            self._socket.recv(65536)
+        except TimeoutError:
+            return True
+        return False
+
+    def memory(self, address: int, count: int) -> bytes:
+        """`count` bytes of memory; at most 536."""
+        answer = self.exchange(GvcpCommand.READMEM, struct.pack(">IHH", address, 0, count))
+        self.expect(answer, GevStatus.SUCCESS, f"reading memory at 0x{address:X}")
+        check(len(answer.payload) == 4 + count, f"{4 + count} bytes of answer", len(answer.payload))
+        check(answer.payload[:4] == struct.pack(">I", address), "the address in the answer")
+        return answer.payload[4:]
+
+    def registers(self, *addresses: int) -> list[int]:
+        """Values of registers, asked for in one command."""
+        answer = self.exchange(GvcpCommand.READREG, struct.pack(f">{len(addresses)}I", *addresses))
+        self.expect(answer, GevStatus.SUCCESS, f"reading {len(addresses)} register(s)")
+        check(len(answer.payload) == 4 * len(addresses), f"{len(addresses)} values", len(answer.payload))
+        return list(struct.unpack(f">{len(addresses)}I", answer.payload))
+
+    def write(self, address: int, value: int) -> int:
+        """Write a register; returns the status."""
+        return self.exchange(GvcpCommand.WRITEREG, struct.pack(">II", address, value)).status
+
+    def write_memory(self, address: int, data: bytes) -> int:
+        """Write bytes; returns the status."""
+        return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
+
+    def repeat_last(self) -> bool:
+        """Send the last command once more, as a client does whose answer was lost; True when answered."""
+        self._socket.send(self._last)
+        return self._answer(self._request_id) is not None
+
+    def tell(self, command: int, payload: bytes) -> None:
+        """Send a command that gets no answer."""
+        self._request_id = self._request_id % 0xFFFF + 1
+        head = struct.pack(">BBHHH", GVCP_KEY, 0, command, len(payload), self._request_id)
+        self._socket.send(head + payload)
+
+    @property
+    def local_address(self) -> str:
+        """The host's address on the way to the camera."""
+        return str(self._socket.getsockname()[0])
+
+    @staticmethod
+    def expect(answer: Answer, status: GevStatus, what: str) -> None:
+        """Fail unless the answer has that status."""
+        check(answer.status == status, f"{what}: status 0x{status:04X}", f"0x{answer.status:04X}")
+
+    def _answer(self, request_id: int) -> Answer | None:
+        deadline_s = time.monotonic() + ANSWER_LIMIT_S
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            self._socket.settimeout(left_s)
+            try:
+                datagram = self._socket.recv(65536)
+            except (TimeoutError, ConnectionRefusedError):
+                return None
+            check(len(datagram) >= 8, "a header of 8 bytes", len(datagram))
+            status, code, length, came_id = struct.unpack_from(">HHHH", datagram)
+            if came_id == request_id and code != GvcpCommand.PENDING_ACK:
+                check(
+                    len(datagram) == 8 + length, f"the {length} bytes that the header says", len(datagram) - 8
+                )
+                return Answer(status, code, came_id, datagram[8:])
+        return None
+
+
+def camera_addresses(dut: DeviceUnderTest) -> list[str]:
+    """The addresses of the cameras; left undecided when they do not speak GigE Vision."""
+    if getattr(load_driver(dut.config.driver), "wire_protocol", None) != GIGE_VISION:
+        raise NotShown("the device does not speak GigE Vision, or the driver does not say so")
+    return [parse_endpoint(text).require("gev").host for text in dut.config.endpoints.values()]
+
+
+def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
+    """A link to each camera in turn, with no session of the driver beside it."""
+    dut.release()
+    for address in camera_addresses(dut):
+        with GigeLink(address) as link:
+            yield link
+
+
+@contextmanager
+def controlled(link: GigeLink) -> Iterator[GigeLink]:
+    """Hold control of a camera, and give it back."""
+    GigeLink.expect(Answer(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
+    try:
+        yield link
+    finally:
+        link.write(Bootstrap.CCP, CCP_OPEN)

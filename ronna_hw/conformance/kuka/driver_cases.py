@@ -1,0 +1,324 @@
+"""What the driver of a KUKA controller must do on the wire, seen from between the two.
+
+The number of a case is L and a line of the protocol's checklist. The stream is tapped, and telegrams may be
+held back, as a stalled computer would; nothing is changed or invented.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.kuka.rsi_client import AXES, KUKA, eki_line
+from ronna_hw.conformance.kuka.tap import Heard, PiecewiseLine, RsiTap, wait_for
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import RefusedError, RonnaError
+from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.registry import load_driver, make_device
+from ronna_hw.wire.kuka_context import load_context
+
+CYCLES = 100
+WINDOWS = 3  # of so many cycles
+HELD = 5  # telegrams that arrive at once after a stall
+LIMIT_S = 10.0
+SILENCE_LIMIT_S = 0.25  # of the driver in host time, unless the theatre file says otherwise
+SILENCE_SLACK_S = 1.5  # for a busy computer; both are below what EKI may be silent for
+GATHERED_S = 0.05
+TURN_RAD = 0.0175  # one degree of the last axis
+LONG_TURN_RAD = 20 * TURN_RAD  # interrupted as soon as it is seen to move
+SEEN_RAD = TURN_RAD / 10
+SLOW = 0.1  # of the driver's working speed
+LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed: beyond, a controller may take it for a fault
+# What forbids a start, and what the state tells of it.
+NOT_READY = (
+    ("emergency stop", "EStop", "1"),
+    ("guard open", "Guard", "1"),
+    ("mode T1", "Mode", "T1"),
+    ("mode AUT", "Mode", "AUT"),
+    ("collision", "Stopmess", "1"),
+)
+
+_IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
+_TYPE = re.compile(rb'<Sen Type="([^"]*)">')
+
+KUKA_DRIVER = Suite("kuka driver", driver="kuka_rsi", simulator=())
+case = KUKA_DRIVER.case
+
+
+@contextmanager
+def tapped(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
+    """A driver whose RSI passes through a tap, and perhaps its other endpoints through other lines."""
+    config = dut.config
+    if getattr(load_driver(config.driver), "wire_protocol", None) != KUKA:
+        raise NotShown("the driver does not say that it speaks RSI and EKI of KUKA")
+    dut.release()
+    port = free_udp_port()
+    changed = {**config.endpoints, **endpoints, "rsi": f"udp://127.0.0.1:{port}"}
+    with RsiTap(parse_endpoint(config.endpoints["rsi"]), ("127.0.0.1", port)) as tap:
+        arm: Any = make_device(dut.name, config.model_copy(update={"endpoints": changed}), dut.clock)
+        try:
+            yield arm, tap
+        finally:
+            arm.close()
+
+
+def streaming(dut: DeviceUnderTest, arm: Any) -> None:
+    """Bring the arm to where it streams."""
+    dut.brought_to(Lifecycle.ACTIVE, arm)
+
+
+def corrections(reply: bytes) -> list[float]:
+    """The six axis corrections of a reply, in deg."""
+    context = load_context()
+    tags = [str(context.wired_tag("AXISCORR", axis)) for axis in AXES]
+    found = []
+    for tag in tags:
+        name, _, attribute = tag.partition(".")
+        match = re.search(rf'<{name} [^>]*\b{attribute}="([^"]+)"'.encode(), reply)
+        check(match is not None, f"{tag} in the reply", reply[:80])
+        assert match is not None
+        found.append(float(match[1]))
+    return found
+
+
+@case("L11", "every reply carries the IPOC of its telegram, as it came")
+def echoes_the_time_stamp(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (arm, tap):
+        streaming(dut, arm)
+        heard = _exchanges(tap)
+    check(set(_stamps(heard.replies)) <= set(_stamps(heard.telegrams)), "stamps that were sent")
+
+
+@case("L12", "one reply to a telegram; after a stall only the newest is answered")
+def one_reply_each(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (arm, tap):
+        streaming(dut, arm)
+        # On a busy computer telegrams come in bunches, and then the newest only is answered.
+        unanswered = min(_unanswered(tap) for _ in range(WINDOWS))
+        check(unanswered <= CYCLES // 4, "telegrams answered one by one", f"{unanswered} unanswered")
+        _stall(tap)
+        late = tap.heard()
+        replies = _stamps(late.replies)
+        answered = [stamp for stamp in _stamps(late.telegrams[:HELD]) if stamp in replies]
+        # The next ones on the schedule may have come so close behind that one of them was the newest.
+        newest = _stamps(late.telegrams[HELD - 1 :])
+        check(any(stamp in replies for stamp in newest), "an answer to the newest telegram")
+        check(len(answered) <= HELD - 2, "no answers to those before it", f"{len(answered)} of {HELD}")
+
+
+def _unanswered(tap: RsiTap) -> int:
+    """Telegrams of a while that were not answered; none is answered twice."""
+    heard = _exchanges(tap)
+    stamps = _stamps(heard.replies)
+    check(len(set(stamps)) == len(stamps), "no telegram answered twice")
+    return len(set(_stamps(heard.telegrams))) - len(stamps)
+
+
+@case("L13", "every reply has the Type of the configuration")
+def replies_have_the_type(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (arm, tap):
+        streaming(dut, arm)
+        types = {match[1] for reply in _exchanges(tap).replies if (match := _TYPE.match(reply)) is not None}
+    check(types == {load_context().ethernet.sentype.encode()}, load_context().ethernet.sentype, types)
+
+
+@case("L29", "the first correction of every run is zero")
+def first_correction_is_zero(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (arm, tap):
+        for _ in range(2):
+            tap.heard()
+            streaming(dut, arm)
+            first = _exchanges(tap).replies[0]
+            check(not any(corrections(first)), "zero", corrections(first))
+            arm.deactivate()
+
+
+@case("L29b", "no correction steps further than a controller takes", needs=("motion",))
+def steps_are_small(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (arm, tap):
+        streaming(dut, arm)
+        start: JointVector = arm.read_state().commanded_rad
+        tap.heard()
+        mover = threading.Thread(target=_there_and_back, args=(arm, start))
+        mover.start()
+        mover.join()
+        replies = [corrections(reply) for reply in tap.heard().replies]
+        cycle_s = load_context().program.cycle_ms / 1000.0
+        limits = [
+            speed * math.degrees(1.0) * cycle_s * LARGEST_STEP_SHARE for speed in arm.model.full_speed_rad_s
+        ]
+    check(len(replies) > CYCLES, "a motion over many cycles", len(replies))
+    for before, after in itertools.pairwise(replies):
+        for axis, limit, a, b in zip(AXES, limits, before, after, strict=True):
+            check(abs(b - a) <= limit, f"{axis} to step at most {limit:.4f} deg", f"{abs(b - a):.4f}")
+
+
+@case("L30", "silence of the controller is noticed in time, and latched", needs=("destructive", "host time"))
+def silence_is_noticed(dut: DeviceUnderTest) -> None:
+    dut.release()
+    with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
+        line.gather_s = 0.001
+        with tapped(dut, eki_project=line.endpoint) as (arm, tap):
+            streaming(dut, arm)
+            line.silence()  # else the controller itself tells that it has ended the run
+            tap.hold()
+            limit_s = SILENCE_LIMIT_S + SILENCE_SLACK_S
+            noticed = wait_for(lambda: arm.state is Lifecycle.FAULT, limit_s)
+            check(noticed, f"state fault within {limit_s:g} s", arm.state)
+            line.silence(False)
+            tap.discard()
+
+
+@case(
+    "L30b",
+    "a motion that silence has ended does not go on when telegrams come again",
+    needs=("motion", "destructive", "host time"),
+)
+def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (arm, tap):
+        streaming(dut, arm)
+        start: JointVector = arm.read_state().commanded_rad
+        ends: list[RonnaError] = []
+        mover = threading.Thread(target=_move, args=(arm, _away(start, LONG_TURN_RAD), ends))
+        mover.start()
+        under_way = wait_for(lambda: abs(arm.read_state().joints_rad[5] - start[5]) > SEEN_RAD, LIMIT_S)
+        tap.hold()
+        mover.join()
+        tap.heard()
+        tap.discard()  # the controller may have ended the run by now, or may not
+        wait_for(lambda: tap.replies >= HELD, SILENCE_SLACK_S)
+        later = [tuple(corrections(reply)) for reply in tap.heard().replies]
+        check(under_way, "an arm that moves")
+        check(len(ends) == 1, "a motion that says why it ended", ends)
+        check(len(set(later)) <= 1, "one correction from then on", later)
+        arm.recover("conformance suite", LIMIT_S)
+        arm.activate(LIMIT_S)
+        arm.move_joints(start, speed_fraction=SLOW)
+
+
+@case("L31", "the growth of D and our own turnaround are told")
+def losses_are_told(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (arm, tap):
+        streaming(dut, arm)
+        before = arm.link_statistics()
+        tap.hold()
+        dut.clock.sleep(2 * HELD * load_context().program.cycle_ms / 1000.0)
+        tap.release()
+        told = wait_for(lambda: arm.link_statistics().late_cycles > before.late_cycles, LIMIT_S)
+        check(told, "late cycles in the statistics", arm.link_statistics().late_cycles)
+        check(arm.link_statistics().turnaround_median_us > 0, "a turnaround")
+
+
+@case("L38", "elements are told apart by their ends, however the bytes arrive")
+def elements_in_pieces(dut: DeviceUnderTest) -> None:
+    for gather_s in (0.0, GATHERED_S):
+        dut.release()
+        with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
+            line.gather_s = gather_s
+            with tapped(dut, eki_project=line.endpoint) as (arm, _):
+                arm.connect(LIMIT_S)
+                reading = arm.read_state()
+                check(len(reading.joints_rad) == len(AXES), "six axes", reading)
+
+
+@case("L40", "a lost conversation is taken up again or latched, and the state is read anew")
+def conversation_is_lost(dut: DeviceUnderTest) -> None:
+    dut.release()
+    with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
+        line.gather_s = 0.001
+        with tapped(dut, eki_project=line.endpoint) as (arm, _):
+            arm.connect(LIMIT_S)
+            before = arm.read_state().joints_rad
+            line.asked.clear()
+            line.cut()
+
+            def again() -> bool:
+                try:
+                    return bool(arm.read_state().joints_rad == before)
+                except RonnaError:
+                    return arm.state is Lifecycle.FAULT
+
+            check(wait_for(again, LIMIT_S), "the same axes again, or a latched fault", arm.state)
+            if arm.state is Lifecycle.FAULT:
+                line.asked.clear()
+                arm.recover("conformance suite", LIMIT_S)
+            check(any(b"STATUS" in data for data in line.asked), "a state that is asked for anew", line.asked)
+            check(arm.read_state().joints_rad == before, "the same axes", arm.read_state())
+
+
+@case(
+    "L44",
+    "no program is started outside EXT, nor with emergency stop, open guard or a message",
+    needs=("live faults",),
+)
+def starts_only_when_ready(dut: DeviceUnderTest) -> None:
+    for fault, attribute, value in NOT_READY:
+        try:
+            _brought_about(dut, fault, attribute, value)
+            with tapped(dut) as (arm, tap):
+                dut.brought_to(Lifecycle.CONFIGURED, arm)
+                refused(arm.activate, RefusedError, f"a start with {fault}")
+                check(not tap.heard().telegrams, "no program that runs")
+        finally:
+            dut.clear_faults()
+    with tapped(dut) as (arm, _):
+        arm.connect(LIMIT_S)
+        arm.recover("conformance suite")  # of the message
+        arm.configure()
+        streaming(dut, arm)
+
+
+def _brought_about(dut: DeviceUnderTest, fault: str, attribute: str, value: str) -> None:
+    """Inject a fault where nothing else is wrong, and wait until the controller tells it."""
+    with eki_line(dut) as line:
+        clean = wait_for(lambda: line.ask("ACK_ERRORS") == 0, LIMIT_S)
+        check(clean, "a controller whose messages can be acknowledged")
+        dut.fault(f"now: robot {fault}")
+        told = wait_for(lambda: line.state().get(attribute) == value, LIMIT_S)
+        check(told, f"{attribute} {value} in the state", line.state().get(attribute))
+
+
+def _stall(tap: RsiTap) -> None:
+    """Hold telegrams back until there are some, pass them on at once, and wait until more are answered."""
+    tap.hold()
+    check(wait_for(lambda: tap.holds >= HELD, LIMIT_S), f"{HELD} telegrams during a stall")
+    tap.release()
+    check(wait_for(lambda: tap.replies >= HELD, LIMIT_S), "answers after a stall")
+
+
+def _exchanges(tap: RsiTap) -> Heard:
+    """What passes while at least `CYCLES` replies come."""
+    check(wait_for(lambda: tap.replies >= CYCLES, LIMIT_S), f"{CYCLES} replies")
+    return tap.heard()
+
+
+def _there_and_back(arm: Any, start: JointVector) -> None:
+    for target in (_away(start, TURN_RAD), start):
+        arm.move_joints(target, speed_fraction=SLOW)
+
+
+def _away(start: JointVector, turn_rad: float) -> JointVector:
+    """The last axis turned, towards the middle of its range."""
+    A1, A2, A3, A4, A5, A6 = start
+    return (A1, A2, A3, A4, A5, A6 - math.copysign(turn_rad, A6))
+
+
+def _move(arm: Any, target: JointVector, ends: list[RonnaError]) -> None:
+    """Move; what it raised is added to `ends`."""
+    try:
+        arm.move_joints(target, speed_fraction=SLOW)
+    except RonnaError as error:
+        ends.append(error)
+
+
+def _stamps(datagrams: list[bytes]) -> list[int]:
+    return [int(match[1]) for data in datagrams if (match := _IPOC.search(data)) is not None]

@@ -1,0 +1,198 @@
+"""Plain RSI to a KUKA controller, past every driver: telegrams as bytes, replies that hold the arm.
+
+A reply of this module corrects nothing unless a case says so.
+"""
+
+from __future__ import annotations
+
+import re
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.kuka.eki_client import EkiLine
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.registry import load_driver
+from ronna_hw.wire.kuka_context import RsiContext, context_hash, load_context
+
+KUKA = "kuka-rsi-eki"  # `wire_protocol` of a driver that speaks it
+FIRST_LIMIT_S = 4.0  # from RSI_START to the first telegram; a real controller computes its way in first
+NEXT_LIMIT_S = 1.0  # between two telegrams; a busy computer may stall
+SILENT_S = 0.3  # after which a stream that was told to end has ended
+END_LIMIT_S = 4.0
+MOST_BYTES = 65536
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+HOLD: Mapping[str, float] = dict.fromkeys(AXES, 0.0)
+
+_IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
+_DELAY = re.compile(rb'<Delay D="([^"]*)"')
+
+
+@dataclass(frozen=True)
+class Telegram:
+    """One telegram of the controller as it came."""
+
+    raw: bytes
+    sender: tuple[str, int]
+    at_s: float  # host time
+
+    @property
+    def ipoc(self) -> int:
+        """The time stamp that a reply must carry."""
+        match = _IPOC.search(self.raw)
+        check(match is not None, "an IPOC in digits", self.raw[-80:])
+        assert match is not None
+        return int(match[1])
+
+    @property
+    def late(self) -> int:
+        """The delay counter D."""
+        match = _DELAY.search(self.raw)
+        if match is None:
+            raise NotShown("the controller sends no Delay")
+        check(match[1].isdigit(), "a whole number in D", match[1])
+        return int(match[1])
+
+    def values(self, tag: str) -> dict[str, float]:
+        """Attributes of an element as numbers."""
+        found = ElementTree.fromstring(self.raw).find(tag)
+        if found is None:
+            raise NotShown(f"the controller sends no {tag}")
+        return {name: float(value) for name, value in found.attrib.items()}
+
+
+@dataclass
+class RsiLine:
+    """Our end of a running stream, and the conversation by which it was started."""
+
+    socket: socket.socket
+    eki: EkiLine
+    context: RsiContext
+
+    def next(self, limit_s: float = NEXT_LIMIT_S) -> Telegram:
+        """The next telegram; not conforming when none comes."""
+        telegram = self._receive(limit_s)
+        check(telegram is not None, f"a telegram within {limit_s:g} s", "nothing")
+        assert telegram is not None
+        return telegram
+
+    def next_if_any(self, limit_s: float = SILENT_S) -> Telegram | None:
+        """The next telegram, or None when the stream has ended."""
+        return self._receive(limit_s)
+
+    def answer(
+        self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False
+    ) -> None:
+        """The right reply to a telegram."""
+        self.send(telegram, self.reply(telegram.ipoc, corrections, stop=stop))
+
+    def send(self, telegram: Telegram, reply: bytes) -> None:
+        """Bytes to where a telegram came from."""
+        self.socket.sendto(reply, telegram.sender)
+
+    def reply(
+        self,
+        ipoc: int,
+        corrections: Mapping[str, float] = HOLD,
+        *,
+        stop: bool = False,
+        sentype: str | None = None,
+    ) -> bytes:
+        """A reply with the elements that the controller's context wires; corrections in deg."""
+        body = ""
+        if (tag := self.context.wired_tag("STOP", "In1")) is not None:
+            body += f"<{tag}>{int(stop)}</{tag}>"
+        tags = [self.context.wired_tag("AXISCORR", axis) for axis in AXES]
+        if all(tags):
+            name = str(tags[0]).partition(".")[0]
+            told = " ".join(
+                f'{str(tag).partition(".")[2]}="{corrections[axis]:.4f}"'
+                for tag, axis in zip(tags, AXES, strict=True)
+            )
+            body += f"<{name} {told}/>"
+        sentype = sentype or self.context.ethernet.sentype
+        return f'<Sen Type="{sentype}">{body}<IPOC>{ipoc}</IPOC></Sen>'.encode()
+
+    def cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
+        """Answer that many telegrams rightly; the telegrams."""
+        telegrams = []
+        for _ in range(count):
+            telegrams.append(self.next())
+            self.answer(telegrams[-1], corrections)
+        return telegrams
+
+    def until_silent(self, limit_s: float = END_LIMIT_S, *, answered: bool = True) -> list[Telegram]:
+        """Go on until the stream ends; the telegrams that still came."""
+        telegrams: list[Telegram] = []
+        until_s = time.monotonic() + limit_s
+        while (telegram := self.next_if_any()) is not None:
+            check(time.monotonic() < until_s, f"a stream that ends within {limit_s:g} s")
+            telegrams.append(telegram)
+            if answered:
+                self.answer(telegram)
+        return telegrams
+
+    def _receive(self, limit_s: float) -> Telegram | None:
+        self.socket.settimeout(limit_s)
+        try:
+            raw, sender = self.socket.recvfrom(MOST_BYTES)
+        except TimeoutError:
+            return None
+        return Telegram(raw, sender, time.monotonic())
+
+
+@contextmanager
+def eki_line(dut: DeviceUnderTest, channel: str = "eki_project") -> Iterator[EkiLine]:
+    """A plain client of an EKI channel, with the driver away."""
+    endpoint = _endpoint(dut, channel)
+    dut.release()
+    with EkiLine(parse_endpoint(endpoint).require("tcp")) as line:
+        yield line
+
+
+@contextmanager
+def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.socket]]:
+    """A controller without a message, which may start its program, and the socket that the stream reaches."""
+    where = parse_endpoint(_endpoint(dut, "rsi")).require("udp")
+    with eki_line(dut) as eki, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
+        ours.bind((where.host, where.port))
+        state = eki.state()
+        if state.get("CtxHash") != context_hash(load_context()):
+            raise NotShown("the controller runs another RSI context than ours")
+        if state.get("Mode") != "EXT":
+            raise NotShown(f"the controller is in mode {state.get('Mode')}, not EXT")
+        if state.get("Err") != "0":
+            eki.ask("ACK_ERRORS")
+        if state.get("Drives") != "1":
+            check(eki.ask("DRIVES", On=1) == 0, "drives that can be switched on")
+        yield eki, ours
+        if eki.state().get("Err") != "0":
+            eki.ask("ACK_ERRORS")
+
+
+@contextmanager
+def stream(dut: DeviceUnderTest, prepare: Callable[[socket.socket], None] | None = None) -> Iterator[RsiLine]:
+    """A stream that was just started; it is ended again, with the arm where it was left."""
+    with idle_controller(dut) as (eki, ours):
+        if prepare is not None:
+            prepare(ours)
+        check(eki.ask("RSI_START") == 0, "a program that starts")
+        line = RsiLine(ours, eki, load_context())
+        try:
+            yield line
+        finally:
+            eki.command("RSI_STOP")
+            line.until_silent()
+
+
+def _endpoint(dut: DeviceUnderTest, name: str) -> str:
+    if getattr(load_driver(dut.config.driver), "wire_protocol", None) != KUKA:
+        raise NotShown("the driver does not say that it speaks RSI and EKI of KUKA")
+    if name not in dut.config.endpoints:
+        raise NotShown(f"no endpoint {name} is given")
+    return dut.config.endpoints[name]

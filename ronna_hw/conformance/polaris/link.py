@@ -1,0 +1,247 @@
+"""Plain bytes to a unit that speaks the NDI Polaris protocol, past every driver.
+
+What a reply should look like is written here from the protocol's reference a second time, so that a
+driver's misreading cannot hide in it.
+"""
+
+from __future__ import annotations
+
+import re
+import select
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from ronna_hw.conformance.case import check
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.wire.polaris import (
+    BX_CRC_BYTES,
+    BX_HEADER_BYTES,
+    BX_START,
+    COMM_DEFAULT_ARGUMENT,
+    DEFAULT_BAUD,
+    PHRQ_ANY_PASSIVE,
+    PVWR_BLOCK_BYTES,
+    REPLY_OKAY,
+    crc16,
+)
+
+REPLY_LIMIT_S = 6.0  # the unit's own longest limit for the commands used here
+BREAK_S = 0.5
+FAST_BAUD, FAST_ARGUMENT = 115200, "50000"  # every unit and every adapter can do it
+RATE_SETTLING_S = 0.1  # from OKAY to COMM until the unit listens at the new rate
+RESET_LIMIT_S = 7.0  # from a break to the unit's RESET, the longest that any client waits
+QUIET_S = 0.02  # a line of which nothing is wanted is quiet after this
+_ASCII = re.compile(rb"(.*)([0-9A-F]{4})\r", re.DOTALL)
+_ERROR = re.compile("ERROR[0-9A-F]{2}")
+
+
+class SerialLine:
+    """A serial line at the unit's power-up rate, with the few calls of a socket that are used here."""
+
+    def __init__(self, path: str) -> None:
+        import serial
+
+        self._port = serial.Serial(path, DEFAULT_BAUD, timeout=0, write_timeout=REPLY_LIMIT_S, exclusive=True)
+
+    def fileno(self) -> int:
+        return int(self._port.fileno())
+
+    def sendall(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def recv(self, size: int) -> bytes:
+        return bytes(self._port.read(size))
+
+    @property
+    def baud(self) -> int:
+        """Rate of our end."""
+        return int(self._port.baudrate)
+
+    @baud.setter
+    def baud(self, rate: int) -> None:
+        self._port.baudrate = rate
+
+    def send_break(self) -> None:
+        """Hold the line low: the unit resets itself. What either side still holds is dropped first."""
+        import termios
+
+        termios.tcflush(self.fileno(), termios.TCIOFLUSH)
+        self._port.send_break(BREAK_S)
+
+    def close(self) -> None:
+        self._port.close()
+
+
+def _open(endpoint: Endpoint) -> socket.socket | SerialLine:
+    if endpoint.scheme == "serial":
+        return SerialLine(endpoint.path)
+    return socket.create_connection((endpoint.host, endpoint.port), REPLY_LIMIT_S)
+
+
+def with_crc(text: str) -> bytes:
+    """The CRC form of a command."""
+    return b"%b%04X\r" % (text.encode(), crc16(text.encode()))
+
+
+@dataclass
+class PolarisLink:
+    """An open line. Every reply is checked for its CRC before it is given."""
+
+    line: socket.socket | SerialLine
+
+    def ask(self, command: str | bytes) -> str:
+        """The text of the ASCII reply to a command: text in CRC form, bytes as they are."""
+        self.send(command)
+        return self.text()
+
+    def send(self, command: str | bytes) -> None:
+        self.line.sendall(with_crc(command) if isinstance(command, str) else command)
+
+    def text(self, limit_s: float = REPLY_LIMIT_S) -> str:
+        """The text of the next ASCII reply."""
+        heard = self._read_until(lambda data: data.endswith(b"\r"), limit_s)
+        match = _ASCII.fullmatch(heard)
+        check(match is not None, "text, four upper-case hex digits and CR", heard)
+        assert match is not None
+        check(int(match[2], 16) == crc16(match[1]), f"the CRC {crc16(match[1]):04X}", match[2].decode())
+        return match[1].decode("ascii")
+
+    def binary(self, command: str) -> bytes:
+        """The body of the binary reply to a command; checks both CRCs and that nothing follows."""
+        self.send(command)
+        heard = self._read_until(lambda data: len(data) >= BX_HEADER_BYTES)
+        start, length, crc = struct.unpack_from("<HHH", heard)
+        check(start == BX_START, "the start sequence C4 A5", heard[:8].hex(" "))
+        check(crc == crc16(heard[:4]), f"the header CRC {crc16(heard[:4]):04X}", f"{crc:04X}")
+        whole = BX_HEADER_BYTES + length + BX_CRC_BYTES
+        heard += self._read_until(lambda data: len(heard) + len(data) >= whole) if len(heard) < whole else b""
+        check(len(heard) == whole, f"a reply of {whole} bytes", len(heard))
+        body = heard[BX_HEADER_BYTES : whole - BX_CRC_BYTES]
+        (crc,) = struct.unpack_from("<H", heard, whole - BX_CRC_BYTES)
+        check(crc == crc16(body), f"the body CRC {crc16(body):04X}", f"{crc:04X}")
+        return body
+
+    def rest(self, quiet_s: float = QUIET_S) -> bytes:
+        """Whatever else comes before the line has been quiet for `quiet_s`."""
+        heard = b""
+        while select.select([self.line], [], [], quiet_s)[0]:
+            if not (data := self.line.recv(65536)):
+                break
+            heard += data
+        return heard
+
+    def okay(self, command: str | bytes) -> None:
+        """A command that must be carried out."""
+        reply = self.ask(command)
+        check(reply == REPLY_OKAY, f"OKAY to {command!r}", reply)
+
+    def refused(self, command: str | bytes, *codes: int) -> None:
+        """A command that must be answered by one of these errors."""
+        wanted = [f"ERROR{code:02X}" for code in codes]
+        reply = self.ask(command)
+        check(reply in wanted, f"{' or '.join(wanted)} to {command!r}", reply)
+
+    def load(self, definition: bytes, priority: str = "D") -> str:
+        """Load, initialise and enable a tool; its handle as two hex digits."""
+        handle = self.request_handle()
+        self.write(handle, definition)
+        reply = self.ask(f"PINIT:{handle}")
+        check(reply == REPLY_OKAY or reply.startswith("WARNING"), "OKAY or WARNING to PINIT", reply)
+        self.okay(f"PENA:{handle}{priority}")
+        return handle
+
+    def write(self, handle: str, definition: bytes) -> None:
+        """Write a definition into the memory of a handle."""
+        for address in range(0, len(definition), PVWR_BLOCK_BYTES):
+            block = definition[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
+            self.okay(f"PVWR:{handle}{address:04X}{block.hex().upper()}")
+
+    def request_handle(self) -> str:
+        handle = self.ask(f"PHRQ:{PHRQ_ANY_PASSIVE}")
+        check(re.fullmatch("[0-9A-F]{2}", handle) is not None and handle != "00", "a handle", handle)
+        return handle
+
+    def handles(self, query: str = "00") -> list[str]:
+        """Handles that PHSR lists for a query, as two hex digits each."""
+        text = self.ask(f"PHSR:{query}")
+        check(len(text) == 2 + 5 * int(text[:2], 16), "a count and five digits per handle", text)
+        return [text[at : at + 2] for at in range(2, len(text), 5)]
+
+    def clean_up(self) -> None:
+        """Stop what may run and free every handle, so that the next case finds the unit idle."""
+        self.rest()
+        self.ask("TSTOP:")  # refused when nothing is tracked
+        for handle in self.handles():
+            self.ask(f"PHF:{handle}")
+
+    def go_to(self, argument: str, baud: int) -> None:
+        """Have the unit switch its line by COMM, and follow it."""
+        self.okay(f"COMM:{argument}")  # heard at the old rate, which our end still has
+        time.sleep(RATE_SETTLING_S)
+        self.serial.baud = baud
+        self.rest()
+
+    @contextmanager
+    def hurried(self) -> Iterator[None]:
+        """At a faster rate on a serial line, back at that of power-up afterwards; nothing over TCP."""
+        if not isinstance(self.line, SerialLine):
+            yield
+            return
+        self.go_to(FAST_ARGUMENT, FAST_BAUD)
+        try:
+            yield
+        finally:
+            self.rest()
+            self.ask("TSTOP:")  # refused when nothing is tracked
+            self.go_to(COMM_DEFAULT_ARGUMENT, DEFAULT_BAUD)
+
+    @property
+    def serial(self) -> SerialLine:
+        """The line, where it is a serial one: cases that need it say so."""
+        assert isinstance(self.line, SerialLine), "the case needs a serial line"
+        return self.line
+
+    def _read_until(self, complete: Callable[[bytes], bool], limit_s: float = REPLY_LIMIT_S) -> bytes:
+        heard = b""
+        until_s = time.monotonic() + limit_s
+        while not complete(heard):
+            left_s = until_s - time.monotonic()
+            ready = left_s > 0 and select.select([self.line], [], [], left_s)[0]
+            data = self.line.recv(65536) if ready else b""
+            check(bool(data), f"a reply within {limit_s:g} s", heard.hex(" ") or "nothing")
+            heard += data
+        return heard
+
+
+def is_error(text: str) -> bool:
+    """True for ERRORhh."""
+    return _ERROR.fullmatch(text) is not None
+
+
+@contextmanager
+def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
+    """The unit under test as its last client left it, by plain bytes."""
+    dut.release()
+    assert dut.config.endpoint is not None, "polaris bytes are offered only for one endpoint"
+    line = _open(parse_endpoint(dut.config.endpoint))
+    try:
+        link = PolarisLink(line)
+        link.rest()
+        yield link
+    finally:
+        line.close()
+
+
+@contextmanager
+def idle_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
+    """The unit under test, initialised and without tools, by plain bytes; left that way again."""
+    with plain_unit(dut) as link:
+        link.okay("INIT:")
+        link.clean_up()
+        yield link
+        link.clean_up()

@@ -1,0 +1,183 @@
+"""Lines 35, 36 and 44 to 46 of the checklist: the measuring volume, what lies outside it, strays."""
+
+from __future__ import annotations
+
+from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.polaris.bx_reply import Vector3, placed
+from ronna_hw.conformance.polaris.definitions import markers_of, shifted
+from ronna_hw.conformance.polaris.link import PolarisLink, idle_unit
+from ronna_hw.conformance.polaris.suite import LOOKS, NEEDS, WITH_TOOL, case, definition, seen
+from ronna_hw.conformance.polaris.volumes import (
+    SPECTRA_SHAPE,
+    SPECTRA_VOLUMES,
+    VICRA_SHAPE,
+    ToldVolume,
+    told_volumes,
+    volume_in_use,
+)
+from ronna_hw.wire import polaris_rom as layout
+from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus, PortStatus
+
+BEYOND_MM = 130.0  # beyond the volume's side, still before the unit's eyes; more than half a tool
+EDGE_MM = 3.0  # nearer to a face than this, noise decides
+MORE_STRAYS = 4
+PHANTOMS_MM = 60
+READ_ONLY = "Features.Firmware.Version=0"
+
+
+@case("P35", "without option 0800 a tool out of the volume is MISSING, with status bit 0040", needs=WITH_TOOL)
+def out_of_volume_is_missing(dut: DeviceUnderTest) -> None:
+    block = definition(dut)
+    with idle_unit(dut) as unit:
+        volume = volume_in_use(unit)
+        z_mm = volume.middle_mm
+        x_mm, _ = volume.half_extents_mm(z_mm)
+        _load_at(unit, block, (x_mm + BEYOND_MM, 0.0, z_mm))
+        told = seen(unit, 0x0801).handles[0]
+        withheld = seen(unit, 0x0001).handles[0]
+        if not told.outside:
+            raise NotShown("no tool can be shown to this unit outside its volume")
+        check(told.pose is not None, "a pose with option 0800", told)
+        check(withheld.status is HandleStatus.MISSING, "MISSING without option 0800", withheld)
+        check(withheld.outside, "status bit 0040", f"{withheld.port_status:04X}")
+
+
+@case("P36", "strays are told only while a passive handle is enabled; in and out are right", needs=WITH_TOOL)
+def strays_need_illuminators(dut: DeviceUnderTest) -> None:
+    block = definition(dut)
+    with idle_unit(dut) as unit:
+        unit.okay("TSTART:80")
+        check(unit.binary("BX:1801")[:2] == b"\0\0", "no handles and no strays")
+        unit.okay("TSTOP:")
+        volume = volume_in_use(unit)
+        unit.load(block)
+        unit.okay("TSTART:80")
+        flags = _judged_strays(dut, unit, volume)
+    if not flags:
+        raise NotShown("no stray marker is in sight")
+
+
+@case("P36b", "strays inside and outside at once have the right flags", needs=(*WITH_TOOL, "live faults"))
+def strays_in_and_out(dut: DeviceUnderTest) -> None:
+    block = definition(dut)
+    with idle_unit(dut) as unit:
+        volume = volume_in_use(unit)
+        unit.load(block)
+        unit.okay("TSTART:80")
+        try:
+            dut.fault(f"now: tracker strays {MORE_STRAYS}")
+            dut.fault(f"now: tracker phantoms {PHANTOMS_MM} mm")
+            flags = _judged_strays(dut, unit, volume)
+        finally:
+            dut.clear_faults()
+    if len(flags) < 2:
+        raise NotShown("all strays lie on one side of the volume's faces")
+
+
+@case("P44", "GET of an unknown parameter is answered ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
+def unknown_parameter(dut: DeviceUnderTest) -> None:
+    with idle_unit(dut) as unit:
+        unit.refused("GET:No.Such Parameter", 0x34)
+        before = unit.ask("GET:Features.Firmware.Version")
+        unit.refused(f"SET:{READ_ONLY}", 0x39)
+        check(unit.ask("GET:Features.Firmware.Version") == before, "an unchanged value")
+
+
+@case(
+    "P45",
+    "SFLIST 03 gives each volume in its 74 characters, those of a Spectra with its numbers",
+    needs=NEEDS,
+)
+def volumes_are_told(dut: DeviceUnderTest) -> None:
+    with idle_unit(dut) as unit:
+        model = unit.ask("VER:4").upper()
+        volumes = told_volumes(unit)
+    if "SPECTRA" in model:
+        check({volume.shape for volume in volumes} == {SPECTRA_SHAPE}, "shape 5", volumes)
+        found = tuple(volume.numbers for volume in volumes)
+        check(found == SPECTRA_VOLUMES, "pyramid and extended pyramid", found)
+    elif "VICRA" in model:
+        check([volume.shape for volume in volumes] == [VICRA_SHAPE], "one volume of shape 7", volumes)
+
+
+@case("P46", "a tool's markers are judged by the formulas of the volume", needs=WITH_TOOL)
+def volume_formulas(dut: DeviceUnderTest) -> None:
+    block = definition(dut)
+    minimum = block[layout.MINIMUM_MARKER_COUNT_OFFSET]
+    with idle_unit(dut) as unit, unit.hurried():
+        volume = volume_in_use(unit)
+        judged = set()
+        for target_mm in _places(volume):
+            markers_mm = _load_at(unit, block, target_mm)
+            reading = seen(unit, 0x0801).handles[0]
+            unit.okay("TSTOP:")
+            unit.okay(f"PHF:{reading.handle}")
+            if reading.pose is None:
+                continue
+            clearances = [volume.clearance_mm(marker) for marker in placed(markers_mm, reading.pose)]
+            if min(abs(clearance) for clearance in clearances) < EDGE_MM:
+                continue
+            inside = sum(clearance > 0 for clearance in clearances)
+            wanted = 0 if inside >= minimum else PortStatus.PARTIALLY_OUT_OF_VOLUME
+            wanted = wanted if inside else PortStatus.OUT_OF_VOLUME
+            bits = reading.port_status & (PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME)
+            check(bits == wanted, f"status bits {wanted:04X} with {inside} markers inside", f"{bits:04X}")
+            judged.add(wanted)
+        if not judged:
+            raise NotShown("the tool is not in sight, or too near to a face of the volume")
+
+
+def _judged_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: ToldVolume) -> set[bool]:
+    """The flags that strays had; each must agree with the volume, in one order of bits or the other."""
+    orders = {"low bit first", "high bit first"}
+    found: set[bool] = set()
+    for _ in range(LOOKS):
+        frame = seen(unit, 0x1801)
+        check(len(frame.strays_outside) <= MAXIMUM_STRAYS, "at most 50 strays", len(frame.strays_outside))
+        clearances = [volume.clearance_mm(position) for position in frame.strays_mm]
+        clear = [index for index, clearance_mm in enumerate(clearances) if abs(clearance_mm) > EDGE_MM]
+        found |= {clearances[index] < 0 for index in clear}
+        told = {"low bit first": frame.strays_outside, "high bit first": frame.strays_outside_mirrored}
+        orders &= {name for name, bits in told.items() if all(bits[k] == (clearances[k] < 0) for k in clear)}
+        check(bool(orders), "right flags in one order of bits", frame)
+        dut.clock.sleep(1 / 60)
+    return found
+
+
+def _places(volume: ToldVolume) -> list[Vector3]:
+    """Places in the middle, and just inside and outside of each face in front of and behind the knee."""
+    far_mm, near_mm = volume.depths_mm
+    middle_mm = volume.middle_mm
+    places: list[Vector3] = [(0.0, 0.0, middle_mm)]
+    for z_mm in ((near_mm + middle_mm) / 2, (middle_mm + far_mm) / 2):
+        x_mm, y_mm = volume.half_extents_mm(z_mm)
+        for beyond_mm in (-BEYOND_MM, BEYOND_MM):
+            places += [(x_mm + beyond_mm, 0.0, z_mm), (0.0, -y_mm - beyond_mm, z_mm)]
+    return [*places, (0.0, 0.0, far_mm + BEYOND_MM), (0.0, 0.0, far_mm - BEYOND_MM)]
+
+
+def _load_at(unit: PolarisLink, block: bytes, target_mm: Vector3) -> tuple[Vector3, ...]:
+    """Load a tool whose markers, by the choice of its origin, surround a point of the tracker's frame.
+
+    A simulated unit shows a tool where it hangs its origin. A real one finds the spheres where they are: the
+    cases then judge that place. Leaves the unit tracking; returns the markers of the definition.
+    """
+    handle = unit.load(shifted(block))
+    unit.okay("TSTART:80")
+    pose = seen(unit, 0x0801).handles[0].pose
+    unit.okay("TSTOP:")
+    if pose is None:
+        raise NotShown("the tool is not in sight")
+    unit.okay(f"PHF:{handle}")
+    markers = placed(markers_of(block), pose)
+    way = [
+        target - sum(axis) / len(axis)
+        for target, axis in zip(target_mm, zip(*markers, strict=True), strict=True)
+    ]
+    # the same way in the tool's own frame: the conjugate rotation
+    back = (pose[0], -pose[1], -pose[2], -pose[3], 0.0, 0.0, 0.0, 0.0)
+    moved = shifted(block, placed(((way[0], way[1], way[2]),), back)[0])
+    unit.load(moved)
+    unit.okay("TSTART:80")
+    return markers_of(moved)

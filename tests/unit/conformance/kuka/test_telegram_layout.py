@@ -1,0 +1,48 @@
+"""The byte-level cases of the robot suite notice what a real client would choke on."""
+
+from __future__ import annotations
+
+import pytest
+
+from ronna_hw.conformance.case import Nonconformity, NotShown
+from ronna_hw.conformance.kuka.driver_cases import corrections
+from ronna_hw.conformance.kuka.rsi_client import Telegram
+from ronna_hw.conformance.kuka.stream_cases import layout_is_that_of_a_kr_c4
+
+RIGHT = b'<Rob Type="KUKA"><AIPos A1="0.0000" A2="1.5000"/><Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
+
+
+def telegram(raw: bytes) -> Telegram:
+    return Telegram(raw, ("127.0.0.1", 1), 0.0)
+
+
+def test_the_layout_of_a_kr_c4_is_taken() -> None:
+    assert layout_is_that_of_a_kr_c4(RIGHT)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [
+        (b'1.5000" />', b'1.5000"/>'),
+        (b"/>\n<Delay", b"/><Delay"),
+        (b"'0.0000'", b'"0.0000"'),
+        (b'<Delay D="0"></Delay>', b'<Delay D="0"/>'),
+        (b'Type="ImFree"', b'Type="KUKA"'),
+        (b"</IPOC><Delay/></Rob>", b"</IPOC></Rob>"),
+    ],
+)
+def test_what_breaks_a_positional_parser_is_noticed(wrong: bytes, right: bytes) -> None:
+    assert right in RIGHT
+    assert not layout_is_that_of_a_kr_c4(RIGHT.replace(right, wrong))
+
+
+def test_a_delay_that_is_no_whole_number_is_noticed() -> None:
+    with pytest.raises(Nonconformity):
+        _ = telegram(RIGHT.replace(b'D="0"', b'D="0.0"')).late
+    with pytest.raises(NotShown):
+        _ = telegram(RIGHT.replace(b'<Delay D="0"/>', b"")).late
+
+
+def test_a_reply_without_a_correction_is_noticed() -> None:
+    with pytest.raises(Nonconformity):
+        corrections(b'<Sen Type="KROSHU"><Stop>0</Stop><IPOC>1</IPOC></Sen>')

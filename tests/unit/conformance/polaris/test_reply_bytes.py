@@ -1,0 +1,90 @@
+"""What the suite itself knows of the protocol, held against the published examples."""
+
+from __future__ import annotations
+
+import pytest
+
+from ronna_hw.conformance.case import Nonconformity
+from ronna_hw.conformance.polaris.bx_reply import placed, read_body
+from ronna_hw.conformance.polaris.definitions import looking_away, markers_of, published, shifted
+from ronna_hw.conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
+from ronna_hw.conformance.polaris.volumes import SPECTRA_VOLUMES, ToldVolume
+from ronna_hw.wire.polaris import HandleStatus
+from sim.polaris.definition import parse_definition
+
+SEEN = bytes.fromhex(
+    "C4A5 2D00 3043 01 0101 0000803F 00000000 00000000 00000000 00002841 0000A2C1 0080BBC4 0000003E"
+    "31000000 2C010000 0000 1D2D"
+)
+MISSING = bytes.fromhex("C4A5 0D00 2983 01 0102 31000000 2D010000 0000 9E7D")
+
+
+def test_the_published_replies_are_read() -> None:
+    frame = read_body(body_of(SEEN), 0x0001)
+    assert frame.handles[0].pose == (1.0, 0.0, 0.0, 0.0, 10.5, -20.25, -1500.0, 0.125)
+    assert (frame.handles[0].handle, frame.handles[0].port_status, frame.frame) == ("01", 0x31, 300)
+    missing = read_body(body_of(MISSING), 0x0001).handles[0]
+    assert (missing.status, missing.pose, missing.frame) == (HandleStatus.MISSING, None, 301)
+
+
+def test_a_body_of_another_length_is_no_reply() -> None:
+    with pytest.raises(Nonconformity, match="bytes in the body"):
+        read_body(body_of(SEEN) + b"\0", 0x0001)
+
+
+def test_a_reply_is_rebuilt_byte_for_byte() -> None:
+    assert with_body(body_of(SEEN)) == SEEN
+    assert text_reply("OKAY") == b"OKAYA896\r"
+
+
+def test_another_system_status_keeps_the_rest() -> None:
+    changed = with_system_status(SEEN, 0x0200)
+    assert read_body(body_of(changed), 0x0001).system_status == 0x0200
+    assert body_of(changed)[:-2] == body_of(SEEN)[:-2]
+    text = text_reply("0101MISSING000000310000012D\n0000")
+    assert with_system_status(text, 0x0100) == text_reply("0101MISSING000000310000012D\n0100")
+
+
+def test_markers_are_placed_by_rotation_and_translation() -> None:
+    half = 0.5**0.5
+    (moved,) = placed(((1.0, 2.0, 3.0),), (half, 0.0, 0.0, half, 10.0, 20.0, 30.0, 0.0))  # 90 deg about z
+    assert moved == pytest.approx((8.0, 21.0, 33.0))
+
+
+@pytest.mark.parametrize(
+    ("volume", "z_mm", "half_mm"),
+    [
+        (0, -950.0, (224.72, 240.57)),
+        (0, -1532.0, (398.00, 572.00)),
+        (0, -2000.0, (537.34, 685.74)),
+        (0, -2400.0, (656.43, 782.95)),
+        (1, -2664.0, (735.0, 847.11)),
+        (1, -3000.0, (735.0, 928.77)),
+    ],
+)
+def test_the_volume_has_the_published_sections(
+    volume: int, z_mm: float, half_mm: tuple[float, float]
+) -> None:
+    assert ToldVolume("5", SPECTRA_VOLUMES[volume]).half_extents_mm(z_mm) == pytest.approx(half_mm, abs=0.02)
+
+
+def test_the_clearance_of_a_point_is_negative_outside() -> None:
+    pyramid = ToldVolume("5", SPECTRA_VOLUMES[0])
+    assert pyramid.clearance_mm((0.0, 0.0, -1000.0)) == pytest.approx(50.0)
+    assert pyramid.clearance_mm((400.0, 0.0, -1532.0)) == pytest.approx(-2.0)
+    assert pyramid.clearance_mm((0.0, 0.0, -2401.0)) < 0
+
+
+def test_the_published_definition_is_read_by_another_reader() -> None:
+    tool = parse_definition(published())
+    assert (tool.part_number, tool.manufacturer, tool.minimum_markers) == ("8700339", "NDI", 4)
+    assert tool.markers_mm[1] == pytest.approx((28.59, 41.02, 0.0), abs=1e-5)
+
+
+def test_variants_of_a_definition_are_sound() -> None:
+    block = published()
+    away = parse_definition(looking_away(block))
+    assert (away.normals[:, 2] == -1.0).all()
+    moved = parse_definition(shifted(block, (10.0, 0.0, -5.0)))
+    assert moved.part_number != "8700339"
+    assert markers_of(shifted(block, (10.0, 0.0, -5.0)))[0] == (10.0, 0.0, -5.0)

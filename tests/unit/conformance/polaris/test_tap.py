@@ -1,0 +1,103 @@
+"""The tap changes the reply that it is told to, whole and once, and lets everything else pass."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from ronna_hw.conformance.polaris.tap import PolarisTap, text_reply
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+
+BINARY = bytes.fromhex("C4A5 0D00 2983 01 0102 31000000 2D010000 0000 9E7D")
+
+
+class SlowUnit:
+    """Answers BX by a binary reply in two pieces, everything else by OKAY."""
+
+    def __init__(self) -> None:
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = Endpoint("tcp", host="127.0.0.1", port=self.server.getsockname()[1])
+        self.thread = threading.Thread(target=self.serve, daemon=True)
+        self.thread.start()
+
+    def serve(self) -> None:
+        try:
+            peer, _ = self.server.accept()
+        except OSError:
+            return
+        with peer, peer.makefile("rb", buffering=0) as lines:
+            said = b""
+            while byte := lines.read(1):
+                said += byte
+                if byte != b"\r":
+                    continue
+                if said.startswith(b"BX"):
+                    peer.sendall(BINARY[:9])
+                    peer.sendall(BINARY[9:])
+                else:
+                    peer.sendall(text_reply("OKAY"))
+                said = b""
+
+    def close(self) -> None:
+        self.server.close()
+
+
+@pytest.fixture
+def tap() -> Iterator[PolarisTap]:
+    unit = SlowUnit()
+    with PolarisTap(unit.endpoint) as tap:
+        yield tap
+    unit.close()
+
+
+@pytest.fixture
+def client(tap: PolarisTap) -> Iterator[socket.socket]:
+    address = parse_endpoint(tap.endpoint)
+    with socket.create_connection((address.host, address.port)) as client:
+        client.settimeout(10.0)
+        yield client
+
+
+def ask(client: socket.socket, command: bytes, length: int) -> bytes:
+    client.sendall(command)
+    heard = b""
+    while len(heard) < length:
+        heard += client.recv(4096)
+    return heard
+
+
+def test_commands_of_both_forms_are_written_down(tap: PolarisTap, client: socket.socket) -> None:
+    ask(client, b"PHSR:0020FF\r", 9)
+    ask(client, b"TSTART 80\r", 9)
+    assert tap.commands == ["PHSR:00", "TSTART:80"]
+    assert tap.count("TSTART") == 1
+    assert tap.replies["PHSR"] == text_reply("OKAY")
+
+
+def test_the_next_reply_to_a_command_is_changed_once(tap: PolarisTap, client: socket.socket) -> None:
+    tap.answer("PINIT", "WARNING05")
+    assert ask(client, b"PENA 01D\r", 9) == text_reply("OKAY")
+    assert ask(client, b"PINIT 01\r", 13) == text_reply("WARNING05")
+    assert ask(client, b"PINIT 01\r", 9) == text_reply("OKAY")
+
+
+def test_a_binary_reply_is_changed_as_a_whole(tap: PolarisTap, client: socket.socket) -> None:
+    got: list[bytes] = []
+
+    def change(reply: bytes) -> bytes:
+        got.append(reply)
+        return b"changed"
+
+    tap.change("BX", change)
+    assert ask(client, b"BX 0001\r", 7) == b"changed"
+    assert got == [BINARY]
+    assert ask(client, b"BX 0001\r", len(BINARY)) == BINARY
+
+
+def test_words_that_the_unit_never_said(tap: PolarisTap, client: socket.socket) -> None:
+    ask(client, b"PENA 01D\r", 9)
+    tap.say(b"RESETBE6F\r")
+    assert client.recv(100) == b"RESETBE6F\r"
