@@ -21,9 +21,9 @@ from ronna_hw.host.real_time import (
     PARENT_DEATH_SIGNAL,
     lock_memory,
     run_first,
+    signal_on_parent_death,
     sleep_exactly,
     stop_collecting,
-    signal_on_parent_death,
 )
 
 EXIT_NOT_STARTED = 2
