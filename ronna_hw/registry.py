@@ -1,15 +1,16 @@
-"""Driver name -> driver class, by entry point. Installing a package is all it takes to add a driver.
+"""Driver name -> driver class and probe, by entry point. Installing a package is all it takes to add one.
 
 A driver's package declares, for example::
 
     [project.entry-points."ronna_hw.drivers"]
     my_tracker = "my_package.tracker:MyTracker"
 
-The class is called as `MyTracker(name, config, clock)`.
+The class is called as `MyTracker(name, config, clock)`. Probes are described in `devices/probing.py`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.metadata import entry_points
 from typing import Any, Protocol
 
@@ -17,8 +18,10 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.probing import EndpointProbe, Finding, Probe, Progress, connect_and_leave
 
 GROUP = "ronna_hw.drivers"
+PROBE_GROUP = "ronna_hw.probes"
 
 
 class DriverFactory(Protocol):
@@ -44,3 +47,22 @@ def make_device(name: str, config: DeviceConfig, clock: Clock) -> Any:
     """The driver object of one device of the theatre file. Nothing is opened yet."""
     factory: DriverFactory = load_driver(config.driver)
     return factory(name, config, clock)
+
+
+def load_probe(driver: str) -> Probe:
+    """The probe of that driver. A driver without one is connected, identified and closed again."""
+    for point in entry_points(group=PROBE_GROUP):
+        if point.name == driver:
+            probe: Probe = point.load()
+            return probe
+    return _default_probe
+
+
+def endpoint_probes() -> dict[str, EndpointProbe]:
+    """The probes that can look at bare endpoints, by driver."""
+    loaded = {point.name: point.load() for point in entry_points(group=PROBE_GROUP)}
+    return {driver: probe for driver, probe in sorted(loaded.items()) if isinstance(probe, EndpointProbe)}
+
+
+def _default_probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
+    return (connect_and_leave(name, config, make_device),)

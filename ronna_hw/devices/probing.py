@@ -1,0 +1,112 @@
+"""Probes find out why a device does not answer; `ronna-procedure doctor` shows what they find.
+
+A driver's package declares its probe under the name of the driver::
+
+    [project.entry-points."ronna_hw.probes"]
+    my_tracker = "my_package.probe:probe"
+
+A driver without one gets the default: connect, read the identity, close.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from ronna_hw.clock import Clock, HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.errors import RonnaError
+
+CONNECT_LIMIT_S = 3.0  # host time
+REACH_LIMIT_S = 1.0
+
+Progress = Callable[[float], None]  # called with the share done, 0 to 1
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line: what was looked at, whether it is well, what was seen, what to do.
+
+    `document` holds the same in numbers and bytes, ready for JSON; `section` is the list of the doctor's JSON
+    that it belongs to, such as `lines` or `cameras`.
+    """
+
+    subject: str
+    well: bool
+    seen: str
+    advice: str = ""
+    section: str = ""
+    document: Mapping[str, Any] | None = None
+
+
+class Probe(Protocol):
+    """Looks at one device of a theatre file."""
+
+    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
+        """What was found, in the order in which to read it; never raises for what the device does.
+
+        Talks to the endpoints of `config` only, in bounded time; nothing moves and no setting stays changed.
+        """
+        ...
+
+
+@runtime_checkable
+class EndpointProbe(Probe, Protocol):
+    """A probe that needs no theatre file: it can also look at bare endpoints."""
+
+    @property
+    def endpoint_schemes(self) -> frozenset[str]:
+        """Schemes that it can look at, such as `serial`."""
+        ...
+
+    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Finding]:
+        """As a call, without the driver itself: what is at each endpoint?"""
+        ...
+
+
+def connect_and_leave(
+    name: str,
+    config: DeviceConfig,
+    make_device: Callable[[str, DeviceConfig, Clock], Device],
+    advice: str = "",
+) -> Finding:
+    """Connect as a procedure would, read the identity, and close.
+
+    `advice` is what to do when that fails, where the caller knows better than the driver's error.
+    """
+    endpoints = endpoints_of(config)
+    addresses = ", ".join(map(str, endpoints))
+    subject = f"device {name}"
+    try:
+        device = make_device(name, config, HostClock())
+        try:
+            identity = device.connect(CONNECT_LIMIT_S)
+        finally:
+            device.close()
+    except RonnaError as error:
+        advice = advice or next(filter(None, map(why_unreachable, endpoints)), error.advice)
+        return Finding(subject, False, f"{addresses}: {error.code} {error.what}", advice)
+    return Finding(subject, True, f"{addresses}: {identity.model} {identity.serial} {identity.firmware}")
+
+
+def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
+    """All endpoints of a device, in the order of its theatre file."""
+    texts = config.endpoints.values() if config.endpoint is None else (config.endpoint,)
+    return tuple(parse_endpoint(text) for text in texts)
+
+
+def why_unreachable(endpoint: Endpoint) -> str:
+    """Why a TCP endpoint takes no connection, as advice; empty when it does, and for other endpoints."""
+    if endpoint.scheme != "tcp":
+        return ""
+    try:
+        socket.create_connection((endpoint.host, endpoint.port), REACH_LIMIT_S).close()
+    except ConnectionRefusedError:
+        return f"Nothing listens at {endpoint}: is the device on, and its server program running?"
+    except OSError as error:
+        return f"{endpoint} is unreachable ({error.strerror or error}): check cable and subnet."
+    return ""
