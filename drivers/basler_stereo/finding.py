@@ -13,7 +13,7 @@ from ipaddress import IPv4Address
 from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.discovery import CameraIdentity, decode_identity
 from drivers.basler_stereo.errors import BrokenAnswer
-from ronna_hw.host.networks import Interface, interfaces
+from ronna_hw.host.network_interfaces import Interface, interfaces
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from procedures.cli.camera_probe import About, Access, CameraProbe, Control
 from procedures.cli.line_cause import Verdict
-from ronna_hw.host.networks import Interface
+from ronna_hw.host.network_interfaces import Interface
 
 JUMBO_BYTES = 8000  # below, both cameras at full rate keep a computer busy
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from ipaddress import IPv4Address
 
-from procedures.cli.line_holders import Holder, holder_of_udp_port
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.networks import Interface, interface_of, interfaces
+from ronna_hw.host.network_interfaces import Interface, interface_of, interfaces
+from ronna_hw.host.port_users import PortUser, user_of_udp_port
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCapability, GvcpCommand
 
@@ -58,7 +58,7 @@ class Control:
     taken: bool
     address: str = ""
     port: int = 0
-    holder: Holder | None = None  # the program, when it runs on this computer and may be seen
+    holder: PortUser | None = None  # the program, when it runs on this computer and may be seen
     here: bool = False  # that address is this computer's
 
 
@@ -193,7 +193,7 @@ def _control(link: _Link) -> Control:
         return Control(taken=True)  # under exclusive access not even reading is allowed
     owner = socket.inet_ntoa(address.to_bytes(4, "big"))
     here = _is_loopback(owner) or owner in {each.address for each in interfaces()}
-    return Control(True, owner, port, holder_of_udp_port(owner, port) if here else None, here)
+    return Control(True, owner, port, user_of_udp_port(owner, port) if here else None, here)
 
 
 def _largest_packet(link: _Link) -> int | None:

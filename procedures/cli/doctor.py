@@ -159,13 +159,13 @@ def _described(description: str) -> str:
 
 def _serial_port(path: str, description: str) -> Finding:
     from procedures.cli.line_cause import permission_advice, permissions
-    from procedures.cli.line_holders import holders_of
+    from ronna_hw.host.port_users import users_of_serial_port
 
     subject = f"serial port {path}"
     seen = f"{description}; {permissions(path)}"
     if not os.access(path, os.R_OK | os.W_OK):
         return Finding(subject, False, f"{seen}; permission denied", permission_advice(path))
-    if holders := holders_of(path):
+    if holders := users_of_serial_port(path):
         return Finding(subject, True, f"{seen}; in use by " + " and ".join(map(str, holders)))
     return Finding(subject, True, seen)
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol
 
-from procedures.cli.line_holders import Holder, holders_of
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.port_users import PortUser, users_of_serial_port
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BITS_PER_BYTE_ON_LINE, CR, DEFAULT_BAUD, crc16
 
 # Rates that a unit may have been left at, the likeliest first.
@@ -71,7 +71,7 @@ class Probe:
     endpoint: Endpoint
     access: Access
     attempts: tuple[Attempt, ...] = ()
-    holders: tuple[Holder, ...] = ()
+    holders: tuple[PortUser, ...] = ()
     reason: str = ""  # the operating system's word, where the line could not be opened
 
     @property
@@ -102,7 +102,7 @@ def _probe_serial(endpoint: Endpoint) -> Probe:
     path = endpoint.path
     if not os.path.exists(path):
         return Probe(endpoint, Access.MISSING)
-    holders = holders_of(path)
+    holders = users_of_serial_port(path)
     if not os.access(path, os.R_OK | os.W_OK):
         return Probe(endpoint, Access.FORBIDDEN, holders=holders)
     if holders:

@@ -20,7 +20,6 @@ import pytest
 from procedures.cli import line_probe
 from procedures.cli.doctor import Report, examine, show
 from procedures.cli.line_cause import document, judge, permission_advice, permissions
-from procedures.cli.line_holders import holders_of
 from procedures.cli.line_probe import Access, Outcome, probe_line
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.wire.polaris import crc16
@@ -171,24 +170,11 @@ def test_another_program_is_named_and_its_line_left_alone(other_program: tuple[F
     assert end.heard == []
 
 
-def test_the_program_at_the_far_end_does_not_count_as_another(far_end: Callable[[Answer], FarEnd]) -> None:
-    end = far_end(unit_at(9600))
-    script = "import os, sys; m, s = os.openpty(); print(os.ttyname(s), flush=True); sys.stdin.read()"
-    child = subprocess.Popen(
-        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    assert child.stdout is not None
-    theirs = child.stdout.readline().strip()
-    assert holders_of(theirs) == ()
-    assert holders_of(end.path) == ()
-    child.communicate("")
-
-
 def test_a_lock_whose_holder_cannot_be_seen_is_told_as_one(
     far_end: Callable[[Answer], FarEnd], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     end = far_end(unit_at(9600))
-    monkeypatch.setattr(line_probe, "holders_of", lambda _path: ())
+    monkeypatch.setattr(line_probe, "users_of_serial_port", lambda _path: ())
     locked = os.open(end.path, os.O_RDWR | os.O_NOCTTY)
     try:
         fcntl.flock(locked, fcntl.LOCK_EX)

@@ -14,9 +14,9 @@ from peer_cameras import SERIALS, Peer, free_address
 from procedures.cli.camera_cause import document, judge
 from procedures.cli.camera_probe import About, Access, CameraProbe, Control, found_around, probe_camera
 from procedures.cli.doctor import examine, show
-from procedures.cli.line_holders import Holder, holder_of_udp_port
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.host.networks import Interface, interface_of, interfaces
+from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.host.port_users import PortUser
 from ronna_hw.wire.gige_vision import GVCP_PORT
 
 MODEL = "acA2000-50gmNIR"
@@ -67,7 +67,7 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
             "on the other computer",
         ),
         (
-            replace(WELL, control=Control(True, "192.168.3.1", 40001, Holder(812, "pylon viewer"))),
+            replace(WELL, control=Control(True, "192.168.3.1", 40001, PortUser(812, "pylon viewer"))),
             (),
             "controlled by pylon viewer (pid 812)",
             "End that program",
@@ -178,25 +178,6 @@ def test_nobody_and_somebody_silent_are_told_apart() -> None:
 
 def test_inside_this_computer_nothing_is_asked_outside() -> None:
     assert all(each.loopback for each, _ in found_around([parse_endpoint("gev://127.0.0.1")]))
-
-
-def test_the_holder_of_a_port_is_found() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
-        ours.bind(("127.0.0.1", 0))
-        holder = holder_of_udp_port("127.0.0.1", ours.getsockname()[1])
-    assert holder is not None
-    assert Path(f"/proc/{holder.pid}").samefile("/proc/self")
-
-
-def test_interfaces_have_names_addresses_and_sizes() -> None:
-    own = interface_of("127.0.0.1")
-    assert own in interfaces()
-    assert own is not None
-    assert own.loopback
-    assert own.mtu_bytes > 1500
-    assert own.reaches("127.9.9.9")
-    assert not own.reaches("192.168.3.1")
-    assert not own.reaches("camera.local")
 
 
 # --- the report --------------------------------------------------------------------------------------------

@@ -1,0 +1,86 @@
+"""Which processes use a serial port or a UDP port of this computer, as far as this user may see."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+LONGEST_NAME = 60  # characters of a command line that are shown
+MASTER_NAME = "ptmx"  # the device behind the master side of every pseudo-terminal
+ANY_ADDRESS = "0.0.0.0"
+_INDEX = "tty-index:"
+_FIRST_MAJOR, _LAST_MAJOR = 136, 143  # of pseudo-terminals on Linux, 256 to each
+
+
+@dataclass(frozen=True)
+class PortUser:
+    """A process that has the port open."""
+
+    pid: int
+    name: str  # its command line
+
+    def __str__(self) -> str:
+        return f"{self.name} (pid {self.pid})"
+
+
+def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
+    """Other processes that have this port open; without the one on the master side of a pseudo-terminal."""
+    try:
+        device = os.stat(path).st_rdev
+    except OSError:
+        return ()
+    found = []
+    for pid in psutil.pids():
+        files = tuple(_open_devices(pid))
+        opened = pid != os.getpid() and any(_is_device(file, device) for file in files)
+        if opened and not any(_is_master_of(file, device) for file in files):
+            found.append(PortUser(pid, _name(pid)))
+    return tuple(found)
+
+
+def user_of_udp_port(address: str, port: int) -> PortUser | None:
+    """The process of this computer that is bound to a UDP port; None when there is none, or it is hidden."""
+    for each in psutil.net_connections(kind="udp4"):
+        if each.pid and each.laddr.port == port and each.laddr.ip in (address, ANY_ADDRESS):
+            return PortUser(each.pid, _name(each.pid))
+    return None
+
+
+def _open_devices(pid: int) -> Iterator[Path]:
+    """Open devices of a process, as links below /proc: psutil's `open_files` lists regular files only."""
+    with contextlib.suppress(OSError):
+        for file in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                if os.readlink(file).startswith("/dev/"):
+                    yield file
+
+
+def _is_device(file: Path, device: int) -> bool:
+    with contextlib.suppress(OSError):
+        return file.stat().st_rdev == device
+    return False
+
+
+def _is_master_of(file: Path, device: int) -> bool:
+    """True for the master side of the pseudo-terminal that `device` is the other side of."""
+    if not _FIRST_MAJOR <= os.major(device) <= _LAST_MAJOR:
+        return False
+    index = (os.major(device) - _FIRST_MAJOR) * 256 + os.minor(device)
+    with contextlib.suppress(OSError):
+        if os.path.basename(os.readlink(file)) == MASTER_NAME:
+            state = (file.parent.parent / "fdinfo" / file.name).read_text()
+            return f"{_INDEX}\t{index}" in state.splitlines()
+    return False
+
+
+def _name(pid: int) -> str:
+    with contextlib.suppress(psutil.Error):
+        process = psutil.Process(pid)
+        line = " ".join(word for word in process.cmdline() if word) or process.name()
+        return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"
+    return "a program"

@@ -1,0 +1,75 @@
+"""The processes that use a serial or UDP port are named."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from ronna_hw.host.port_users import user_of_udp_port, users_of_serial_port
+
+OPENS_OURS = (
+    "import sys; port = open(sys.argv[1], 'r+b', buffering=0); print('open', flush=True); sys.stdin.read()"
+)
+MAKES_ITS_OWN = "import os, sys; m, s = os.openpty(); print(os.ttyname(s), flush=True); sys.stdin.read()"
+Start = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Run a script as another process; returns its id and the first line that it prints."""
+    children: list[subprocess.Popen[str]] = []
+
+    def started(script: str, *arguments: str) -> tuple[int, str]:
+        command = [sys.executable, "-c", script, *arguments]
+        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        children.append(child)
+        assert child.stdout is not None
+        return child.pid, child.stdout.readline().strip()
+
+    yield started
+    for child in children:
+        child.communicate("")
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    """Path of a pseudo-terminal whose both sides are ours."""
+    master, slave = os.openpty()
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+def test_another_process_is_named_with_its_command_line(start: Start, terminal: str) -> None:
+    assert users_of_serial_port(terminal) == ()
+    pid, _ = start(OPENS_OURS, terminal)
+    (user,) = users_of_serial_port(terminal)
+    assert user.pid == pid
+    assert sys.executable[:20] in user.name
+    assert f"(pid {pid})" in str(user)
+
+
+def test_the_process_on_the_master_side_does_not_count(start: Start) -> None:
+    _, path = start(MAKES_ITS_OWN)
+    assert users_of_serial_port(path) == ()
+
+
+def test_a_port_that_does_not_exist_has_no_users() -> None:
+    assert users_of_serial_port("/dev/no-such-port") == ()
+
+
+@pytest.mark.parametrize("bound", ["127.0.0.1", "0.0.0.0"])
+def test_the_process_bound_to_a_udp_port_is_found(bound: str) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
+        ours.bind((bound, 0))
+        port = ours.getsockname()[1]
+        user = user_of_udp_port("127.0.0.1", port)
+        assert user is not None
+        assert user.pid == os.getpid()
+        assert (user_of_udp_port("127.0.0.2", port) is None) == (bound == "127.0.0.1")
+    assert user_of_udp_port("127.0.0.1", port) is None
