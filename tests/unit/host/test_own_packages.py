@@ -36,4 +36,4 @@ def test_a_foreign_package_that_comes_first_on_the_path_is_refused(tmp_path: Pat
         text=True,
         check=True,
     )
-    assert done.stdout.startswith(f"CFG-003: another package is found under the name {name}")
+    assert done.stdout.startswith(f"CFG-003: another package on the path is named {name}")
