@@ -22,10 +22,10 @@ from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
-from sim.kuka.true_arm import TrueArm, in_radians
-from sim.theatre.built_in import built_in_scene
+from sim.kuka.arm.true_arm import TrueArm, in_radians
 from sim.theatre.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
-from sim.theatre.scene import SPHERE_RADIUS_MM, CameraTruth, Scene
+from sim.theatre.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.theatre_file import theatre_content
 
 ENDPOINTS = {

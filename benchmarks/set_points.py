@@ -11,7 +11,7 @@ from ruckig import InputParameter, OutputParameter, Result, Ruckig
 
 from benchmarks.contest import contest, cpu_of
 from benchmarks.figures import Figure, compared
-from drivers.kuka_rsi.set_points import Choice, SetPoints
+from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
 from ronna_hw.arm.clearance import sweep_path
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.limits import working_limits

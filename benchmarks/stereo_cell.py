@@ -30,7 +30,7 @@ from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, 
 from ronna_hw.frames import Frame, Transform
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import Settings
-from sim.kuka.true_arm import TrueArm
+from sim.kuka.arm.true_arm import TrueArm
 from sim.theatre.rigid import (
     apply,
     inverse,
@@ -40,7 +40,7 @@ from sim.theatre.rigid import (
     rotation_from_vector,
     rotation_towards,
 )
-from sim.theatre.scene import ArmTruth, LinkError, Mount, Scene
+from sim.theatre.scene.model import ArmTruth, LinkError, Mount, Scene
 from sim.theatre.world import ArmState, World
 
 Array = NDArray[np.float64]

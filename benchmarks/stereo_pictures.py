@@ -21,10 +21,10 @@ from sim.basler.optics.lens import Lens
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.optics.sphere import Sphere
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.noise import noise
 from sim.theatre.rigid import matrix_of, rotation_towards
-from sim.theatre.scene import CameraTruth, Scene
+from sim.theatre.scene.model import CameraTruth, Scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -125,7 +125,7 @@ def _drawing() -> Figure:
     from sim.basler.camera.photographer import Photographer
     from sim.basler.camera.settings import Settings
     from sim.basler.optics.canvas import Area
-    from sim.theatre.built_in import built_in_scene
+    from sim.theatre.scene.named_scenes import built_in_scene
     from sim.theatre.world import World
 
     scene = built_in_scene("bench")

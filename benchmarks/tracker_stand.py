@@ -12,7 +12,7 @@ from benchmarks.contest import contest, process_cpu_s, rate_of
 from benchmarks.peers.tracker_clients import MakeReader, Reader
 from benchmarks.robot_cell import peer
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 from sim.theatre.world import World
 
 ROUNDS = 10

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from ronna_hw.config import TheatreFile
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 THEATRE_HEAD = """# Keys of the theatre file
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.kuka.parameters import parameter_rows
+from sim.kuka.controller_parameters import parameter_rows
 
 QUESTIONS_FILE = Path(__file__).parent / "reference" / "robot-open-questions.toml"
 PAGE = "robot-parameters.md"

@@ -26,7 +26,7 @@ def register(app: typer.Typer) -> None:
     from sim.phantom.command import phantom
     from sim.polaris.command import polaris
     from sim.theatre.command import fault, mount, theatre, verify
-    from sim.theatre.scene_command import scene
+    from sim.theatre.scene.command import scene
 
     for command in (theatre, polaris, kuka, basler, phantom, scene, mount, fault, verify):
         app.command()(command)

@@ -12,8 +12,8 @@ import sys
 import threading
 
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.link_state import CommandKind, Phase, Result
 from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase, Result
 from drivers.kuka_rsi.stream import link_settings
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model

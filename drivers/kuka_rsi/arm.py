@@ -9,16 +9,16 @@ from collections.abc import Callable
 from drivers.kuka_rsi import stream
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.context_check import usable_context
-from drivers.kuka_rsi.controller_commands import ControllerCommands
-from drivers.kuka_rsi.eki_state import ControllerState
+from drivers.kuka_rsi.eki.controller_commands import ControllerCommands
+from drivers.kuka_rsi.eki.controller_state import ControllerState
 from drivers.kuka_rsi.errors import MotionNotFinished, RecordedCycle, Unverified
 from drivers.kuka_rsi.fault_watch import STREAMING, FaultWatch
-from drivers.kuka_rsi.handshake import verify_by_motion
-from drivers.kuka_rsi.link_state import NO_STATE, LinkState, Phase, StopOrder
+from drivers.kuka_rsi.micro_move import verify_by_motion
 from drivers.kuka_rsi.motion_following import MotionFollower
 from drivers.kuka_rsi.motion_planning import MotionPlanner
 from drivers.kuka_rsi.options import read_options
-from drivers.kuka_rsi.turnaround import link_statistics
+from drivers.kuka_rsi.realtime.histogram import link_statistics
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, LinkState, Phase, StopOrder
 from ronna_hw.arm.limits import MotionLimits
 from ronna_hw.arm.model import ArmModel, arm_model, radians6
 from ronna_hw.arm.planning import TOOL_Z, MotionPlan, plan_along_tool, plan_joint_move, plan_line

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.kuka_rsi import stream
-from drivers.kuka_rsi.eki_client import EkiClient, Listener
+from drivers.kuka_rsi.eki.client import EkiClient, Listener
 from drivers.kuka_rsi.errors import ControllerNotFound, NoTelegram
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions

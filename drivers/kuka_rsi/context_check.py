@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from drivers.kuka_rsi.errors import ContextUnusable
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.settings import AXIS_NAMES
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
 
 LEAST_PRECISION = 3  # digits after the point: with fewer the arm never settles within its tolerance

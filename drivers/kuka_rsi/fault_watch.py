@@ -8,13 +8,13 @@ The reader of that channel looks here also while nothing arrives, so that nobody
 from __future__ import annotations
 
 from drivers.kuka_rsi.connections import Connections
-from drivers.kuka_rsi.eki_state import ControllerState, what_forbids_motion
+from drivers.kuka_rsi.eki.controller_state import ControllerState, what_forbids_motion
 from drivers.kuka_rsi.errors import ControllerStopped, LinkProcessStalled, NoAnswer
-from drivers.kuka_rsi.faults import error_of_fault
+from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.flight_record import attach_flight_record
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.link_state import NOTHING_AROUND, LinkState, StopOrder
 from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, LinkState, StopOrder
 from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode

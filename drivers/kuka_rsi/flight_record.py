@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import degrees
 
 from drivers.kuka_rsi.errors import RecordedCycle
-from drivers.kuka_rsi.settings import AXIS_NAMES
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 
 from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied, RecordedCycle
-from drivers.kuka_rsi.link_state import (
+from drivers.kuka_rsi.realtime.link_state import (
     CHOICES,
     Command,
     CommandKind,
@@ -21,8 +21,8 @@ from drivers.kuka_rsi.link_state import (
     Phase,
     StopOrder,
 )
-from drivers.kuka_rsi.mailbox import Mailbox
-from drivers.kuka_rsi.settings import LinkSettings
+from drivers.kuka_rsi.realtime.mailbox import Mailbox
+from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.planning import MotionPlan
 from ronna_hw.arm.surroundings import Surroundings
 
@@ -58,7 +58,7 @@ class LinkClient:
         self._stops = 0
         self._closing = threading.Event()
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "drivers.kuka_rsi.link_process"],
+            [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -135,7 +135,7 @@ class LinkClient:
         return LinkProcessDied(f"the real-time process ended: {self._words}")
 
     def histogram(self) -> tuple[int, ...]:
-        """Turnaround counts since the session began; edges are in `drivers.kuka_rsi.turnaround`."""
+        """Turnaround counts since the session began; edges are in `drivers.kuka_rsi.realtime.histogram`."""
         return self._mailbox.histogram()
 
     def jitter_histogram(self) -> tuple[int, ...]:

@@ -6,10 +6,10 @@ import threading
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.errors import LinkProcessDied, MotionNotFinished, MotionRefused, MotionStopped
+from drivers.kuka_rsi.fault_errors import axes_text, error_of_refusal, losses_text
 from drivers.kuka_rsi.fault_watch import FaultWatch
-from drivers.kuka_rsi.faults import axes_text, error_of_refusal, losses_text
 from drivers.kuka_rsi.link_client import Condition
-from drivers.kuka_rsi.link_state import CommandKind, LinkState, Result, StopOrder
+from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
 from ronna_hw.arm.planning import MotionPlan
 
 POLL_S = 0.5  # of host time between two looks at the theatre's time while a motion runs

@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from math import degrees
 
-from drivers.kuka_rsi.eki_client import EkiClient
-from drivers.kuka_rsi.eki_state import require_ours, require_ready
+from drivers.kuka_rsi.eki.client import EkiClient
+from drivers.kuka_rsi.eki.controller_state import require_ours, require_ready
 from drivers.kuka_rsi.errors import (
     CommandRefused,
     ControllerLost,
@@ -17,11 +17,11 @@ from drivers.kuka_rsi.errors import (
     PoseDisagrees,
     Unverified,
 )
-from drivers.kuka_rsi.faults import error_of_fault
+from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.link_state import CommandKind, Fault, Phase
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.settings import AXIS_NAMES, LinkSettings
+from drivers.kuka_rsi.realtime.link_state import CommandKind, Fault, Phase
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError

@@ -9,7 +9,7 @@ from sim.basler.optics.film import drawn_stains
 from sim.basler.optics.foreground import CLEAR, Disturbance, Glare, Occluder
 from sim.theatre.faults import Fault, FaultBoard
 from sim.theatre.noise import noise
-from sim.theatre.scene import CameraTruth
+from sim.theatre.scene.model import CameraTruth
 from sim.theatre.world import World
 
 PERCENT = 0.01

@@ -11,7 +11,7 @@ from sim.basler.optics.blur import blurred
 from sim.theatre.faults import Fault, FaultBoard
 from sim.theatre.faults.camera_link import BOTH
 from sim.theatre.noise import noise
-from sim.theatre.scene import CameraTruth
+from sim.theatre.scene.model import CameraTruth
 from sim.theatre.world import World
 
 FLOOD = np.float32(1e6)  # times the light: beyond every exposure and gain

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sim.basler.optics.sphere import Sphere
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
-from sim.theatre.scene import CameraTruth
+from sim.theatre.scene.model import CameraTruth
 from sim.theatre.world import World
 
 FURTHEST_MM = 1000.0  # beyond, a sphere is a faint spot far out of focus

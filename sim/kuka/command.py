@@ -70,14 +70,14 @@ def kuka(
     import gc
 
     from ronna_hw.endpoints import parse_endpoint
-    from sim.kuka.autostart import Autostart
-    from sim.kuka.controller import Controller
-    from sim.kuka.eki_server import EkiServer
-    from sim.kuka.manipulator import Manipulator
-    from sim.kuka.parameters import SUBMIT_CYCLE_S, changed_parameters, parameter_rows
-    from sim.kuka.rsi_socket import resolve
-    from sim.kuka.station import Station
-    from sim.kuka.telegram import TelegramWriter
+    from sim.kuka.arm.manipulator import Manipulator
+    from sim.kuka.controller.autostart import Autostart
+    from sim.kuka.controller.controller import Controller
+    from sim.kuka.controller.cycle_loop import Station
+    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, changed_parameters, parameter_rows
+    from sim.kuka.eki.server import EkiServer
+    from sim.kuka.rsi.rsi_socket import resolve
+    from sim.kuka.rsi.telegram_writer import TelegramWriter
     from sim.theatre.process import announce, end_with_parent, open_world
 
     if list_parameters:
@@ -120,7 +120,7 @@ def _context(
     longest_name: int,
 ) -> RsiContext:
     from ronna_hw.wire.kuka_context import load_context
-    from sim.kuka.ethernet_file import read_ethernet_file
+    from sim.kuka.rsi.ethernet_file import read_ethernet_file
 
     if rsi_config is not None:
         described = load_context(rsi_context) if rsi_context else None

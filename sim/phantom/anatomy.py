@@ -12,7 +12,7 @@ from sim.phantom.layers import AIR_HU, SCALP_MM
 from sim.phantom.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough
 from sim.phantom.streaks import Streak
 from sim.theatre.noise import noise
-from sim.theatre.scene import Fiducial, Head, Scene
+from sim.theatre.scene.model import Fiducial, Head, Scene
 
 CSF_HU = 8.0
 ENAMEL_HU = 2100.0

@@ -16,7 +16,7 @@ from ronna_hw.records import write_whole
 from sim.phantom.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
 from sim.phantom.scan import Scan, plain_scan
 from sim.phantom.slice_painter import SlicePainter
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 SERIES_FOLDER = "ct"
 PLAN_FILE = "plan.toml"

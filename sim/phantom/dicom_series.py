@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sim.phantom.grid import CtGrid
 from sim.phantom.shapes import Values
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset

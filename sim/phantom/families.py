@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from sim.theatre.scene import CtProtocol
+from sim.theatre.scene.model import CtProtocol
 
 Range = tuple[float, float]
 

@@ -31,11 +31,11 @@ from sim.phantom.obstacles import Obstacles, skin_point
 from sim.phantom.scan import FREE, XFRAME, Scan
 from sim.phantom.shapes import ellipsoid_depth
 from sim.phantom.streaks import Streak
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.head import CAP_AXIS_CT, CENTRE_CT_MM
 from sim.theatre.noise import noise
 from sim.theatre.rigid import rotation_towards
-from sim.theatre.scene import CtProtocol, Fiducial, Head, Scene, Target
+from sim.theatre.scene.head import CAP_AXIS_CT, CENTRE_CT_MM
+from sim.theatre.scene.model import CtProtocol, Fiducial, Head, Scene, Target
+from sim.theatre.scene.named_scenes import built_in_scene
 
 Vector = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from sim.errors import BadScene
 from sim.phantom.anatomy import FLANGE_MM, Marker, marker_on_foot, shifted
 from sim.phantom.obstacles import skin_point
 from sim.phantom.shapes import Point, Rod, Shape
-from sim.theatre.head import CAP_AXIS_CT
 from sim.theatre.rigid import rotation_towards
-from sim.theatre.scene import Fiducial, Head
+from sim.theatre.scene.head import CAP_AXIS_CT
+from sim.theatre.scene.model import Fiducial, Head
 
 Vector = NDArray[np.float64]
 

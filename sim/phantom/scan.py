@@ -7,7 +7,7 @@ from typing import Any
 
 from sim.phantom.anatomy import Anatomy, draw_anatomy
 from sim.phantom.grid import CtGrid, place_grid
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 FREE, XFRAME = "free", "xframe"
 

@@ -15,7 +15,7 @@ from sim.phantom.shapes import Shape, Values
 from sim.phantom.sphere_patch import Patch, paint_patch
 from sim.phantom.streaks import add_filling_streaks, add_streak
 from sim.theatre.noise import noise
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 RAMP_WIDTH = sqrt(12.0)  # of a linear edge with the variance of the scanner's
 SKIN_MARGIN_MM = 3.0

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.kuka.description import description
+from sim.kuka.arm.robot_description import description
 from sim.polaris.line_of_sight import Capsule
 from sim.theatre.rigid import Matrix, apply, inverse, matrix_from, matrix_of, rotation_from_vector
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 from sim.theatre.world import ArmState
 
 Vector = NDArray[np.float64]

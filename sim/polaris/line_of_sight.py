@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.theatre.rigid import Matrix, apply, inverse, matrix_of
-from sim.theatre.scene import Head
+from sim.theatre.scene.model import Head
 
 Vectors = NDArray[np.float64]
 Flags = NDArray[np.bool_]

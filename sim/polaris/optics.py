@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sim.polaris.bias_field import BiasField
 from sim.polaris.volume import Volume
-from sim.theatre.scene import TrackerTruth
+from sim.theatre.scene.model import TrackerTruth
 
 Vectors = NDArray[np.float64]
 

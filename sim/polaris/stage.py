@@ -13,7 +13,7 @@ from sim.polaris.definition import ToolDefinition
 from sim.polaris.disturbance import Disturbance
 from sim.polaris.line_of_sight import Body, head_ellipsoid
 from sim.theatre.rigid import apply, inverse, matrix_of, rotation_from_vector
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
 from sim.theatre.world import ArmState, World
 
 Vectors = NDArray[np.float64]

@@ -51,9 +51,9 @@ def theatre(
     import threading
 
     from ronna_hw.errors import EXIT_FAILED
+    from sim.theatre.device_parameters import parameters_by_device
     from sim.theatre.faults import read_faults
     from sim.theatre.launch import Theatre
-    from sim.theatre.parameters import parameters_by_device
     from sim.theatre.process import announce, end_with_parent, fail, load_scene
 
     truth = load_scene(scene, seed=seed, markers=markers, targets=targets)

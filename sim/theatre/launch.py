@@ -13,7 +13,7 @@ from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.records import write_whole
 from sim.polaris.definition import write_definition
 from sim.theatre.control import ControlPort, Room
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.theatre.truth import SCENE_FILE
 from sim.theatre.world import World

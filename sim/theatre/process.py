@@ -15,10 +15,10 @@ from types import FrameType
 
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.parent_process import PARENT
-from sim.theatre.built_in import SCENES, built_in_scene
 from sim.theatre.control import ControlPort, Room
 from sim.theatre.faults import read_faults
-from sim.theatre.scene import Scene, read_scene
+from sim.theatre.scene.model import Scene, read_scene
+from sim.theatre.scene.named_scenes import SCENES, built_in_scene
 from sim.theatre.world import World
 
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death

@@ -18,8 +18,8 @@ from ronna_hw.calibration import PoseRecord
 from ronna_hw.records import write_whole
 from sim.theatre.noise import noise
 from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
-from sim.theatre.scene import CalibrationError, CameraTruth, Scene
-from sim.theatre.stereo_head import WORKING_DISTANCE_MM
+from sim.theatre.scene.model import CalibrationError, CameraTruth, Scene
+from sim.theatre.scene.stereo_head import WORKING_DISTANCE_MM
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"

@@ -12,7 +12,7 @@ import numpy as np
 
 from ronna_hw.records import Record, read_record
 from sim.errors import NothingToVerify
-from sim.theatre.scene import Scene, read_scene
+from sim.theatre.scene.model import Scene, read_scene
 from sim.theatre.truth import SCENE_FILE, TipSample, read_samples
 
 THEATRE_FOLDER = "theatre"

@@ -23,7 +23,7 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.wire.theatre_clock import CLOCK_BYTES
 from sim.errors import WorldUnavailable
 from sim.theatre.rigid import matrix_of
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 MAGIC = b"RONNAWLD"
 MAGIC_OFFSET = 0

@@ -21,7 +21,7 @@ from ronna_hw.config import TheatreFile, parse_theatre
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import Stamp, ToolIdentity
 from ronna_hw.errors import EXIT_REFUSED
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.theatre_file import theatre_content
 
 ENDPOINTS = {

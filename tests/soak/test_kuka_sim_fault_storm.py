@@ -11,9 +11,9 @@ from math import degrees
 import pytest
 from kuka_clients import Cell, EkiClient, RsiClient
 
-from sim.kuka.description import description
-from sim.theatre.built_in import built_in_scene
+from sim.kuka.arm.robot_description import description
 from sim.theatre.faults.robot import ROBOT_FAULTS, TRIPS
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 pytestmark = pytest.mark.soak

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
-from sim.theatre.scene import LinkError, Scene
+from sim.theatre.scene.model import LinkError, Scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 STRAIGHT = LinkError(translation_mm=(0.0, 0.0, 0.0), rotation_rad=(0.0, 0.0, 0.0))
 NOUGHT = (0.0,) * 6

@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 from kuka_clients import Cell, EkiClient, RsiClient
 
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 CYCLE_S = 0.004

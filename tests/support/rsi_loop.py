@@ -8,12 +8,12 @@ import socket
 from collections.abc import Sequence
 from typing import Any
 
-from drivers.kuka_rsi.link_loop import LinkLoop
-from drivers.kuka_rsi.link_sockets import ANY_HOST
-from drivers.kuka_rsi.link_state import Command, CommandKind, StopOrder
-from drivers.kuka_rsi.mailbox import Mailbox
 from drivers.kuka_rsi.options import REHEARSAL_LEAD_US
-from drivers.kuka_rsi.settings import LinkSettings
+from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, StopOrder
+from drivers.kuka_rsi.realtime.loop import LinkLoop
+from drivers.kuka_rsi.realtime.mailbox import Mailbox
+from drivers.kuka_rsi.realtime.settings import LinkSettings
+from drivers.kuka_rsi.realtime.sockets import ANY_HOST
 
 AXES = tuple(f"AK.A{k}" for k in range(1, 7))
 START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)

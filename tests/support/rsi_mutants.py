@@ -8,8 +8,8 @@ from mutations import mutations
 from rsi_loop import CYCLE_MS, FIRST_IPOC, InProcessLink, corrections_of, telegram
 
 from drivers.kuka_rsi.errors import BadTelegram
-from drivers.kuka_rsi.link_state import Phase
-from drivers.kuka_rsi.telegram import TelegramReader
+from drivers.kuka_rsi.realtime.link_state import Phase
+from drivers.kuka_rsi.realtime.telegram import TelegramReader
 
 TAGS = ("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay")
 ORIGINALS = (telegram(0), telegram(0, delay=7), telegram(0, (12.5, -80.0, 95.25, 3.0, 61.0, -9.0)))

@@ -8,7 +8,7 @@ from itertools import pairwise
 from math import degrees
 from typing import Any
 
-from drivers.kuka_rsi.link_state import (
+from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     Fault,
@@ -17,9 +17,9 @@ from drivers.kuka_rsi.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.session import Session
-from drivers.kuka_rsi.settings import LinkSettings
-from drivers.kuka_rsi.telegram import Telegram
+from drivers.kuka_rsi.realtime.responder import Session
+from drivers.kuka_rsi.realtime.settings import LinkSettings
+from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.arm.planning import MotionPlan, plan_joint_move

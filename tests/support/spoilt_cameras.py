@@ -26,7 +26,7 @@ from sim.basler.faults import NoFaults
 from sim.basler.pair import CameraPair
 from sim.basler.stream.block import Block
 from sim.basler.stream.channel import StreamChannel
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 SERVE_LIMIT_S = 10.0

@@ -13,7 +13,7 @@ import pytest
 from user_commands import Commands, one_error
 
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.gige_vision import TICK_FREQUENCY_HZ
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 # In lock-step two commands one after the other are dated at most 1 ms apart, as on a real network.

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import pytest
 
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 SYSTEM_PYTHON = "/usr/bin/python3"

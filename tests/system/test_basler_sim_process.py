@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 LIMIT_S = 30.0

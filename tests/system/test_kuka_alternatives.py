@@ -13,7 +13,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.free_port import free_udp_port
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 GENEROUS_S = 5.0  # these machines stall

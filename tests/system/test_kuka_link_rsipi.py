@@ -24,8 +24,8 @@ from fake_controller import FakeController
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.kuka_rsi.controller.generate import render
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.link_state import CommandKind, LinkState, Phase, Result
-from drivers.kuka_rsi.settings import AXIS_NAMES, LinkSettings
+from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Phase, Result
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.arm.planning import plan_joint_move

@@ -12,7 +12,7 @@ import pytest
 from kuka_clients import Cell
 from mutations import mutations
 
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 COUNT = 2_000

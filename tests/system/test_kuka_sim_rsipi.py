@@ -123,8 +123,8 @@ def test_with_replies_lost_and_a_client_that_stalls_an_absolute_correction_still
 def test_every_context_that_rsipi_ships_is_understood(name: str) -> None:
     from RSIPI import context
 
-    from sim.kuka.ethernet_file import read_ethernet_file
-    from sim.kuka.telegram import TelegramWriter
+    from sim.kuka.rsi.ethernet_file import read_ethernet_file
+    from sim.kuka.rsi.telegram_writer import TelegramWriter
 
     path = Path(context("joints")).with_name(f"RSI_EthernetConfig_{name}.xml")
     told = read_ethernet_file(path, None, 255)

@@ -20,7 +20,7 @@ from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import crc16
 from sim.polaris.definition import write_definition
-from sim.theatre.built_in import robot_frame
+from sim.theatre.scene.named_scenes import robot_frame
 
 ANSWER_LIMIT_S = 5.0
 ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")

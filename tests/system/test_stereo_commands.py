@@ -26,7 +26,7 @@ from ronna_hw.config import read_theatre_file
 from ronna_hw.frames import Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 from sim.theatre.theatre_file import theatre_content
 
 GOAL_MM = 0.03

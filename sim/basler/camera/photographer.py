@@ -14,7 +14,7 @@ from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import Pose, View
 from sim.theatre.noise import noise
-from sim.theatre.scene import CameraTruth
+from sim.theatre.scene.model import CameraTruth
 from sim.theatre.world import World
 
 RING_SIZE = 6  # enough that consecutive frames never carry the same noise

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from sim.theatre.faults.kinds import WHOLE_PERCENT, Arguments, FaultKind
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 BOTH = "both"
 WHICH = ("left", "right", BOTH)

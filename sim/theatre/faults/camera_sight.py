@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from sim.theatre.faults.kinds import Arguments, FaultKind
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 SIDES = ("left", "right")
 MOST_STAINED_PERCENT = 60.0  # spots overlap: far more would take long and look no different

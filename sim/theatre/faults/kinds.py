@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 Arguments = tuple[str, ...]
 Check = Callable[[Arguments, Scene], Iterable[str]]

@@ -25,7 +25,7 @@ from sim.theatre.faults.kinds import FaultKind
 from sim.theatre.faults.robot import ROBOT_FAULTS
 from sim.theatre.faults.steps import STEPS
 from sim.theatre.faults.tracker import TRACKER_FAULTS
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 if TYPE_CHECKING:
     from lark import Lark

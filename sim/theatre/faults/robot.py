@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from sim.theatre.faults.kinds import Arguments, FaultKind, at_most_all
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 MODES = ("T1", "T2", "AUT", "EXT")
 AXES = ("1", "2", "3", "4", "5", "6")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS
 from sim.theatre.faults.kinds import Arguments, FaultKind, at_most_all
-from sim.theatre.scene import Scene, TrackerTool
+from sim.theatre.scene.model import Scene, TrackerTool
 
 SLOW_COMMANDS = ("INIT", "PINIT", "TSTART")
 SOCKETS = 3  # of the unit for wired tools that can be connected

@@ -9,7 +9,7 @@ import pytest
 from kuka_clients import Cell
 from kuka_stage import Stage
 
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 

@@ -11,7 +11,7 @@ from kuka_clients import Cell
 from kuka_stage import Stage, on_a1, rests_at
 
 from ronna_hw.host.control_port import ask_control_port
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 STOPS = [

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from kuka_clients import LIMIT_S, Cell
 
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 

@@ -12,9 +12,9 @@ from procedures.calibration.arm_geometry import (
     error_columns,
 )
 from ronna_hw.arm.model import arm_model
-from sim.kuka.chain import Chain
-from sim.kuka.description import description
-from sim.theatre.scene import LinkError
+from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.robot_description import description
+from sim.theatre.scene.model import LinkError
 
 VARIANT = "kr6_r900_sixx"
 JOINTS = (0.3, -1.2, 1.6, 0.4, 1.0, 2.5)

@@ -23,7 +23,7 @@ from ronna_hw.arm.model import radians6
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import EXIT_REFUSED
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.theatre_file import theatre_content
 
 HOME_RAD = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)

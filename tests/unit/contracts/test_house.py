@@ -44,8 +44,8 @@ def test_the_lock_names_no_package_index() -> None:
     ("module", "unwanted"),
     [
         ("sim.polaris.server", ("scipy", "cv2", "pydicom")),
-        ("sim.kuka.station", ("scipy", "cv2", "pydicom")),
-        ("drivers.kuka_rsi.link_process", ("scipy", "cv2", "pydicom", "pydantic")),
+        ("sim.kuka.controller.cycle_loop", ("scipy", "cv2", "pydicom")),
+        ("drivers.kuka_rsi.realtime.process", ("scipy", "cv2", "pydicom", "pydantic")),
         ("procedures.cli.procedure", ("numpy", "scipy", "cv2", "pydantic", "pydicom", "matplotlib")),
     ],
 )

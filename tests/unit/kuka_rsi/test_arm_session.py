@@ -134,7 +134,7 @@ def test_close_leaves_no_process(active_arm: Any) -> None:
 
 def test_the_real_time_process_imports_nothing_heavy() -> None:
     code = (
-        "import sys, drivers.kuka_rsi.link_process\n"
+        "import sys, drivers.kuka_rsi.realtime.process\n"
         "heavy = {'scipy', 'cv2', 'pydicom', 'pydantic', 'structlog'} & set(sys.modules)\n"
         "sys.exit(' '.join(sorted(heavy)) or 0)"
     )

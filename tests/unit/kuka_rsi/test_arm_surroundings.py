@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from drivers.kuka_rsi.errors import MotionTripped
-from drivers.kuka_rsi.faults import error_of_fault
-from drivers.kuka_rsi.link_state import NO_STATE, Command, CommandKind, Fault
-from drivers.kuka_rsi.mailbox import LONGEST_SURROUNDINGS, Mailbox
+from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.set_points import Choice, SetPoints
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, Command, CommandKind, Fault
+from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS, Mailbox
+from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
 from ronna_hw.arm.capsule import Capsule
 from ronna_hw.arm.errors import NotClear, Singular, SurroundingsTooLarge, Unreachable
 from ronna_hw.arm.kinematics import forward

@@ -8,11 +8,11 @@ from typing import Any, cast
 import pytest
 
 from drivers.kuka_rsi.connections import Connections
-from drivers.kuka_rsi.eki_state import ControllerState
+from drivers.kuka_rsi.eki.controller_state import ControllerState
 from drivers.kuka_rsi.errors import ControllerLost, RecordedCycle
 from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, FaultWatch
-from drivers.kuka_rsi.link_state import NO_STATE, NOTHING_AROUND, LinkState, Phase, StopOrder
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, LinkState, Phase, StopOrder
 from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.kuka_rsi.link_sockets import Address, LinkSockets, bind
+from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, bind
 
 FLOOD = 100
 

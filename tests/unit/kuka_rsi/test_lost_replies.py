@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.kuka_rsi.errors import LinkUnusable
-from drivers.kuka_rsi.faults import error_of_fault
-from drivers.kuka_rsi.link_state import (
+from drivers.kuka_rsi.fault_errors import error_of_fault
+from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     Fault,
@@ -23,12 +24,11 @@ from drivers.kuka_rsi.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.losses import WINDOW_CYCLES, Losses
-from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.session import Session
-from drivers.kuka_rsi.set_points import Choice
-from drivers.kuka_rsi.settings import LinkSettings
-from drivers.kuka_rsi.telegram import Telegram
+from drivers.kuka_rsi.realtime.losses import WINDOW_CYCLES, Losses
+from drivers.kuka_rsi.realtime.responder import Session
+from drivers.kuka_rsi.realtime.set_points import Choice
+from drivers.kuka_rsi.realtime.settings import LinkSettings
+from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model, radians6

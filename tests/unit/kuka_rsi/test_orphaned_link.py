@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from rsi_loop import CYCLE_MS, FIRST_IPOC, InProcessLink, telegram
 
-from drivers.kuka_rsi import link_loop
+from drivers.kuka_rsi.realtime import loop as link_loop
 
 MS = 1_000_000  # ns
 

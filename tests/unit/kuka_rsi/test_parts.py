@@ -18,8 +18,10 @@ from drivers.kuka_rsi.errors import (
     PoseDisagrees,
     ProtectiveStop,
 )
-from drivers.kuka_rsi.faults import error_of_fault, error_of_refusal
-from drivers.kuka_rsi.link_state import (
+from drivers.kuka_rsi.fault_errors import error_of_fault, error_of_refusal
+from drivers.kuka_rsi.options import KukaOptions, read_options
+from drivers.kuka_rsi.realtime.histogram import EDGES_US, bin_of, percentile_us
+from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
     Command,
     CommandKind,
@@ -30,10 +32,8 @@ from drivers.kuka_rsi.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.mailbox import Mailbox, MailboxTorn
-from drivers.kuka_rsi.options import KukaOptions, read_options
-from drivers.kuka_rsi.settings import LinkSettings
-from drivers.kuka_rsi.turnaround import EDGES_US, bin_of, percentile_us
+from drivers.kuka_rsi.realtime.mailbox import Mailbox, MailboxTorn
+from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.planning import MotionPlan
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.progress import PathLimits

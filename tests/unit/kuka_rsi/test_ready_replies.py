@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
 
-from drivers.kuka_rsi.link_state import Command, CommandKind, Fault, StopOrder
+from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, Fault, StopOrder
 from ronna_hw.arm.limits import working_limits
 from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.arm.planning import plan_joint_move

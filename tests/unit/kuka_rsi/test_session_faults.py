@@ -17,7 +17,7 @@ from session_cell import (
     moving,
 )
 
-from drivers.kuka_rsi.link_state import (
+from drivers.kuka_rsi.realtime.link_state import (
     CommandKind,
     Fault,
     Orders,

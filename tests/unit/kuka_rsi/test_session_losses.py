@@ -9,12 +9,12 @@ from session_cell import (
     moving,
 )
 
-from drivers.kuka_rsi.link_state import (
+from drivers.kuka_rsi.realtime.link_state import (
     Fault,
     Orders,
     Result,
 )
-from drivers.kuka_rsi.losses import Losses
+from drivers.kuka_rsi.realtime.losses import Losses
 
 
 def test_more_than_three_lost_cycles_are_degraded_and_a_clean_second_later_forgotten() -> None:

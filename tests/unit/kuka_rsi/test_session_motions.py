@@ -19,7 +19,7 @@ from session_cell import (
     result_of,
 )
 
-from drivers.kuka_rsi.link_state import (
+from drivers.kuka_rsi.realtime.link_state import (
     CommandKind,
     Fault,
     Orders,
@@ -27,8 +27,8 @@ from drivers.kuka_rsi.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.session import Session
-from drivers.kuka_rsi.telegram import Telegram
+from drivers.kuka_rsi.realtime.responder import Session
+from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.model import radians6
 from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line

@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from drivers.kuka_rsi.errors import BadTelegram
-from drivers.kuka_rsi.telegram import (
+from drivers.kuka_rsi.realtime.telegram import (
     REPLY_TAIL,
     Element,
     ReplyWriter,

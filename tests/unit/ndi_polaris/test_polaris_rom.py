@@ -32,7 +32,7 @@ from drivers.ndi_polaris.rom_fields import blank_block
 from drivers.ndi_polaris.shipped import FOLDER, shipped_definitions
 from drivers.ndi_polaris.x_frame import x_frame
 from sim.polaris.definition import parse_definition, write_definition
-from sim.theatre.built_in import robot_frame as robot_frame_of_the_scene
+from sim.theatre.scene.named_scenes import robot_frame as robot_frame_of_the_scene
 
 RIGID_BODY = planar_tool(
     "8700339",

@@ -17,10 +17,10 @@ from sim.basler.optics.sensor import Sensor
 from sim.basler.optics.sphere import Sphere
 from sim.basler.view import View
 from sim.errors import BadFaultScript
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.faults import check_faults, parse_faults
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
-from sim.theatre.scene import CameraTruth
+from sim.theatre.scene.model import CameraTruth
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import ArmState, World
 
 Array = NDArray[np.float64]

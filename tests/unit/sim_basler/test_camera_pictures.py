@@ -14,9 +14,9 @@ from sim.basler.camera.settings import FrameSettings, RampImage, Settings
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import View
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.noise import noise
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import ArmState, World
 
 READ_NOISE, FULL_WELL = 13.5, 11900.0

@@ -5,8 +5,8 @@ import pytest
 
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import Settings
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import ArmState, World
 
 

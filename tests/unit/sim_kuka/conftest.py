@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
-from sim.kuka.controller import Controller
-from sim.kuka.manipulator import Manipulator
-from sim.kuka.parameters import ControllerParameters
-from sim.theatre.scene import ArmTruth, LinkError
+from sim.kuka.arm.manipulator import Manipulator
+from sim.kuka.controller.controller import Controller
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.theatre.scene.model import ArmTruth, LinkError
 from sim.theatre.world import ArmState
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
-from sim.kuka.parameters import ControllerParameters
+from sim.kuka.controller_parameters import ControllerParameters
 
 
 def on_a1(value: float) -> tuple[float, ...]:

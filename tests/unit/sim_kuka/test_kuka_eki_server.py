@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import pytest
 
 from ronna_hw.endpoints import Endpoint
-from sim.kuka import eki_server
-from sim.kuka.eki_server import GARBAGE, PADDING, UNREAD_LIMIT, EkiServer, after_garbage, half, padded
+from sim.kuka.eki import server as eki_server
+from sim.kuka.eki.server import GARBAGE, PADDING, UNREAD_LIMIT, EkiServer, after_garbage, half, padded
 
 LOOP_S = 0.012
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.kuka.angles import frame_of, pose_of_frame, status_and_turn
-from sim.kuka.chain import Chain
-from sim.kuka.description import Variant, description
-from sim.kuka.true_arm import TrueArm
-from sim.theatre.arm_truth import draw_arm
-from sim.theatre.scene import ArmTruth
+from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.orientation import frame_of, pose_of_frame, status_and_turn
+from sim.kuka.arm.robot_description import Variant, description
+from sim.kuka.arm.true_arm import TrueArm
+from sim.theatre.scene.arm_truth import draw_arm
+from sim.theatre.scene.model import ArmTruth
 
 # A1..A6 deg, then X Y Z A B C of the flange: sixx, and position of the -2 (same orientation).
 GOLDEN = [

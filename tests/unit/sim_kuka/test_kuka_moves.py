@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState
-from sim.kuka.angles import frame_of, status_and_turn
-from sim.kuka.answer import Answer
-from sim.kuka.chain import Chain
-from sim.kuka.description import Variant, description
-from sim.kuka.eki_motion import shares
-from sim.kuka.eki_moves import EkiMoves
-from sim.kuka.parameters import ControllerParameters
-from sim.kuka.posture import axes_of_posture
+from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.orientation import frame_of, status_and_turn
+from sim.kuka.arm.posture import axes_of_posture
+from sim.kuka.arm.robot_description import Variant, description
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.eki.acknowledgement import Answer
+from sim.kuka.eki.motion import shares
+from sim.kuka.eki.move_commands import EkiMoves
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 GOAL_DEG = (20.0, -80.0, 100.0, 30.0, 60.0, -40.0)
@@ -282,7 +282,7 @@ def test_in_T1_a_motion_needs_the_start_key_and_is_slow(program: Program) -> Non
 
 
 def test_the_true_arm_follows_a_motion_with_its_own_geometry(make_bench: Callable[..., Any]) -> None:
-    from sim.theatre.arm_truth import draw_arm
+    from sim.theatre.scene.arm_truth import draw_arm
 
     truth = draw_arm(np.random.default_rng(3)).model_copy(update={"home_deg": HOME_DEG})
     bench = make_bench(start=False, truth=truth)

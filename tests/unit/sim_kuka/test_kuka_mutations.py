@@ -10,8 +10,8 @@ import pytest
 from mutations import mutations
 
 from ronna_hw.wire.kuka_context import load_context
-from sim.kuka.eki_server import cut_requests
-from sim.kuka.reply import ReplyReader
+from sim.kuka.eki.server import cut_requests
+from sim.kuka.rsi.reply_reader import ReplyReader
 
 FEW, MANY = 20_000, 1_000_000
 REPLIES = (

@@ -7,8 +7,8 @@ from dataclasses import fields
 import pytest
 
 from sim.kuka.command import kuka
+from sim.kuka.controller_parameters import ControllerParameters, changed_parameters
 from sim.kuka.errors import UnknownParameter
-from sim.kuka.parameters import ControllerParameters, changed_parameters
 
 
 def test_parameters_are_set_by_name() -> None:

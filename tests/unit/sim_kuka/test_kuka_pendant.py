@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim.kuka.messages import rsi_timeout, too_fast
-from sim.kuka.pendant import Pendant
+from sim.kuka.controller.message_display import Pendant
+from sim.kuka.controller.messages import rsi_timeout, too_fast
 
 
 def test_messages_and_texts_are_shown_once_each_and_their_acknowledgement(

@@ -9,7 +9,7 @@ import pytest
 
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import ProState, RsiState
-from sim.kuka.parameters import ControllerParameters
+from sim.kuka.controller_parameters import ControllerParameters
 
 A1_FULL_STEP_DEG = 360.0 * 0.004
 QUARTER_DEG = A1_FULL_STEP_DEG / 4

@@ -17,8 +17,8 @@ from ronna_hw.wire.kuka_context import (
     load_context,
 )
 from sim.kuka.errors import EthernetFileInvalid
-from sim.kuka.reply import ReplyReader
-from sim.kuka.telegram import TelegramWriter
+from sim.kuka.rsi.reply_reader import ReplyReader
+from sim.kuka.rsi.telegram_writer import TelegramWriter
 
 FRAME = (445.0, 0.0, 810.0, 180.0, 0.0, 180.0)
 AXES = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
@@ -218,7 +218,7 @@ ETHERNET_XML = """\ufeff<ROOT>
 
 @pytest.fixture
 def read_file(tmp_path: Path) -> Callable[..., RsiContext]:
-    from sim.kuka.ethernet_file import read_ethernet_file
+    from sim.kuka.rsi.ethernet_file import read_ethernet_file
 
     def read(text: str, context: RsiContext | None = None, longest_name: int = 255) -> RsiContext:
         path = tmp_path / "link.xml"
@@ -283,7 +283,7 @@ def test_a_file_name_may_be_too_long(read_file: Callable[..., RsiContext]) -> No
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    from sim.kuka.ethernet_file import read_ethernet_file
+    from sim.kuka.rsi.ethernet_file import read_ethernet_file
 
     with pytest.raises(EthernetFileInvalid, match="No such file"):
         read_ethernet_file(tmp_path / "none.xml", None, 255)

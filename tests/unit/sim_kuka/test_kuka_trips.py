@@ -9,11 +9,11 @@ import pytest
 
 from ronna_hw.wire.kuka_eki import AckCode, RsiState
 from sim.errors import BadFaultScript
-from sim.kuka.messages import TRIPS as MESSAGES
-from sim.kuka.parameters import ControllerParameters
-from sim.theatre.built_in import built_in_scene
+from sim.kuka.controller.messages import TRIPS as MESSAGES
+from sim.kuka.controller_parameters import ControllerParameters
 from sim.theatre.faults import FaultBoard, check_faults, parse_faults
 from sim.theatre.faults.robot import TRIPS
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 NUMBERS = {

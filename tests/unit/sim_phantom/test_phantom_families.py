@@ -15,7 +15,7 @@ from sim.phantom.families import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Purpose
 from sim.phantom.family_scan import family_scan
 from sim.phantom.scan import XFRAME, Scan
 from sim.phantom.shapes import Ball, Point, Rod
-from sim.theatre.scene import CtProtocol
+from sim.theatre.scene.model import CtProtocol
 
 COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
 

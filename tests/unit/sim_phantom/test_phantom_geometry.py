@@ -14,8 +14,8 @@ from sim.phantom.grid import place_grid
 from sim.phantom.layers import AIR_HU, LAYERS, HeadLayers
 from sim.phantom.painting import paint
 from sim.phantom.shapes import Ball, Cable, Ellipsoid, Rod, Trough
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.scene import CtProtocol, Scene
+from sim.theatre.scene.model import CtProtocol, Scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 AXIS = np.linspace(-20.0, 20.0, 81, dtype=np.float32)
 X, Y, Z = AXIS[None, None, :], AXIS[None, :, None], AXIS[:, None, None]

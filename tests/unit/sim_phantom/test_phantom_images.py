@@ -10,7 +10,7 @@ import pytest
 from sim.phantom.anatomy import METAL_HU, Anatomy, draw_anatomy
 from sim.phantom.grid import CtGrid, place_grid
 from sim.phantom.slice_painter import SlicePainter
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
 
 
 def painter_of(scene: Scene) -> tuple[SlicePainter, CtGrid, Anatomy]:

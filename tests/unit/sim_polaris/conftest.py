@@ -15,8 +15,8 @@ from sim.polaris.profile import SPECTRA, Profile
 from sim.polaris.session import Session
 from sim.polaris.unit import Unit
 from sim.polaris.wired import WiredPorts
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.scene import Scene, TrackerTool
+from sim.theatre.scene.model import Scene, TrackerTool
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 POINTER = TrackerTool(

@@ -16,7 +16,7 @@ from sim.polaris.mode import Mode
 from sim.polaris.profile import SPECTRA
 from sim.polaris.user_parameter_table import parameter_table
 from sim.polaris.wired import WiredPorts, WiredTool
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

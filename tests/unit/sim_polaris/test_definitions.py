@@ -9,8 +9,8 @@ import pytest
 
 from ronna_hw.wire import polaris_rom
 from sim.polaris.definition import BadDefinition, checksum, parse_definition, write_definition
-from sim.theatre.built_in import robot_frame
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
+from sim.theatre.scene.named_scenes import robot_frame
 
 
 def changed(offset: int, value: bytes) -> bytes:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.kuka.chain import Chain
-from sim.kuka.description import description
+from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.robot_description import description
 from sim.polaris.disturbance import NONE
 from sim.polaris.line_of_sight import Capsule, Ellipsoid, visible
 from sim.polaris.optics import eyes_mm
 from sim.polaris.stage import Stage
-from sim.theatre.built_in import SceneName, built_in_scene
 from sim.theatre.rigid import matrix_of
+from sim.theatre.scene.named_scenes import SceneName, built_in_scene
 from sim.theatre.world import ArmState, World
 
 EYE = np.zeros((1, 3))

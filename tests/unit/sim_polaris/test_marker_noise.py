@@ -8,9 +8,9 @@ import pytest
 from sim.polaris.optics import Optics
 from sim.polaris.profile import SPECTRA
 from sim.polaris.volume import EXTENDED_PYRAMID, PYRAMID, VICRA_VOLUME, Volume
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.noise import noise
-from sim.theatre.scene import TrackerTruth
+from sim.theatre.scene.model import TrackerTruth
+from sim.theatre.scene.named_scenes import built_in_scene
 
 READINGS = 30  # at each place, of which a maker takes the mean
 PLACES = 1500

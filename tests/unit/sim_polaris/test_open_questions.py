@@ -15,7 +15,7 @@ from sim.polaris.measurement import Frame, Stray
 from sim.polaris.parameters import UnitParameters, parameter_rows
 from sim.polaris.refusal import ErrorCode
 from sim.polaris.text_reply import text_reply
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

@@ -8,7 +8,7 @@ import pytest
 
 from ronna_hw.wire import polaris_rom
 from sim.polaris.definition import write_definition
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

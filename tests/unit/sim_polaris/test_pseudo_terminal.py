@@ -20,7 +20,7 @@ from sim.polaris.pseudo_terminal import PseudoTerminal
 from sim.polaris.server import EndSignal, Server
 from sim.polaris.session import Session
 from sim.polaris.unit import Unit
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 ANSWER_LIMIT_S = 30.0

@@ -10,8 +10,8 @@ import pytest
 from ronna_hw.wire.polaris import COMMAND_NAMES, PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
 from sim.polaris.handlers.table import COMMANDS
 from sim.polaris.unit import Unit
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
+from sim.theatre.scene.named_scenes import built_in_scene
 
 if TYPE_CHECKING:
     from conftest import Bench

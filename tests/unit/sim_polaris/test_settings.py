@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

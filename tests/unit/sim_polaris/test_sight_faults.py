@@ -12,8 +12,8 @@ import pytest
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
 from sim.polaris.extra_strays import REFLECTION_PRESENCE
 from sim.polaris.volume import PYRAMID
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.scene import Scene, TrackerTool
+from sim.theatre.scene.model import Scene, TrackerTool
+from sim.theatre.scene.named_scenes import built_in_scene
 
 if TYPE_CHECKING:
     from conftest import Bench

@@ -10,7 +10,7 @@ import pytest
 
 from sim.polaris.handlers.table import COMMANDS
 from sim.polaris.profile import SPECTRA
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

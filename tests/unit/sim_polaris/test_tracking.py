@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sim.kuka.chain import Chain
-from sim.kuka.description import description
-from sim.theatre.built_in import built_in_scene, robot_frame
+from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.robot_description import description
 from sim.theatre.rigid import (
     apply,
     inverse,
     matrix_of,
     quaternion_from_rotation,
 )
-from sim.theatre.scene import Scene, TrackerTool
+from sim.theatre.scene.model import Scene, TrackerTool
+from sim.theatre.scene.named_scenes import built_in_scene, robot_frame
 from sim.theatre.world import ArmState
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from sim.polaris.profile import VICRA
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
+from sim.theatre.scene.named_scenes import built_in_scene
 
 if TYPE_CHECKING:
     from conftest import Bench

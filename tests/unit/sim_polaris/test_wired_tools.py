@@ -12,7 +12,7 @@ from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.definition import checksum, write_definition
 from sim.polaris.errors import BadWiredTool
 from sim.polaris.wired import WiredPorts, WiredTool, plugged_in
-from sim.theatre.scene import TrackerTool
+from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

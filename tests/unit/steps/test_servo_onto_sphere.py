@@ -14,7 +14,7 @@ from procedures.cli.stereo_present import show_look
 from procedures.engine.errors import SphereNotFound
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
 from ronna_hw.devices.readings import StereoReading, Validity
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 END_MM, STEPS = 0.03, 8
 SEARCH_LOOKS = 6 + 12 + 18

@@ -10,7 +10,7 @@ import pytest
 from procedures.engine.errors import WrongTool
 from procedures.steps import set_up
 from ronna_hw.devices.lifecycle import Identity
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 NOTICE = "left: the camera sends no test packets; packets of 1500 bytes"
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from ronna_hw.endpoints import parse_endpoint
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.control import ControlPort, Room
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 RESET = struct.pack("ii", 1, 0)  # linger for 0 s: closing sends a reset

@@ -12,10 +12,10 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.model import arm_model
 from ronna_hw.frames import Frame
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.reach import Reach
 from sim.theatre.rigid import apply, inverse, matrix_of
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
+from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.plan_feasibility import Reach
 
 ONCE_OUT_OF_REACH = 104  # the third trajectory drawn for this seed asked more of A5 than it has
 

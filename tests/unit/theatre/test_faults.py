@@ -4,7 +4,6 @@ import pytest
 
 from procedures.engine.order import PREDECESSORS
 from sim.errors import BadFaultScript
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.faults import (
     FAULT_KINDS,
     STEPS,
@@ -14,6 +13,7 @@ from sim.theatre.faults import (
     parse_faults,
     read_faults,
 )
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
 

@@ -6,9 +6,9 @@ import pytest
 
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError
 from sim.errors import BadDeviceParameter
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.device_parameters import parameters_by_device
 from sim.theatre.launch import Theatre
-from sim.theatre.parameters import parameters_by_device
+from sim.theatre.scene.named_scenes import built_in_scene
 
 
 def test_settings_are_sorted_by_device() -> None:

@@ -10,7 +10,7 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.frames import Frame
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 LEAST_A5_RAD = math.radians(4.0)
 

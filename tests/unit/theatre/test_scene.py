@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sim.errors import BadScene
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.head import SMALLEST_DISTANCE_MM
-from sim.theatre.scene import parse_scene, read_scene
+from sim.theatre.scene.head import SMALLEST_DISTANCE_MM
+from sim.theatre.scene.model import parse_scene, read_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 
 def test_the_same_seed_draws_the_same_scene_and_another_seed_another() -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sim.theatre.built_in import built_in_scene
-from sim.theatre.scene import read_scene
-from sim.theatre.scene_command import scene
+from sim.theatre.scene.command import scene
+from sim.theatre.scene.model import read_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 
 
 @pytest.mark.parametrize("name", ["default", "mini", "bench"])

@@ -6,9 +6,9 @@ import pytest
 from drivers.kuka_rsi.options import read_options
 from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.rigid import inverse, matrix_of
-from sim.theatre.scene import Scene
+from sim.theatre.scene.model import Scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 
 ENDPOINTS = {

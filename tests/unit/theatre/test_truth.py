@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from sim.errors import BadTruth
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.truth import TRUTH_FILE, append_sample, read_samples, sample_tip
 from sim.theatre.world import World
 

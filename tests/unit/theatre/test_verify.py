@@ -10,7 +10,7 @@ import pytest
 
 from ronna_hw.records import Record, write_record
 from sim.errors import NothingToVerify
-from sim.theatre.built_in import built_in_scene
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.truth import SCENE_FILE, TipSample, append_sample
 from sim.theatre.verify import RECORDS_FOLDER, THEATRE_FOLDER, verify_run
 

@@ -6,8 +6,8 @@ import pytest
 from ronna_hw.clock import open_clock
 from ronna_hw.wire.theatre_clock import CLOCK_BYTES
 from sim.errors import WorldUnavailable
-from sim.theatre.built_in import built_in_scene
 from sim.theatre.rigid import matrix_from, rotation_from_vector
+from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import ArmState, World
 
 

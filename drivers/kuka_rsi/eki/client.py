@@ -1,0 +1,241 @@
+"""The EKI channel: commands with answers, and the controller's state, which also comes unasked.
+
+A thread takes everything the controller sends, because it sends also when nothing was asked; a controller
+whose telegrams are not taken closes the connection.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, TypeVar
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+from drivers.kuka_rsi.eki.controller_state import ControllerState, read_state
+from drivers.kuka_rsi.eki.framing import TelegramScanner, parse_telegram
+from drivers.kuka_rsi.errors import (
+    BadEkiTelegram,
+    CommandRefused,
+    ControllerLost,
+    ControllerNotFound,
+    NoAnswer,
+)
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName
+
+RECEIVE_BYTES = 4096
+CLOSE_TIMEOUT_S = 1.0
+ACKS_KEPT = 64
+ASK_AGAIN_S = 0.2  # two periods of the unasked state
+QUIET_S = 0.2  # the same: without a word for so long somebody should look how long it has been
+_TIMEVAL = struct.Struct("ll")
+
+T = TypeVar("T")
+
+
+class Ack(NamedTuple):
+    """The controller's answer to a command."""
+
+    code: AckCode
+    text: str
+
+
+class Listener(Protocol):
+    """Called from the reader's thread: be quick."""
+
+    def controller_said(self, state: ControllerState) -> None:
+        """A state came, asked or unasked."""
+        ...
+
+    def controller_quiet(self) -> None:
+        """Nothing has come for `QUIET_S`; called again and again."""
+        ...
+
+    def controller_lost(self, failure: RonnaError) -> None:
+        """The connection broke; not called for one that we closed."""
+        ...
+
+
+class EkiClient:
+    """One connection. Calls may come from any thread."""
+
+    def __init__(self, host: str, port: int, timeout_s: float) -> None:
+        """Connect; raises EKI-001 when nothing answers at the address."""
+        self.where = f"tcp://{host}:{port}"
+        try:
+            self._socket = socket.create_connection((host, port), timeout=timeout_s)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ControllerNotFound(
+                f"{self.where} does not answer: {reason}", limit=f"{timeout_s:g} s"
+            ) from error
+        self._socket.settimeout(None)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        # Of receiving only: whoever sends may wait for longer.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(0, round(QUIET_S * 1e6)))
+        self._numbers = itertools.count(1)
+        self._arrived = threading.Condition()
+        self._sending = threading.Lock()
+        self._acks: dict[int, Ack] = {}
+        self._states: dict[int, ControllerState] = {}
+        self._latest: ControllerState | None = None
+        self._failure: RonnaError | None = None
+        self._listener: Listener | None = None
+        self._closing = False
+        self._reader = threading.Thread(target=self._read, name="eki reader", daemon=True)
+        self._reader.start()
+
+    @property
+    def latest(self) -> ControllerState | None:
+        """The last state the controller sent, asked or unasked."""
+        return self._latest
+
+    @property
+    def silent_s(self) -> float:
+        """Host time since the last state; the controller sends one every 0.1 s."""
+        latest = self._latest
+        return time.monotonic() - latest.received_s if latest is not None else 0.0
+
+    @property
+    def failure(self) -> RonnaError | None:
+        """Why the connection is broken, if it is."""
+        return self._failure
+
+    def listen(self, listener: Listener) -> None:
+        """Tell somebody of every state, and of the loss of the connection."""
+        self._listener = listener
+        if self._failure is not None and not self._closing:
+            listener.controller_lost(self._failure)
+
+    def status(self, timeout_s: float) -> ControllerState:
+        """Ask for the state. Raises EKI-003 when none comes in time, EKI-002 or EKI-004 on a broken link."""
+        number = self._send(CommandName.STATUS, {})
+        state = self._await(lambda: self._states.get(number), timeout_s)
+        if state is None:
+            raise NoAnswer(f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s")
+        return state
+
+    def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
+        """Give a command and wait for its answer, whatever it is. Raises EKI-003, EKI-002 or EKI-004."""
+        number = self._send(name, values)
+        ack = self._await(lambda: self._acks.get(number), timeout_s)
+        if ack is None:
+            raise NoAnswer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
+        return ack
+
+    def require(self, name: CommandName, timeout_s: float, **values: object) -> None:
+        """As `command`; raises EKI-008 unless the answer is OK."""
+        ack = self.command(name, timeout_s, **values)
+        if ack.code is not AckCode.OK:
+            raise CommandRefused(f"the controller refused {name}", last=f"{ack.code.name} {ack.text}".strip())
+
+    def await_state(
+        self, condition: Callable[[ControllerState], bool], timeout_s: float
+    ) -> ControllerState | None:
+        """The first state that fulfils the condition, or None after the time limit.
+
+        States come unasked; now and then one is asked for all the same.
+        """
+
+        def fulfilled() -> ControllerState | None:
+            latest = self._latest
+            return latest if latest is not None and condition(latest) else None
+
+        deadline = time.monotonic() + timeout_s
+        while (rest := deadline - time.monotonic()) > 0.0:
+            found = self._await(fulfilled, min(rest, ASK_AGAIN_S))
+            if found is not None:
+                return found
+            self._send(CommandName.STATUS, {})
+        return fulfilled()
+
+    def close(self) -> None:
+        """Close the connection; never raises."""
+        self._closing = True
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        if self._reader is not threading.current_thread():
+            self._reader.join(CLOSE_TIMEOUT_S)
+
+    def _send(self, name: CommandName, values: dict[str, object]) -> int:
+        number = next(self._numbers)
+        attributes = "".join(f" {key}={quoteattr(str(value))}" for key, value in values.items())
+        telegram = f'<{CMD} Id="{number}" Name="{name}"{attributes}></{CMD}>'
+        try:
+            with self._sending:
+                self._socket.sendall(telegram.encode("ascii"))
+        except OSError as error:
+            raise self._failure or ControllerLost(f"{self.where}: {error.strerror or error}") from error
+        return number
+
+    def _await(self, look: Callable[[], T | None], timeout_s: float) -> T | None:
+        deadline = time.monotonic() + timeout_s
+        with self._arrived:
+            while True:
+                found = look()
+                if found is not None:
+                    return found
+                if self._failure is not None:
+                    raise self._failure
+                rest = deadline - time.monotonic()
+                if rest <= 0.0:
+                    return None
+                self._arrived.wait(rest)
+
+    def _read(self) -> None:
+        scanner = TelegramScanner()
+        failure: RonnaError
+        try:
+            while data := self._next():
+                for telegram in scanner.feed(data):
+                    self._take(parse_telegram(telegram))
+            failure = ControllerLost(f"{self.where} closed the connection")
+        except OSError as error:
+            failure = ControllerLost(f"{self.where}: {error.strerror or error}")
+        except RonnaError as error:
+            failure = error
+        with self._arrived:
+            self._failure = failure
+            self._arrived.notify_all()
+        if self._listener is not None and not self._closing:
+            self._listener.controller_lost(failure)
+
+    def _next(self) -> bytes:
+        """What the controller says next; empty when it has closed the connection."""
+        while True:
+            try:
+                return self._socket.recv(RECEIVE_BYTES)
+            except BlockingIOError:
+                if self._listener is not None:
+                    self._listener.controller_quiet()
+
+    def _take(self, root: ElementTree.Element) -> None:
+        try:
+            number = int(root.get("Id") or 0)
+            code = AckCode(int(root.get("Code") or 0))
+        except ValueError as error:
+            raise BadEkiTelegram(str(error), wire=ElementTree.tostring(root)) from error
+        state = read_state(root, time.monotonic()) if root.tag == STATE else None
+        with self._arrived:
+            if state is not None:
+                self._latest = state
+                _keep(self._states, number, state)
+            elif root.tag == ACK:
+                # A motion is answered twice; the first answer is what the caller waits for.
+                _keep(self._acks, number, Ack(code, root.get("Text") or ""))
+            self._arrived.notify_all()
+        if state is not None and self._listener is not None:
+            self._listener.controller_said(state)
+
+
+def _keep(store: dict[int, T], number: int, value: T) -> None:
+    store.setdefault(number, value)
+    while len(store) > ACKS_KEPT:
+        del store[next(iter(store))]

@@ -1,0 +1,130 @@
+"""Turns what the real-time process reports into the error that is raised and latched."""
+
+from __future__ import annotations
+
+from math import degrees
+
+from drivers.kuka_rsi.errors import (
+    ControllerRestarted,
+    DrivesOff,
+    HeartbeatLate,
+    LinkSilent,
+    LinkStopped,
+    LinkUnusable,
+    MotionRefused,
+    MotionTripped,
+    PathFailed,
+    PoseDisagrees,
+    ProtectiveStop,
+)
+from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Result
+from drivers.kuka_rsi.realtime.losses import UNUSABLE_SHARE, WINDOW_CYCLES
+from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
+from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.errors import RonnaError
+
+_REFUSALS = {
+    Result.REFUSED_BUSY: "another motion is under way",
+    Result.REFUSED_START: "it was planned from another pose than the last one sent",
+    Result.REFUSED_PHASE: "no correction stream is running",
+    Result.REFUSED_NUMBERS: "no profile exists for its numbers",
+    Result.REFUSED_STOP: "a stop was asked for after it was planned",
+}
+
+
+def error_of_fault(
+    name: str,
+    state: LinkState,
+    options: KukaOptions,
+    message: int = 0,
+    surroundings: Surroundings = NOTHING_AROUND,
+) -> RonnaError | None:
+    """The error of the latched fault, or None when there is none. `message`: the controller's, 0 for none."""
+    where = f"{name}: after {state.cycles} cycles"
+    match state.fault:
+        case Fault.NONE:
+            return None
+        case Fault.MONITOR:
+            return _tripped(where, state, surroundings)
+        case Fault.SILENCE:
+            said = f"; the controller shows message {message}" if message else ""
+            return LinkSilent(
+                f"{where} telegrams ceased{said}",
+                awaited="a telegram in every cycle",
+                limit=f"{options.silence_limit_s:g} s",
+                last=f"IPOC {state.IPOC}",
+            )
+        case Fault.HEARTBEAT:
+            return HeartbeatLate(
+                f"{where} this program's heartbeat was late", limit=f"{options.heartbeat_limit_s:g} s"
+            )
+        case Fault.PROTECTIVE:
+            return ProtectiveStop(f"{name}: a protective stop was asked for")
+        case Fault.LINK_STOP:
+            return LinkStopped(f"{name}: replies were ceased on request")
+        case Fault.DRIVES_OFF:
+            return DrivesOff(f"{name}: the drives were switched off on request")
+        case Fault.PATH:
+            return PathFailed(f"{where} the path had no solution")
+        case Fault.RESTARTED:
+            return ControllerRestarted(
+                f"{where} telegrams of another run came{strangers_text(state)}", last=f"IPOC {state.IPOC}"
+            )
+        case Fault.LOSSES:
+            return LinkUnusable(
+                f"{where} too few replies were taken{losses_text(NO_STATE, state)}",
+                limit=f"{UNUSABLE_SHARE:.0%} of {WINDOW_CYCLES} cycles, twice in a row",
+            )
+        case Fault.BASE:
+            return PoseDisagrees(
+                f"{name}: the first telegram's axes are outside the joint ranges",
+                last=axes_text(state),
+            )
+
+
+def _tripped(where: str, state: LinkState, surroundings: Surroundings) -> MotionTripped:
+    what = f"{where} the monitor stopped the arm: {state.violation_kind} of"
+    if state.violation_kind not in (CLEARANCE, ZONE_SPEED):
+        return MotionTripped(
+            f"{what} A{state.violation_axis}",
+            limit=f"{degrees(state.violation_limit):.4f} deg",
+            last=f"{degrees(state.violation_value):.4f} deg",
+        )
+    unit = "mm" if state.violation_kind == CLEARANCE else "mm/s"
+    pairs = surroundings.pairs
+    bodies = "its bodies"
+    if state.violation_axis < len(pairs):
+        bodies = "{} and {}".format(*surroundings.names(pairs[state.violation_axis]))
+    return MotionTripped(
+        f"{what} {bodies}",
+        limit=f"{state.violation_limit:.1f} {unit}",
+        last=f"{state.violation_value:.1f} {unit}",
+    )
+
+
+def error_of_refusal(name: str, state: LinkState) -> MotionRefused:
+    """The error of a motion that the real-time process did not accept."""
+    why = _REFUSALS.get(state.result, f"result {state.result.name}")
+    return MotionRefused(f"{name}: the motion was refused: {why}")
+
+
+def losses_text(begun: LinkState, state: LinkState) -> str:
+    """What was lost meanwhile, for a message; nothing when nothing was."""
+    cycles, late, lost = (
+        max(now - before, 0)
+        for now, before in ((state.cycles, begun.cycles), (state.late, begun.late), (state.lost, begun.lost))
+    )
+    if not late and not lost:
+        return ""
+    return f": of {cycles} cycles {late} were late or lost by the controller's count, {lost} by IPOC"
+
+
+def strangers_text(state: LinkState) -> str:
+    """Who else sent telegrams, for a message."""
+    return f" from {state.foreign_host}" if state.foreign else ""
+
+
+def axes_text(state: LinkState) -> str:
+    """The measured axes for a message."""
+    return "A1..A6 " + " ".join(f"{degrees(angle):.3f}" for angle in state.measured_rad) + " deg"

@@ -1,0 +1,114 @@
+"""The micro-move: a controller that does not say what it runs shows what it does with a correction.
+
+Each axis goes out and back by so little that nothing on the arm moves by more than 0.05 mm. The last axis
+comes first: it moves next to nothing, and a controller that adds corrections up shows itself there.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from math import degrees, dist, radians
+
+from drivers.kuka_rsi.errors import HandshakeFailed
+from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
+from ronna_hw.arm.kinematics import forward
+from ronna_hw.arm.limits import MotionLimits
+from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.planning import plan_joint_move
+from ronna_hw.devices.readings import JointVector
+
+LARGEST_SHIFT_MM = 0.05
+REACH_BEYOND_FLANGE_MM = 150.0  # of a tool: nothing on the arm may move further than the limit
+LARGEST_ANGLE_RAD = radians(0.02)
+SLOW = 0.1  # of the working speed
+STRAY_RAD = radians(0.002)  # of an axis that should stand still: twenty digits of the wire
+ANSWERED_SHARE = 0.75  # of the commanded angle that must be measured
+LOOK_S = 0.002  # host time between two looks at the measured axes
+AXIS_LIMIT_CYCLES = 500  # for one axis to get there and settle: some five times what it takes
+TELEGRAMS_LIMIT_S = 10.0  # host time
+CYCLES_WATCHED = 25  # before anything moves
+PROBE_RAD = 1e-4
+
+
+def verify_by_motion(name: str, link: LinkClient, model: ArmModel, limits: MotionLimits) -> None:
+    """Raises RSI-018 when the cycle is another, or an axis does not do exactly what it is told.
+
+    The caller ends the stream then: corrections that add up go on as long as they are sent.
+    """
+    _require_cycle(name, link)
+    start = link.state.commanded_rad
+    for axis in reversed(range(len(AXIS_NAMES))):
+        angle = micro_angle(model, start, axis)
+        there = _turned(start, axis, angle)
+        _go(name, link, model, limits, start, there, axis)
+        answered = link.state.measured_rad[axis] - start[axis]
+        if not ANSWERED_SHARE * abs(angle) <= abs(answered) <= abs(angle) + STRAY_RAD:
+            _refuse(name, link, f"{AXIS_NAMES[axis]} moved by {degrees(answered):.4f} deg", angle)
+        _go(name, link, model, limits, start, start, axis)
+
+
+def micro_angle(model: ArmModel, joints_rad: JointVector, axis: int) -> float:
+    """Angle that moves no point of arm and tool by more than 0.05 mm, towards the middle of the range."""
+    beyond = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
+    here, there = forward(model, joints_rad), forward(model, _turned(joints_rad, axis, PROBE_RAD))
+    moved_mm = max(dist(here.position_mm, there.position_mm), dist(here.apply(beyond), there.apply(beyond)))
+    angle = min(LARGEST_ANGLE_RAD, LARGEST_SHIFT_MM * PROBE_RAD / max(moved_mm, 1e-9))
+    middle = 0.5 * (model.lower_rad[axis] + model.upper_rad[axis])
+    return angle if joints_rad[axis] <= middle else -angle
+
+
+def _require_cycle(name: str, link: LinkClient) -> None:
+    begun = link.state
+    seen = link.wait(lambda s: s.cycles >= begun.cycles + CYCLES_WATCHED, TELEGRAMS_LIMIT_S)
+    if seen is None or seen.lost - begun.lost >= CYCLES_WATCHED:
+        lost = "no telegrams" if seen is None else f"{seen.lost - begun.lost} cycles lost by IPOC"
+        raise HandshakeFailed(f"{name}: the cycle is another one: {lost} within {CYCLES_WATCHED} telegrams")
+
+
+def _go(
+    name: str,
+    link: LinkClient,
+    model: ArmModel,
+    limits: MotionLimits,
+    start: JointVector,
+    target: JointVector,
+    axis: int,
+) -> None:
+    # An axis that stands beside an end of its range comes back there.
+    to_the_ends = replace(limits.slowed(SLOW), range_margin_rad=0.0)
+    plan = plan_joint_move(model, link.state.commanded_rad, target, to_the_ends)
+    number = link.command(CommandKind.MOVE, plan)
+    begun = link.state.cycles
+    while True:
+        state = link.state
+        _require_small(name, link, state, start, axis)
+        if state.fault or (state.command_number >= number and state.result is not Result.RUNNING):
+            break
+        if state.cycles - begun > AXIS_LIMIT_CYCLES:
+            _refuse(name, link, f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
+        time.sleep(LOOK_S)
+    if state.fault or state.result is not Result.DONE:
+        _refuse(name, link, f"{AXIS_NAMES[axis]} was stopped: {state.fault.name} {state.result.name}", 0.0)
+
+
+def _require_small(name: str, link: LinkClient, state: LinkState, start: JointVector, axis: int) -> None:
+    for other, (at, was) in enumerate(zip(state.measured_rad, start, strict=True)):
+        allowed = STRAY_RAD + (LARGEST_ANGLE_RAD if other == axis else 0.0)
+        if abs(at - was) > allowed:
+            moved = f"{AXIS_NAMES[other]} moved by {degrees(at - was):.4f} deg"
+            _refuse(name, link, f"{moved} while {AXIS_NAMES[axis]} was told to", allowed)
+
+
+def _refuse(name: str, link: LinkClient, what: str, limit_rad: float) -> None:
+    link.stop(StopOrder.HOLD)
+    raise HandshakeFailed(
+        f"{name}: the controller does not do what it is told: {what}", limit=f"{degrees(limit_rad):.4f} deg"
+    )
+
+
+def _turned(joints_rad: JointVector, axis: int, angle_rad: float) -> JointVector:
+    A1, A2, A3, A4, A5, A6 = (a + angle_rad * (k == axis) for k, a in enumerate(joints_rad))
+    return (A1, A2, A3, A4, A5, A6)

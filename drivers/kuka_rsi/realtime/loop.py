@@ -1,0 +1,291 @@
+"""The loop of the real-time process: receive, answer, then prepare the next answer.
+
+The controller sends first and clocks everything. Between receiving and sending nothing is computed that could
+have been computed before; after a stall only the newest telegram in the queue is answered. Telegrams from
+anybody but the session's controller are counted and otherwise ignored.
+
+This process runs before all others, so whatever carries the reply away on this processor (the network's
+soft interrupt, or a controller's stand-in) would wait until the next set-point is prepared. So the processor
+is given away for a moment once the reply is out. Without it a peer on this machine sees the preparation,
+60 us and more, as turnaround.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+
+from drivers.kuka_rsi.errors import BadTelegram
+from drivers.kuka_rsi.realtime.histogram import bin_of
+from drivers.kuka_rsi.realtime.link_state import Command, Orders, Phase, Record
+from drivers.kuka_rsi.realtime.mailbox import Mailbox
+from drivers.kuka_rsi.realtime.rehearsal import Rehearsal
+from drivers.kuka_rsi.realtime.replies import Ready
+from drivers.kuka_rsi.realtime.responder import SESSION_PHASES, Session
+from drivers.kuka_rsi.realtime.settings import LinkSettings
+from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received
+from drivers.kuka_rsi.realtime.telegram import (
+    REPLY_TAIL,
+    Found,
+    TelegramReader,
+    read_strictly,
+    telegram_of,
+)
+from drivers.kuka_rsi.realtime.telegram_receiver import Reception
+from ronna_hw.host.processor_affinity import ProcessorAffinity
+
+# Without the parent, no telegram for so long: nobody is left to answer.
+QUIET_AFTER_STOP_NS = 100_000_000  # the program has been told to end
+QUIET_BEFORE_STOP_NS = 400_000_000  # the usual Timeout of a controller: a computer under load stalls for less
+LONGEST_ENDING_CYCLES = 250  # of Stop being sent after the parent is gone
+BUNCH_S = 200e-6  # in which telegrams that were held up together come
+GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
+RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
+STRANGERS_AT_ONCE = 8  # looked at per cycle: whoever floods the port must not hold up the reply
+LATE_CYCLES = 1.5  # waited so many for a telegram: the host, or the network, was held up
+PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
+
+
+class LinkLoop:
+    """One per process. `run` returns when the parent is gone and the arm is at rest."""
+
+    def __init__(
+        self,
+        settings: LinkSettings,
+        link: socket.socket,
+        mailbox: Mailbox,
+        *,
+        real_time: bool = False,
+        locked: bool = False,
+    ) -> None:
+        self.session = Session(settings)
+        self._reader = TelegramReader(settings.send_tags)
+        self._sockets = LinkSockets(link)
+        self._reception = Reception(
+            self._sockets, lead_ns=settings.rehearsal_lead_us * 1000, rehearse=self._rehearse
+        )
+        self._rehearsal = Rehearsal()
+        self._processor = ProcessorAffinity(follows=real_time)
+        self._mailbox = mailbox
+        self._event_fd = settings.event_fd
+        self._granted = (real_time, locked)
+        self._controller_host = settings.controller_host
+        self._received_ns = 0  # when the last telegram was there
+        self._last_data = b""  # of the last telegram that was answered
+        self._late_ns = round(LATE_CYCLES * settings.cycle_ms * 1e6)
+        self._answered_ns = 0  # when the last telegram that was answered was there
+        self._paced_ns = round(PACED_SHARE * settings.cycle_ms * 1e6)
+        self._turnaround_us = 0.0  # until its reply was out
+        self._peer: Address | None = None
+        self._command_number = 0
+        self._told: tuple[object, ...] = ()
+        self._ending_cycles = 0
+        self._stop_sent = False  # by the last reply
+        self._cycles_since_fault = 0
+
+    def run(self) -> None:
+        """Serve until the parent is gone."""
+        self._publish()
+        while not self._done():
+            received = self._receive()
+            if received is None:
+                self._look_around()
+            else:
+                self._serve(*received)
+
+    def close(self) -> None:
+        """Give the sockets back that are the loop's own."""
+        self._sockets.part()
+        self._rehearsal.close()
+
+    def _receive(self) -> Received | None:
+        """The controller's newest telegram, or None when none came for a while."""
+        if self._peer is not None and self.session.phase not in SESSION_PHASES:
+            self._part()
+        received = self._reception.next()
+        if received is None:
+            return None
+        self._received_ns = self._reception.received_ns
+        # The usual sender first: a call costs as much as the reading of a telegram.
+        newest = None if received[1] != self._peer and self._is_foreign(received[1]) else received
+        # What was held up comes in a bunch, one behind the other: only its end is worth an answer.
+        late = self._received_ns - self._answered_ns >= self._late_ns
+        if late:
+            time.sleep(BUNCH_S)
+        if late or self._reception.queued:
+            newest = self._drain(newest)
+        return newest
+
+    def _drain(self, newest: Received | None) -> Received | None:
+        try:
+            while self._sockets.something_there():
+                received = self._sockets.receive(socket.MSG_DONTWAIT)
+                if not self._is_foreign(received[1]):
+                    self.session.dropped += newest is not None
+                    newest = received
+        except OSError:
+            pass
+        return newest
+
+    def _meet(self, peer: Address) -> None:
+        """A controller has opened a session."""
+        self._mailbox.clear_histograms()
+        self._peer = peer
+        self._sockets.meet(peer)
+
+    def _part(self) -> None:
+        """The session is over: the next may come from another port."""
+        self._peer = None
+        self._sockets.part()
+        self._processor.free()
+
+    def _look_at_strangers(self) -> None:
+        for _ in range(STRANGERS_AT_ONCE):
+            address = self._sockets.stranger()
+            if address is None:
+                return
+            if address != self._peer:  # its own may still lie there from before the session
+                self.session.met_foreign(address[0])
+
+    def _is_foreign(self, address: Address) -> bool:
+        session = self.session
+        if session.phase in SESSION_PHASES:
+            foreign = address != self._peer
+        else:
+            foreign = bool(self._controller_host) and address[0] != self._controller_host
+        if foreign:
+            session.met_foreign(address[0])
+        return foreign
+
+    def _serve(self, data: bytes, address: Address) -> None:
+        session = self.session
+        found, ready = self._foreseen(data)
+        if found is not None and ready is not None:
+            self._send(ready.reply, address)
+            self._last_data = data
+            orders, telegram = self._mailbox.orders(), telegram_of(found)
+            session.answered(telegram, orders, self._received_ns)
+            self._after_reply(telegram.ipoc, orders)
+            return
+        orders = self._mailbox.orders()
+        try:
+            telegram = telegram_of(found) if found is not None else read_strictly(data)
+        except BadTelegram:
+            session.rejected += 1
+            self._look_around()
+            return
+        if session.phase is Phase.ARMED:
+            self._meet(address)
+        head = session.answer(telegram, orders, self._received_ns)
+        if head is None:
+            self._look_around()
+            return
+        self._send(head + telegram.ipoc + REPLY_TAIL, address)
+        self._after_reply(telegram.ipoc, orders)
+
+    def _foreseen(self, data: bytes) -> tuple[Found | None, Ready | None]:
+        """A telegram of the usual form, and the reply made ready when that is the one to send."""
+        found, ready = self._reader.match(data), self.session.ready
+        if (
+            ready is None
+            or found is None
+            or found.group("D", "IPOC") != ready.told
+            or self._mailbox.stop_word() != ready.stop_word
+        ):
+            return found, None
+        return found, ready
+
+    def _rehearse(self) -> None:
+        """What comes between telegram and reply, without effect."""
+        self._rehearsal.exchange(self._last_data)
+        self._foreseen(self._last_data)
+
+    def _send(self, reply: bytes, address: Address) -> None:
+        try:
+            self._sockets.send(reply, address)
+        except OSError:
+            self.session.rejected += 1
+        sent_ns = time.monotonic_ns()
+        if self._received_ns - self._answered_ns > self._paced_ns:
+            time.sleep(GIVEN_AWAY_S)
+            if self._reception.paced():
+                self._processor.follow(self._sockets.processor())
+        else:
+            self._reception.hurried()
+            self._processor.free()
+        self._answered_ns = self._received_ns
+        self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
+
+    def _after_reply(self, ipoc: bytes, orders: Orders) -> None:
+        """Prepare the next reply, and keep account of this one."""
+        session, mailbox = self.session, self._mailbox
+        self._stop_sent = session.phase is Phase.ENDING
+        session.after_reply(self._new_command(orders.command_number))
+        mailbox.count_turnaround(bin_of(self._turnaround_us))
+        mailbox.count_jitter(bin_of(session.jitter_us))
+        self._cycles_since_fault = self._cycles_since_fault + 1 if session.fault else 0
+        if self._cycles_since_fault <= RECORDED_AFTER_FAULT:
+            mailbox.record(
+                Record(
+                    session.cycles,
+                    int(ipoc),
+                    self._received_ns,
+                    self._turnaround_us,
+                    session.measured_rad,
+                    session.sent_rad,
+                    session.choice,
+                )
+            )
+        self._look_at_strangers()
+        self._publish()
+
+    def _look_around(self) -> None:
+        self._look_at_strangers()
+        orders = self._mailbox.orders()
+        self.session.idle(orders, time.monotonic_ns())
+        command = self._new_command(orders.command_number)
+        if command is not None:
+            self.session.take(command)
+        self._publish()
+
+    def _new_command(self, number: int) -> Command | None:
+        """The command block when it holds a command not seen yet and is whole."""
+        if number == self._command_number:
+            return None
+        command = self._mailbox.read_command()
+        if command is None or command.number != number:
+            return None
+        self._command_number = number
+        return command
+
+    def _publish(self) -> None:
+        real_time, locked = self._granted
+        state = self.session.state(real_time=real_time, locked=locked)
+        self._mailbox.write_state(state)
+        self._mailbox.say_alive(time.monotonic_ns())
+        told = (
+            state.phase,
+            state.fault,
+            state.result,
+            state.settled,
+            state.command_number,
+            state.stop_number,
+        )
+        if told != self._told:
+            self._told = told
+            os.eventfd_write(self._event_fd, 1)
+
+    def _done(self) -> bool:
+        session = self.session
+        if not session.parent_gone:
+            return False
+        if session.phase not in SESSION_PHASES:
+            return True
+        if session.phase is Phase.ENDING:
+            self._ending_cycles += 1
+        quiet_ns = QUIET_AFTER_STOP_NS if self._stop_sent else QUIET_BEFORE_STOP_NS
+        return (
+            self._ending_cycles > LONGEST_ENDING_CYCLES
+            or session.silent_for_ns(time.monotonic_ns()) > quiet_ns
+        )

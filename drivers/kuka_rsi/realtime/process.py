@@ -1,0 +1,90 @@
+"""The real-time process: `python -P -m drivers.kuka_rsi.realtime.process`, started by the driver only.
+
+Standard input carries one line of settings and then nothing: when it closes, the parent is gone. Orders and
+state go through the mailbox, whose descriptor is inherited. Nothing is written to standard output.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase
+from drivers.kuka_rsi.realtime.loop import LinkLoop
+from drivers.kuka_rsi.realtime.mailbox import Mailbox
+from drivers.kuka_rsi.realtime.settings import LinkSettings
+from drivers.kuka_rsi.realtime.sockets import bind
+from ronna_hw.host.real_time import (
+    PARENT_DEATH_SIGNAL,
+    lock_memory,
+    run_first,
+    signal_on_parent_death,
+    sleep_exactly,
+    stop_collecting,
+)
+
+EXIT_NOT_STARTED = 2
+
+
+def main() -> int:
+    """Serve until the parent is gone; 2 when the settings or the port are no good."""
+    try:
+        settings = LinkSettings.from_json(sys.stdin.readline())
+        mailbox = Mailbox(settings.mailbox_fd)
+    except (TypeError, ValueError, OSError) as error:
+        print(f"this process is started by the driver only: {error}", file=sys.stderr)  # noqa: T201
+        return EXIT_NOT_STARTED
+    try:
+        link = bind(settings.host, settings.port)
+    except OSError as error:
+        mailbox.write_state(NO_STATE._replace(phase=Phase.FAILED, errno=error.errno or 0))
+        os.eventfd_write(settings.event_fd, 1)
+        return EXIT_NOT_STARTED
+    locked = lock_memory()
+    loop = LinkLoop(
+        settings,
+        link,
+        mailbox,
+        real_time=run_first(settings.real_time_priority),
+        locked=locked,
+    )
+    _watch_parent(loop, settings.parent_pid)
+    sleep_exactly()
+    stop_collecting()
+    loop.run()
+    loop.close()
+    link.close()
+    return 0
+
+
+def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
+    def lifeline() -> None:
+        while os.read(0, 1):
+            pass
+        loop.session.parent_gone = True
+
+    def parent_died(_signal: int, _frame: FrameType | None) -> None:
+        # The system says so also when only the thread that started us has ended.
+        if os.getppid() != parent_pid:
+            loop.session.parent_gone = True
+
+    def terminated(_signal: int, _frame: FrameType | None) -> None:
+        loop.session.parent_gone = True
+
+    signal.signal(PARENT_DEATH_SIGNAL, parent_died)
+    signal.signal(signal.SIGTERM, terminated)
+    # An interrupt on the terminal goes to the whole group; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal_on_parent_death()
+    if os.getppid() != parent_pid:
+        loop.session.parent_gone = True
+    threading.Thread(target=lifeline, name="lifeline", daemon=True).start()
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stderr.flush()
+    os._exit(code)  # nothing is left to be cleaned up, and the parent waits for the end

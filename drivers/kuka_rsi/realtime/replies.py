@@ -1,0 +1,68 @@
+"""The replies of one session, made ready before their telegrams come."""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import NamedTuple
+
+from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
+from drivers.kuka_rsi.realtime.settings import LinkSettings
+from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, ReplyWriter
+from ronna_hw.devices.readings import JointVector
+
+NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Ready(NamedTuple):
+    """The whole reply to the telegram that is expected next, should it tell nothing new."""
+
+    told: tuple[bytes, bytes]  # Delay and IPOC: the controller's count unchanged, the next cycle
+    stop_word: int  # no new stop
+    choice: Choice
+    reply: bytes
+
+
+class Replies:
+    """Corrections count from `begin`'s axes; a head is everything before the IPOC."""
+
+    def __init__(self, settings: LinkSettings) -> None:
+        self._writer = ReplyWriter(
+            settings.sentype, settings.receive_tags, settings.axis_tags, settings.stop_tag
+        )
+        self._cycle_ms = settings.cycle_ms
+        self._base_deg = NO_AXES
+        self.heads = (b"", b"")  # to go on and to stop
+
+    def begin(self, base_deg: JointVector) -> None:
+        """A new run: the controller adds corrections to these axes."""
+        self._base_deg = base_deg
+
+    def prepare(self, points: SetPoints, *, ending: bool) -> None:
+        """Write the heads of what was prepared; `ending`: Stop is sent at rest."""
+        if points.moving:
+            self.heads = (self.head(points.go_rad, False), self.head(points.stop_rad, False))
+        else:
+            hold = self.head(points.last_rad, ending)
+            self.heads = (hold, hold)
+
+    def whole(self, choice: Choice, *, last_ipoc: int, told_delay: int, stop_word: int) -> Ready:
+        """The reply to the next telegram, up to its last byte."""
+        ipoc = str(last_ipoc + self._cycle_ms).encode()
+        delay = str(told_delay).encode() if told_delay >= 0 else b""
+        return Ready((delay, ipoc), stop_word, choice, self.heads[choice] + ipoc + REPLY_TAIL)
+
+    def head(self, joints_rad: JointVector, stop: bool) -> bytes:
+        """Everything before the IPOC; corrections in deg with six decimals."""
+        base = self._base_deg
+        a, b, c, d, e, f = joints_rad
+        return self._writer.head(
+            (
+                degrees(a) - base[0],
+                degrees(b) - base[1],
+                degrees(c) - base[2],
+                degrees(d) - base[3],
+                degrees(e) - base[4],
+                degrees(f) - base[5],
+            ),
+            stop,
+        )

@@ -1,0 +1,388 @@
+"""What the real-time process does with each telegram, without any input or output of its own.
+
+Reply k carries a point prepared after reply k-1. When a telegram comes, only orders, losses and what is known
+to be wrong are looked at, and that decides between the point to go on and the first point of a stop. The
+measured axes are judged when the reply is out.
+
+When the controller tells that it did not take the last reply, the path waits: the same point is sent again,
+and what was prepared keeps. So each step that acts is one that was prepared, whatever is lost. If the
+controller tells one telegram late, two prepared steps may act at once, which it accepts below an eighth of
+full speed; one that never tells gets the path as it was planned.
+"""
+
+from __future__ import annotations
+
+from math import degrees, radians
+
+from drivers.kuka_rsi.realtime.link_state import (
+    NO_STATE,
+    Command,
+    CommandKind,
+    Fault,
+    LinkState,
+    Orders,
+    Phase,
+    Result,
+    StopOrder,
+)
+from drivers.kuka_rsi.realtime.losses import Losses
+from drivers.kuka_rsi.realtime.replies import Ready, Replies
+from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
+from drivers.kuka_rsi.realtime.settings import LinkSettings
+from drivers.kuka_rsi.realtime.telegram import Telegram
+from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.monitor import Violation
+from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
+
+SETTLE_CYCLES = 10  # in a row within the tolerance
+DEGRADED_SPEED = 0.5  # part of the planned speed after losses
+HELD_AFTER_CYCLES = 3  # without a reply that acts; after more the arm stands still at the held point
+START_TOLERANCE_RAD = 1e-9  # between where a motion was planned from and the last point sent
+RANGE_TOLERANCE_DEG = 0.01  # of the first telegram's axes: an arm may stand at its end switch
+
+_STOP_FAULTS = {
+    StopOrder.PROTECTIVE: Fault.PROTECTIVE,
+    StopOrder.LINK: Fault.LINK_STOP,
+    StopOrder.DRIVES_OFF: Fault.DRIVES_OFF,
+}
+SESSION_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
+
+
+class Session:
+    """State of the link across cycles. `answer`, send, `after_reply`; `idle` when nothing comes."""
+
+    def __init__(self, settings: LinkSettings) -> None:
+        self._settings = settings
+        self._model = arm_model(settings.variant)
+        self._limits = working_limits(self._model, settings.speed_fraction)
+        self._cycle_s = settings.cycle_ms / 1000.0
+        self._tolerance = radians(settings.settle_tolerance_deg)
+        self._silence_ns = round(settings.silence_limit_s * 1e9)
+        self._heartbeat_ns = round(settings.heartbeat_limit_s * 1e9)
+        self._replies = Replies(settings)
+        self.phase = Phase.IDLE
+        self.fault = Fault.NONE
+        self.result = Result.NONE
+        self.violation: Violation | None = None
+        self.rejected = 0
+        self.dropped = 0
+        self.foreign = 0
+        self.foreign_host = ""
+        self.cycles = 0
+        self.jitter_us = 0.0  # how far the last telegram was from its place in the pace
+        self.parent_gone = False
+        self.choice = Choice.GO
+        self.ready: Ready | None = None
+        self._heartbeat = (0, 0)  # value, and when it was first seen
+        self._stop_word = 0  # the last order seen
+        self._command_number = 0
+        self._ipoc = 0
+        self._received_ns = self._before_ns = 0
+        self._missing = 0  # telegrams that never came before the last one
+        self._another_sends = False  # somebody has sent telegrams since the controller's last one
+        self._axes_deg: JointVector = NO_STATE.measured_rad
+        self._measured: JointVector = NO_STATE.measured_rad
+        self._losses = Losses(settings.cycle_ms)
+        self._stopping = False
+        self._settled_cycles = 0
+        self._speed = 1.0
+        self._points: SetPoints | None = None
+
+    @property
+    def moving(self) -> bool:
+        """Whether set-points change."""
+        return self._points is not None and self._points.moving
+
+    @property
+    def sent_rad(self) -> JointVector:
+        """The last set-point sent."""
+        return self._points.last_rad if self._points else NO_STATE.commanded_rad
+
+    @property
+    def measured_rad(self) -> JointVector:
+        """Axes of the last telegram."""
+        return self._measured
+
+    def answer(self, telegram: Telegram, orders: Orders, now_ns: int) -> bytes | None:
+        """The reply up to its IPOC, or None when this telegram is not to be answered."""
+        self.ready = None
+        self._axes_deg = telegram.axes_deg
+        self._before_ns, self._received_ns = self._received_ns, now_ns
+        self._another_sends = False
+        self._watch_heartbeat(orders.heartbeat, now_ns)
+        ipoc = int(telegram.ipoc)
+        if self.phase is Phase.ARMED:
+            self._losses.count(ipoc, telegram.delay)
+            self._ipoc = ipoc
+            return self._begin(telegram.axes_deg)
+        if self.phase not in SESSION_PHASES or self._points is None:
+            self._ipoc = ipoc
+            return None
+        missing = self._losses.count(ipoc, telegram.delay)
+        if missing == -1:
+            return None
+        self._ipoc = ipoc
+        self._missing = missing or 0
+        if missing is None:
+            # Corrections of ours mean nothing to a run that we did not start: it gets no reply at all.
+            self._latch(Fault.RESTARTED)
+            self._cease(self._points)
+            return None
+        self._look_at_stop(orders.stop_word)
+        if self.phase is Phase.SILENT:
+            return None
+        points = self._points
+        if points.violation is not None:
+            self._trip(points.violation)
+        elif points.path_failed:
+            self._latch(Fault.PATH)
+        elif points.moving and self._losses.unusable:
+            self._latch(Fault.LOSSES)
+        if points.moving and (self._losses.untaken or missing > HELD_AFTER_CYCLES):
+            return self._answer_loss(points)
+        self.choice = Choice.STOP if self._stopping else Choice.GO
+        return self._replies.heads[self.choice]
+
+    def answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
+        """The telegram was as `ready` expected, and its reply is out: what `answer` would have noted."""
+        self._axes_deg = telegram.axes_deg
+        self._before_ns, self._received_ns = self._received_ns, now_ns
+        self._another_sends = False
+        self._ipoc = int(telegram.ipoc)
+        self._missing = self._losses.count(self._ipoc, telegram.delay) or 0
+        if self.ready is not None:
+            self.choice = self.ready.choice
+        self._watch_heartbeat(orders.heartbeat, now_ns)
+
+    def after_reply(self, command: Command | None) -> None:
+        """The reply was sent: judge the measured axes, take a new command, prepare the next reply."""
+        points = self._points
+        if points is None:
+            return
+        self.cycles += 1
+        due_ns = (self._missing + 1) * self._cycle_s * 1e9
+        self.jitter_us = (
+            abs(self._received_ns - self._before_ns - due_ns) / 1000.0 if self.cycles > 1 else 0.0
+        )
+        self._measure()
+        following = points.monitor.check_measured(self._measured)
+        if following is not None:
+            self._trip(following)
+        points.commit(self.choice)
+        self._follow_motion(points)
+        if command is not None:
+            self.take(command)
+        if self._losses.degraded != (self._speed < 1.0):
+            self._speed = DEGRADED_SPEED if self._losses.degraded else 1.0
+            points.limit_speed(self._speed)
+        points.prepare()
+        self._prepare_heads(points)
+        self._make_ready(points)
+
+    def met_foreign(self, host: str) -> None:
+        """A telegram came from somebody who is not this session's controller; it gets no reply."""
+        self.foreign += 1
+        self.foreign_host = host
+        self._another_sends = True
+
+    def take(self, command: Command) -> None:
+        """Act on a command that has not been seen before."""
+        self.ready = None
+        if command.number == self._command_number:
+            return
+        self._command_number = command.number
+        if command.kind is CommandKind.MOVE and command.plan is not None:
+            self.result = self._start(command.plan, command)
+        elif command.kind is CommandKind.OPEN and self.phase is Phase.IDLE:
+            self.phase, self.fault, self.result = Phase.ARMED, Fault.NONE, Result.NONE
+            self.violation = None
+            self.cycles = self.rejected = self.dropped = self.foreign = 0
+            self._losses = Losses(self._settings.cycle_ms)
+            self._stopping, self._speed, self._points = False, 1.0, None
+        elif command.kind is CommandKind.END and not self.moving:
+            if self.phase in (Phase.RUNNING, Phase.FAULT):
+                self.phase = Phase.ENDING
+        elif command.kind is CommandKind.CLOSE and not self.moving:
+            self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
+
+    def idle(self, orders: Orders, now_ns: int) -> None:
+        """Nothing has come for a while: watch silence and heartbeat, and take stops."""
+        self.ready = None
+        self._watch_heartbeat(orders.heartbeat, now_ns)
+        if self.phase not in SESSION_PHASES or self._points is None:
+            self._stop_word = orders.stop_word
+            return
+        self._look_at_stop(orders.stop_word)
+        if now_ns - self._received_ns > self._silence_ns:
+            # The controller has long held the last point: the arm stands there.
+            self._points.abandon()
+            self._follow_motion(self._points)
+            self._points.prepare()
+            self._prepare_heads(self._points)
+            if self.phase is Phase.RUNNING:
+                # A controller that starts its program again sends from another port.
+                self._latch(Fault.RESTARTED if self._another_sends else Fault.SILENCE)
+        self._make_ready(self._points)
+
+    def silent_for_ns(self, now_ns: int) -> int:
+        """Host time since the last telegram."""
+        return now_ns - self._received_ns
+
+    def state(self, *, real_time: bool, locked: bool) -> LinkState:
+        """For the mailbox."""
+        violation = self.violation
+        return LinkState(
+            self.cycles,
+            self._ipoc,
+            self._received_ns,
+            self.phase,
+            self.fault,
+            self.result,
+            self._losses.degraded,
+            self.moving,
+            self._settled_cycles >= SETTLE_CYCLES,
+            real_time,
+            locked,
+            self._command_number,
+            self._stop_word >> 3,
+            self._losses.late,
+            self._losses.lost,
+            self.rejected,
+            self.dropped,
+            self.foreign,
+            self.foreign_host,
+            self._measured,
+            self.sent_rad,
+            NO_STATE.base_rad if self._points is None else self._base_rad,
+            violation.kind if violation else "",
+            violation.axis if violation else 0,
+            violation.value if violation else 0.0,
+            violation.limit if violation else 0.0,
+            0,
+        )
+
+    def _answer_loss(self, points: SetPoints) -> bytes:
+        """The reply while the arm waits at a point, because replies or telegrams were lost."""
+        violation = points.monitor.not_taken() if self._losses.untaken else None
+        if violation is not None:
+            self._trip(violation)
+        if violation is not None or self._losses.standing > HELD_AFTER_CYCLES:
+            self.choice = Choice.HOLD
+            return self._replies.head(points.held_rad, False)
+        self.choice = Choice.REPEAT
+        return self._replies.head(points.last_rad, False)
+
+    def _measure(self) -> None:
+        a, b, c, d, e, f = self._axes_deg
+        self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
+
+    def _begin(self, axes_deg: JointVector) -> bytes:
+        """First reply of a run: corrections count from here, and the first one is zero."""
+        lower, upper = self._model.lower_rad, self._model.upper_rad
+        for low, angle, high in zip(lower, axes_deg, upper, strict=True):
+            if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
+                self._latch(Fault.BASE)
+        self._measure()
+        self._replies.begin(axes_deg)
+        self._base_rad = self._measured
+        self._points = SetPoints(self._model, self._limits, self._cycle_s, self._measured)
+        self._settled_cycles = 0
+        self.choice = Choice.GO
+        if self.phase is Phase.ARMED:
+            self.phase = Phase.RUNNING if self.fault is Fault.NONE else Phase.FAULT
+        self._prepare_heads(self._points)
+        return self._replies.heads[Choice.GO]
+
+    def _start(self, plan: MotionPlan, command: Command) -> Result:
+        points = self._points
+        if self.phase is not Phase.RUNNING or points is None:
+            return Result.REFUSED_PHASE
+        if command.stop_number != self._stop_word >> 3:
+            return Result.REFUSED_STOP
+        if points.moving or self._stopping:
+            return Result.REFUSED_BUSY
+        gap = max(abs(x - y) for x, y in zip(plan.start_rad, points.last_rad, strict=True))
+        if not gap <= START_TOLERANCE_RAD:
+            return Result.REFUSED_START
+        try:
+            points.start(plan, self._speed, command.surroundings)
+        except RonnaError:
+            return Result.REFUSED_NUMBERS
+        self._settled_cycles = 0
+        return Result.RUNNING
+
+    def _follow_motion(self, points: SetPoints) -> None:
+        if points.moving:
+            self._settled_cycles = 0
+            return
+        if self._stopping and self.phase is not Phase.FAULT:
+            self._stopping = False
+        last = points.last_rad
+        near = all(abs(x - y) <= self._tolerance for x, y in zip(self._measured, last, strict=True))
+        self._settled_cycles = self._settled_cycles + 1 if near else 0
+        if self.result is Result.RUNNING:
+            if points.stopped_early and (self._settled_cycles >= SETTLE_CYCLES or self.fault):
+                self.result = Result.STOPPED
+            elif self._settled_cycles >= SETTLE_CYCLES:
+                self.result = Result.DONE
+        if self.phase in (Phase.RUNNING, Phase.FAULT) and (self.parent_gone or self.fault is Fault.HEARTBEAT):
+            self.phase = Phase.ENDING
+
+    def _look_at_stop(self, stop_word: int) -> None:
+        if stop_word == self._stop_word:
+            return
+        self._stop_word = stop_word
+        kind = StopOrder(stop_word & 7)
+        if kind is not StopOrder.HOLD:
+            self._latch(_STOP_FAULTS[kind])
+        if kind is StopOrder.LINK and self._points is not None:
+            self._cease(self._points)
+        self._stopping = self.moving
+
+    def _cease(self, points: SetPoints) -> None:
+        """Reply no more: the controller holds the last point and ends the run by its Timeout."""
+        self.phase = Phase.SILENT
+        points.abandon()
+        self._follow_motion(points)
+
+    def _watch_heartbeat(self, value: int, now_ns: int) -> None:
+        seen, since = self._heartbeat
+        if value != seen or not since:
+            self._heartbeat = (value, now_ns)
+        elif now_ns - since > self._heartbeat_ns and self.phase in (Phase.ARMED, Phase.RUNNING):
+            self._latch(Fault.HEARTBEAT)
+        if self.parent_gone:
+            self._stopping = self.moving
+
+    def _trip(self, violation: Violation) -> None:
+        if self.violation is None:
+            self.violation = violation
+        self._latch(Fault.MONITOR)
+
+    def _latch(self, fault: Fault) -> None:
+        if self.fault is Fault.NONE:
+            self.fault = fault
+        if self.phase in (Phase.ARMED, Phase.RUNNING):
+            self.phase = Phase.FAULT
+        self._stopping = self.moving
+
+    def _prepare_heads(self, points: SetPoints) -> None:
+        self._replies.prepare(points, ending=self.phase is Phase.ENDING)
+
+    def _make_ready(self, points: SetPoints) -> None:
+        """Make the whole next reply, when only something new could change it."""
+        self.ready = None
+        unsettled = (
+            points.violation is not None or points.path_failed or self.parent_gone or self._losses.unusable
+        )
+        if unsettled or self.phase not in SESSION_PHASES:
+            return
+        self.ready = self._replies.whole(
+            Choice.STOP if self._stopping else Choice.GO,
+            last_ipoc=self._ipoc,
+            told_delay=self._losses.told,
+            stop_word=self._stop_word,
+        )

@@ -1,0 +1,206 @@
+"""Telegrams of the real-time link: read what the controller sends, write the reply.
+
+The reader is a regular expression made from the agreed elements; what does not match goes through a strict
+XML parser, and what that refuses is rejected. The reply is written in two parts: everything up to the IPOC
+can be made ready before the telegram arrives.
+"""
+
+from __future__ import annotations
+
+import re
+from math import isfinite
+from operator import itemgetter
+from typing import NamedTuple
+from xml.parsers import expat
+
+from drivers.kuka_rsi.errors import BadTelegram
+from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
+from ronna_hw.devices.readings import JointVector
+
+FREE_TAG = "FREE"  # reserves a channel and is not on the wire
+KEYWORD_PREFIX = "DEF_"
+CARTESIAN = ("X", "Y", "Z", "A", "B", "C")
+EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
+KEYWORD_ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    "RIst": CARTESIAN,
+    "RSol": CARTESIAN,
+    "AIPos": AXIS_NAMES,
+    "ASPos": AXIS_NAMES,
+    "EIPos": EXTERNAL,
+    "ESPos": EXTERNAL,
+    "MACur": AXIS_NAMES,
+    "MECur": EXTERNAL,
+    "Delay": ("D",),
+}
+GENERATOR_PARAMETERS = 10  # C1 of a Tech element is C11 .. C110
+REPLY_TAIL = b"</IPOC></Sen>"
+ZERO, NEGATIVE_ZERO = b"0.000000", b"-0.000000"  # what a rounded correction must not be written as
+ROOT, ROOT_TYPE = "Rob", "KUKA"
+LONGEST_TELEGRAM = 8192  # one datagram; the common ones are below 1000 bytes
+
+_DECIMAL = rb"[-+]?\d{1,15}(?:\.\d{0,15})?"  # what float() reads for certain
+_INTEGER = rb"\d{1,15}"
+
+Found = re.Match[bytes]
+
+
+class Telegram(NamedTuple):
+    """What one telegram says. `ipoc` is kept as text: it is echoed unchanged."""
+
+    axes_deg: JointVector
+    delay: int  # the controller's own count of late packets, -1 when it does not send it
+    ipoc: bytes
+
+
+class Element(NamedTuple):
+    """An element on the wire: attributes, or text when there are none."""
+
+    name: str
+    attributes: tuple[str, ...]
+
+
+def elements_of(tags: tuple[str, ...]) -> tuple[Element, ...]:
+    """Elements that the declared tags make, in order; consecutive tags of one group share an element."""
+    result: list[Element] = []
+    for tag in tags:
+        if tag == FREE_TAG:
+            continue
+        keyword = tag.startswith(KEYWORD_PREFIX)
+        name, _, attribute = tag.removeprefix(KEYWORD_PREFIX).partition(".")
+        if keyword and not attribute:
+            result.append(Element(name, KEYWORD_ATTRIBUTES.get(name, ())))
+            continue
+        attributes: tuple[str, ...] = (attribute,) if attribute else ()
+        if keyword:  # Tech.C1
+            attributes = tuple(f"{attribute}{n}" for n in range(1, GENERATOR_PARAMETERS + 1))
+        if attributes and result and result[-1].name == name:
+            result[-1] = Element(name, result[-1].attributes + attributes)
+        else:
+            result.append(Element(name, attributes))
+    return tuple(result)
+
+
+class TelegramReader:
+    """Reads the telegrams of one context."""
+
+    def __init__(self, send_tags: tuple[str, ...]) -> None:
+        pattern = [rb'<Rob Type="KUKA">']
+        for name, attributes in elements_of(send_tags):
+            pattern.append(b"<" + re.escape(name.encode()))
+            if not attributes:
+                pattern.append(rb">[^<]{0,80}</" + re.escape(name.encode()) + b">")
+                continue
+            captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
+            if captured is None:
+                pattern.append(rb" [^<>]*/>")  # not looked at any further
+                continue
+            for attribute in attributes:
+                tag = attribute.encode()
+                pattern.append(b' %b="(?P<%b>%b)"' % (tag, tag, captured))
+            pattern.append(b"/>")
+        # A context without Delay has an empty group in its place.
+        pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
+        pattern.append(rb"<IPOC>(?P<IPOC>\d{1,20})</IPOC></Rob>")
+        tells_axes = "DEF_AIPos" in send_tags
+        self._match = re.compile(b"".join(pattern)).match if tells_axes else _never
+
+    def match(self, data: bytes) -> Found | None:
+        """A telegram of the usual form, for `telegram_of`; None for one to be read strictly."""
+        return self._match(data)
+
+    def read(self, data: bytes) -> Telegram:
+        """One telegram; raises RSI-014 when neither the expression nor the strict parser accepts it."""
+        found = self._match(data)
+        return read_strictly(data) if found is None else telegram_of(found)
+
+
+def telegram_of(found: Found) -> Telegram:
+    """The numbers of a telegram of the usual form."""
+    a, b, c, d, e, f, delay, ipoc = found.group(*AXIS_NAMES, "D", "IPOC")
+    axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
+    return Telegram(axes_deg, int(delay) if delay else -1, ipoc)
+
+
+def _never(_data: bytes) -> None:
+    return None
+
+
+def read_strictly(data: bytes) -> Telegram:
+    """The same through an XML parser, in any order and spacing. Raises RSI-014; a DTD is refused."""
+    values: dict[tuple[str, str], str] = {}
+    path: list[str] = []
+    text: list[str] = []
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        if not path:
+            kind = attributes.get("Type", attributes.get("TYPE"))
+            if name != ROOT or kind != ROOT_TYPE:
+                raise BadTelegram(
+                    "a telegram of another type",
+                    awaited=f'<{ROOT} Type="{ROOT_TYPE}">',
+                    last=f'<{name} Type="{kind}">',
+                    wire=data,
+                )
+        path.append(name)
+        text.clear()
+        if len(path) == 2:
+            for key, value in attributes.items():
+                values[name, key] = value
+
+    def end(name: str) -> None:
+        if len(path) == 2:
+            values[name, ""] = "".join(text).strip()
+        path.pop()
+
+    def refuse(*_: object) -> None:
+        raise BadTelegram("a document type in a telegram", wire=data)
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = text.append
+    parser.StartDoctypeDeclHandler = refuse
+    end_of_root = data.rfind(b"</Rob>")
+    if end_of_root < 0 or len(data) > LONGEST_TELEGRAM:
+        raise BadTelegram("no whole telegram", awaited="<Rob>...</Rob>", wire=data)
+    try:
+        parser.Parse(data[: end_of_root + len(b"</Rob>")], True)  # bytes after the root are tolerated
+        A1, A2, A3, A4, A5, A6 = (float(values["AIPos", axis]) for axis in AXIS_NAMES)
+        if not all(isfinite(angle) for angle in (A1, A2, A3, A4, A5, A6)):
+            raise BadTelegram("an axis without a finite value", wire=data)
+        delay = int(float(values["Delay", "D"])) if ("Delay", "D") in values else -1
+        ipoc = values["IPOC", ""]
+        if not (ipoc.isascii() and ipoc.isdigit() and len(ipoc) <= 20):
+            raise BadTelegram("the IPOC is not an integer", last=ipoc[:32], wire=data)
+    except (expat.ExpatError, KeyError, ValueError, OverflowError) as error:
+        raise BadTelegram(f"not a telegram of the agreed form: {error}", wire=data) from error
+    return Telegram((A1, A2, A3, A4, A5, A6), delay, ipoc.encode())
+
+
+class ReplyWriter:
+    """Writes the replies of one context: `head(...)`, then the IPOC, then `REPLY_TAIL`."""
+
+    def __init__(
+        self, sentype: str, receive_tags: tuple[str, ...], axis_tags: tuple[str, ...], stop_tag: str
+    ) -> None:
+        places = {tag: f"%({axis})s" for tag, axis in zip(axis_tags, AXIS_NAMES, strict=True)}
+        places[stop_tag] = "%(Stop)s"
+        parts = [f'<Sen Type="{sentype}">']
+        for name, attributes in elements_of(receive_tags):
+            if attributes:
+                inner = " ".join(f'{a}="{places.get(f"{name}.{a}", "0")}"' for a in attributes)
+                parts.append(f"<{name} {inner}/>")
+            else:
+                parts.append(f"<{name}>{places.get(name, '0')}</{name}>")
+        parts.append("<IPOC>")
+        template = "".join(parts)
+        order = re.findall(r"%\((\w+)\)s", template)
+        self._in_order = itemgetter(*((*AXIS_NAMES, "Stop").index(name) for name in order))
+        for name in AXIS_NAMES:
+            template = template.replace(f"%({name})s", "%.6f")
+        self._template = template.replace("%(Stop)s", "%d").encode("ascii")
+
+    def head(self, corrections_deg: JointVector, stop: bool = False) -> bytes:
+        """Everything before the IPOC; corrections in deg with six decimals."""
+        head: bytes = self._template % self._in_order((*corrections_deg, stop))
+        return head.replace(NEGATIVE_ZERO, ZERO) if NEGATIVE_ZERO in head else head

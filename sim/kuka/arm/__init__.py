@@ -1,0 +1,1 @@
+"""The arm: nominal and true geometry, drives, inverse kinematics."""

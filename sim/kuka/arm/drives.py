@@ -1,0 +1,176 @@
+"""The drives: dead time, lag, coming to rest exactly, braking, and the count of motions.
+
+Angles are encoder degrees. A list of angles is never changed in place, so an unchanged command is the same
+object, and an arm at rest costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from math import exp
+
+from sim.kuka.arm.robot_description import AXES, Description
+from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
+
+STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis that has caught up so far sticks again; fast ones slide
+
+
+class MovingArm:
+    """Six axes that follow a command. `step` is called once per cycle."""
+
+    def __init__(
+        self, arm: Description, start_deg: Sequence[float], parameters: ControllerParameters
+    ) -> None:
+        self._parameters = parameters
+        self._acceleration_deg_s2 = [joint.acceleration_deg_s2 for joint in arm.joints]
+        self.axes_deg: list[float] = list(start_deg)
+        self.command_deg: list[float] = self.axes_deg
+        self.flanks: list[float] = [0.0] * AXES  # where each joint is in its backlash, -1 to 1
+        self.motion_number = 0
+        self.moved_s = 0.0  # time in motion so far
+        self.at_rest = True
+        self._speed_deg_s: list[float] = [0.0] * AXES
+        self._directions: list[float] = [0.0] * AXES
+        self._extremes_deg: list[float] = list(start_deg)
+        self._in_motion = False
+        self._braking = False
+        self._braking_share = parameters.path_stop_share
+        self._slipping: dict[int, bool] = {}  # axes that stick, and whether they slip just now
+        self._cycle_s = 0.0
+        self._pending: deque[list[float]] = deque()
+        self.start_cycles(IPO_FAST_S)
+
+    def start_cycles(self, cycle_s: float, filter_s: float = 0.0) -> None:
+        """Prepare for commands every `cycle_s`, from rest, behind a filter of the controller's or without."""
+        self._cycle_s = cycle_s
+        self._share = 1.0 - exp(-cycle_s / self._parameters.lag_s)
+        self._filter_share = 1.0 - exp(-cycle_s / filter_s) if filter_s else 1.0
+        self._filtered_deg = self.command_deg
+        self._pending = deque([self.command_deg] * self._parameters.dead_time_cycles)
+
+    def step(self, command_deg: list[float], *, heard: bool = True) -> None:
+        """One cycle. `heard` is false when no reply brought the command: then it says nothing new."""
+        if command_deg is self.command_deg:
+            if self.at_rest:
+                return
+            if heard:
+                self._in_motion = False
+        else:
+            self._note_movement(command_deg)
+        self._pending.append(command_deg)
+        follow_deg = self._pending.popleft()
+        wanted_deg = follow_deg if self._filter_share == 1.0 else self._filter(follow_deg)
+        share, before = self._share, self.axes_deg
+        axes = [y + share * (u - y) for u, y in zip(wanted_deg, before, strict=True)]
+        if self._slipping:
+            self._stick(axes, before, wanted_deg)
+        self.flanks = [
+            flank + share * (direction - flank)
+            for direction, flank in zip(self._directions, self.flanks, strict=True)
+        ]
+        self.command_deg = command_deg
+        if follow_deg is command_deg and self._arrived(axes, command_deg):
+            # The pose at rest is exact: it depends on the command and the flanks, not on how long it took.
+            self.axes_deg = self._resting(axes, command_deg)
+            self.flanks = list(self._directions)
+            self._speed_deg_s = [0.0] * AXES
+            self._pending = deque([command_deg] * self._parameters.dead_time_cycles)
+            self._filtered_deg = command_deg
+            self.at_rest = True
+            return
+        self.at_rest = False
+        self.moved_s += self._cycle_s
+        self.axes_deg = axes
+        self._speed_deg_s = [(y - old) / self._cycle_s for y, old in zip(axes, before, strict=True)]
+
+    def brake(self, *, fast: bool = False) -> None:
+        """Stop along the ramps of the axes, whatever was commanded."""
+        self._braking = not self.at_rest
+        parameters = self._parameters
+        self._braking_share = parameters.fast_stop_share if fast else parameters.path_stop_share
+
+    def stick(self, axes: frozenset[int]) -> None:
+        """Say which axes (0 to 5) move by fits and starts from now on."""
+        if axes != self._slipping.keys():
+            self._slipping = {axis: self._slipping.get(axis, False) for axis in axes}
+            self.at_rest = self.at_rest and self.axes_deg == self.command_deg
+
+    def settle(self) -> None:
+        """One cycle without a program: finish braking, or the way to the last command."""
+        if not self._braking:
+            self.step(self.command_deg)
+            return
+        speeds, axes = [], []
+        for angle, speed, limit in zip(
+            self.axes_deg, self._speed_deg_s, self._acceleration_deg_s2, strict=True
+        ):
+            change = limit * self._braking_share * self._cycle_s
+            slower = max(0.0, abs(speed) - change) * (1.0 if speed > 0 else -1.0)
+            speeds.append(slower)
+            axes.append(angle + slower * self._cycle_s)
+        self.axes_deg, self._speed_deg_s = axes, speeds
+        self.moved_s += self._cycle_s
+        if not any(speeds):
+            self._braking = self._in_motion = False
+            self.command_deg = self._filtered_deg = self.axes_deg
+            self.flanks = list(self._directions)
+            self._extremes_deg = list(axes)
+            self._pending = deque([axes] * self._parameters.dead_time_cycles)
+            self.at_rest = True
+
+    @property
+    def braking(self) -> bool:
+        """True while the arm comes to a stop of its own."""
+        return self._braking
+
+    def _filter(self, follow_deg: list[float]) -> list[float]:
+        share = self._filter_share
+        self._filtered_deg = [
+            y + share * (u - y) for u, y in zip(follow_deg, self._filtered_deg, strict=True)
+        ]
+        return self._filtered_deg
+
+    def _arrived(self, axes_deg: list[float], command_deg: list[float]) -> bool:
+        limit = self._parameters.rest_error_deg
+        if self._slipping:
+            return all(
+                -limit < u - y < limit or self._slipping.get(axis) is False
+                for axis, (u, y) in enumerate(zip(command_deg, axes_deg, strict=True))
+            )
+        return all(-limit < u - y < limit for u, y in zip(command_deg, axes_deg, strict=True))
+
+    def _stick(self, axes_deg: list[float], before_deg: list[float], follow_deg: list[float]) -> None:
+        """Hold the sticking axes until the command has run far enough ahead; then they catch up."""
+        for axis in self._slipping:
+            ahead = abs(follow_deg[axis] - before_deg[axis])
+            if ahead > self._parameters.stick_breakaway_deg:
+                self._slipping[axis] = True
+            elif ahead < self._parameters.stick_breakaway_deg * STICKS_AGAIN_SHARE:
+                self._slipping[axis] = False
+            if not self._slipping[axis]:
+                axes_deg[axis] = before_deg[axis]
+
+    def _resting(self, axes_deg: list[float], command_deg: list[float]) -> list[float]:
+        """Where the arm rests: exactly at the command, but for axes that stick."""
+        held = [axis for axis, slips in self._slipping.items() if not slips]
+        if not held:
+            return command_deg
+        return [axes_deg[axis] if axis in held else angle for axis, angle in enumerate(command_deg)]
+
+    def _note_movement(self, command_deg: list[float]) -> None:
+        reversal, fastest = self._parameters.reversal_deg, 0.0
+        extremes, directions = self._extremes_deg, self._directions
+        for axis, (new, old) in enumerate(zip(command_deg, self.command_deg, strict=True)):
+            fastest = max(fastest, abs(new - old))
+            travelled = new - extremes[axis]
+            direction = directions[axis]
+            if direction * travelled > 0.0:
+                extremes[axis] = new
+            elif travelled > reversal or travelled < -reversal:
+                directions[axis] = 1.0 if travelled > 0.0 else -1.0
+                extremes[axis] = new
+        moving = fastest > self._parameters.motion_speed_deg_s * self._cycle_s
+        if moving and not self._in_motion:
+            self.motion_number += 1
+        self._in_motion = moving

@@ -1,0 +1,166 @@
+"""The arm in its world: drives, nominal geometry for the controller, true geometry for all who look."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import degrees, dist, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.kuka.arm.drives import MovingArm
+from sim.kuka.arm.joint_chain import Chain, rotation_vector
+from sim.kuka.arm.orientation import frame_of
+from sim.kuka.arm.posture import axes_of_posture
+from sim.kuka.arm.robot_description import description
+from sim.kuka.arm.true_arm import TrueArm
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.theatre.rigid import inverse, rotation_from_vector
+from sim.theatre.scene.model import ArmTruth
+from sim.theatre.world import ArmState
+
+Matrix = NDArray[np.float64]
+NO_FRAME = np.eye(4)
+WAY_POINTS = 40  # looked at before a straight way is accepted
+
+
+class Manipulator:
+    """Moves the arm and publishes where its flange truly is."""
+
+    def __init__(
+        self,
+        truth: ArmTruth,
+        seed: int,
+        publish: Callable[[ArmState], None],
+        parameters: ControllerParameters,
+    ) -> None:
+        self.description = description(truth.variant)
+        self.drives = MovingArm(self.description, truth.home_deg, parameters)
+        self._nominal = Chain(self.description)
+        self._true = TrueArm(truth, seed)
+        self._publish = publish
+        self._tool: Matrix | None = None  # $TOOL, None is the flange
+        self._base: Matrix | None = None  # $BASE in $ROBROOT, None is $ROBROOT
+        self._readout_step_deg = parameters.readout_step_deg
+        self._read: list[float] | None = None
+        self._told: list[float] = []
+        self._told_frame: list[float] | None = None
+        self._published: tuple[int, bool] | None = None
+        self.publish()
+
+    @property
+    def axes_deg(self) -> list[float]:
+        """Encoder angles."""
+        return self.drives.axes_deg
+
+    @property
+    def told_deg(self) -> list[float]:
+        """Encoder angles as they are read and told; the same object while nothing moves."""
+        if self._read is not self.drives.axes_deg:
+            self._read, step, self._told_frame = self.drives.axes_deg, self._readout_step_deg, None
+            self._told = [round(angle / step) * step for angle in self._read] if step else self._read
+        return self._told
+
+    @property
+    def frame(self) -> list[float]:
+        """X Y Z (mm) A B C (deg) of the tool in BASE, as the controller believes it to be."""
+        return self._frame_at(self.drives.axes_deg)
+
+    @property
+    def told_frame(self) -> list[float]:
+        """The same for the axes as they are told; the same object while nothing moves."""
+        told_deg = self.told_deg
+        if self._told_frame is None:
+            self._told_frame = self._frame_at(told_deg)
+        return self._told_frame
+
+    @property
+    def base(self) -> Matrix:
+        """$BASE in $ROBROOT, (4, 4)."""
+        return NO_FRAME if self._base is None else self._base
+
+    def tool_point(self, axes_deg: Sequence[float] | None = None) -> Matrix:
+        """Believed pose (4, 4) of the tool in $ROBROOT, now or at other axes."""
+        axes = self.drives.axes_deg if axes_deg is None else axes_deg
+        flange = self._nominal.flange([radians(angle) for angle in axes])
+        return flange if self._tool is None else flange @ self._tool
+
+    def _frame_at(self, axes_deg: list[float]) -> list[float]:
+        pose = self.tool_point(axes_deg)
+        return frame_of(pose if self._base is None else inverse(self._base) @ pose)
+
+    def tool_travel_mm(self, goal_deg: Sequence[float]) -> float:
+        """Speed of the tool, mm per whole way, where it is fastest on the way of all axes to a goal."""
+        start_deg = self.drives.axes_deg
+        places = [
+            self.tool_point([a + n / WAY_POINTS * (b - a) for a, b in zip(start_deg, goal_deg, strict=True)])[
+                :3, 3
+            ]
+            for n in range(WAY_POINTS + 1)
+        ]
+        return WAY_POINTS * max(dist(a, b) for a, b in pairwise(places))
+
+    def _flange_of(self, tool_point: Matrix) -> Matrix:
+        return tool_point if self._tool is None else tool_point @ inverse(self._tool)
+
+    def set_tool(self, tool: Matrix) -> None:
+        """Use another $TOOL, (4, 4) in the flange frame."""
+        self._tool, self._told_frame = tool, None
+
+    def set_base(self, base: Matrix) -> None:
+        """Use another $BASE, (4, 4) in $ROBROOT."""
+        self._base, self._told_frame = base, None
+
+    def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
+        """Joint angles (deg) that bring the tool to a believed pose; None where that fails."""
+        flange = self._flange_of(tool_point)
+        joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
+        return None if joints is None else [degrees(angle) for angle in joints]
+
+    def axes_in_posture(self, frame: Matrix, status: int, turn: int) -> list[float] | None:
+        """Axes (deg) that bring the tool to a pose (4, 4) in BASE in the posture S T; None out of reach."""
+        flange = self._flange_of(self.base @ frame)
+        return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
+
+    def joints_on_the_way(self, tool_point: Matrix) -> list[float] | None:
+        """Axes (deg) at the end of a straight way to a pose in $ROBROOT; None when no way leads there."""
+        start, near_deg = self.tool_point(), self.drives.axes_deg
+        turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
+        for number in range(1, WAY_POINTS + 1):
+            share = number / WAY_POINTS
+            pose = np.eye(4)
+            pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
+            pose[:3, 3] = start[:3, 3] + share * (tool_point[:3, 3] - start[:3, 3])
+            joints_deg = self.joints_for(pose, near_deg)
+            if joints_deg is None or any(
+                not joint.lower_deg <= angle <= joint.upper_deg
+                for joint, angle in zip(self.description.joints, joints_deg, strict=True)
+            ):
+                return None
+            near_deg = joints_deg
+        return near_deg
+
+    def follow(self, command_deg: list[float], *, heard: bool) -> None:
+        """One cycle towards a command."""
+        self.drives.step(command_deg, heard=heard)
+        self.publish()
+
+    def settle(self) -> None:
+        """One cycle of coming to rest without a command."""
+        self.drives.settle()
+        self.publish()
+
+    def publish(self) -> None:
+        """Tell the world where the flange is; nothing to tell while nothing has changed."""
+        drives = self.drives
+        if drives.at_rest and self._published == (id(drives.axes_deg), True):
+            return
+        encoders = [radians(angle) for angle in drives.axes_deg]
+        if drives.at_rest:
+            pose = self._true.at_rest(encoders, drives.flanks, drives.motion_number, drives.moved_s)
+        else:
+            pose = self._true.moving(encoders, drives.flanks, drives.moved_s)
+        A1, A2, A3, A4, A5, A6 = encoders
+        self._publish(ArmState((A1, A2, A3, A4, A5, A6), pose, drives.motion_number, drives.at_rest))
+        self._published = (id(drives.axes_deg), drives.at_rest)

@@ -1,0 +1,99 @@
+"""The arm as it really is: where the flange stands when the encoders say what they say.
+
+The controller believes its encoders and the nominal chain. The true flange differs by link errors, and by
+what happens between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. An arm
+that has moved for long is warm, which displaces the flange. At rest comes what does not repeat: a small error
+that depends on the number of the motion, and on nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, exp, radians, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.robot_description import description
+from sim.theatre.noise import noise
+from sim.theatre.scene.model import ArmTruth
+
+Matrix = NDArray[np.float64]
+DEVICE = "arm"  # key of the noise
+DRIFT = "arm warmth"  # key of the direction in which warmth displaces the flange
+# The backlash of a joint is the whole way it loses on a reversal: it rests half of it to either side.
+FLANK_SHARE = 0.5
+
+
+class TrueArm:
+    """From encoder angles, flanks and motion number to the true pose of the flange."""
+
+    def __init__(self, truth: ArmTruth, seed: int) -> None:
+        arm = description(truth.variant)
+        self._chain = Chain(arm, truth.links)
+        self._seed = seed
+        self._repeatability_mm = truth.repeatability_mm
+        direction = noise(seed, DRIFT, 0).normal(size=3)
+        self._drift_mm = truth.thermal_drift_mm * direction / np.linalg.norm(direction)
+        self._drifts = truth.thermal_drift_mm > 0.0
+        self._thermal_time_s = truth.thermal_time_s
+        self._sag_rad = truth.sag_rad
+        self._upper_mm = arm.joints[2].origin_mm[0]
+        self._fore_mm = arm.joints[4].origin_mm[0]
+        self._joints = tuple(
+            zip(
+                truth.joint_offset_rad,
+                truth.harmonic_1_rad,
+                truth.harmonic_1_phase_rad,
+                truth.harmonic_2_rad,
+                truth.harmonic_2_phase_rad,
+                (FLANK_SHARE * value for value in truth.backlash_rad),
+                strict=True,
+            )
+        )
+
+    def moving(self, encoders_rad: Sequence[float], flanks: Sequence[float], moved_s: float = 0.0) -> Matrix:
+        """Pose (4, 4) while moving; `flanks` say per joint where in its backlash it is, -1 to 1.
+
+        `moved_s` is for how long the arm has moved so far.
+        """
+        pose = self._chain.flange(self._joint_angles(encoders_rad, flanks))
+        if self._drifts:
+            pose[:3, 3] += (1.0 - exp(-moved_s / self._thermal_time_s)) * self._drift_mm
+        return pose
+
+    def at_rest(
+        self,
+        encoders_rad: Sequence[float],
+        flanks: Sequence[float],
+        motion_number: int,
+        moved_s: float = 0.0,
+    ) -> Matrix:
+        """Pose (4, 4) at rest after the motion of that number."""
+        pose = self.moving(encoders_rad, flanks, moved_s)
+        error_mm = noise(self._seed, DEVICE, motion_number).normal(0.0, self._repeatability_mm, 3)
+        # A displacement of the flange is the same displacement of whatever tool hangs on it.
+        pose[:3, 3] += error_mm
+        return pose
+
+    def _joint_angles(self, encoders_rad: Sequence[float], flanks: Sequence[float]) -> list[float]:
+        angles = [
+            angle + offset + first * sin(angle + phase_1) + second * sin(2.0 * angle + phase_2) + half * flank
+            for angle, flank, (offset, first, phase_1, second, phase_2, half) in zip(
+                encoders_rad, flanks, self._joints, strict=True
+            )
+        ]
+        # Both axes turn the arm down when positive. The moment about an axis grows with the horizontal
+        # distance of what it carries: full when stretched out, none upright, reversed behind the axis.
+        fore = cos(encoders_rad[1] + encoders_rad[2])
+        upper = cos(encoders_rad[1])
+        stretch = (self._upper_mm * upper + self._fore_mm * fore) / (self._upper_mm + self._fore_mm)
+        angles[1] += self._sag_rad[0] * stretch
+        angles[2] += self._sag_rad[1] * fore
+        return angles
+
+
+def in_radians(angles_deg: Sequence[float]) -> list[float]:
+    """Angles in radians."""
+    return [radians(angle) for angle in angles_deg]

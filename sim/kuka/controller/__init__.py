@@ -1,0 +1,1 @@
+"""The controller itself: modes, interlocks, messages, the cycle loop."""

@@ -1,0 +1,382 @@
+"""The controller: drives, operating mode, messages, and the one program it runs.
+
+It owns no socket and no clock. `RsiRun` is the program while it streams, `EkiMotion` one motion that the EKI
+program was asked for; `Manipulator` is the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import dist
+
+from ronna_hw.wire.kuka_context import RsiContext, context_hash
+from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
+from sim.kuka.arm.manipulator import Manipulator
+from sim.kuka.controller.frame_table import FrameTable
+from sim.kuka.controller.interlocks import Cell
+from sim.kuka.controller.messages import (
+    Message,
+    collision,
+    emergency_stop,
+    enabling_switch_released,
+    guard_opened,
+    too_fast_for_T1,
+    tripped,
+)
+from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
+from sim.kuka.eki.acknowledgement import DONE, Answer
+from sim.kuka.eki.motion import EkiMotion
+from sim.kuka.rsi.program_run import RsiRun, RunSettings, StartPose
+from sim.kuka.rsi.reply_reader import Reply
+from sim.kuka.rsi.signal_flow import inputs_of
+
+IDLE_PROGRAM_STATES = (ProState.FREE, ProState.RESET, ProState.END)
+FULL_OVERRIDE = 100
+
+
+class Controller:
+    """A KR C4 with one arm, one RSI context, and a program that the EKI channels start and stop."""
+
+    def __init__(
+        self,
+        context: RsiContext,
+        arm: Manipulator,
+        mounted_tool: Callable[[], int],
+        parameters: ControllerParameters | None = None,
+    ) -> None:
+        self.context = context
+        self.context_hash = context_hash(context)
+        self.arm = arm
+        self.mounted_tool = mounted_tool
+        self.cell = Cell()
+        self.frames = FrameTable(arm)
+        self.drives_on = False
+        self.override_percent = FULL_OVERRIDE
+        self.program_state = ProState.FREE
+        self.cycle_ms: int = context.program.cycle_ms
+        self.relative = context.program.corrections == "relative"
+        self.message: Message | None = None
+        self.run: RsiRun | None = None
+        self.motion: EkiMotion | None = None
+        self.runs = 0
+        self.parameters = parameters or ControllerParameters()
+        self._overloaded = False
+        self._fast_cycles = 0
+        inputs = inputs_of(context)
+        self._wired = {"AXIS": inputs.axes is not None, "POS": inputs.frame is not None}
+        feeds = {wire.indx for wire in context.wiring if wire.object in ("AXISCORR", "POSCORR")}
+        self.holds_corrections = all(e.holdon for e in context.receive if e.indx in feeds)
+
+    # -- what it is doing
+
+    @property
+    def rsi_state(self) -> RsiState:
+        """State of the RSI program."""
+        if self.run is not None:
+            return self.run.state
+        return RsiState.FAULT if self.message is not None else RsiState.IDLE
+
+    @property
+    def moving(self) -> bool:
+        """True until the arm rests."""
+        return self.motion is not None or not self.arm.drives.at_rest
+
+    @property
+    def may_move(self) -> bool:
+        """True when a program could move the arm now."""
+        return self.drives_on and not self.cell.forbids_drives and self.message is None
+
+    def ready(self) -> Answer:
+        """Whether a program may begin to move the arm now, and if not why."""
+        if self.run is not None:
+            return Answer(AckCode.BUSY, "RSI is running")
+        if self.motion is not None:
+            return Answer(AckCode.BUSY, "a motion is under way")
+        forbidden = self.cell.forbids_program
+        if forbidden:
+            return Answer(AckCode.REFUSED, forbidden)
+        if self.cell.forbids_drives:
+            return Answer(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
+        if self.message is not None:
+            return Answer(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
+        if not self.drives_on:
+            return Answer(AckCode.NOT_READY, "drives off")
+        if self.program_state not in IDLE_PROGRAM_STATES:
+            return Answer(AckCode.REFUSED, f"program is {self.program_state}")
+        if self.moving:
+            return Answer(AckCode.BUSY, "arm is moving")
+        return DONE
+
+    # -- the program
+
+    def start(
+        self,
+        cycle_ms: int | None = None,
+        relative: bool | None = None,
+        correction: str | None = None,
+        *,
+        counts_from_first_reply: bool = False,
+    ) -> Answer:
+        """RSI_ON with the context's settings, or with others."""
+        answer = self.ready()
+        if answer is not DONE:
+            return answer
+        if correction is not None and not self._wired.get(correction, False):
+            return Answer(AckCode.BAD_VALUE, f"the context corrects no {correction}")
+        self.cycle_ms = cycle_ms or self.cycle_ms
+        self.relative = self.relative if relative is None else relative
+        self.runs += 1
+        slow = self.cycle_ms / 1000.0 > IPO_FAST_S
+        self.arm.drives.start_cycles(self.cycle_ms / 1000.0, self.parameters.ipo_filter_s if slow else 0.0)
+        scales = self.parameters.override_scales_corrections
+        settings = RunSettings(
+            self.context,
+            self.cycle_ms,
+            self.relative,
+            self.runs,
+            counts_from_first_reply,
+            needs_confirmation=self.cell.manual,
+            correction_share=self.override_percent / FULL_OVERRIDE if scales else 1.0,
+        )
+        arm = self.arm
+        pose = StartPose(arm.axes_deg, arm.told_deg, arm.told_frame, arm.tool_point(), arm.base)
+        self.run = RsiRun(settings, self.arm.description, pose, self.arm.joints_for, self.parameters)
+        self.program_state = ProState.ACTIVE
+        return DONE
+
+    def cancel(self) -> Answer:
+        """End RSI or a motion and deselect the program; the arm comes to rest on its own."""
+        if self.message is not None and self.run is None:
+            return Answer(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
+        if self.motion is not None:
+            self.arm.drives.brake()
+        self._abort_motion("cancelled")
+        self._end_run(ProState.FREE)
+        return DONE
+
+    def select(self) -> Answer:
+        """Select the program without starting it."""
+        if self.run is not None or self.motion is not None or self.message is not None:
+            return Answer(AckCode.REFUSED, f"program is {self.program_state}")
+        self.program_state = ProState.RESET
+        return DONE
+
+    def stop(self, *, fast: bool = False) -> Answer:
+        """Stop the program without cancelling it: the arm brakes, RSI may go on streaming."""
+        self._interrupt("stopped", fast=fast)
+        return DONE
+
+    def acknowledge(self) -> Answer:
+        """Acknowledge the message and reset the program; a question of a running program is confirmed."""
+        if self.cell.emergency_stop or self.cell.guard_matters:
+            return Answer(AckCode.NOT_READY, "emergency stop or guard")
+        if self.message is None and self.run is not None and self.run.awaits_confirmation:
+            self.run.confirm()
+            return DONE
+        self.message = None
+        if self.motion is not None:
+            self.arm.drives.brake()
+        self._abort_motion("program reset")
+        self._end_run(ProState.FREE)
+        return DONE
+
+    def move(self, motion: EkiMotion) -> None:
+        """Begin a motion of the EKI program; `ready` has been asked before."""
+        self.arm.drives.start_cycles(self.cycle_ms / 1000.0)
+        self.motion = motion
+        self.program_state = ProState.ACTIVE
+
+    # -- drives and safety
+
+    def switch_drives(self, on: bool) -> Answer:
+        """Drives on or off; off stops the arm."""
+        if on and self.cell.forbids_drives:
+            return Answer(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
+        if not on:
+            self._interrupt("drives off")
+        self.drives_on = on
+        return DONE
+
+    def press_emergency_stop(self, pressed: bool) -> None:
+        """The button on the pendant. After its release the message is acknowledged."""
+        self.cell.emergency_stop = pressed
+        if pressed:
+            self._stop_with(emergency_stop(self.parameters.emergency_stop_message))
+
+    def open_guard(self, is_open: bool) -> None:
+        """The safety gate; in the automatic modes it stops the arm."""
+        self.cell.guard_open = is_open
+        if self.cell.guard_matters:
+            self._stop_with(guard_opened(self.parameters.guard_message))
+
+    def turn_key(self, mode: OperationMode) -> None:
+        """The key switch; a change stops a running program and switches the drives off."""
+        if mode is not self.cell.mode:
+            self._interrupt(f"mode {mode}")
+            self.drives_on = False
+        self.cell.mode = mode
+
+    def hold_enabling_switch(self, held: bool) -> None:
+        """The switch behind the pendant; letting it go in a test mode stops what runs."""
+        self.cell.enabling_switch = held
+        if self.cell.manual and not held:
+            if self.run is not None or self.motion is not None:
+                self._stop_with(enabling_switch_released(self.parameters.enabling_switch_message))
+            self.drives_on = False
+
+    def hold_start_key(self, held: bool) -> None:
+        """The start key; letting it go in a test mode stops the program."""
+        self.cell.start_key = held
+        if self.cell.manual and not held and (self.run is not None or self.motion is not None):
+            self._interrupt("start key released")
+
+    def collide(self) -> None:
+        """The torque monitor trips: the arm brakes and holds, and says so."""
+        self._stop_with(collision(self.parameters.collision_message))
+
+    def overload(self) -> None:
+        """The brakes close and nobody is told: the program runs on, the axes stop following."""
+        self._overloaded = True
+        self.arm.drives.brake()
+
+    def trip(self, name: str) -> None:
+        """End what runs with one of the messages of `tripped`, as its real cause would."""
+        if self.run is not None or self.motion is not None:
+            self._fail(tripped(name, self.parameters))
+
+    def narrow_corrections(self, within_deg: float | None) -> None:
+        """Clamp the axis corrections of the run so near to where they are now; None takes that back."""
+        if self.run is not None:
+            self.run.narrow_corrections(within_deg)
+
+    def restart(self) -> None:
+        """The program ends without a word; whoever did that starts it again when the arm rests."""
+        self.arm.drives.brake()
+        self._end_run(ProState.FREE)
+
+    def lose_eki(self) -> None:
+        """An EKI client has gone: its interrupt may cancel the RSI program, or nobody notices."""
+        if self.parameters.eki_loss_cancels and self.run is not None:
+            self.cancel()
+
+    # -- override
+
+    def set_override(self, percent: int) -> Answer:
+        """Program override, of the motions of the EKI program and of the next runs' corrections at most."""
+        if not 1 <= percent <= FULL_OVERRIDE:
+            return Answer(AckCode.BAD_VALUE, "override is 1 to 100")
+        self.override_percent = percent
+        return DONE
+
+    def set_tool(self, number: int, frame: Sequence[float]) -> Answer:
+        """Define a $TOOL, X Y Z (mm) A B C (deg) in the flange frame, and use it."""
+        if self.run is not None or self.motion is not None:
+            return Answer(AckCode.REFUSED, "a program is running")
+        self.frames.set_tool(number, frame)
+        return DONE
+
+    def set_base(self, number: int, frame: Sequence[float]) -> Answer:
+        """Define a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT, and use it."""
+        if self.run is not None or self.motion is not None:
+            return Answer(AckCode.REFUSED, "a program is running")
+        self.frames.set_base(number, frame)
+        return DONE
+
+    # -- the cycle
+
+    def finish_cycle(self, reply: Reply | None) -> None:
+        """End a cycle of the running program: take the reply, move the arm, publish."""
+        run = self.run
+        if run is None:
+            return
+        run.finish(reply)
+        if run.over:
+            if run.message is not None:
+                self._fail(run.message)
+            else:
+                self._end_run(ProState.END)
+            self.arm.settle()
+        elif run.held:
+            if self.program_state is ProState.ACTIVE:
+                self._interrupt("STOP object", fast=run.stops_fast)
+            self.arm.settle()
+        elif self._overloaded:
+            self.arm.settle()
+        elif self.cell.manual:
+            before = self.arm.frame
+            self.arm.follow(run.command_deg, heard=reply is not None)
+            self._watch_T1(before)
+        else:
+            self.arm.follow(run.command_deg, heard=reply is not None)
+
+    def settle(self) -> None:
+        """One cycle without RSI: the next point of a motion, or coming to rest."""
+        motion = self.motion
+        if motion is None:
+            self.arm.settle()
+            return
+        command_deg = motion.next_point()
+        if command_deg is not None:
+            before = self.arm.frame
+            self.arm.follow(command_deg, heard=True)
+            self._watch_T1(before)
+            return
+        if motion.message is not None:
+            self._fail(motion.message)
+            return
+        self.arm.settle()
+        if self.arm.drives.at_rest:
+            self.motion = None
+            self.program_state = ProState.END
+            motion.tell(DONE)
+
+    def _watch_T1(self, before: Sequence[float]) -> None:
+        """In T1 the speed of the tool is watched: too fast is a stop, not a slower motion."""
+        if self.cell.mode is not OperationMode.T1:
+            return
+        speed_mm_s = dist(before[:3], self.arm.frame[:3]) / (self.cycle_ms / 1000.0)
+        limit_mm_s = self.parameters.T1_tool_speed_mm_s
+        self._fast_cycles = self._fast_cycles + 1 if speed_mm_s > limit_mm_s else 0
+        if self._fast_cycles >= self.parameters.overspeed_cycles:
+            self._fail(too_fast_for_T1(self.parameters.T1_speed_message, speed_mm_s, limit_mm_s))
+
+    def _fail(self, message: Message) -> None:
+        """The program cannot go on: it ends with a message."""
+        self._show(message)
+        self.arm.drives.brake()
+        self._abort_motion(message.text)
+        self._end_run(ProState.STOP)
+
+    def _stop_with(self, message: Message) -> None:
+        """Somebody stops the arm from outside: the program stands, and may go on streaming."""
+        self._show(message)
+        self._interrupt(message.text)
+
+    def _show(self, message: Message) -> None:
+        self.message = self.message or message  # the first one is what has to be understood
+        if message.drives_off:
+            self.drives_on = False
+
+    def _interrupt(self, reason: str, *, fast: bool = False) -> None:
+        self.arm.drives.brake(fast=fast)
+        if self.motion is not None:
+            self._abort_motion(reason)
+            self.program_state = ProState.STOP if self.message is not None else ProState.END
+        if self.run is None:
+            return
+        if self.parameters.streams_after_stop:
+            self.run.hold()
+            self.program_state = ProState.STOP
+        else:
+            self._end_run(ProState.STOP)
+
+    def _abort_motion(self, reason: str) -> None:
+        motion, self.motion = self.motion, None
+        if motion is not None:
+            motion.tell(Answer(AckCode.ABORTED, reason))
+
+    def _end_run(self, state: ProState) -> None:
+        self.run = None
+        self._overloaded = False
+        self._fast_cycles = 0
+        self.program_state = state

@@ -1,0 +1,327 @@
+"""The controller's loop: cycles in real time or in lock-step, and the EKI channels between them.
+
+One thread does everything, so nothing needs a lock and no other thread takes the interpreter away. Waiting
+is one `select` over the RSI socket and the channels.
+
+Real time: telegram k leaves at t0 + k cycles. Lock-step (a theatre at full speed): the next telegram leaves
+when the reply has come. There, a correction that has not changed for a while paces itself to real time, so
+that an idle world costs nothing, unless somebody waits for theatre time.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import time
+
+from ronna_hw.wire.kuka_eki import RsiState
+from sim.kuka.controller.autostart import Autostart
+from sim.kuka.controller.controller import Controller
+from sim.kuka.controller.message_display import Pendant
+from sim.kuka.eki.project_channel import ProjectChannel
+from sim.kuka.eki.sdk_channel import SdkChannel
+from sim.kuka.eki.server import EkiServer
+from sim.kuka.faults.controller_faults import CellFaults
+from sim.kuka.faults.fault_log import FaultLog
+from sim.kuka.faults.link_faults import LinkFaults
+from sim.kuka.rsi.program_run import RsiRun
+from sim.kuka.rsi.reply_reader import Reply
+from sim.kuka.rsi.rsi_socket import RsiSocket
+from sim.theatre.faults import FaultBoard
+from sim.theatre.world import World
+
+IDLE_WAIT_S = 0.02  # longest wait without looking at the fault script, and whether the process should end
+REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
+LOOK_S = 0.001  # host time between two looks whether somebody waits for theatre time
+SERVE_S = 0.005  # host time between two looks at the EKI channels while lock-step hurries
+UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
+STALE_LIMIT = 256  # datagrams read in one cycle; a flood must not stop the clock
+
+
+class Station:
+    """Runs a controller until `end` is called."""
+
+    def __init__(
+        self,
+        controller: Controller,
+        world: World,
+        client: tuple[str, int],
+        project_server: EkiServer,
+        sdk_server: EkiServer,
+        autostart: Autostart,
+    ) -> None:
+        self._controller = controller
+        self._clock = world.clock
+        self._client = client
+        self._servers = (project_server, sdk_server)
+        log = FaultLog(self._moment)
+        self._takes_second = controller.parameters.second_reply == "taken"
+        self._link = LinkFaults(world.scene.seed, log, takes_second=self._takes_second)
+        board = FaultBoard(world, "robot", self._cycle_number)
+        self._cell = CellFaults(board, controller, self._servers, self._link, log)
+        self._pendant = Pendant(world.clock.now_s)
+        self._project = ProjectChannel(project_server, controller, autostart)
+        self._sdk = SdkChannel(sdk_server, controller, autostart)
+        self._autostart = autostart
+        self._ending = False
+        self._run: RsiRun | None = None
+        self._rsi: RsiSocket | None = None
+        self._foreign: RsiSocket | None = None
+        self._datagram: bytes | None = None
+        self._deadline_s = 0.0
+        self._tick_s = self._served_s = 0.0
+        self._noticed: tuple[RsiState, bool] | None = None
+        self._silent = False
+        self._shared_processor = len(os.sched_getaffinity(0)) == 1  # who stays awake keeps the client from it
+        self._unchanged = 0
+        self._last_command: list[float] = []
+        self.cycles = 0
+
+    def end(self) -> None:
+        """Leave `run` soon; may be called from a signal handler or another thread."""
+        self._ending = True
+
+    def run(self) -> None:
+        """Serve until `end`."""
+        self._autostart.begin()
+        try:
+            while not self._ending:
+                self._cell.poll()
+                self._show()
+                if self._controller.run is not None:
+                    self._cycle(self._controller.run)
+                elif self._rsi is not None or self._controller.moving:
+                    self._leave_run()
+                else:
+                    self._autostart.tick(time.monotonic())
+                    if self._controller.run is None:
+                        self._wait(time.monotonic() + IDLE_WAIT_S)
+        finally:
+            self._clock.end_stream()
+            self._close_rsi()
+            for server in self._servers:
+                server.close()
+
+    # -- one cycle
+
+    def _cycle(self, run: RsiRun) -> None:
+        if run is not self._run:
+            self._enter_run(run)
+        assert self._rsi is not None
+        controller = self._controller
+        cycle_s = run.settings.cycle_ms / 1000.0
+        began_s = time.monotonic()
+        telegram = run.telegram(controller.arm.told_frame, controller.arm.told_deg)
+        answerable = True
+        self._link.begin_cycle(self.cycles + 1)
+        if not run.streams:
+            answerable = False
+        elif self._link.idle:
+            self._rsi.send(telegram)
+        else:
+            answerable = self._send_with_faults(run, telegram)
+        lock_step = not self._clock.paced and not run.settings.context.ethernet.only_send
+        if not lock_step:
+            # An absolute schedule; after a stall of the host it begins anew instead of hurrying.
+            self._deadline_s += cycle_s
+            if self._deadline_s < began_s:
+                self._deadline_s = began_s + cycle_s
+            late_s = (1.0 - controller.parameters.reply_window) * cycle_s
+            reply = self._reply_until(run, self._deadline_s - late_s)
+            self._wait_until(run, self._deadline_s)
+        elif answerable:
+            limit_s = cycle_s if self._silent else REPLY_WAIT_S
+            reply = self._reply_in_lock_step(run, began_s + limit_s)
+            self._silent = reply is None
+        else:
+            reply = self._datagram = None
+        self._cell.poll()  # a fault may have come while the client worked
+        if not self._link.idle:
+            reply = self._link.incoming(self._datagram, run.read)
+        if controller.run is not run:
+            return  # ended by a request while it waited
+        self.cycles += 1
+        controller.finish_cycle(reply)
+        if run.held and not controller.moving:
+            self._autostart.tick(time.monotonic())
+        self._notice_change()
+        if not self._clock.paced:
+            self._clock.advance_cycle(run.settings.cycle_ms * 1_000_000)
+        if lock_step:
+            self._pace(run, began_s + cycle_s)
+
+    def _pace(self, run: RsiRun, next_s: float) -> None:
+        """Lock-step: an unchanged correction slows the world down to real time."""
+        if run.command_deg is not self._last_command:
+            self._last_command = run.command_deg
+            self._unchanged = 0
+        else:
+            self._unchanged += 1
+        idle = self._unchanged >= UNCHANGED_CYCLES and not self._controller.moving
+        now_s = time.monotonic()
+        while idle and now_s < next_s and not self._clock.somebody_waits():
+            self._wait_until(run, min(next_s, now_s + LOOK_S))
+            now_s = time.monotonic()
+            idle = self._controller.run is run and not self._ending
+        self._serve_timers(now_s)
+
+    def _send_with_faults(self, run: RsiRun, telegram: bytes) -> bool:
+        """Send what the faults of the link leave of a telegram; False when the client cannot answer it."""
+        assert self._rsi is not None
+        link = self._link
+        if link.acts("foreign_sender"):
+            self._foreign = self._foreign or RsiSocket(self._client)
+            self._foreign.send(run.with_other_stamp(telegram))
+        if link.acts("short_first") and run.begins:
+            telegram = run.short_telegram()
+        leaving, answerable = link.outgoing(telegram)
+        if leaving is not None:
+            self._rsi.send(leaving)
+        return answerable
+
+    def _cycle_number(self) -> int:
+        """Which telegram leaves next, or left last while none does; counted over all runs."""
+        return self.cycles + (self._controller.run is not None)
+
+    def _moment(self) -> tuple[float, int | None]:
+        """Theatre time, and the time stamp of the telegram that leaves next."""
+        run = self._controller.run
+        return self._clock.now_s(), run.ipoc if run is not None else None
+
+    def _close_rsi(self) -> None:
+        for link in (self._rsi, self._foreign):
+            if link is not None:
+                link.close()
+        self._rsi = self._foreign = self._run = None
+
+    def _enter_run(self, run: RsiRun) -> None:
+        self._close_rsi()
+        self._link.begin_run()
+        self._run = run
+        self._rsi = RsiSocket(self._client)
+        self._deadline_s = time.monotonic()
+        self._silent = False
+        self._unchanged = 0
+        self._last_command = run.command_deg
+
+    def _leave_run(self) -> None:
+        """Without RSI: a motion, or coming to rest, before the pace of time is given back."""
+        if self._rsi is not None:
+            self._close_rsi()
+            self._deadline_s = time.monotonic()
+        cycle_s = self._controller.cycle_ms / 1000.0
+        if self._controller.moving:
+            self._controller.settle()
+            if self._clock.paced:
+                self._deadline_s = max(self._deadline_s + cycle_s, time.monotonic())
+                self._wait(self._deadline_s)
+            else:
+                self._clock.advance_cycle(round(cycle_s * 1e9))
+                self._end_stream_at_rest()  # before anybody is told that the motion is over
+                self._wait_once(0.0, None)  # a motion may be stopped on its way
+        self._end_stream_at_rest()
+        self._notice_change()
+
+    def _end_stream_at_rest(self) -> None:
+        if not self._controller.moving:
+            self._clock.end_stream()
+
+    def _show(self) -> None:
+        run = self._controller.run
+        self._pendant.look(self._controller.message, run.notice if run is not None else "")
+
+    def _notice_change(self) -> None:
+        """Tell a changed state to the channels at once, not when their period is over."""
+        state = (self._controller.rsi_state, self._controller.moving)
+        if state != self._noticed:
+            self._noticed = state
+            self._tick_s = 0.0
+
+    # -- waiting
+
+    def _reply_until(self, run: RsiRun, limit_s: float) -> Reply | None:
+        """The reply of this cycle, or None when it has not come by `limit_s` (host time)."""
+        assert self._rsi is not None
+        budget = STALE_LIMIT
+        self._datagram = found = None
+        while True:
+            # The time is taken before looking: what lies in the socket at the limit has come in time.
+            now_s = time.monotonic()
+            if self._wait_once(max(0.0, limit_s - now_s), self._rsi.socket):
+                while budget:
+                    budget -= 1
+                    data = self._rsi.receive()
+                    if data is None:
+                        break
+                    reply = run.read(data)
+                    if reply is not None:
+                        self._datagram, found = data, reply
+                        if not self._takes_second:
+                            return reply
+            if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
+                return found
+
+    def _reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
+        """As `_reply_until`, waiting on the RSI socket alone; the channels are served now and then."""
+        assert self._rsi is not None
+        budget = STALE_LIMIT
+        self._datagram = None
+        awake = self._unchanged < UNCHANGED_CYCLES and not self._shared_processor
+        while True:
+            data, awake = self._rsi.await_datagram(awake=awake), False
+            now_s = time.monotonic()
+            if now_s - self._served_s > SERVE_S:
+                self._wait_once(0.0, None)
+            if data is not None:
+                budget -= 1
+                reply = run.read(data)
+                if reply is not None:
+                    self._datagram = data
+                    return reply
+            if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
+                return None
+
+    def _wait_until(self, run: RsiRun, moment_s: float) -> None:
+        """Wait, serving the channels; ends early when the run does."""
+        while not self._ending and self._controller.run is run:
+            remaining_s = moment_s - time.monotonic()
+            if remaining_s <= 0.0:
+                return
+            self._wait_once(remaining_s, None)
+
+    def _wait(self, moment_s: float) -> None:
+        run = self._controller.run
+        remaining_s = moment_s - time.monotonic()
+        while remaining_s > 0.0 and not self._ending and self._controller.run is run:
+            self._wait_once(remaining_s, None)
+            remaining_s = moment_s - time.monotonic()
+
+    def _wait_once(self, timeout_s: float, rsi: socket.socket | None) -> bool:
+        """One `select`; serves channels and timers. True when the RSI socket has something."""
+        waiting: list[socket.socket] = [rsi] if rsi is not None else []
+        for server in self._servers:
+            waiting += server.sockets
+        now_s = time.monotonic()
+        timeout_s = min(timeout_s, IDLE_WAIT_S, max(0.0, self._tick_s - now_s))
+        ready, _, _ = select.select(waiting, (), (), timeout_s)
+        heard = False
+        for one in ready:
+            if one is rsi:
+                heard = True
+                continue
+            for server in self._servers:
+                server.serve(one)
+            self._tick_s = 0.0
+        self._served_s = time.monotonic()
+        self._serve_timers(self._served_s)
+        return heard
+
+    def _serve_timers(self, now_s: float) -> None:
+        if now_s < self._tick_s:
+            return
+        for server in self._servers:
+            server.flush()
+        again_s = min(self._project.tick(now_s), self._sdk.tick(now_s))
+        due = [server.due_s for server in self._servers if server.due_s is not None]
+        self._tick_s = min([again_s, *due])

@@ -1,0 +1,39 @@
+"""What the controller shows on its pendant, on standard error: messages by their numbers, and EStr texts."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from sim.kuka.controller.messages import Message
+
+
+class Pendant:
+    """`look` as often as something may be new; `now_s` tells the theatre's time."""
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self._now_s = now_s
+        self._message: Message | None = None
+        self._notice = ""
+
+    def look(self, message: Message | None, notice: str) -> None:
+        """Show a message or a text that is new, and that a message was acknowledged."""
+        if message is not self._message:
+            shown, self._message = self._message, message
+            if message is not None:
+                self._write(f"{_number(message)} {message.text}")
+            elif shown is not None:
+                self._write(f"{_number(shown)} acknowledged")
+        if notice != self._notice:
+            self._notice = notice
+            if notice:
+                self._write(notice)
+
+    def _write(self, what: str) -> None:
+        text = "".join(letter if letter.isprintable() else " " for letter in what)
+        sys.stderr.write(f"pendant at {self._now_s():.3f} s: {text}\n")
+        sys.stderr.flush()
+
+
+def _number(message: Message) -> str:
+    return f"KSS{message.number:05d}"

@@ -1,0 +1,124 @@
+"""What the controller shows on its pendant when it stops: numbers of the maker, words of our own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from sim.kuka.controller_parameters import ControllerParameters
+
+RSI_OBJECT_ERROR = 29002
+RSI_LIMIT_EXCEEDED = 29000
+COMMAND_TORQUE = 1073
+COMMAND_ACCELERATION = 1074
+COMMAND_VELOCITY = 1102
+OVERSPEED = 421
+
+
+class Message(NamedTuple):
+    """An acknowledgement message. `drives_off` when the drives stop, else the arm brakes on its path."""
+
+    number: int
+    text: str
+    drives_off: bool
+
+
+def rsi_timeout(late: int) -> Message:
+    """Too many replies were late."""
+    return Message(
+        RSI_OBJECT_ERROR, f"signal flow: object ETHERNET1 returns error RSITimeout ({late} packets)", False
+    )
+
+
+def rsi_bad(object_name: str) -> Message:
+    """An object was used where it cannot act."""
+    return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
+
+
+def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message:
+    """The total correction left the range that a monitor guards."""
+    return Message(
+        RSI_LIMIT_EXCEEDED, f"{monitor}: {what} out of range, {value:.4f} beyond {limit:.4f}", False
+    )
+
+
+def step_too_large(axis: str, step_deg: float, limit_deg: float) -> Message:
+    """One command was too far from the one before."""
+    return Message(
+        COMMAND_ACCELERATION,
+        f"command acceleration {axis}: step {step_deg:.4f} deg, at most {limit_deg:.4f}",
+        True,
+    )
+
+
+def too_much_acceleration(axis: str, acceleration_deg_s2: float, limit_deg_s2: float) -> Message:
+    """The command gained or lost speed faster than the axis can, for longer than one cycle."""
+    return Message(
+        COMMAND_ACCELERATION,
+        f"command acceleration {axis}: {acceleration_deg_s2:.0f} deg/s2, at most {limit_deg_s2:.0f}",
+        True,
+    )
+
+
+def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
+    """The command moved faster than the axis can."""
+    return Message(
+        COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
+    )
+
+
+def too_fast_for_T1(number: int, speed_mm_s: float, limit_mm_s: float) -> Message:
+    """The tool moved faster than the test mode allows."""
+    return Message(number, f"T1: tool speed {speed_mm_s:.0f} mm/s, at most {limit_mm_s:.0f}", True)
+
+
+def end_switch(number: int, axis: str, angle_deg: float) -> Message:
+    """The command would pass a software end switch."""
+    sign = "+" if angle_deg > 0 else "-"
+    return Message(number, f"software end switch {sign}{axis} at {angle_deg:.4f} deg", False)
+
+
+def near_singularity() -> Message:
+    """A Cartesian correction or path leads where the joints cannot follow."""
+    return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
+
+
+def emergency_stop(number: int) -> Message:
+    """The emergency stop was pressed; it is acknowledged after its release."""
+    return Message(number, "emergency stop", True)
+
+
+def guard_opened(number: int) -> Message:
+    """The safety gate was opened in an automatic mode; it is acknowledged when closed again."""
+    return Message(number, "operator safety: guard open", True)
+
+
+def enabling_switch_released(number: int) -> Message:
+    """The enabling switch was let go in a test mode while a program ran."""
+    return Message(number, "enabling switch released", True)
+
+
+def collision(number: int) -> Message:
+    """The torque monitor saw more than the model explains."""
+    return Message(number, "collision detected: torque beyond the monitored range", True)
+
+
+# What ends a run, by the names that a fault script gives it; the axis is the first.
+TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
+    "timeout": lambda _: Message(
+        RSI_OBJECT_ERROR, "signal flow: object ETHERNET1 returns error RSITimeout", False
+    ),
+    "rsi_bad": lambda _: rsi_bad("AXISCORR1"),
+    "monitor": lambda _: Message(RSI_LIMIT_EXCEEDED, "AXISCORRMON: A1 out of range", False),
+    "torque": lambda _: Message(COMMAND_TORQUE, "command gear torque A1", True),
+    "acceleration": lambda _: Message(COMMAND_ACCELERATION, "command acceleration A1", True),
+    "velocity": lambda _: Message(COMMAND_VELOCITY, "command velocity A1", True),
+    "overspeed": lambda _: Message(OVERSPEED, "overspeed A1", True),
+    "end_switch": lambda parameters: Message(parameters.end_switch_message, "software end switch +A1", False),
+    "singularity": lambda _: near_singularity(),
+}
+
+
+def tripped(name: str, parameters: ControllerParameters) -> Message:
+    """The message of a cause that a fault orders."""
+    return TRIPS[name](parameters)

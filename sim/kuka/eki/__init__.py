@@ -1,0 +1,1 @@
+"""EKI channels over TCP: the project's own and the C++ SDK's."""

@@ -1,0 +1,144 @@
+"""One motion of the EKI program: PTP_AXIS, PTP_POS or LIN, as a command for each cycle.
+
+The interpolator of the controller knows the nominal arm only; the true arm follows its encoders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.kuka.arm.joint_chain import rotation_vector
+from sim.kuka.arm.robot_description import Description
+from sim.kuka.controller.messages import Message, end_switch, near_singularity, too_fast
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.eki.acknowledgement import Answer
+from sim.theatre.rigid import rotation_from_vector
+
+Matrix = NDArray[np.float64]
+Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]
+
+
+@dataclass
+class EkiMotion:
+    """A motion under way. `tell` is called once, with how it ended."""
+
+    points: Iterator[list[float] | Message]
+    tell: Callable[[Answer], None]
+    message: Message | None = field(default=None, init=False)
+
+    def next_point(self) -> list[float] | None:
+        """Axes (deg) for the next cycle; None at the end, with `message` when it ended on the way."""
+        point = next(self.points, None)
+        if isinstance(point, Message):
+            self.message = point
+            return None
+        return point
+
+
+def shares(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterator[float]:
+    """Way from 0 to 1 with constant acceleration, speed, and deceleration, cycle by cycle; the last is 1."""
+    speed = min(speed_1_s, acceleration_1_s2**0.5)  # the way may be too short to reach the speed
+    ramp_s = speed / acceleration_1_s2
+    cruise_s = 1.0 / speed - ramp_s
+    total_s = 2.0 * ramp_s + cruise_s
+    for number in range(1, max(1, round(total_s / cycle_s))):
+        time_s = number * cycle_s
+        left_s = total_s - time_s
+        if time_s < ramp_s:
+            yield acceleration_1_s2 * time_s**2 / 2.0
+        elif left_s > ramp_s:
+            yield speed * (time_s - ramp_s / 2.0)
+        else:
+            yield 1.0 - acceleration_1_s2 * max(0.0, left_s) ** 2 / 2.0
+    yield 1.0
+
+
+def point_to_point(
+    arm: Description,
+    start_deg: Sequence[float],
+    goal_deg: Sequence[float],
+    speed_share: float,
+    acceleration_share: float,
+    cycle_s: float,
+    fastest_1_s: float = inf,
+) -> Iterator[list[float] | Message]:
+    """All axes begin and end together; the slowest sets the pace. Shares are of the axis limits.
+
+    `fastest_1_s` is how often per second the whole way may be gone at most.
+    """
+    ways = [goal - start for goal, start in zip(goal_deg, start_deg, strict=True)]
+    speeds, accelerations = [], []
+    for way, joint in zip(ways, arm.joints, strict=True):
+        if way:
+            speeds.append(joint.full_speed_deg_s * speed_share / abs(way))
+            accelerations.append(joint.acceleration_deg_s2 * acceleration_share / abs(way))
+    if not speeds:
+        return
+    for share in shares(min(fastest_1_s, *speeds), min(accelerations), cycle_s):
+        if share == 1.0:
+            yield list(goal_deg)
+        else:
+            yield [start + share * way for start, way in zip(start_deg, ways, strict=True)]
+
+
+def line(
+    arm: Description,
+    start: Matrix,
+    goal: Matrix,
+    start_deg: Sequence[float],
+    inverse: Inverse,
+    speed_mm_s: float,
+    parameters: ControllerParameters,
+    cycle_s: float,
+) -> Iterator[list[float] | Message]:
+    """The tool centre point on a straight line, (4, 4) in $ROBROOT, turning evenly about one axis."""
+    turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
+    length_mm = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
+    angle_rad = float(np.linalg.norm(turn))
+    acceleration_mm_s2 = parameters.line_acceleration_mm_s2
+    speeds, accelerations = [], []
+    if length_mm:
+        speeds.append(speed_mm_s / length_mm)
+        accelerations.append(acceleration_mm_s2 / length_mm)
+    if angle_rad:
+        speeds.append(parameters.line_turn_rad_s / angle_rad)
+        # The turn gains its speed in as long a time as the way does.
+        accelerations.append(parameters.line_turn_rad_s * acceleration_mm_s2 / speed_mm_s / angle_rad)
+    if not speeds:
+        return
+    before = list(start_deg)
+    for share in shares(min(speeds), min(accelerations), cycle_s):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
+        pose[:3, 3] = start[:3, 3] + share * (goal[:3, 3] - start[:3, 3])
+        axes = inverse(pose, before)
+        if axes is None:
+            yield near_singularity()
+            return
+        mistake = _judge(arm, axes, before, parameters, cycle_s)
+        if mistake is not None:
+            yield mistake
+            return
+        before = axes
+        yield axes
+
+
+def _judge(
+    arm: Description,
+    axes_deg: list[float],
+    before_deg: list[float],
+    parameters: ControllerParameters,
+    cycle_s: float,
+) -> Message | None:
+    for joint, now, before in zip(arm.joints, axes_deg, before_deg, strict=True):
+        if not joint.lower_deg <= now <= joint.upper_deg:
+            return end_switch(parameters.end_switch_message, joint.name, now)
+        speed = (now - before) / cycle_s
+        if abs(speed) > joint.full_speed_deg_s:
+            return too_fast(joint.name, speed, joint.full_speed_deg_s)
+    return None

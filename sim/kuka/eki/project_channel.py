@@ -1,0 +1,197 @@
+"""The project's EKI channel: commands, acknowledgements, and the state that is told unasked."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from math import inf
+from xml.etree import ElementTree
+
+from ronna_hw.wire.kuka_eki import (
+    ACK,
+    AXIS,
+    AXIS_ATTRIBUTES,
+    CMD,
+    POS,
+    POS_ATTRIBUTES,
+    STATE,
+    STATE_PERIOD_MS,
+    AckCode,
+    CommandName,
+    Correction,
+    Reference,
+    StateAttribute,
+    StopRequest,
+)
+from sim.kuka.arm.orientation import status_and_turn
+from sim.kuka.controller.autostart import Autostart
+from sim.kuka.controller.controller import Controller
+from sim.kuka.eki.acknowledgement import Answer
+from sim.kuka.eki.attributes import flag, frame, text, whole
+from sim.kuka.eki.move_commands import EkiMoves
+from sim.kuka.eki.server import EkiServer
+
+MOTIONS = (CommandName.PTP_AXIS, CommandName.PTP_POS, CommandName.LIN)
+UNASKED = "0"  # Id of a State that nobody asked for
+CYCLES_MS = (4, 12)
+LAST_TOOL, LAST_BASE = 16, 32
+
+
+class ProjectChannel:
+    """Answers one client. Losing it ends nothing but the conversation."""
+
+    def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
+        self._server = server
+        self._controller = controller
+        self._autostart = autostart
+        self._next_state_s = 0.0
+        self._told: tuple[str, ...] = ()
+        self._motion_name = self._motion_id = ""
+        moves = EkiMoves(controller, self._motion_ended)
+        self._handlers: dict[str, Callable[[Mapping[str, str]], Answer]] = {
+            CommandName.RSI_START: self._rsi_start,
+            CommandName.RSI_STOP: self._rsi_stop,
+            CommandName.DRIVES: self._drives,
+            CommandName.SET_OV: self._set_override,
+            CommandName.SET_TOOL: self._set_tool,
+            CommandName.SET_BASE: self._set_base,
+            CommandName.STOP: self._stop,
+            CommandName.ACK_ERRORS: lambda _: controller.acknowledge(),
+            CommandName.SELECT: lambda _: controller.select(),
+            CommandName.CANCEL: self._rsi_stop,
+            CommandName.PTP_AXIS: moves.ptp_axis,
+            CommandName.PTP_POS: moves.ptp_pos,
+            CommandName.LIN: moves.lin,
+        }
+        server.attach(self)
+
+    def opened(self) -> None:
+        """A client has come; it is told the state at once."""
+        self._told = ()
+        self.tick(time.monotonic())
+
+    def closed(self) -> None:
+        """The client has gone; whether that ends a running program is a parameter."""
+        self._autostart.arm()
+        self._controller.lose_eki()
+
+    def request(self, element: ElementTree.Element) -> None:
+        """Answer one command; anything else is skipped."""
+        if element.tag != CMD:
+            return
+        identifier, name = element.get("Id", UNASKED), element.get("Name", "")
+        if name == CommandName.STATUS:
+            self._server.send(self._state(identifier))
+            return
+        handler = self._handlers.get(name)
+        try:
+            answer = (
+                handler(element.attrib)
+                if handler is not None
+                else Answer(AckCode.BAD_VALUE, f"unknown command {name}")
+            )
+        except ValueError as mistake:
+            answer = Answer(AckCode.BAD_VALUE, str(mistake))
+        if name in MOTIONS and answer.code is AckCode.OK:
+            self._motion_name, self._motion_id = name, identifier
+        self._acknowledge(identifier, name, answer)
+        self.tick(time.monotonic())
+
+    def _motion_ended(self, answer: Answer) -> None:
+        """A motion is answered twice: when it was accepted, and when it is done or aborted."""
+        self._acknowledge(self._motion_id, self._motion_name, answer)
+
+    def _acknowledge(self, identifier: str, name: str, answer: Answer) -> None:
+        self._server.send(
+            f'<{ACK} Id="{self._text(identifier)}" Cmd="{self._text(name)}" Code="{answer.code.value}"'
+            f' Text="{self._text(answer.text)}"></{ACK}>'
+        )
+
+    def tick(self, now_s: float) -> float:
+        """Tell the state when it has changed or its period is over; returns when to be called again."""
+        if not self._server.connected:
+            return inf
+        facts = self._facts()
+        if facts != self._told or now_s >= self._next_state_s:
+            self._told = facts
+            self._next_state_s = now_s + STATE_PERIOD_MS / 1000.0
+            self._server.send(self._state(UNASKED))
+        return self._next_state_s
+
+    # -- state
+
+    def _facts(self) -> tuple[str, ...]:
+        controller = self._controller
+        return (
+            controller.cell.mode.value,
+            str(int(controller.drives_on)),
+            str(int(controller.cell.emergency_stop)),
+            str(int(controller.cell.guard_open)),
+            controller.program_state.value,
+            str(int(controller.moving)),
+            str(controller.override_percent),
+            str(controller.message.number if controller.message else 0),
+            str(controller.rsi_state.value),
+            str(controller.mounted_tool()),
+            str(controller.frames.base_number),
+            str(int(controller.message is not None)),
+            (Reference.RELATIVE if controller.relative else Reference.ABSOLUTE).value,
+            str(int(controller.holds_corrections)),
+            str(controller.cycle_ms),
+            controller.context_hash,
+            controller.arm.description.variant,
+        )
+
+    def _state(self, identifier: str) -> str:
+        values = (self._text(identifier), *self._facts())
+        head = " ".join(f'{name}="{value}"' for name, value in zip(StateAttribute, values, strict=True))
+        arm = self._controller.arm
+        axes = " ".join(
+            f'{name}="{angle:.4f}"' for name, angle in zip(AXIS_ATTRIBUTES, arm.told_deg, strict=True)
+        )
+        status, turn = status_and_turn(arm.description, arm.told_deg)
+        status ^= self._controller.parameters.inverted_status
+        places = (*(f"{value:.4f}" for value in arm.told_frame), str(status), str(turn))
+        position = " ".join(f'{name}="{value}"' for name, value in zip(POS_ATTRIBUTES, places, strict=True))
+        return f"<{STATE} {head}><{AXIS} {axes}></{AXIS}><{POS} {position}></{POS}></{STATE}>"
+
+    def _text(self, content: str) -> str:
+        return text(content, self._controller.parameters.longest_text)
+
+    # -- commands
+
+    def _rsi_start(self, given: Mapping[str, str]) -> Answer:
+        cycle_ms = whole(given, "Cycle") if "Cycle" in given else None
+        if cycle_ms is not None and cycle_ms not in CYCLES_MS:
+            raise ValueError("Cycle is 4 or 12")
+        relative = Reference(given["Ref"]) is Reference.RELATIVE if "Ref" in given else None
+        correction = Correction(given["Corr"]).value if "Corr" in given else None
+        self._autostart.give_way()
+        return self._controller.start(cycle_ms, relative, correction)
+
+    def _rsi_stop(self, _: Mapping[str, str]) -> Answer:
+        self._autostart.disarm()
+        return self._controller.cancel()
+
+    def _drives(self, given: Mapping[str, str]) -> Answer:
+        return self._controller.switch_drives(flag(given, "On"))
+
+    def _stop(self, given: Mapping[str, str]) -> Answer:
+        kind = StopRequest(given.get("Kind", StopRequest.PATH))
+        self._autostart.disarm()
+        return self._controller.stop(fast=kind is StopRequest.FAST)
+
+    def _set_override(self, given: Mapping[str, str]) -> Answer:
+        return self._controller.set_override(whole(given, "Val"))
+
+    def _set_tool(self, given: Mapping[str, str]) -> Answer:
+        number = whole(given, "No")
+        if not 1 <= number <= LAST_TOOL:
+            raise ValueError(f"No is 1 to {LAST_TOOL}")
+        return self._controller.set_tool(number, frame(given))
+
+    def _set_base(self, given: Mapping[str, str]) -> Answer:
+        number = whole(given, "No")
+        if not 1 <= number <= LAST_BASE:
+            raise ValueError(f"No is 1 to {LAST_BASE}")
+        return self._controller.set_base(number, frame(given))

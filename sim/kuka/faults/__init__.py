@@ -1,0 +1,1 @@
+"""Injected faults of controller, arm and links."""

@@ -1,0 +1,152 @@
+"""Faults of the RSI link: what becomes of a telegram on its way out, and of a reply on its way in.
+
+Counted in cycles, so that in lock-step, too, a reply is dropped or late by the controller's own time. Chances
+are drawn by cycle number and not one after another: the same cycles are met whatever was met before.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from sim.kuka.faults.fault_log import FaultLog
+from sim.kuka.rsi.reply_reader import Reply
+from sim.theatre.faults import Fault
+from sim.theatre.noise import noise
+
+PERCENT = 100.0
+STAMP = re.compile(rb"(?<=<IPOC>)\d+(?=</IPOC>)")
+STAMP_ELEMENT = re.compile(rb"<IPOC>[^<]*</IPOC>")
+TYPE = re.compile(rb'(?<=<Sen Type=")[^"]*(?=")')
+NUMBER = re.compile(rb'(?<==")[-+.\deE]+(?=")|(?<=>)[-+.\deE]+(?=</(?!IPOC))')
+STRANGE_TYPE = b"Stranger"
+NO_NUMBERS = (b"nan", b"inf", b"one")
+WRONG_BY = 1  # ms: no cycle ever has such a time stamp
+FUTURE_BY = 12  # ms: a later cycle has it, of 4 ms or of 12
+NOT_TEXT = 0xFF  # a byte that no XML holds: what it hits is no telegram and no reply any more
+
+
+class LinkFaults:
+    """One per controller. `begin_cycle` tells which faults act; then the telegram, then the reply."""
+
+    def __init__(self, seed: int, log: FaultLog, *, takes_second: bool = False) -> None:
+        """`takes_second`: of two replies to the same telegram the second counts."""
+        self._takes_second = takes_second
+        self._stamp: bytes | None = None  # that all replies carry while a fault holds it
+        self._seed = seed
+        self._log = log
+        self._cycle = 0
+        self._acting: dict[str, list[Fault]] = {}
+        self._under_way: list[tuple[int, bytes]] = []  # cycle of arrival, datagram
+
+    @property
+    def idle(self) -> bool:
+        """True while nothing acts and nothing is under way."""
+        return not self._acting and not self._under_way
+
+    def look(self, acting: tuple[Fault, ...]) -> None:
+        """Take over which faults act now."""
+        self._acting = {}
+        for fault in acting:
+            self._acting.setdefault(fault.kind.name, []).append(fault)
+        if not self.acts("constant_ipoc"):
+            self._stamp = None
+
+    def begin_cycle(self, cycle: int) -> None:
+        """Say which cycle begins."""
+        self._cycle = cycle
+
+    def begin_run(self) -> None:
+        """Forget what was under way to the run before."""
+        self._under_way.clear()
+
+    def acts(self, kind: str) -> bool:
+        """True while a lasting fault of that kind acts."""
+        return kind in self._acting
+
+    def outgoing(self, telegram: bytes) -> tuple[bytes | None, bool]:
+        """What leaves, None when nothing does; and whether the client can answer it."""
+        if self.acts("network_cut") or self._meets("lose_telegrams"):
+            return None, False
+        if self._meets("corrupt_telegrams"):
+            return self._broken(telegram, "corrupt_telegrams"), False
+        return telegram, True
+
+    def incoming(self, datagram: bytes | None, read: Callable[[bytes], Reply | None]) -> Reply | None:
+        """The reply that this cycle gets, when the client has sent `datagram`."""
+        now = [data for arrival, data in self._under_way if arrival <= self._cycle]
+        self._under_way = [item for item in self._under_way if item[0] > self._cycle]
+        if datagram is not None:
+            now = self._on_the_way(datagram, now)
+        if self.acts("network_cut"):
+            return None
+        replies = [reply for reply in map(read, now) if reply is not None]
+        if not replies:
+            return None
+        return replies[-1] if self._takes_second else replies[0]
+
+    def _on_the_way(self, datagram: bytes, before: list[bytes]) -> list[bytes]:
+        if self._meets("drop"):
+            return before
+        if self._meets("corrupt_replies"):
+            datagram = self._broken(datagram, "corrupt_replies")
+        datagram = self._altered(datagram)
+        copies = [datagram, datagram] if self._meets("duplicate_replies") else [datagram]
+        delay_cycles = max(
+            (int(fault.argument) for fault in self._acting.get("delay_replies", ())), default=0
+        )
+        if delay_cycles:
+            self._log.hit("delay_replies")
+            self._under_way += [(self._cycle + delay_cycles, copy) for copy in copies]
+            return before
+        if self._meets("reorder_replies"):
+            self._under_way += [(self._cycle + 1, copy) for copy in copies]
+            return before
+        # What was overtaken comes after what has overtaken it.
+        return [*copies, *before]
+
+    def _altered(self, datagram: bytes) -> bytes:
+        """A reply that is XML still, and yet none."""
+        if self._meets("wrong_ipoc"):
+            datagram = _restamped(datagram, WRONG_BY)
+        if self._meets("future_ipoc"):
+            datagram = _restamped(datagram, FUTURE_BY)
+        if self.acts("constant_ipoc"):
+            found = STAMP.search(datagram)
+            self._stamp = self._stamp or (found[0] if found else b"0")
+            datagram = STAMP.sub(self._stamp, datagram)
+            self._log.hit("constant_ipoc")
+        if self._meets("missing_ipoc"):
+            datagram = STAMP_ELEMENT.sub(b"", datagram)
+        if self._meets("wrong_type"):
+            datagram = TYPE.sub(STRANGE_TYPE, datagram)
+        if self._meets("bad_number"):
+            chance = self._chance("bad_number")
+            chance.random()  # the number that decided that it is met
+            datagram = NUMBER.sub(NO_NUMBERS[int(chance.integers(0, len(NO_NUMBERS)))], datagram, count=1)
+        return datagram
+
+    def _meets(self, kind: str) -> bool:
+        shares = [float(fault.argument) for fault in self._acting.get(kind, ())]
+        if not shares or self._chance(kind).random() * PERCENT >= max(shares):
+            return False
+        self._log.hit(kind)
+        return True
+
+    def _broken(self, data: bytes, kind: str) -> bytes:
+        """Cut short, or with one byte that cannot be."""
+        chance = self._chance(kind)
+        chance.random()  # the number that decided that it is met
+        place = int(chance.integers(0, len(data)))
+        if chance.random() < 0.5:
+            return data[:place]
+        return data[:place] + bytes([NOT_TEXT]) + data[place + 1 :]
+
+    def _chance(self, kind: str) -> np.random.Generator:
+        return noise(self._seed, f"robot {kind}", self._cycle)
+
+
+def _restamped(datagram: bytes, by_ms: int) -> bytes:
+    return STAMP.sub(lambda stamp: b"%d" % (int(stamp[0]) + by_ms), datagram)

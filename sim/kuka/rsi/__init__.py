@@ -1,0 +1,1 @@
+"""RSI over UDP: telegrams, replies, signal flow, corrections."""

@@ -1,0 +1,274 @@
+"""One run of the RSI program, from RSI_ON to RSI_OFF: telegram out, reply in, command for the drives.
+
+No sockets and no clock here: the caller sends what `telegram` returns, hands every datagram to `read`, and
+ends each cycle with `finish`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.wire.kuka_context import RsiContext
+from ronna_hw.wire.kuka_eki import RsiState
+from sim.kuka.arm.robot_description import Description
+from sim.kuka.controller.drive_supervision import Supervision
+from sim.kuka.controller.messages import Message, rsi_bad, rsi_timeout
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.rsi.axis_correction import ACTIVE_BIT, AxisCorrector
+from sim.kuka.rsi.position_correction import PositionCorrector
+from sim.kuka.rsi.reply_reader import Reply, ReplyReader
+from sim.kuka.rsi.signal_flow import EthernetOutputs, SignalFlow, inputs_of
+from sim.kuka.rsi.telegram_writer import TelegramWriter
+
+Matrix = NDArray[np.float64]
+
+IPOC_OF_RUN = 2_654_435_761  # steps through the range unevenly: a new run may begin higher or lower
+EXIT_MOVE_CORR = "ExitMoveCorr"
+INFO_MESSAGE = "InfoMessage"
+PATH_FAST = "PathFast"
+
+
+def first_ipoc(run_number: int, cycle_ms: int, parameters: ControllerParameters) -> int:
+    """Time stamp of the first telegram of a run, which are counted from 1; a multiple of the cycle."""
+    stamp = (parameters.ipoc_start + (run_number - 1) * IPOC_OF_RUN) % (1 << parameters.ipoc_bits)
+    return stamp - stamp % cycle_ms
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """How a run was asked for."""
+
+    context: RsiContext
+    cycle_ms: int
+    relative: bool
+    number: int
+    counts_from_first_reply: bool  # an autostarted program waits for its first client
+    needs_confirmation: bool = False  # in T1 and T2 somebody confirms that corrections become active
+    correction_share: float = 1.0  # of what is sent, where the override scales it
+
+
+@dataclass(frozen=True)
+class StartPose:
+    """Where the arm is at RSI_ON: axes (deg), what is told of it, and TCP and BASE in $ROBROOT."""
+
+    axes_deg: list[float]
+    told_deg: Sequence[float]
+    told_frame: Sequence[float]  # X Y Z (mm) A B C (deg) in BASE
+    tool_point: Matrix
+    base: Matrix
+
+
+class RsiRun:
+    """The state of one run. When it is `over`, `message` says why; None when the client asked for it."""
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        arm: Description,
+        start: StartPose,
+        inverse: Callable[[Matrix, Sequence[float]], list[float] | None],
+        parameters: ControllerParameters,
+    ) -> None:
+        context = settings.context
+        self.settings = settings
+        self.state = RsiState.ON
+        self.ipoc = first_ipoc(settings.number, settings.cycle_ms, parameters)
+        self._ipoc_range = 1 << parameters.ipoc_bits
+        self.late = 0
+        self.over = False
+        self.message: Message | None = None
+        self.notice = ""  # last EStr
+        self._heard_once = self._told_once = self._held = False
+        self._confirmed = not settings.needs_confirmation
+        self._late_in_a_row = 0
+        self._counting = not settings.counts_from_first_reply and not context.ethernet.only_send
+        self._cycles = 0
+        self._parameters = parameters
+        self._acts_early = parameters.corrections_act == "rsi_on"
+        behind = parameters.delay_lag_cycles + 1
+        self._delays = deque([0] * behind, maxlen=behind)  # what D tells now and is still to tell
+        self._timeout = context.ethernet.timeout_packets
+        self._stop_mode = context.stop.mode if context.stop is not None else EXIT_MOVE_CORR
+        self._writer = TelegramWriter(
+            context.send, context.ethernet.precision, start.told_deg, start.told_frame, context.feedback
+        )
+        self._reader = ReplyReader(context.receive, context.ethernet.sentype, parameters)
+        self._outputs = EthernetOutputs(context, parameters.missing_element)
+        inputs = inputs_of(context)
+        self._supervision = Supervision(
+            arm, settings.cycle_ms / 1000.0, parameters, cartesian=inputs.frame is not None
+        )
+        relative = settings.relative
+        self._flow = SignalFlow(
+            inputs,
+            start.axes_deg,
+            lambda: AxisCorrector(
+                arm, start.axes_deg, context.axis_correction, context.axis_monitor, relative=relative
+            ),
+            lambda: PositionCorrector(
+                start.tool_point,
+                start.base[:3, :3],
+                start.axes_deg,
+                inverse,
+                context.position_correction,
+                context.position_monitor,
+                relative=relative,
+            ),
+            relative=relative,
+            share=settings.correction_share,
+        )
+
+    @property
+    def command_deg(self) -> list[float]:
+        """The commanded axes; the same object while nothing changes."""
+        return self._flow.command_deg
+
+    @property
+    def correction_stats(self) -> tuple[int, int]:
+        """Stat outputs of AXISCORR and POSCORR: whether they act, and which limits clamp."""
+        axis, position = self._flow.stats
+        if not self._parameters.stat_tells_limits:
+            return axis & ACTIVE_BIT, position & ACTIVE_BIT
+        return axis, position
+
+    @property
+    def heard(self) -> bool:
+        """True when a client has answered at least once."""
+        return self._heard_once
+
+    def telegram(self, frame: Sequence[float], axes_deg: Sequence[float]) -> bytes:
+        """The telegram of this cycle."""
+        return self._writer.write(frame, axes_deg, self._delays[0], self.ipoc, self.correction_stats)
+
+    @property
+    def begins(self) -> bool:
+        """True before the cycle of the first telegram has ended."""
+        return not self._told_once
+
+    @property
+    def streams(self) -> bool:
+        """True when telegrams leave; a program may begin with that late."""
+        return self._told_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
+
+    def short_telegram(self) -> bytes:
+        """A nearly empty telegram, as the first one of an RSI before 3.0."""
+        return f'<Rob Type="KUKA"><IPOC>{self.ipoc}</IPOC></Rob>'.encode("ascii")
+
+    def with_other_stamp(self, telegram: bytes) -> bytes:
+        """The telegram as the controller of another arm might write it."""
+        other = (self.ipoc + self._ipoc_range // 2) % self._ipoc_range
+        return telegram.replace(f">{self.ipoc}<".encode("ascii"), f">{other}<".encode("ascii"))
+
+    def read(self, data: bytes) -> Reply | None:
+        """A reply that belongs to this cycle, or None: broken, foreign, or of another cycle."""
+        reply = self._reader.read(data)
+        return reply if reply is not None and reply.ipoc == self.ipoc else None
+
+    def finish(self, reply: Reply | None) -> None:
+        """End the cycle with the reply that came, or without one; sets `over` when the run ends."""
+        self._cycles += 1
+        if not self._told_once and not self.streams:
+            self._enter_movecorr()
+            return
+        self._told_once = True
+        self.ipoc = (self.ipoc + self.settings.cycle_ms) % self._ipoc_range
+        if self.settings.context.ethernet.only_send:
+            reply = None
+        elif reply is None:
+            if self._count_late():
+                self._end(rsi_timeout(self.late))
+                return
+        else:
+            self._late_in_a_row = 0
+            self._counting = self._heard_once = True
+            if reply.message:
+                self.notice = reply.message
+        self._delays.append(self._delay())
+        values = self._outputs.take(reply.values if reply is not None else None)
+        if self._flow.stop_rises(values) and not self._stop_asked():
+            return
+        acts = self.state is RsiState.MOVECORR
+        if acts or (self._acts_early and not self._held):
+            self._correct(values, heard=reply is not None)
+        if not acts:
+            self._enter_movecorr()
+
+    def hold(self) -> None:
+        """The program is stopped but not cancelled: it keeps streaming, corrections act no more."""
+        self._held = True
+        self.state = RsiState.ON
+
+    def narrow_corrections(self, within_deg: float | None) -> None:
+        """Clamp the axis corrections so near to where they are now; None takes that back."""
+        self._flow.narrow(within_deg)
+
+    @property
+    def awaits_confirmation(self) -> bool:
+        """True while nobody has confirmed that corrections become active."""
+        return not self._confirmed and self._cycles >= self._parameters.movecorr_after_cycles
+
+    def confirm(self) -> None:
+        """Corrections may become active."""
+        self._confirmed = True
+
+    @property
+    def stops_fast(self) -> bool:
+        """Whether the STOP object brakes with the ramps of a fast stop."""
+        return self._stop_mode == PATH_FAST
+
+    @property
+    def held(self) -> bool:
+        """True after `hold`."""
+        return self._held
+
+    def _enter_movecorr(self) -> None:
+        waited = self._cycles >= self._parameters.movecorr_after_cycles
+        if waited and self._confirmed and not self._held:
+            self.state = RsiState.MOVECORR
+
+    def _delay(self) -> int:
+        if self._parameters.delay_tells == "total":
+            return self.late
+        return self._late_in_a_row if self._parameters.delay_tells == "in_a_row" else 0
+
+    def _correct(self, values: list[float], *, heard: bool) -> None:
+        before = self._flow.command_deg
+        message = self._flow.correct(values)
+        if message is None:
+            if self._parameters.at_end_switch == "clamp":
+                self._flow.command_deg = self._supervision.within_range(self._flow.command_deg)
+            message = self._supervision.judge(self._flow.command_deg, before, heard=heard)
+        if message is not None:
+            self._flow.command_deg = before
+            self._end(message)
+
+    def _stop_asked(self) -> bool:
+        """A rising edge at STOP; True when the run goes on."""
+        if self._stop_mode == INFO_MESSAGE:
+            self.notice = "STOP1: a stop was asked for"
+            return True
+        if self._stop_mode != EXIT_MOVE_CORR:
+            self.hold()
+            return True
+        if self.state is not RsiState.MOVECORR:
+            self._end(rsi_bad("STOP1"))
+        else:
+            self._end(None)
+        return False
+
+    def _count_late(self) -> bool:
+        if not self._counting:
+            return False
+        self.late += 1
+        self._late_in_a_row += 1
+        consecutive = self._parameters.timeout_counting == "consecutive"
+        return (self._late_in_a_row if consecutive else self.late) >= self._timeout
+
+    def _end(self, message: Message | None) -> None:
+        self.over = True
+        self.message = message

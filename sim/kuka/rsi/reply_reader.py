@@ -1,0 +1,175 @@
+"""Reads the client's reply, `<Sen Type="...">...`, leniently in form and strictly in content.
+
+Any order, unknown or missing elements, blanks and line ends are fine. A wrong root or Type, no IPOC, a
+number that is none, broken XML or a document type make it no reply at all.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from math import isfinite
+from typing import NamedTuple
+from xml.parsers import expat
+
+from ronna_hw.wire.kuka_context import FREE_TAG, INTERNAL, ReceiveElement
+from sim.kuka.controller_parameters import ControllerParameters
+
+LONGEST_REPLY = 16384  # bytes; the longest configuration of 64 channels stays far below
+KEYWORD_PREFIX = "DEF_"
+
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
+_PLAIN_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
+_STAMP = re.compile(r"\d{1,20}")
+_DIGIT_ATTRIBUTE = re.compile(rb"(\s)(\d[\w.-]*\s*=)")
+
+
+class Reply(NamedTuple):
+    """A reply: its time stamp, and per receive element a number, or None where it said nothing."""
+
+    ipoc: int
+    values: Sequence[float | None]
+    message: str = ""  # EStr, shown on the pendant
+
+
+class ReplyReader:
+    """Reads replies of one configuration. Text channels (STRING) carry no meaning here and count as 0."""
+
+    def __init__(
+        self, elements: Sequence[ReceiveElement], sentype: str, parameters: ControllerParameters | None = None
+    ) -> None:
+        parameters = parameters or ControllerParameters()
+        self._number = _NUMBER if parameters.reads_exponents else _PLAIN_NUMBER
+        self._spoils = parameters.bad_number == "no_reply"
+        self._sentype = sentype
+        self._count = len(elements)
+        self._places: dict[tuple[str, str], int] = {}
+        self._digits_in_names = False
+        for number, element in enumerate(elements):
+            if element.indx == INTERNAL or element.tag == FREE_TAG or element.type == "STRING":
+                continue
+            name, _, attribute = element.tag.partition(".")
+            self._places[name, attribute] = number
+            self._digits_in_names |= attribute[:1].isdigit()
+        self._match = re.compile(self._pattern(elements).encode()).fullmatch
+        # The expression's groups follow the elements; others (messages, generators) have no group.
+        self._dense = list(self._places.values()) == list(range(self._count))
+
+    def read(self, data: bytes) -> Reply | None:
+        """The reply, or None when it is none."""
+        found = self._match(data)
+        if found is None:
+            return self._read_strictly(data)
+        *texts, ipoc = found.groups()
+        numbers = [float(text) for text in texts]
+        if self._dense:
+            return Reply(int(ipoc), numbers)
+        values: list[float | None] = [None] * self._count
+        for place, number in zip(self._places.values(), numbers, strict=True):
+            values[place] = number
+        return Reply(int(ipoc), values)
+
+    def _pattern(self, elements: Sequence[ReceiveElement]) -> str:
+        # The usual form only: configured order, plain decimals. Everything else takes the slow way.
+        number = r"([-+]?\d{1,15}(?:\.\d{0,15})?)"
+        parts = [rf'\s*<Sen Type="{re.escape(self._sentype)}">\s*']
+        group = ""
+        for element in elements:
+            if element.tag == FREE_TAG:
+                continue
+            if element.indx == INTERNAL or element.type == "STRING":
+                return r"(?!)"  # text is read by the parser only
+            name, _, attribute = element.tag.partition(".")
+            if group and (name != group or not attribute):
+                parts.append(r"\s*/>\s*")
+                group = ""
+            if not attribute:
+                parts.append(rf"<{name}>{number}</{name}>\s*")
+                continue
+            if not group:
+                parts.append(rf"<{name}")
+                group = name
+            parts.append(rf'\s+{re.escape(attribute)}="{number}"')
+        if group:
+            parts.append(r"\s*/>\s*")
+        parts.append(r"<IPOC>\s*(\d{1,20})\s*</IPOC>\s*</Sen>\s*\0*")
+        return "".join(parts)
+
+    def _read_strictly(self, data: bytes) -> Reply | None:
+        end = data.rfind(b"</Sen>")
+        if end < 0 or len(data) > LONGEST_REPLY:
+            return None
+        content = data[: end + len(b"</Sen>")]
+        if self._digits_in_names:  # GPIO 01="1" is sent by a maker's own client and is not XML
+            content = _DIGIT_ATTRIBUTE.sub(rb"\1_\2", content)
+        collector = _Collector(self._sentype)
+        try:
+            collector.parse(content)
+            return self._reply_of(collector)
+        except (expat.ExpatError, _NoReplyError, UnicodeDecodeError):
+            return None
+
+    def _reply_of(self, collector: _Collector) -> Reply:
+        stamp = collector.found.get(("IPOC", ""), "").strip()
+        if not _STAMP.fullmatch(stamp):
+            raise _NoReplyError
+        values: list[float | None] = [None] * self._count
+        for (name, attribute), place in self._places.items():
+            key = (name, f"_{attribute}" if attribute[:1].isdigit() else attribute)
+            text = collector.found.get(key)
+            if text is None:
+                continue
+            number = self._number_in(text.strip())
+            if number is None and self._spoils:
+                raise _NoReplyError
+            values[place] = number
+        return Reply(int(stamp), values, collector.found.get(("EStr", ""), ""))
+
+    def _number_in(self, text: str) -> float | None:
+        if not self._number.fullmatch(text):
+            return None
+        number = float(text)
+        return number if isfinite(number) else None
+
+
+class _NoReplyError(Exception):
+    """The datagram is XML but not a reply."""
+
+
+class _Collector:
+    """Attributes and texts of the elements directly below the root."""
+
+    def __init__(self, sentype: str) -> None:
+        self.found: dict[tuple[str, str], str] = {}
+        self._sentype = sentype
+        self._path: list[str] = []
+        self._text: list[str] = []
+
+    def parse(self, content: bytes) -> None:
+        parser = expat.ParserCreate()
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.CharacterDataHandler = self._text.append
+        parser.StartDoctypeDeclHandler = _refuse
+        parser.Parse(content, True)
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        self._path.append(name)
+        self._text.clear()
+        depth = len(self._path)
+        if depth == 1 and (name != "Sen" or attributes.get("Type") != self._sentype):
+            raise _NoReplyError
+        if depth == 2:
+            for key, value in attributes.items():
+                self.found[name, key] = value
+
+    def _end(self, name: str) -> None:
+        if len(self._path) == 2:
+            text = "".join(self._text)
+            if text.strip():
+                self.found[name, ""] = text
+        self._path.pop()
+
+
+def _refuse(*_: object) -> None:
+    raise _NoReplyError

@@ -1,0 +1,30 @@
+"""Parameters of single devices, as one gives them to the whole theatre: `robot.lag_s=0.03`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sim.errors import BadDeviceParameter
+from sim.kuka.controller_parameters import changed_parameters
+from sim.polaris.parameters import UnitParameters
+
+COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by the names that fault scripts use
+
+
+def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """NAME=VALUE of each device, by its command.
+
+    Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for one that the device does not have.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for setting in settings:
+        device, dot, assignment = setting.partition(".")
+        if device not in COMMANDS or not dot or "=" not in assignment:
+            raise BadDeviceParameter(
+                f"{setting!r} sets nothing", awaited=" or ".join(f"{name}.NAME=VALUE" for name in COMMANDS)
+            )
+        name = COMMANDS[device]
+        found[name] = (*found.get(name, ()), assignment)
+    changed_parameters(found.get("kuka", ()))
+    UnitParameters.with_settings(list(found.get("polaris", ())))
+    return found

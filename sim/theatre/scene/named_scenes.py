@@ -1,0 +1,105 @@
+"""The built-in scenes: `default`, `mini`, `bench` and `bench-near`, each drawn from a seed.
+
+The room: the robot's base is the origin, x forward, z up. The patient half sits, the vertex up and towards
+the robot; the tracker looks at the head from above and the side.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from sim.errors import BadScene
+from sim.theatre.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
+from sim.theatre.scene.arm_truth import draw_arm
+from sim.theatre.scene.head import draw_head
+from sim.theatre.scene.model import CtProtocol, Scene, TrackerTool, TrackerTruth
+from sim.theatre.scene.stereo_head import draw_cameras, draw_mount
+
+SCENES = ("default", "mini", "bench", "bench-near")
+MINI_CT = CtProtocol(pixel_mm=1.0, slice_mm=1.5, columns=256, rows=256, slices=134, noise_HU=20.0)
+MINI_AREA_PX = (800, 800)
+# The tracker must see the head and, with the arm at home, the reference frame M half a metre above it.
+MARKER_FROM_HEAD_MM = (-150.0, 0.0, 500.0)
+TRACKER_DIRECTION = (500.0, 900.0, 1300.0)
+TRACKER_DISTANCE_MM = 1900.0  # from the middle between both
+# Four markers whose six distances differ by at least 4 mm, so that the frame has one pose only.
+ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
+# The bench of a tracker: `bench-near` lies within the volume of a Polaris Vicra.
+USUAL_REFLECTIONS = 2  # of a room with lamps and instruments in it
+BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
+
+SceneName = Literal["default", "mini", "bench", "bench-near"]
+
+
+def built_in_scene(
+    name: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None
+) -> Scene:
+    """Draw a built-in scene; raises SIM-001 for an unknown name.
+
+    The default scene has 5 markers and 3 targets, the mini scene 3 and 1.
+    """
+    if name not in SCENES:
+        raise BadScene(f"there is no scene {name!r}", awaited=", ".join(SCENES))
+    mini = name == "mini"
+    generator = np.random.Generator(np.random.Philox(key=seed))
+    head = draw_head(
+        generator,
+        (3 if mini else 5) if markers is None else markers,
+        (1 if mini else 3) if targets is None else targets,
+    )
+    left, right = draw_cameras(generator)
+    return Scene(
+        name=name,
+        seed=seed,
+        head=head,
+        ct=MINI_CT if mini else CtProtocol(),
+        arm=draw_arm(generator),
+        mount=draw_mount(generator),
+        tracker=_bench_tracker(BENCH_DISTANCES_MM[name])
+        if name in BENCH_DISTANCES_MM
+        else _tracker(
+            apply(matrix_of(head.robot_from_ct), head.centre_ct_mm), 0 if mini else USUAL_REFLECTIONS
+        ),
+        left=left,
+        right=right,
+        servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
+    )
+
+
+def robot_frame() -> TrackerTool:
+    """The reference frame M that hangs on the tool mount."""
+    return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
+
+
+def _tracker(head_centre_mm: np.ndarray, reflections: int) -> TrackerTruth:
+    span = np.array(MARKER_FROM_HEAD_MM)
+    backwards = np.array(TRACKER_DIRECTION) / np.linalg.norm(TRACKER_DIRECTION)
+    position = head_centre_mm + span / 2 + backwards * TRACKER_DISTANCE_MM
+    # z points backwards, away from the head; the housing's long axis y lies along head and frame.
+    rotation = rotation_towards(backwards, np.cross(span, backwards))
+    pose = pose_of(matrix_from(position, rotation))
+    return TrackerTruth(robot_from_tracker=pose, tools=(robot_frame(),), reflections=reflections)
+
+
+def _bench_tracker(distance_mm: float) -> TrackerTruth:
+    pose = pose_of(matrix_from((distance_mm, 0.0, 0.0), rotation_towards((1, 0, 0), (0, 0, 1))))
+    places = tuple(
+        pose_of(matrix_from((x, y, -distance_mm), np.eye(3)))
+        for x in (-150.0, 150.0)
+        for y in (-300.0, -100.0, 100.0, 300.0)
+    )
+    strays = (
+        (0.0, -200.0, 100.0 - distance_mm),
+        (20.0, 0.0, -100.0 - distance_mm),
+        (-20.0, 200.0, -distance_mm),
+    )
+    return TrackerTruth(
+        robot_from_tracker=pose,
+        tools=(robot_frame(),),
+        places=places,
+        strays_mm=strays,
+        line_separation_mm=0.0,
+        fiducials_visible=False,
+    )
