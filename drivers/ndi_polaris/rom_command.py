@@ -42,6 +42,7 @@ def make(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the .rom.")],
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> int:
     """Write a definition from marker coordinates.
 
@@ -84,6 +85,7 @@ def show(
     as_toml: Annotated[bool, typer.Option("--toml", help="Print the description that make reads.")] = False,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> int:
     """Say what a definition holds. Exit codes: 0 shown, 1 no usable definition."""
     console.set_up_logging(verbose)
@@ -135,6 +137,7 @@ def compare(
     second: RomArgument,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> int:
     """Say what differs between two definitions.
 
@@ -178,6 +181,7 @@ def check(
     tolerance_mm: ToleranceOption = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> int:
     """Warn of distances that are not unique.
 

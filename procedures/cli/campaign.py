@@ -57,6 +57,7 @@ def correspondence(
     out: OutOption = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> None:
     """Pairing of unordered points with outliers: ours and the thesis' method on the same data."""
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
@@ -85,6 +86,7 @@ def registration(
     out: OutOption = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> None:
     """The rigid fit: do its error formulas hold, and what does weighting gain?"""
     from procedures.studies.registration import RegistrationStudy, plots, tables
@@ -112,6 +114,7 @@ def localization(
     out: OutOption = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> None:
     """Spheres in phantom CTs: error, detection and honesty, beside the thesis' methods and the bound."""
     from procedures.studies.localization import TUNING, LocalizationStudy

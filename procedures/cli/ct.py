@@ -98,6 +98,7 @@ def localize(
     ] = False,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> None:
     """Find the centres of all marker spheres, in patient coordinates (LPS, mm).
 

@@ -78,6 +78,7 @@ def check(
     ] = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
 ) -> None:
     """Check a plan against its CT series and, when told where the head will be, every motion of the arm.
 

@@ -1,6 +1,6 @@
 """Runs a command: its options, its exit code, its end. All that commands share is imported from here.
 
-Data goes to standard output, messages to standard error. A stack trace is shown only with `--verbose`. The
+Data goes to standard output, messages to standard error. A traceback is shown only with `--verbose`. The
 first SIGINT or SIGTERM unwinds the command through its `finally` blocks and ends it with exit code 130.
 """
 
@@ -11,12 +11,22 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
 from ronna_hw.command_line.errors import UsageMistake, as_ronna_error
+from ronna_hw.command_line.logging_options import (
+    VERBOSE_FLAG,
+    LogLevelOption,
+    VerboseOption,
+    command_logger,
+    log_failure,
+    set_log_levels_from_environment,
+    set_up_logging,
+)
 from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, tell
 from ronna_hw.command_line.progress import Progress, progress_bar
 from ronna_hw.command_line.tables import print_table
@@ -25,6 +35,7 @@ from ronna_hw.host.own_packages import require_own_packages
 
 __all__ = [
     "JsonOption",
+    "LogLevelOption",
     "Progress",
     "VerboseOption",
     "exit_code_of",
@@ -39,10 +50,6 @@ __all__ = [
     "tell",
 ]
 
-VERBOSE_FLAG = "--verbose"
-VerboseOption = Annotated[
-    bool, typer.Option(VERBOSE_FLAG, help="Show log lines and, on an error, its trace.")
-]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
 # the base of typer's usage errors: unknown option, missing argument, bad value
@@ -63,8 +70,10 @@ def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
     """Run a command, print any error as a message, and return the exit code. Never raises."""
     _open_missing_streams()
     _unwind_on_signals()
+    began_s = time.monotonic()
     try:
         require_own_packages()
+        set_log_levels_from_environment()
         code = _invoke(app, arguments)
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -80,6 +89,7 @@ def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
         code = _report(problem, verbose=VERBOSE_FLAG in arguments)
     if code == EXIT_INTERRUPTED:
         tell("interrupted")
+    command_logger().info("ended", exit_code=code, duration_s=round(time.monotonic() - began_s, 3))
     _abandon_unwritable(sys.stdout)
     _abandon_unwritable(sys.stderr)
     return code
@@ -90,27 +100,6 @@ def print_json(document: dict[str, Any]) -> None:
     import json
 
     sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
-
-
-def set_up_logging(verbose: bool) -> None:
-    """Send structured log lines to standard error: all of them with `--verbose`, else only critical ones.
-
-    A command calls this before it starts work; without it log lines would mix with the data.
-    """
-    import logging
-    import warnings
-
-    import structlog
-
-    level = logging.DEBUG if verbose else logging.CRITICAL
-    structlog.configure(
-        wrapper_class=structlog.make_filtering_bound_logger(level),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
-    )
-    # Other people's libraries tell every state and every font at DEBUG: only their warnings are of use.
-    logging.basicConfig(level=logging.WARNING if verbose else level, stream=sys.stderr)
-    if not verbose:
-        warnings.simplefilter("ignore")
 
 
 def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
@@ -130,6 +119,7 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
 
 def _report(problem: Exception, *, verbose: bool) -> int:
     error = as_ronna_error(problem)
+    log_failure(problem, error)
     if verbose:
         import traceback
 

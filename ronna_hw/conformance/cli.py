@@ -13,6 +13,7 @@ import typer
 
 from ronna_hw.command_line.console import (
     JsonOption,
+    LogLevelOption,
     VerboseOption,
     on_terminal,
     print_json,
@@ -78,6 +79,7 @@ def tracker(
     report: ReportOption = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
+    log_level: LogLevelOption = None,
 ) -> int:
     """An optical tracker."""
     choice = _choice(sim, config, endpoint, driver, allow, control=control)
@@ -98,6 +100,7 @@ def robot(
     report: ReportOption = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
+    log_level: LogLevelOption = None,
 ) -> int:
     """A robot arm."""
     choice = _choice(sim, config, endpoint, driver, allow, device=device, control=control)
@@ -115,6 +118,7 @@ def stereo(
     report: ReportOption = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
+    log_level: LogLevelOption = None,
 ) -> int:
     """A stereo pair of cameras."""
     choice = _choice(sim, config, endpoint, driver, allow)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -208,16 +209,68 @@ def test_a_signal_unwinds_the_command(script: list[str], number: signal.Signals)
     assert child.returncode == 130
 
 
-@pytest.mark.parametrize(("verbose", "shown"), [(True, ["asked", "grave"]), (False, ["grave"])])
-def test_log_lines_go_to_standard_error_and_only_on_request(verbose: bool, shown: list[str]) -> None:
-    script = (
-        "from ronna_hw.command_line import console; import structlog; "
-        f"console.set_up_logging({verbose}); log = structlog.get_logger(); "
-        "log.info('asked'); log.critical('grave'); print('data')"
+SPEAKING = (
+    "import sys, typer; from ronna_hw.command_line import console; from ronna_hw.logs import logger\n"
+    "app = typer.Typer()\n"
+    "@app.command()\n"
+    "def speak(verbose: console.VerboseOption = False, log_level: console.LogLevelOption = None) -> None:\n"
+    "    console.set_up_logging(verbose)\n"
+    "    for device in ('tracker', 'stereo'):\n"
+    "        log = logger(device=device)\n"
+    "        log.debug('debug heard'); log.info('info heard'); log.error('error heard')\n"
+    "    print('data')\n"
+    "console.run(app)"
+)
+
+
+def heard(*arguments: str, levels: str = "") -> list[tuple[str, str]]:
+    """Level and device of every line of the log on standard error."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", SPEAKING, *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "RONNA_LOG": levels},
     )
-    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
-    assert done.stdout == "data\n"
-    assert [word for word in ("asked", "grave") if word in done.stderr] == shown
+    assert (done.returncode, done.stdout) == (0, "data\n"), done.stderr
+    if "--verbose" not in arguments:
+        assert done.stderr == ""
+    lines = [line.split() for line in done.stderr.splitlines() if " heard" in line]
+    return [(line[-3], line[-1].removeprefix("device=")) for line in lines]
+
+
+EVERYTHING = [(level, device) for device in ("tracker", "stereo") for level in ("debug", "info", "error")]
+
+
+def test_without_verbose_not_even_an_error_is_logged_to_the_terminal() -> None:
+    assert heard() == []
+
+
+def test_verbose_shows_the_log_on_standard_error() -> None:
+    assert heard("--verbose") == [one for one in EVERYTHING if one[0] != "debug"]
+
+
+def test_a_level_by_environment_holds_for_one_logger_or_for_all() -> None:
+    assert heard("--verbose", levels="debug") == EVERYTHING
+    assert ("debug", "stereo") not in heard("--verbose", levels="tracker=debug")
+    assert ("debug", "tracker") in heard("--verbose", levels="tracker=debug")
+
+
+def test_an_option_takes_precedence_over_the_environment() -> None:
+    only_errors = heard("--verbose", "--log-level", "tracker=error", levels="tracker=debug,stereo=error")
+    assert only_errors == [("error", "tracker"), ("error", "stereo")]
+
+
+@pytest.mark.parametrize(("arguments", "levels"), [(["--log-level", "tracker=loud"], ""), ([], "loud")])
+def test_a_level_that_does_not_exist_is_a_usage_error(arguments: list[str], levels: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", SPEAKING, *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "RONNA_LOG": levels},
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("CLI-001: log level ")
+    assert len(done.stderr.splitlines()) == 1
 
 
 WORDY = [

@@ -1,0 +1,84 @@
+"""Where a command's log goes, and from which level on: `--verbose`, `--log-level`, `RONNA_LOG`."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from ronna_hw.logs import Logger
+
+LEVELS_VARIABLE = "RONNA_LOG"
+VERBOSE_FLAG = "--verbose"
+
+VerboseOption = Annotated[
+    bool, typer.Option(VERBOSE_FLAG, help="Show the log on standard error and, on an error, its traceback.")
+]
+
+
+def set_log_levels(levels: Iterable[str] | None) -> None:
+    """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
+    from ronna_hw.logs import set_level
+
+    for entry in levels or ():
+        name, _, level = entry.strip().rpartition("=")
+        try:
+            set_level(level.lower(), name)
+        except ValueError as wrong:
+            raise UsageMistake(f"log level {entry!r}: {wrong}") from wrong
+
+
+LogLevelOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--log-level",
+        metavar="[NAME=]LEVEL",
+        help="Level of the log, or of one logger such as tracker=debug; repeatable; also in RONNA_LOG.",
+        callback=set_log_levels,
+        expose_value=False,
+    ),
+]
+
+
+def set_log_levels_from_environment() -> None:
+    """Apply the levels in RONNA_LOG, separated by commas; options come later and so take precedence."""
+    given = os.environ.get(LEVELS_VARIABLE)
+    if given:
+        set_log_levels(given.split(","))
+
+
+def set_up_logging(verbose: bool) -> None:
+    """Show the log on standard error with `--verbose`; otherwise keep libraries silent as well.
+
+    A command calls this before it starts work; without it warnings of libraries would mix with its messages.
+    """
+    from ronna_hw.logs import about_this_computer, ignore_libraries, show_log
+
+    if not verbose:
+        ignore_libraries()
+        return
+    show_log(sys.stderr)
+    command_logger().info("started", **about_this_computer())
+
+
+def command_logger() -> Logger:
+    """The logger of the command that runs in this process."""
+    from ronna_hw.logs import logger
+
+    return logger(command=Path(sys.argv[0]).name)
+
+
+def log_failure(problem: Exception, error: RonnaError) -> None:
+    """Log how a command failed: the error, and where it was raised without any values."""
+    frames = traceback.extract_tb(problem.__traceback__)
+    raised_at = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in frames]
+    command_logger().error("failed", error=error, raised_by=type(problem).__name__, trace=raised_at)

@@ -1,0 +1,120 @@
+"""What a log line may say: no patient data, no secrets, no path that could name somebody.
+
+Redaction errs on the side of too much. Text is kept only where it cannot come out of a patient's files: an
+error about a CT, a plan or a file is logged by its code alone, and so is every exception of a library.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, MutableMapping, Sequence
+from pathlib import PurePath
+from typing import Any
+
+from ronna_hw.errors import (
+    ConfigurationError,
+    ConnectError,
+    DeviceError,
+    LimitError,
+    LinkTimeout,
+    ProtocolError,
+    RefusedError,
+    RonnaError,
+    StateError,
+)
+
+REDACTED = "[redacted]"
+TEXT_LIMIT = 1000  # characters of one value: a line stays a line
+
+# Their text is about devices, limits and configuration. A DataError quotes the patient's files.
+_SAID_IN_FULL = (
+    ConfigurationError,
+    ConnectError,
+    DeviceError,
+    LimitError,
+    LinkTimeout,
+    ProtocolError,
+    RefusedError,
+    StateError,
+)
+_PATIENT_KEY = re.compile(
+    r"patient|birth|accession|institution|physician|operator|person|acknowledged|confirmed_by|token|secret",
+    re.IGNORECASE,
+)
+_TOKEN = re.compile(r"(token=)[^&\s'\"]+", re.IGNORECASE)
+_UID = re.compile(r"\b\d+(?:\.\d+){5,}\b")
+# A word with a slash is a path, unless it is an endpoint, a device node, or a unit such as mm/s.
+_WORD_WITH_SLASH = re.compile(r"[^\s'\"(),;=]*/[^\s'\"(),;]*")
+_HARMLESS_SLASH = re.compile(
+    r"(?:udp|tcp|serial|gev|shm|host):[\w.:\[\]%?&=/-]*"
+    r"|/dev/[\w/.-]+"
+    r"|(?:[\d.%]+|mm|rad|deg|px|bytes|frames)?/(?:s[²³]?|mm|px|min|[\d.]+)"
+)
+_FILE_NAME = re.compile(r"[^\s'\"/]+\.(?:dcm|ima|nii|gz|toml|jsonl?|csv|html)\b", re.IGNORECASE)
+
+
+def redact_event(_log: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Processor of structlog: the same event with everything personal or secret taken out."""
+    return {key: redacted(key, value) for key, value in event.items()}
+
+
+def redacted(key: str, value: Any) -> Any:
+    """One value of an event, fit for the log: numbers as they are, text scrubbed, errors by `error_text`."""
+    if _PATIENT_KEY.search(key):
+        return REDACTED
+    if value is None or isinstance(value, bool | int | float):
+        return value
+    if isinstance(value, BaseException):
+        return error_text(value)
+    if isinstance(value, PurePath):
+        return REDACTED if not str(value).startswith("/dev/") else str(value)
+    if isinstance(value, Mapping):
+        return {str(inner): redacted(str(inner), one) for inner, one in value.items()}
+    if isinstance(value, Sequence | set | frozenset) and not isinstance(value, str | bytes):
+        return [redacted(key, one) for one in value]
+    if isinstance(value, bytes):
+        return value[:TEXT_LIMIT].hex(" ")
+    return scrubbed(str(value))
+
+
+def scrubbed(text: str) -> str:
+    """Text without tokens, DICOM UIDs, paths and file names; endpoints and device nodes stay."""
+    text = _TOKEN.sub(rf"\1{REDACTED}", text)
+    text = _WORD_WITH_SLASH.sub(_path_out, text)
+    text = _FILE_NAME.sub(REDACTED, text)
+    return _UID.sub(REDACTED, text)[:TEXT_LIMIT]
+
+
+def error_text(error: BaseException) -> str:
+    """The line of an error about a device, a limit or the configuration; of any other, its code or type."""
+    if isinstance(error, _SAID_IN_FULL):
+        return scrubbed(str(error))
+    code = error.code if isinstance(error, RonnaError) else ""
+    return code or type(error).__name__
+
+
+def redacted_arguments(arguments: Sequence[str]) -> list[str]:
+    """Command-line arguments with option names, numbers and endpoints kept, everything else taken out."""
+    return [_argument(one) for one in arguments]
+
+
+def _argument(argument: str) -> str:
+    option, equals, value = argument.partition("=")
+    if option.startswith("-") and (equals or not _is_number(option)):
+        return f"{option}={_argument(value)}" if equals else option
+    if _is_number(argument):
+        return argument
+    return scrubbed(argument) if re.match(r"[a-z]+:", argument) else REDACTED
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _path_out(found: re.Match[str]) -> str:
+    word = found.group()
+    return word if _HARMLESS_SLASH.fullmatch(word.rstrip(".:")) else REDACTED

@@ -1,0 +1,148 @@
+"""Logs: silent until somebody listens, bounded, a level per logger, harmless on a full disk."""
+
+from __future__ import annotations
+
+import json
+import logging
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ronna_hw import logs
+from ronna_hw.logs import LOG_FILE, keep_log, logger, set_level
+
+NAMES = ("ronna", "ronna.tracker", "ronna.robot", "ronna.robot.master")
+
+
+@pytest.fixture(autouse=True)
+def levels_restored() -> Iterator[None]:
+    before = {name: logging.getLogger(name).level for name in NAMES}
+    yield
+    for name, level in before.items():
+        logging.getLogger(name).setLevel(level)
+
+
+def lines_of(folder: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (folder / LOG_FILE).read_text().splitlines()]
+
+
+def run_script(script: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
+
+
+def test_a_script_that_sets_up_no_log_sees_none_and_does_not_import_structlog() -> None:
+    done = run_script(
+        "import sys; from ronna_hw.logs import logger; log = logger(device='tracker'); "
+        "log.info('connected'); assert 'structlog' not in sys.modules; log.error('lost')"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_each_line_of_a_kept_log_says_when_who_and_what(tmp_path: Path) -> None:
+    with keep_log(tmp_path, run="r1"):
+        logger(device="tracker").warning("reading lost", missed=3)
+    opened, lost = lines_of(tmp_path)
+    assert list(lost)[:3] == ["timestamp", "level", "event"]
+    assert (lost["level"], lost["event"], lost["device"], lost["missed"]) == (
+        "warning",
+        "reading lost",
+        "tracker",
+        3,
+    )
+    assert opened["run"] == "r1"
+    assert "ronna-hw" in opened["versions"]  # type: ignore[operator]
+
+
+def test_after_the_block_nothing_more_is_written(tmp_path: Path) -> None:
+    with keep_log(tmp_path):
+        pass
+    logger(device="tracker").error("too late")
+    assert [line["event"] for line in lines_of(tmp_path)] == ["opened"]
+
+
+def test_the_log_is_closed_when_the_run_fails(tmp_path: Path) -> None:
+    handlers = list(logging.getLogger().handlers)
+    with pytest.raises(ZeroDivisionError), keep_log(tmp_path):
+        raise ZeroDivisionError
+    assert logging.getLogger().handlers == handlers
+
+
+def test_a_level_holds_for_one_logger_and_those_below_it(tmp_path: Path) -> None:
+    with keep_log(tmp_path):
+        set_level("debug", "robot")
+        set_level("error", "tracker")
+        logger(device="robot.master").debug("detail")
+        logger(device="tracker").warning("unwanted")
+        logger(device="stereo").debug("unwanted")
+    assert [line["event"] for line in lines_of(tmp_path)] == ["opened", "detail"]
+
+
+def test_a_level_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected a level"):
+        set_level("loud", "tracker")
+
+
+def test_the_log_of_a_run_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logs, "FILE_BYTES", 2000)
+    with keep_log(tmp_path):
+        for number in range(200):
+            logger(device="tracker").info("frame lost", number=number)
+    files = list(tmp_path.iterdir())
+    assert len(files) == 1 + logs.OLD_FILES
+    assert sum(file.stat().st_size for file in files) <= 2000 * len(files)
+    assert lines_of(tmp_path)[-1]["number"] == 199
+
+
+def test_a_full_disk_loses_lines_and_stops_nothing(tmp_path: Path) -> None:
+    done = run_script(
+        "import resource, sys; from pathlib import Path; from ronna_hw.logs import keep_log, logger\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        f"with keep_log(Path({str(tmp_path)!r})):\n"
+        "    for _ in range(100): logger(device='tracker').info('frame lost')\n"
+        "print('done')"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+    assert (tmp_path / LOG_FILE).stat().st_size <= 1000
+
+
+def test_a_folder_that_is_gone_stops_nothing(tmp_path: Path) -> None:
+    with keep_log(tmp_path / "gone"):
+        logger(device="tracker").info("connected")
+
+
+def test_a_library_that_reads_patient_files_is_named_but_not_quoted(tmp_path: Path) -> None:
+    with keep_log(tmp_path):
+        logging.getLogger("pydicom.valuerep").warning("invalid PN: %s", "DOE^JOHN")
+        logging.getLogger("distributed").warning("worker lost")
+    _, dicom, other = lines_of(tmp_path)
+    assert (dicom["library"], dicom["event"]) == ("pydicom.valuerep", "[redacted]")
+    assert other["event"] == "worker lost"
+
+
+def test_a_trace_of_a_library_is_left_out(tmp_path: Path) -> None:
+    with keep_log(tmp_path):
+        try:
+            raise ValueError("DOE^JOHN")
+        except ValueError:
+            logging.getLogger("pydicom").exception("failed")
+    assert "DOE" not in (tmp_path / LOG_FILE).read_text()
+
+
+def test_a_warning_keeps_its_place_and_loses_its_text() -> None:
+    done = run_script(
+        "import sys, warnings; from ronna_hw.logs import show_log; show_log(sys.stderr); "
+        "warnings.warn_explicit('DOE^JOHN', UserWarning, 'series.py', 7)"
+    )
+    assert "series.py:7: UserWarning" in done.stderr
+    assert "DOE" not in done.stderr
+
+
+def test_ignored_warnings_reach_nobody() -> None:
+    done = run_script(
+        "import logging, warnings; from ronna_hw.logs import ignore_libraries; ignore_libraries(); "
+        "warnings.warn('x'); logging.getLogger('pydicom').warning('y')"
+    )
+    assert done.stderr == ""

@@ -1,0 +1,79 @@
+"""What a log line may say, value by value."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ronna_hw.errors import ConnectError, DataError, RonnaError
+from ronna_hw.redaction import REDACTED, error_text, redacted, redacted_arguments, scrubbed
+
+
+class Unreadable(DataError):
+    code = "XX-001"
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("patient_name", "DOE^JOHN"),
+        ("PatientBirthDate", "19610203"),
+        ("accession", 77),
+        ("institution", "St. Elsewhere"),
+        ("ReferringPhysicianName", "WHO"),
+        ("acknowledged_by", "Dr. Who"),
+        ("control_token", "abc"),
+        ("file", Path("/scans/DOE^JOHN/1.dcm")),
+        ("folder", "/scans/DOE^JOHN"),
+        ("file", "DOE_JOHN.dcm"),
+        ("uid", "1.2.840.113619.2.55.3"),
+    ],
+)
+def test_what_names_a_patient_or_opens_a_door_is_taken_out(key: str, value: object) -> None:
+    assert redacted(key, value) == REDACTED
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "serial:///dev/serial/by-id/usb-NDI-if00",
+        "udp://127.0.0.1:59152",
+        "gev://169.254.1.2",
+        "/dev/ttyUSB0",
+        "limit 30 mm/s, 12/60 frames",
+        "NDI-004: no reply within 2 s",
+        "firmware 007.000.012",
+    ],
+)
+def test_what_a_lab_asks_about_is_kept(text: str) -> None:
+    assert scrubbed(text) == text
+
+
+def test_the_token_of_a_control_port_is_taken_out_of_its_endpoint() -> None:
+    assert scrubbed("tcp://127.0.0.1:5000?token=6f1e&x=1") == f"tcp://127.0.0.1:5000?token={REDACTED}&x=1"
+
+
+def test_values_are_redacted_at_any_depth() -> None:
+    value: dict[str, Any] = {"series": [{"patient_id": "7", "slices": 12}], "wire": b"\x01\xff"}
+    assert redacted("facts", value) == {"series": [{"patient_id": REDACTED, "slices": 12}], "wire": "01 ff"}
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ConnectError("tracker: no reply from /dev/ttyUSB0"), "tracker: no reply from /dev/ttyUSB0"),
+        (Unreadable("DOE_JOHN is truncated"), "XX-001"),
+        (RonnaError("DOE_JOHN"), "RonnaError"),
+        (ValueError("could not convert 'DOE'"), "ValueError"),
+    ],
+)
+def test_an_error_is_quoted_only_when_it_is_about_a_device(error: Exception, said: str) -> None:
+    assert error_text(error) == said
+
+
+def test_arguments_keep_options_numbers_and_endpoints() -> None:
+    given = ["localize", "/scans/DOE", "--expected", "5", "--pick=DOE.csv", "--x=-1.5", "tcp://127.0.0.1:1"]
+    kept = [REDACTED, REDACTED, "--expected", "5", f"--pick={REDACTED}", "--x=-1.5", "tcp://127.0.0.1:1"]
+    assert redacted_arguments(given) == kept
