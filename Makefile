@@ -40,7 +40,7 @@ bench: setup
 	@$(BIN)/python -P benchmarks/run.py
 
 docs: setup
-	@$(BIN)/python docs/generate.py
+	@$(BIN)/python tools/docs/generate.py
 
 # The lock names no package index: it holds versions and hashes only.
 lock:

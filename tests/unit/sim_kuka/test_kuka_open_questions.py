@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Callable
 from dataclasses import fields
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import open_questions
 import pytest
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
@@ -24,7 +21,6 @@ from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.rsi.reply_reader import ReplyReader
 from sim.theatre.scene.model import ArmTruth
 
-DOCS = Path(__file__).resolve().parents[3] / "docs"
 # Ways of the simulation alone, about which nobody could tell anything on a real controller.
 OF_THE_SIMULATION = {
     "rest_error_deg",
@@ -41,17 +37,6 @@ def on_a1(value: float) -> tuple[float, ...]:
     return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@pytest.fixture(scope="module")
-def page() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("open_questions", DOCS / "open_questions.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def bench_with(make_bench: Callable[..., Any]) -> Callable[..., Any]:
     def make(context: RsiContext | None = None, cycle_ms: int | None = None, **parameters: Any) -> Any:
@@ -63,11 +48,11 @@ def bench_with(make_bench: Callable[..., Any]) -> Callable[..., Any]:
     return make
 
 
-def test_every_open_question_is_answered_by_names_that_exist(page: ModuleType) -> None:
+def test_every_open_question_is_answered_by_names_that_exist() -> None:
     parameters = {entry.name for entry in fields(ControllerParameters)}
     options = {f"--{name.replace('_', '-')}" for name in kuka.__annotations__}
     context = load_context()
-    for one in page.read_questions():
+    for one in open_questions.read_questions():
         assert list(one.answers), one.question
         assert set(one.parameters) <= parameters
         assert set(one.scene) <= set(ArmTruth.model_fields)
@@ -77,8 +62,8 @@ def test_every_open_question_is_answered_by_names_that_exist(page: ModuleType) -
             assert hasattr(getattr(context, table), key)
 
 
-def test_every_parameter_answers_a_question_or_belongs_to_the_simulation_alone(page: ModuleType) -> None:
-    asked = {name for one in page.read_questions() for name in one.parameters}
+def test_every_parameter_answers_a_question_or_belongs_to_the_simulation_alone() -> None:
+    asked = {name for one in open_questions.read_questions() for name in one.parameters}
     assert asked | OF_THE_SIMULATION == {entry.name for entry in fields(ControllerParameters)}
     assert not asked & OF_THE_SIMULATION
 

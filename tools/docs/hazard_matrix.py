@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 HAZARD_FILE = ROOT / "docs" / "reference" / "hazards.toml"
 TESTS = ROOT / "tests"
 PAGE = "hazards.md"

@@ -11,7 +11,7 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 DISTURBANCE_FILE = ROOT / "docs" / "reference" / "link-disturbances.toml"
 TESTS = ROOT / "tests"
 PAGE = "link-disturbances.md"

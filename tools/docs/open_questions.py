@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sim.kuka.controller_parameters import parameter_rows
 
-QUESTIONS_FILE = Path(__file__).parent / "reference" / "robot-open-questions.toml"
+QUESTIONS_FILE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "robot-open-questions.toml"
 PAGE = "robot-parameters.md"
 
 

@@ -1,55 +1,30 @@
-"""The pages of the files that people write: every table of a theatre file and of a scene, key by key."""
+"""A pydantic model as Markdown tables: a row per field with its type, default and meaning."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pydantic import BaseModel
 
-from ronna_hw.config import TheatreFile
-from sim.theatre.scene.model import Scene
-
-THEATRE_HEAD = """# Keys of the theatre file
-
-TOML. All tables are strict: unknown keys are errors, and all mistakes are told at once. Lengths are
-millimetres, poses are target <- source. `ronna-sim theatre` writes such a file to begin with.
-"""
-SCENE_HEAD = """# Keys of a scene
-
-What is true in a simulated theatre, as TOML or JSON for `--scene FILE`. All tables are strict. Lengths are
-millimetres, angles radians where the name says `rad`, CT coordinates DICOM's LPS, poses target <- source.
-`ronna-sim scene --scene mini --seed 4 > scene.toml` writes a built-in one to begin with.
-"""
 SHOWN_DEFAULT = 24  # characters; a longer one is not for a table
 
 
-def key_pages() -> dict[str, str]:
-    """File name -> content of the page of each file."""
-    return {
-        "scene-file.md": _page(SCENE_HEAD, "scene", Scene),
-        "theatre-file.md": _page(THEATRE_HEAD, "theatre file", TheatreFile),
-    }
-
-
-def _page(head: str, name: str, model: type[BaseModel]) -> str:
-    schema = model.model_json_schema()
-    tables = sorted((name, table) for name, table in schema["$defs"].items() if "properties" in table)
-    lines = [head]
-    for title, table in ((name, schema), *tables):
+def model_tables(titles: Mapping[str, type[BaseModel]]) -> str:
+    """The models under their titles, then every model that they contain, once and by name."""
+    schemas = {title: model.model_json_schema() for title, model in titles.items()}
+    definitions = {name: one for schema in schemas.values() for name, one in schema.get("$defs", {}).items()}
+    contained = sorted((name, one) for name, one in definitions.items() if "properties" in one)
+    lines: list[str] = []
+    for title, table in (*schemas.items(), *contained):
         lines += [f"## {title}\n", table.get("description", "") + "\n"]
-        lines += [
-            "| key | type | default | meaning |",
-            "|---|---|---|---|",
-            *_rows(table, schema["$defs"]),
-            "",
-        ]
+        lines += ["| key | type | default | meaning |", "|---|---|---|---|", *_rows(table, definitions), ""]
     return "\n".join(lines)
 
 
 def _rows(table: dict[str, Any], definitions: dict[str, Any]) -> Iterable[str]:
     required = table.get("required", [])
-    for key, value in table["properties"].items():
+    for key, value in table.get("properties", {}).items():
         default = "needed" if key in required else _default(value)
         yield f"| `{key}` | {_type(value, definitions)} | {default} | {value.get('description', '')} |"
 

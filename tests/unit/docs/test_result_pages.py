@@ -1,0 +1,31 @@
+"""The page of records is made from the models alone."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, Field
+from result_pages import records_page
+
+
+class Sphere(BaseModel):
+    """One sphere."""
+
+    radius_mm: float = Field(description="Its radius.")
+
+
+class Spheres(BaseModel):
+    """What was found."""
+
+    spheres: list[Sphere] = Field(description="Each of them.")
+
+
+class Check(BaseModel):
+    """What was checked."""
+
+    worst: Sphere = Field(description="The least round one.")
+
+
+def test_each_step_has_its_fields_and_what_they_contain_stands_there_once() -> None:
+    page = records_page({"localization": Spheres, "check": Check})
+    assert "## localization\n\nWhat was found.\n" in page
+    assert "| `spheres` | list of Sphere | needed | Each of them. |" in page
+    assert page.count("| `radius_mm` | number | needed | Its radius. |") == 1

@@ -1,0 +1,28 @@
+"""The pages of the files that people write: every table of a theatre file and of a scene, key by key."""
+
+from __future__ import annotations
+
+from model_tables import model_tables
+
+from ronna_hw.config import TheatreFile
+from sim.theatre.scene.model import Scene
+
+THEATRE_HEAD = """# Keys of the theatre file
+
+TOML. All tables are strict: unknown keys are errors, and all mistakes are told at once. Lengths are
+millimetres, poses are target <- source. `ronna-sim theatre` writes such a file to begin with.
+"""
+SCENE_HEAD = """# Keys of a scene
+
+What is true in a simulated theatre, as TOML or JSON for `--scene FILE`. All tables are strict. Lengths are
+millimetres, angles radians where the name says `rad`, CT coordinates DICOM's LPS, poses target <- source.
+`ronna-sim scene --scene mini --seed 4 > scene.toml` writes a built-in one to begin with.
+"""
+
+
+def key_pages() -> dict[str, str]:
+    """File name -> content of the page of each file."""
+    return {
+        "scene-file.md": f"{SCENE_HEAD}\n{model_tables({'scene': Scene})}",
+        "theatre-file.md": f"{THEATRE_HEAD}\n{model_tables({'theatre file': TheatreFile})}",
+    }
