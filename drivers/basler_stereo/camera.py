@@ -6,25 +6,26 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from drivers.basler_stereo import gvcp, set_up
-from drivers.basler_stereo.access import RegisterAccess
-from drivers.basler_stereo.assembly import Frame, StreamCounters
-from drivers.basler_stereo.control import Command, ControlChannel, register_write
-from drivers.basler_stereo.description import fetch_description, parse_description
-from drivers.basler_stereo.discovery import CameraIdentity, identify
+from drivers.basler_stereo.control import gvcp
+from drivers.basler_stereo.control.broadcast_discovery import discover_cameras, listed
+from drivers.basler_stereo.control.channel import Command, ControlChannel, register_write
+from drivers.basler_stereo.control.heartbeat import Heartbeat
+from drivers.basler_stereo.control.identity import CameraIdentity, identify
+from drivers.basler_stereo.control.privilege import require_control, take_control
 from drivers.basler_stereo.errors import CommandRefused, NoCamera
-from drivers.basler_stereo.event_listener import EventListener, has_events, subscribe
-from drivers.basler_stereo.events import WANTED, EventCounters, event_ids
-from drivers.basler_stereo.features import FeatureMap
-from drivers.basler_stereo.finding import find_cameras, told
-from drivers.basler_stereo.gvsp import following
-from drivers.basler_stereo.heartbeat import Heartbeat, require_control
+from drivers.basler_stereo.events.listener import EventListener, has_events, subscribe
+from drivers.basler_stereo.events.messages import WANTED, EventCounters, event_ids
+from drivers.basler_stereo.features import known_state
+from drivers.basler_stereo.features.description import fetch_description, parse_description
+from drivers.basler_stereo.features.feature_map import FeatureMap
+from drivers.basler_stereo.features.register_memory import RegisterMemory
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.packet_size import choose_packet_bytes, point_stream_to
-from drivers.basler_stereo.pairing import Tie
-from drivers.basler_stereo.privilege import take_control
-from drivers.basler_stereo.reception import Reception, StreamReceiver
-from drivers.basler_stereo.stream_socket import open_stream_socket
+from drivers.basler_stereo.pair_clock import Tie
+from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
+from drivers.basler_stereo.stream.gvsp import following
+from drivers.basler_stereo.stream.packet_size import choose_packet_bytes, point_stream_to
+from drivers.basler_stereo.stream.receiver import ReceiverProcess, StreamReceiver
+from drivers.basler_stereo.stream.stream_socket import open_stream_socket
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.errors import RonnaError
@@ -42,10 +43,10 @@ class Camera:
         self._address = address
         self._options = options
         self._control: ControlChannel | None = None
-        self._access: RegisterAccess | None = None
+        self._memory: RegisterMemory | None = None
         self._features: FeatureMap | None = None
         self._heartbeat: Heartbeat | None = None
-        self._reception: Reception | None = None
+        self._reception: ReceiverProcess | None = None
         self._pulse: int | None = None
         self._next_block: int | None = None
         self._receiver: StreamReceiver | None = None
@@ -104,9 +105,9 @@ class Camera:
             return identify(self._control, deadline_s)
         except NoCamera as error:
             peer = str(self._control.link.getpeername()[0])
-            raise NoCamera(error.what, awaited=error.awaited, last=told(find_cameras(peer))) from error
+            raise NoCamera(error.what, awaited=error.awaited, last=listed(discover_cameras(peer))) from error
 
-    def configure(self, reception: Reception, deadline_s: float) -> None:
+    def configure(self, reception: ReceiverProcess, deadline_s: float) -> None:
         """Take control, read the description, bring everything to a known state, find the packet size.
 
         Waits for the heartbeat of a controller that died. Raises GEV-005 when another application is
@@ -116,12 +117,12 @@ class Camera:
         try:
             self._take_control(deadline_s)
             nodes = parse_description(fetch_description(self.control, deadline_s))
-            self._access = RegisterAccess(self.control)
-            self._features = FeatureMap(nodes, self._access)
-            self._access.deadline_s = deadline_s
-            set_up.apply_known_state(self._features, self._options)
-            self.area = set_up.full_area(self._features)
-            set_up.set_area(self._features, self.area)
+            self._memory = RegisterMemory(self.control)
+            self._features = FeatureMap(nodes, self._memory)
+            self._memory.deadline_s = deadline_s
+            known_state.apply_known_state(self._features, self._options)
+            self.area = known_state.full_area(self._features)
+            known_state.set_area(self._features, self.area)
             self._choose_packet_size(deadline_s)
             self.tick_frequency_hz = self._read_tick_frequency(deadline_s)
             if self._options.events:
@@ -134,18 +135,18 @@ class Camera:
     def set_area(self, area: AreaOfInterest, deadline_s: float) -> None:
         """Choose the part of the sensor to read; raises GEV-011. Not while streaming."""
         self._until(deadline_s)
-        set_up.set_area(self.features, area)
+        known_state.set_area(self.features, area)
         self.area = area
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
         """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
         self._until(deadline_s)
-        set_up.set_exposure(self.features, exposure_us, gain_raw)
+        known_state.set_exposure(self.features, exposure_us, gain_raw)
 
     def start(self, deadline_s: float) -> None:
         """Open the stream and start the acquisition; block ids begin anew."""
         self._until(deadline_s)
-        payload = set_up.payload_bytes(self.features, self.area, self._options.pixel_format_code)
+        payload = known_state.payload_bytes(self.features, self.area, self._options.pixel_format_code)
         self._trigger = self._trigger_of(self._options)
         assert self._reception is not None, "the lifecycle allows this only while controlled"
         self._next_block = None
@@ -155,7 +156,7 @@ class Camera:
             )
             try:
                 point_stream_to(self.control, stream, deadline_s)
-                set_up.lock_transport(self.features, True)
+                known_state.lock_transport(self.features, True)
                 self.features.execute("AcquisitionStart")
             except BaseException:
                 self._close_receiver()
@@ -167,7 +168,7 @@ class Camera:
         try:
             self.features.execute("AcquisitionStop")
             self.control.write_register(Bootstrap.SCP, 0, deadline_s)
-            set_up.lock_transport(self.features, False)
+            known_state.lock_transport(self.features, False)
         finally:
             self._close_receiver()
 
@@ -282,13 +283,13 @@ class Camera:
             address, value = self.features.command_write("TriggerSoftware")
             return register_write(address, int.from_bytes(value, "big"))
         if options.trigger == "action":
-            keys = (options.action_device_key, options.action_group_key, set_up.ACTION_GROUP_MASK)
+            keys = (options.action_device_key, options.action_group_key, known_state.ACTION_GROUP_MASK)
             return GvcpCommand.ACTION, gvcp.action_command(*keys)
         return None
 
     def _until(self, deadline_s: float) -> None:
-        assert self._access is not None, "the lifecycle allows this only while controlled"
-        self._access.deadline_s = max(deadline_s, time.monotonic())
+        assert self._memory is not None, "the lifecycle allows this only while controlled"
+        self._memory.deadline_s = max(deadline_s, time.monotonic())
 
     def _listen(self, names: dict[int, str], deadline_s: float) -> None:
         if not names or not has_events(self.control, self.features, deadline_s):
@@ -296,8 +297,8 @@ class Camera:
             return
         own, peer = self.control.local_address, str(self.control.link.getpeername()[0])
         self._listener = EventListener(own, peer, names, self.side)
-        told = subscribe(self.control, self.features, self._listener, deadline_s)
-        if missing := [name for name in WANTED if name not in told or name not in names.values()]:
+        subscribed = subscribe(self.control, self.features, self._listener, deadline_s)
+        if missing := [name for name in WANTED if name not in subscribed or name not in names.values()]:
             self.notices.append(f"{self.side}: the camera does not report {', '.join(missing)}")
 
     def _end_listening(self) -> None:

@@ -55,14 +55,14 @@ class CommandRefused(DeviceError):
     status: int = 0  # as on the wire
 
 
-class NoAnswer(LinkTimeout):
+class NoReply(LinkTimeout):
     """The camera did not answer a command in time, repetitions included."""
 
     code = "GEV-007"
     action = "Check power and cable of that camera and ask again; a fault is latched when it stays silent."
 
 
-class BrokenAnswer(ProtocolError):
+class MalformedReply(ProtocolError):
     """An answer does not have the form that the command asks for."""
 
     code = "GEV-008"
@@ -125,7 +125,7 @@ class BadOptions(ConfigurationError):
     action = "Correct the options; the reference lists every key."
 
 
-class ReceptionEnded(DeviceError):
+class ReceiverEnded(DeviceError):
     """The driver's own process that receives the images has ended."""
 
     code = "GEV-017"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.basler_stereo.assembly import Frame
-from drivers.basler_stereo.set_up import image_bytes
+from drivers.basler_stereo.features.known_state import image_bytes
+from drivers.basler_stereo.stream.frame_assembler import Frame
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.wire.gige_vision import PixelFormat
 

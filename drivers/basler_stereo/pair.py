@@ -7,21 +7,22 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from drivers.basler_stereo.assembly import StreamCounters
 from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.discovery import CameraIdentity, check_pair, pair_identity
+from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.errors import (
     CameraLost,
     CommandRefused,
     ControlLost,
-    NoAnswer,
-    ReceptionEnded,
+    NoReply,
+    ReceiverEnded,
     WrongSerial,
 )
-from drivers.basler_stereo.events import EventCounters
-from drivers.basler_stereo.grabbing import PairGrabber
+from drivers.basler_stereo.events.messages import EventCounters
 from drivers.basler_stereo.options import read_options
-from drivers.basler_stereo.reception import Reception
+from drivers.basler_stereo.pair_grabber import PairGrabber
+from drivers.basler_stereo.pair_identity import check_pair, pair_identity
+from drivers.basler_stereo.stream.frame_assembler import StreamCounters
+from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
@@ -30,7 +31,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
 CLOSE_LIMIT_S = 1.0  # for the farewell to each camera; a dead one costs no more
-_FAULTS = (CameraLost, ControlLost, ReceptionEnded)  # latched; left only by `recover`
+_FAULTS = (CameraLost, ControlLost, ReceiverEnded)  # latched; left only by `recover`
 
 T = TypeVar("T")
 
@@ -52,7 +53,7 @@ class BaslerStereoPair:
         self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
         self._guard = LifecycleGuard(name)
         self._cameras: tuple[Camera, Camera] | None = None
-        self._reception: Reception | None = None
+        self._reception: ReceiverProcess | None = None
         self._grabber: PairGrabber | None = None
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
@@ -133,7 +134,7 @@ class BaslerStereoPair:
         camera is controlled.
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
-        self._set_up(time.monotonic() + timeout_s)
+        self._configure_cameras(time.monotonic() + timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def activate(self, timeout_s: float = 10.0) -> None:
@@ -210,7 +211,7 @@ class BaslerStereoPair:
                 "other cameras answer than before", awaited="+".join(before), last="+".join(found)
             )
         self._cameras, self._identities = cameras, identities
-        self._set_up(deadline_s)
+        self._configure_cameras(deadline_s)
         self._restore(deadline_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
@@ -243,7 +244,7 @@ class BaslerStereoPair:
                         raise camera.lost
                 try:
                     return work()
-                except NoAnswer:
+                except NoReply:
                     if time.monotonic() >= deadline_s:
                         raise
                     self._streams.await_answers(deadline_s)
@@ -256,7 +257,7 @@ class BaslerStereoPair:
             taken = ControlLost("a camera refuses our commands", last=error.what)
             self._guard.latch(taken)
             raise taken from error
-        except NoAnswer as error:
+        except NoReply as error:
             if leaves_settings:
                 raise
             lost = CameraLost("a camera no longer answers", last=error.what)
@@ -273,10 +274,10 @@ class BaslerStereoPair:
             raise
         return (left, right), identities
 
-    def _set_up(self, deadline_s: float) -> None:
+    def _configure_cameras(self, deadline_s: float) -> None:
         done: list[Camera] = []
         self._end_reception()
-        self._reception = Reception()
+        self._reception = ReceiverProcess()
         try:
             for camera in self._pair:
                 camera.notices.clear()
@@ -305,7 +306,7 @@ class BaslerStereoPair:
         try:
             for camera, area in zip(self._pair, areas, strict=True):
                 camera.set_area(area, deadline_s)
-        except NoAnswer:
+        except NoReply:
             raise  # nothing more can be asked of that camera now
         except RonnaError:
             for camera, area in zip(self._pair, before, strict=True):

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.basler_stereo.assembly import Frame
 from drivers.basler_stereo.camera import Camera
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.reception import Reception
+from drivers.basler_stereo.stream.frame_assembler import Frame
+from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.host.child_process import ChildProcess, command
 
 START_LIMIT_S = 30.0
@@ -70,7 +70,7 @@ def stream_pairs(addresses: list[str], pairs: int, packet_bytes: int = 8000) -> 
     An image counts as lost when its number has not come among the images wanted and those after them.
     """
     options = BaslerOptions(packet_bytes=packet_bytes)
-    reception = Reception()
+    reception = ReceiverProcess()
     both = [
         Camera(side, address, options) for side, address in zip(("left", "right"), addresses, strict=True)
     ]

@@ -21,12 +21,12 @@ import numpy as np
 import pytest
 
 from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.control import send_together
+from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
+from drivers.basler_stereo.control.channel import send_together
 from drivers.basler_stereo.errors import OutOfRange
-from drivers.basler_stereo.finding import find_cameras
 from drivers.basler_stereo.images import camera_image
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.reception import Reception
+from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, PixelFormat
 
@@ -82,7 +82,7 @@ def controlled(*options: str):
         camera = Camera("left", ADDRESS, OPTIONS)
         identity = camera.connect(soon())
         assert (identity.vendor, identity.model, identity.serial) == ("Aravis", "Fake", SERIAL)
-        reception = Reception()
+        reception = ReceiverProcess()
         try:
             camera.configure(reception, soon())
             yield camera
@@ -101,7 +101,7 @@ def grab(camera: Camera):
 def test_a_strangers_camera_answers_when_everybody_is_asked():
     with fake_camera():
         deadline_s = soon()
-        while SERIAL not in (found := {each.serial: each for each in find_cameras(ADDRESS)}):
+        while SERIAL not in (found := {each.serial: each for each in discover_cameras(ADDRESS)}):
             assert time.monotonic() < deadline_s, "the fake camera did not start, or hears nobody"
     assert (found[SERIAL].vendor, found[SERIAL].model) == ("Aravis", "Fake")
 

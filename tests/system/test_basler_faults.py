@@ -9,6 +9,7 @@ import pytest
 from faulty_cameras import AREA, LIMIT_S, Cameras
 
 from drivers.basler_stereo import BaslerStereoPair
+from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
 from drivers.basler_stereo.errors import (
     CameraLost,
     ControlLost,
@@ -17,7 +18,6 @@ from drivers.basler_stereo.errors import (
     PacketTooLarge,
     TriggerMissed,
 )
-from drivers.basler_stereo.finding import find_cameras
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 from ronna_hw.host.child_process import ChildProcess, command
@@ -211,7 +211,7 @@ def test_two_cameras_off_the_network_are_not_found(cameras):
 
 
 def test_both_cameras_are_found_by_asking_everybody(cameras):
-    found = {each.address: each.serial for each in find_cameras("127.0.0.1")}
+    found = {each.address: each.serial for each in discover_cameras("127.0.0.1")}
     assert {address: found.get(address) for address in cameras.addresses} == dict(
         zip(cameras.addresses, ("21904411", "21904412"), strict=True)
     )

@@ -17,7 +17,7 @@ from drivers.basler_stereo.errors import (
     TriggerMissed,
     WrongModel,
 )
-from drivers.basler_stereo.pylon_pair import PylonStereoPair
+from drivers.basler_stereo.pylon.pair import PylonStereoPair
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.case import Case, Outcome

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from captured import Datagram, wireshark_reads, write_capture
 
-from drivers.basler_stereo import gvcp
-from drivers.basler_stereo.events import decode_message
+from drivers.basler_stereo.control import gvcp
+from drivers.basler_stereo.events.messages import decode_message
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, GvcpCommand, PixelFormat
 from sim.basler.camera.settings import RampImage, Settings
 from sim.basler.message.channel import MessageChannel

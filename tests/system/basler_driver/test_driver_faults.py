@@ -9,7 +9,7 @@ import pytest
 from peer_cameras import HANG_LIMIT_S
 from waiting import eventually
 
-from drivers.basler_stereo.errors import CameraLost, ControlLost, NoAnswer, ReceptionEnded
+from drivers.basler_stereo.errors import CameraLost, ControlLost, NoReply, ReceiverEnded
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import NobodyNamed, WrongState
 from ronna_hw.devices.readings import Validity
@@ -37,7 +37,7 @@ def test_a_camera_that_is_silent_is_no_fault_before_its_heartbeat_time_out(make_
     device.configure(HANG_LIMIT_S)
     device.activate(HANG_LIMIT_S)
     peers[1].fault("mute")
-    with pytest.raises(NoAnswer, match=f"GEV-007: {peers[1].address}"):
+    with pytest.raises(NoReply, match=f"GEV-007: {peers[1].address}"):
         device.grab_pair(0.5)
     assert device.state is Lifecycle.ACTIVE
     peers[1].fault("normal")
@@ -89,7 +89,7 @@ def test_a_recovery_needs_a_name(pair, peers):
 @pytest.mark.hazard(4)
 def test_the_end_of_our_own_reception_is_a_fault_and_recover_starts_it_anew(pair):
     os.kill(pair._reception.pid, signal.SIGKILL)
-    with pytest.raises(ReceptionEnded, match="GEV-017"):
+    with pytest.raises(ReceiverEnded, match="GEV-017"):
         pair.grab_pair(HANG_LIMIT_S)
     assert pair.state is Lifecycle.FAULT
     pair.recover("a tester", HANG_LIMIT_S)

@@ -1,0 +1,1 @@
+"""The message channel: events that a camera reports, such as missed triggers."""

@@ -1,0 +1,164 @@
+"""A camera's own description of its features: fetched from the camera, read as strict XML.
+
+Only the form is looked at here; what a node means is in `features`.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from xml.etree import ElementTree
+
+from drivers.basler_stereo.control.channel import ControlChannel
+from drivers.basler_stereo.errors import BadDescription
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap
+
+LARGEST_FILE_BYTES = 8 * 1024 * 1024  # descriptions are 20 kB to 1 MB
+ROOT = "RegisterDescription"
+CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that say whether this one can be used
+
+
+@dataclass(frozen=True)
+class Field:
+    """One child of a node: tag, text, attributes."""
+
+    tag: str
+    text: str
+    attributes: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Node:
+    """One named node: its kind (the tag, such as IntReg) and its fields in order."""
+
+    kind: str
+    name: str
+    fields: tuple[Field, ...]
+    entries: dict[str, int] = field(default_factory=dict)  # of an Enumeration: name -> value
+    conditions: dict[str, tuple[str, ...]] = field(default_factory=dict)  # entry -> nodes it depends on
+
+    def text(self, tag: str) -> str | None:
+        """Text of the first field with that tag, or None."""
+        return next((each.text for each in self.fields if each.tag == tag), None)
+
+    def all(self, tag: str) -> Iterator[Field]:
+        """Every field with that tag."""
+        return (each for each in self.fields if each.tag == tag)
+
+
+def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
+    """The description file as XML, from the first address that is on the camera itself.
+
+    Raises GEV-009 when there is none, GEV-006 to GEV-008 when it cannot be read.
+    """
+    for register in (Bootstrap.FIRST_URL, Bootstrap.SECOND_URL):
+        block = control.read_memory(register, gev.TEXT_BYTES[register], deadline_s)
+        url = block.split(b"\0", 1)[0].decode("ascii", errors="replace").strip()
+        if url.lower().startswith(gev.URL_LOCAL.lower()):
+            name, address, length = parse_url(url)
+            data = control.read_memory(address, length, deadline_s)
+            return unpacked(data) if name.lower().endswith(".zip") else data.rstrip(b"\0")
+    raise BadDescription(
+        f"{control.address} has no description on the camera", last=url or "an empty address"
+    )
+
+
+def parse_url(url: str) -> tuple[str, int, int]:
+    """Name, address and length of `Local:name;address;length`; raises GEV-009."""
+    try:
+        name, address, length = url[len(gev.URL_LOCAL) :].split("?", 1)[0].split(";")
+        place = int(address, 16), int(length, 16)
+    except ValueError as error:
+        raise BadDescription("the address of the description cannot be read", last=url) from error
+    if not 0 < place[1] <= LARGEST_FILE_BYTES:
+        raise BadDescription("the description has an impossible length", last=str(place[1]))
+    return name.lstrip("/"), *place
+
+
+def unpacked(data: bytes) -> bytes:
+    """The one member of a ZIP file; raises GEV-009."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            member = archive.infolist()[0]
+            if member.file_size > LARGEST_FILE_BYTES:
+                raise BadDescription("the packed description is too large", last=str(member.file_size))
+            return archive.read(member)
+    except (zipfile.BadZipFile, IndexError, NotImplementedError, EOFError) as error:
+        raise BadDescription("the packed description cannot be read") from error
+
+
+def parse_description(data: bytes) -> dict[str, Node]:
+    """All named nodes by name; raises GEV-009 for XML that is broken or carries a document type."""
+    parser = ElementTree.XMLParser(target=_Builder())
+    try:
+        parser.feed(data)
+        root: ElementTree.Element = parser.close()
+    except ElementTree.ParseError as error:
+        raise BadDescription(f"the description is not XML: {error}", wire=data[:32]) from error
+    if _local(root.tag) != ROOT:
+        raise BadDescription("the description has another root", awaited=ROOT, last=_local(root.tag))
+    return {node.name: node for node in _nodes(root)}
+
+
+class _Builder(ElementTree.TreeBuilder):
+    """Builds the tree, and refuses a document type: with it come entities."""
+
+    def doctype(self, name: str, public: str | None, system: str | None) -> None:
+        raise BadDescription("the description declares a document type", last=name)
+
+
+def _nodes(parent: ElementTree.Element) -> Iterator[Node]:
+    """Named elements, also those inside groups, and the entries of registers that are shared by several."""
+    for element in parent:
+        kind = _local(element.tag)
+        if kind == "Group":
+            yield from _nodes(element)
+        elif kind == "StructReg":
+            yield from _struct_entries(element)
+        elif "Name" in element.attrib:
+            yield _node(element)
+
+
+def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
+    """The parts of one register, each with a name; what a part does not say itself the register says."""
+    entries = [child for child in shared if _local(child.tag) == "StructEntry"]
+    common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
+    for entry in entries:
+        node = _node(entry)
+        yield Node("MaskedIntReg", node.name, node.fields + common)
+
+
+def _node(element: ElementTree.Element) -> Node:
+    fields: list[Field] = []
+    entries: dict[str, int] = {}
+    conditions: dict[str, tuple[str, ...]] = {}
+    name = element.attrib["Name"]
+    for child in element:
+        if _local(child.tag) != "EnumEntry":
+            fields.append(_field(child))
+            continue
+        entry = child.attrib.get("Name", "")
+        parts = [_field(part) for part in child]
+        value = next((part.text for part in parts if part.tag == "Value"), None)
+        entries[entry] = whole_number(value, f"entry of {name}")
+        conditions[entry] = tuple(part.text for part in parts if part.tag in CONDITIONS)
+    return Node(_local(element.tag), name, tuple(fields), entries, conditions)
+
+
+def _field(element: ElementTree.Element) -> Field:
+    return Field(_local(element.tag), (element.text or "").strip(), dict(element.attrib))
+
+
+def whole_number(text: str | None, what: str) -> int:
+    """A whole number, decimal or 0x hexadecimal; raises GEV-009."""
+    try:
+        return int((text or "").strip(), 0)
+    except ValueError as error:
+        raise BadDescription(f"{what} is not a whole number", last=str(text)) from error
+
+
+def _local(tag: str) -> str:
+    return tag.rsplit("}", 1)[-1]

@@ -1,0 +1,247 @@
+"""Features of a camera by name, through the nodes of its description down to registers.
+
+What is read: Integer, Boolean, Enumeration, Float, Command, IntReg, MaskedIntReg, StructReg, FloatReg,
+Converter, IntConverter, SwissKnife and IntSwissKnife. One description often serves several models: what its
+conditions say is not there counts as absent. Nothing is cached: a camera changes values by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.basler_stereo.errors import BadDescription, MissingFeature
+from drivers.basler_stereo.features.description import CONDITIONS, Field, Node, whole_number
+from drivers.basler_stereo.features.formula import Number, evaluate
+from drivers.basler_stereo.features.register_codec import (
+    decode_register,
+    encode_register,
+    register_length,
+    shares_register,
+)
+from ronna_hw.wire.gige_vision import REGISTER_BYTES
+
+DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a circle
+
+_WHOLE = {"IntSwissKnife", "IntConverter"}
+_CONVERTERS = {"Converter", "IntConverter"}
+_REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg"}
+
+
+class Memory(Protocol):
+    """What a description's registers are read from and written to."""
+
+    def read(self, address: int, count: int) -> bytes:
+        """`count` bytes, a multiple of 4."""
+        ...
+
+    def write(self, address: int, data: bytes) -> None:
+        """A multiple of 4 bytes."""
+        ...
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Smallest and largest value and step; None where the description does not say."""
+
+    minimum: Number | None
+    maximum: Number | None
+    step: Number | None
+
+
+class FeatureMap:
+    """The features of one camera. Unknown names and values raise GEV-010, senseless nodes GEV-009."""
+
+    def __init__(self, nodes: dict[str, Node], memory: Memory) -> None:
+        self._nodes = nodes
+        self._memory = memory
+        self._held: dict[str, Number] = {}  # nodes with a value of their own and no register
+
+    def has(self, name: str) -> bool:
+        """True when the camera describes a feature of that name, and it can be used now."""
+        return name in self._nodes and self._usable(name, 0)
+
+    def entries(self, name: str) -> dict[str, int]:
+        """Names and values of an enumeration, as far as they can be chosen now."""
+        node = self._node(name)
+        return {
+            entry: value
+            for entry, value in node.entries.items()
+            if all(self._read(condition, 1) for condition in node.conditions.get(entry, ()))
+        }
+
+    def number(self, name: str) -> Number:
+        """Present value of a feature."""
+        return self._read(name, 0)
+
+    def whole(self, name: str) -> int:
+        """Present value of a feature that is a whole number."""
+        return int(self._read(name, 0))
+
+    def choice(self, name: str) -> str:
+        """Present value of an enumeration by name."""
+        value = self.whole(name)
+        for entry, number in self._node(name).entries.items():
+            if number == value:
+                return entry
+        raise BadDescription(f"{name} has the value {value}, which is none of its entries")
+
+    def set_number(self, name: str, value: Number) -> None:
+        """Set a feature; the camera judges the value."""
+        self._write(name, value, 0)
+
+    def choose(self, name: str, entry: str) -> None:
+        """Set an enumeration by the name of its entry."""
+        entries = self.entries(name)
+        if entry not in entries:
+            raise MissingFeature(f"{name} cannot be {entry}", awaited=" or ".join(sorted(entries)))
+        self._write(name, entries[entry], 0)
+
+    def execute(self, name: str) -> None:
+        """Carry out a command."""
+        self._memory.write(*self.command_write(name))
+
+    def command_write(self, name: str) -> tuple[int, bytes]:
+        """Address and bytes that carry out a command."""
+        node = self._node(name)
+        if node.kind != "Command":
+            raise MissingFeature(f"{name} is not a command", last=node.kind)
+        value = self._own_or_other(node, "CommandValue", 0)
+        target = node.text("pValue")
+        register = self._final_register(target or "", 0)
+        return self._address(register, 0), self._encoded(register, 1 if value is None else value)
+
+    def limits(self, name: str) -> Limits:
+        """What values a feature may take now: its own limits, within those of the nodes below it."""
+        node: Node | None = self._node(name)
+        found: list[Number | None] = [None, None, None]
+        depth = 0
+        while node is not None and depth < DEPTH_LIMIT:
+            for place, tag in enumerate(("Min", "Max", "Inc")):
+                if found[place] is None:
+                    found[place] = self._own_or_other(node, tag, depth)
+            below = self._below(node, depth) if node.kind not in _CONVERTERS else None
+            node = self._node(below) if below else None
+            depth += 1
+        return Limits(*found)
+
+    def _node(self, name: str) -> Node:
+        try:
+            return self._nodes[name]
+        except KeyError:
+            raise MissingFeature(f"the camera has no feature {name}") from None
+
+    def _read(self, name: str, depth: int) -> Number:
+        node = self._checked(name, depth)
+        if node.kind in _REGISTERS:
+            return self._decoded(node, depth)
+        if node.kind.endswith("SwissKnife"):
+            return self._computed(node, "Formula", depth)
+        below = self._below(node, depth)
+        if node.kind in _CONVERTERS:
+            return self._computed(node, "FormulaFrom", depth, TO=self._read(below or "", depth + 1))
+        if below is not None:
+            value = self._read(below, depth + 1)
+            return float(value) if node.kind == "Float" else value
+        if name in self._held:
+            return self._held[name]
+        own = node.text("Value")
+        if own is None:
+            raise BadDescription(f"{name} ({node.kind}) has no value")
+        return float(own) if node.kind == "Float" else whole_number(own, name)
+
+    def _write(self, name: str, value: Number, depth: int) -> None:
+        node = self._checked(name, depth)
+        if node.kind in _REGISTERS:
+            self._memory.write(self._address(node, depth), self._encoded(node, value))
+            return
+        below = self._below(node, depth)
+        if node.kind in _CONVERTERS:
+            self._write(below or "", self._computed(node, "FormulaTo", depth, FROM=value), depth + 1)
+        elif below is not None:
+            self._write(below, value, depth + 1)
+        elif node.text("Value") is not None:
+            self._held[name] = value
+        else:
+            raise MissingFeature(f"{name} cannot be written", last=node.kind)
+
+    def _checked(self, name: str, depth: int) -> Node:
+        if depth > DEPTH_LIMIT:
+            raise BadDescription(f"the nodes below {name} go round in a circle")
+        return self._node(name)
+
+    def _final_register(self, name: str, depth: int) -> Node:
+        node = self._checked(name, depth)
+        if node.kind in _REGISTERS:
+            return node
+        return self._final_register(self._below(node, depth) or "", depth + 1)
+
+    def _usable(self, name: str, depth: int) -> bool:
+        """What the conditions of a node say, and those of the node that holds its value."""
+        node = self._checked(name, depth)
+        for tag in CONDITIONS:
+            if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
+                return False
+        below = self._below(node, depth)
+        return below is None or self._usable(below, depth + 1)
+
+    def _below(self, node: Node, depth: int) -> str | None:
+        """The node that holds a node's value: the one, or of several the one that an index chooses."""
+        chooser = None if node.kind in _REGISTERS else node.text("pIndex")
+        if chooser is None:
+            return node.text("pValue")
+        index = int(self._read(chooser, depth + 1))
+        for field in node.all("pValueIndexed"):
+            if whole_number(field.attributes.get("Index"), f"index of {node.name}") == index:
+                return field.text
+        return node.text("pValueDefault")
+
+    def _own_or_other(self, node: Node, tag: str, depth: int) -> Number | None:
+        """The number in a field, or that of the node which its twin `p...` names; None without both."""
+        own, other = node.text(tag), node.text(f"p{tag}")
+        if own is not None:
+            return float(own) if node.kind == "Float" else whole_number(own, f"{tag} of {node.name}")
+        return None if other is None else self._read(other, depth + 1)
+
+    def _computed(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
+        """The value of a node's formula over its variables, constants and expressions."""
+        whole, values = node.kind in _WHOLE, dict(given)
+        for field in node.fields:
+            name = field.attributes.get("Name", "")
+            if field.tag == "pVariable":
+                values[name] = self._read(field.text.split(".")[0], depth + 1)
+            elif field.tag in ("Constant", "Expression"):
+                values[name] = evaluate(field.text, values, whole=whole)
+        return evaluate(self._formula(node, tag), values, whole=whole)
+
+    @staticmethod
+    def _formula(node: Node, tag: str) -> str:
+        text = node.text(tag)
+        if text is None:
+            raise BadDescription(f"{node.name} has no {tag}")
+        return text
+
+    def _address(self, node: Node, depth: int) -> int:
+        address = sum(whole_number(field.text, f"address of {node.name}") for field in node.all("Address"))
+        address += sum(int(self._read(field.text, depth + 1)) for field in node.all("pAddress"))
+        for field in node.all("pIndex"):
+            address += int(self._read(field.text, depth + 1)) * self._index_step(field, node, depth)
+        return address
+
+    def _index_step(self, field: Field, node: Node, depth: int) -> int:
+        if "pOffset" in field.attributes:
+            return int(self._read(field.attributes["pOffset"], depth + 1))
+        if "Offset" in field.attributes:
+            return whole_number(field.attributes["Offset"], f"index of {node.name}")
+        return register_length(node)
+
+    def _decoded(self, node: Node, depth: int) -> Number:
+        length = register_length(node)
+        padded = -(-length // REGISTER_BYTES) * REGISTER_BYTES
+        return decode_register(node, self._memory.read(self._address(node, depth), padded)[:length])
+
+    def _encoded(self, node: Node, value: Number) -> bytes:
+        present = b""
+        if shares_register(node):
+            present = self._memory.read(self._address(node, 0), register_length(node))
+        return encode_register(node, value, present)

@@ -1,0 +1,191 @@
+"""Brings a camera's features to a known, checked state: trigger, exposure, gain, pixel format, area."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+from drivers.basler_stereo.errors import BadDescription, MissingFeature, OutOfRange
+from drivers.basler_stereo.features.feature_map import Limits
+from drivers.basler_stereo.features.formula import Number
+from drivers.basler_stereo.options import BaslerOptions
+from ronna_hw.devices.readings import AreaOfInterest
+from ronna_hw.wire import gige_vision as gev
+
+# cameras of this family use the first name, younger standards the others
+EXPOSURE_NAMES = ("ExposureTimeAbs", "ExposureTime", "ExposureTimeRaw")
+GAIN_NAMES = ("GainRaw", "Gain")
+SENSOR_WIDTH_NAMES = ("SensorWidth", "WidthMax")
+SENSOR_HEIGHT_NAMES = ("SensorHeight", "HeightMax")
+
+FRAME_TRIGGER = "FrameStart"
+SOFTWARE, ACTION, LINE = "Software", "Action1", "Line1"
+TRIGGER_SOURCES = {"software": SOFTWARE, "action": ACTION, "line1": LINE}
+ACTION_GROUP_MASK = 1
+# what would change images behind our back, where a camera has it
+_FIXED_CHOICES = (
+    ("ExposureMode", "Timed"),
+    ("ExposureAuto", "Off"),
+    ("GainAuto", "Off"),
+    ("GainSelector", "All"),
+    ("TestImageSelector", "Off"),
+)
+
+
+class Features(Protocol):
+    """A camera's features by name; unknown names and values raise GEV-010."""
+
+    def has(self, name: str) -> bool: ...
+
+    def whole(self, name: str) -> int: ...
+
+    def entries(self, name: str) -> Iterable[str]: ...
+
+    def limits(self, name: str) -> Limits: ...
+
+    def set_number(self, name: str, value: Number) -> None: ...
+
+    def choose(self, name: str, entry: str) -> None: ...
+
+    def execute(self, name: str) -> None: ...
+
+
+def apply_known_state(features: Features, options: BaslerOptions) -> None:
+    """Everything but the area; raises GEV-010 for what the camera lacks, GEV-011 for impossible values."""
+    if features.has("AcquisitionStop"):  # a library may hide it while nothing runs
+        features.execute("AcquisitionStop")
+    lock_transport(features, False)  # a session that broke off may have left it
+    if options.load_default_user_set and features.has("UserSetLoad"):
+        features.choose("UserSetSelector", "Default")
+        features.execute("UserSetLoad")
+    features.choose("AcquisitionMode", "Continuous")
+    for name, entry in _FIXED_CHOICES:
+        if features.has(name) and entry in features.entries(name):
+            features.choose(name, entry)
+    arm_trigger(features, options)
+    features.choose("PixelFormat", options.pixel_format)
+    set_exposure(features, options.exposure_us, options.gain_raw)
+
+
+def lock_transport(features: Features, locked: bool) -> None:
+    """Tell the camera that geometry and pixel format must stay while images are under way."""
+    if features.has("TLParamsLocked"):
+        features.set_number("TLParamsLocked", int(locked))
+
+
+def arm_trigger(features: Features, options: BaslerOptions) -> None:
+    """One frame per trigger of the wanted source, every other kind of trigger off; raises GEV-010.
+
+    An old firmware may lack the action trigger: then its name is not among the entries.
+    """
+    source = TRIGGER_SOURCES[options.trigger]
+    if source == SOFTWARE and not features.has("TriggerSoftware"):
+        raise MissingFeature("the camera has no software trigger")
+    for kind in features.entries("TriggerSelector"):
+        features.choose("TriggerSelector", kind)
+        features.choose("TriggerMode", "Off")
+    features.choose("TriggerSelector", FRAME_TRIGGER)
+    features.choose("TriggerSource", source)
+    if source == ACTION:
+        features.set_number("ActionDeviceKey", options.action_device_key)
+        if features.has("ActionSelector"):
+            features.set_number("ActionSelector", 1)
+        features.set_number("ActionGroupKey", options.action_group_key)
+        features.set_number("ActionGroupMask", ACTION_GROUP_MASK)
+    features.choose("TriggerMode", "On")
+
+
+def set_exposure(features: Features, exposure_us: float, gain_raw: int | None) -> None:
+    """Exposure in microseconds and raw gain, None for the smallest; raises GEV-011 with the limits."""
+    exposure, gain = _first(features, EXPOSURE_NAMES), _first(features, GAIN_NAMES)
+    _require_within(features, exposure, exposure_us)
+    wanted_gain = features.limits(gain).minimum or 0 if gain_raw is None else gain_raw
+    _require_within(features, gain, wanted_gain)
+    features.set_number(exposure, round(exposure_us) if exposure.endswith("Raw") else exposure_us)
+    features.set_number(gain, wanted_gain)
+
+
+def full_area(features: Features) -> AreaOfInterest:
+    """The whole sensor."""
+    width = features.whole(_first(features, SENSOR_WIDTH_NAMES))
+    height = features.whole(_first(features, SENSOR_HEIGHT_NAMES))
+    return AreaOfInterest(0, 0, width, height)
+
+
+def set_area(features: Features, area: AreaOfInterest) -> None:
+    """Choose the part of the sensor that is read; raises GEV-011 with the limits.
+
+    The offsets go to zero first: the camera refuses a size that does not fit beside its present offset.
+    """
+    sensor = full_area(features)
+    if area == present_area(features):
+        return
+    _require_area(features, area, sensor)
+    features.set_number("OffsetX", 0)
+    features.set_number("OffsetY", 0)
+    features.set_number("Width", area.width)
+    features.set_number("Height", area.height)
+    features.set_number("OffsetX", area.offset_x)
+    features.set_number("OffsetY", area.offset_y)
+    if (found := present_area(features)) != area:
+        raise OutOfRange("the camera took another area", awaited=_shown(area), last=_shown(found))
+
+
+def present_area(features: Features) -> AreaOfInterest:
+    """The part of the sensor that the camera says it reads."""
+    return AreaOfInterest(*(features.whole(name) for name in ("OffsetX", "OffsetY", "Width", "Height")))
+
+
+def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -> int:
+    """Bytes of one image; raises GEV-009 when camera and arithmetic disagree."""
+    expected = image_bytes(area, pixel_format)
+    if features.has("PayloadSize") and (said := features.whole("PayloadSize")) != expected:
+        raise BadDescription("the payload size does not fit the area", awaited=str(expected), last=str(said))
+    return expected
+
+
+def image_bytes(area: AreaOfInterest, pixel_format: int) -> int:
+    """Bytes of an image without padding."""
+    bits = pixel_format >> gev.PIXEL_FORMAT_BITS_SHIFT & gev.PIXEL_FORMAT_BITS_MASK
+    return -(-area.width * area.height * bits // 8)
+
+
+def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfInterest) -> None:
+    inside = (
+        area.width > 0
+        and area.height > 0
+        and area.offset_x >= 0
+        and area.offset_y >= 0
+        and area.offset_x + area.width <= sensor.width
+        and area.offset_y + area.height <= sensor.height
+    )
+    if not inside:
+        raise OutOfRange("the area is not on the sensor", limit=_shown(sensor), last=_shown(area))
+    for name, value in (
+        ("Width", area.width),
+        ("Height", area.height),
+        ("OffsetX", area.offset_x),
+        ("OffsetY", area.offset_y),
+    ):
+        limits = features.limits(name)
+        start, step = int(limits.minimum or 0), int(limits.step or 1)
+        if value < start or (value - start) % step:
+            raise OutOfRange(f"{name} {value}", limit=f"from {start} in steps of {step}", last=_shown(area))
+
+
+def _require_within(features: Features, name: str, value: Number) -> None:
+    limits = features.limits(name)
+    low, high = limits.minimum, limits.maximum
+    if (low is not None and value < low) or (high is not None and value > high):
+        raise OutOfRange(f"{name} {value}", limit=f"{low} to {high}")
+
+
+def _first(features: Features, names: tuple[str, ...]) -> str:
+    for name in names:
+        if features.has(name):
+            return name
+    raise MissingFeature(f"the camera has none of {', '.join(names)}")
+
+
+def _shown(area: AreaOfInterest) -> str:
+    return f"{area.width}x{area.height}+{area.offset_x}+{area.offset_y}"

@@ -1,0 +1,74 @@
+"""Bytes of a register to a value and back, as the node in a camera's description says."""
+
+from __future__ import annotations
+
+import struct
+from typing import Literal
+
+from drivers.basler_stereo.errors import BadDescription
+from drivers.basler_stereo.features.description import Node, whole_number
+from drivers.basler_stereo.features.formula import Number
+
+_FLOATS = {4: "f", 8: "d"}
+
+
+def register_length(node: Node) -> int:
+    """Length of a register in bytes; raises GEV-009."""
+    length = whole_number(node.text("Length"), f"length of {node.name}")
+    if length not in (_FLOATS if node.kind == "FloatReg" else (1, 2, 4, 8)):
+        raise BadDescription(f"{node.name} has a length of {length} bytes")
+    return length
+
+
+def shares_register(node: Node) -> bool:
+    """True when a node takes only some bits of its register, so that writing it keeps the others."""
+    length = register_length(node)
+    return register_bits(node, length)[1] < 8 * length
+
+
+def decode_register(node: Node, data: bytes) -> Number:
+    """The value in the bytes of a register."""
+    if node.kind == "FloatReg":
+        return float(struct.unpack(_float_layout(node, len(data)), data)[0])
+    low, width = register_bits(node, len(data))
+    value = int.from_bytes(data, _byte_order(node)) >> low & (1 << width) - 1
+    signed = (node.text("Sign") or "Unsigned") == "Signed"
+    return value - (1 << width) if signed and value >> (width - 1) else value
+
+
+def encode_register(node: Node, value: Number, present: bytes = b"") -> bytes:
+    """The bytes that set a register to a value; `present` are its bytes now, for the bits left alone."""
+    length = register_length(node)
+    if node.kind == "FloatReg":
+        return struct.pack(_float_layout(node, length), float(value))
+    low, width = register_bits(node, length)
+    mask = (1 << width) - 1
+    others = int.from_bytes(present, _byte_order(node)) & ~(mask << low)
+    return (others | (round(value) & mask) << low).to_bytes(length, _byte_order(node))
+
+
+def register_bits(node: Node, length: int) -> tuple[int, int]:
+    """Lowest bit and number of bits that a register's value takes.
+
+    In a big-endian register the description counts bits from the most significant one.
+    """
+    if node.kind != "MaskedIntReg":
+        return 0, 8 * length
+    single = node.text("Bit")
+    ends = [
+        whole_number(single if single is not None else node.text(tag), node.name) for tag in ("LSB", "MSB")
+    ]
+    if _byte_order(node) == "big":
+        ends = [8 * length - 1 - end for end in ends]
+    low, high = min(ends), max(ends)
+    if low < 0 or high >= 8 * length:
+        raise BadDescription(f"{node.name} has bits outside its {length} bytes")
+    return low, high - low + 1
+
+
+def _byte_order(node: Node) -> Literal["big", "little"]:
+    return "big" if node.text("Endianess") == "BigEndian" else "little"
+
+
+def _float_layout(node: Node, length: int) -> str:
+    return (">" if _byte_order(node) == "big" else "<") + _FLOATS[length]

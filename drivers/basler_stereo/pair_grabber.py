@@ -1,0 +1,217 @@
+"""Takes pairs from two cameras: starts both streams, triggers, awaits both frames, judges how they match."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import replace
+
+from drivers.basler_stereo.camera import Camera
+from drivers.basler_stereo.control.channel import send_together
+from drivers.basler_stereo.errors import CommandRefused, ControlLost, NoReply, TriggerMissed
+from drivers.basler_stereo.images import camera_image, stereo_reading
+from drivers.basler_stereo.options import BaslerOptions
+from drivers.basler_stereo.pair_clock import PairClock
+from drivers.basler_stereo.stream.frame_assembler import Frame
+from ronna_hw.clock import Clock
+from ronna_hw.devices.readings import StereoReading, Validity
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire.gige_vision import GevStatus
+
+ALIVE_LIMIT_S = 0.5  # to find out whether a camera that sent nothing is still there
+ASK_AGAIN_S = 0.1  # between two such questions: the heartbeat asks by the same channel
+PARTNER_LIMIT_S = 2.0  # for the second image of a pair after the first has come
+PATIENCE_S = 0.1  # beyond the exposure, until an image of which nothing came is asked for
+FIRST_TRY_SHARE = 0.6  # of the time limit, for the first of two triggers
+SHORTEST_LIMIT_FOR_TWO_S = 1.0  # with less there is one
+NOT_TAKEN = "Connect again to set their triggers anew; where they are still busy then, grab less often."
+NO_PULSE = "Check what pulses the trigger line, and its wiring to the input Line1 of both cameras."
+
+Frames = tuple[Frame | None, Frame | None]
+
+
+class PairGrabber:
+    """The streams of a left and a right camera. Deadlines are host monotonic time; one thread at a time."""
+
+    def __init__(
+        self, cameras: tuple[Camera, Camera], serials: tuple[str, str], clock: Clock, options: BaslerOptions
+    ) -> None:
+        self._cameras = cameras
+        self._serials = serials
+        self._clock = clock
+        self._options = options
+        self._pair_clock = PairClock((None, None), 0.0)
+        self._out_of_step = False
+        self.exposure_us = options.exposure_us
+        self.block_ids: tuple[int | None, int | None] = (None, None)
+
+    def begin(self, deadline_s: float) -> None:
+        """Start both streams; block ids begin anew."""
+        left, right = self._cameras
+        left.start(deadline_s)
+        try:
+            right.start(deadline_s)
+            self._tie(deadline_s)
+        except BaseException:
+            for camera in self._cameras:
+                with contextlib.suppress(RonnaError, OSError):
+                    camera.stop(deadline_s)
+            raise
+        self._out_of_step = False
+
+    def end(self, deadline_s: float) -> None:
+        """Stop both streams."""
+        for camera in self._cameras:
+            camera.stop(deadline_s)
+
+    def grab(self, sequence: int, deadline_s: float) -> StereoReading:
+        """Trigger once and return the pair of that trigger.
+
+        Once more when neither camera sent an image, or the images are not of one moment, as happens when
+        the computer stalls between the two commands. After a pair that is not whole the streams begin
+        anew, so that a late image is never taken for one of the next trigger. Raises GEV-007, GEV-013 to
+        GEV-015, GEV-017.
+        """
+        limit_s = deadline_s - time.monotonic()
+        twice = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
+        if twice:
+            try:
+                reading = self._grab(sequence, time.monotonic() + FIRST_TRY_SHARE * limit_s)
+                if reading.validity not in (Validity.UNPAIRED, Validity.STALE):
+                    return reading
+            except TriggerMissed:
+                pass  # the command or every packet was lost, or the camera was busy
+        return self._grab(sequence, deadline_s)
+
+    def await_answers(self, deadline_s: float) -> None:
+        """Return when both cameras answer again.
+
+        Whether one is gone is for its heartbeat to say: raises GEV-014, GEV-015, at the deadline GEV-007.
+        """
+        for camera in self._cameras:
+            while True:
+                if camera.lost is not None:
+                    raise camera.lost
+                try:
+                    camera.check_control(min(deadline_s, time.monotonic() + ALIVE_LIMIT_S))
+                    break
+                except NoReply:
+                    if time.monotonic() >= deadline_s:
+                        raise
+                time.sleep(ASK_AGAIN_S)
+
+    def _grab(self, sequence: int, deadline_s: float) -> StereoReading:
+        if self._out_of_step:
+            self.end(deadline_s)
+            self.begin(deadline_s)
+        for camera in self._cameras:
+            camera.expect_next(PATIENCE_S + self.exposure_us * 1e-6)
+        triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
+        self._out_of_step = True  # until it is known what became of the trigger
+        self._trigger(deadline_s)
+        frames = self._collect(deadline_s)
+        self.block_ids = tuple(frame.block_id if frame else None for frame in frames)  # type: ignore[assignment]
+        # a line without a pulse is no reason to miss the next one
+        no_pulse = self._options.trigger == "line1" and frames == (None, None)
+        self._out_of_step = None in frames and not no_pulse
+        if None in frames:
+            self._explain_absence(frames)
+        return self._reading(frames, sequence, triggered_s)
+
+    def _tie(self, deadline_s: float) -> None:
+        """Tie the counts of both cameras to theatre time."""
+        left, right = (camera.tie(self._clock, deadline_s) for camera in self._cameras)
+        self._pair_clock = PairClock((left, right), self._options.pair_skew_ms / 1000.0)
+
+    def _trigger(self, deadline_s: float) -> None:
+        commands = [
+            (camera.control, camera.trigger_command)
+            for camera in self._cameras
+            if camera.trigger_command is not None
+        ]
+        results = send_together(commands, deadline_s, "the trigger")
+        for camera, result in zip(self._cameras, results, strict=False):
+            if isinstance(result, CommandRefused) and result.status == GevStatus.ACCESS_DENIED:
+                raise ControlLost(f"the {camera.side} camera refuses our trigger") from result
+            if result is not None:
+                raise result
+
+    def _collect(self, deadline_s: float) -> Frames:
+        """A frame of each camera; the second is not waited for as long as the first."""
+
+        def hopeless() -> bool:
+            return any(camera.lost is not None for camera in self._cameras)
+
+        left, right = self._cameras
+        first = left.take(deadline_s, hopeless)
+        if first is not None:
+            deadline_s = min(deadline_s, time.monotonic() + PARTNER_LIMIT_S)
+        return first, right.take(deadline_s, hopeless)
+
+    def _explain_absence(self, frames: Frames) -> None:
+        """Find out why a frame did not come.
+
+        Raises GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
+        """
+        for camera, frame in zip(self._cameras, frames, strict=True):
+            if frame is not None:
+                continue
+            if camera.lost is not None:
+                raise camera.lost
+            camera.check_control(time.monotonic() + ALIVE_LIMIT_S)
+        if frames == (None, None):
+            raise self._missed()
+
+    def _missed(self) -> TriggerMissed:
+        """Neither camera sent an image: what is known about the reason."""
+        awaited = "an image from either camera"
+        if self._options.trigger == "line1":
+            return TriggerMissed("no pulse came on the trigger line", awaited=awaited, action=NO_PULSE)
+        if any(camera.receiver.begun for camera in self._cameras):
+            return TriggerMissed("no whole image after a trigger", awaited=awaited, last="some packets of it")
+        if any(camera.receiver.counters.refusals for camera in self._cameras):
+            said = "the cameras say that they have none"
+            return TriggerMissed("no image after a trigger", awaited=awaited, last=said, action=NOT_TAKEN)
+        return TriggerMissed("no image after a trigger", awaited=awaited, last="not one packet")
+
+    def _reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
+        match, moments_s = self._match(frames, triggered_s)
+        left, right = (
+            camera_image(
+                frame,
+                serial,
+                camera.area,
+                self._options.pixel_format_code,
+                sequence,
+                triggered_s,
+                moment_s,
+            )
+            if frame is not None
+            else None
+            for camera, frame, serial, moment_s in zip(
+                self._cameras, frames, self._serials, moments_s, strict=True
+            )
+        )
+        if match is Validity.STALE:
+            left, right = (image and replace(image, validity=Validity.STALE) for image in (left, right))
+        return stereo_reading(left, right, sequence, triggered_s, match)
+
+    def _match(
+        self, frames: Frames, triggered_s: float
+    ) -> tuple[Validity, tuple[float | None, float | None]]:
+        left, right = (frame.leader if frame else None for frame in frames)
+        if left is None or right is None:
+            return Validity.OK, (None, None)  # what is missing says enough
+        ticks = (left.ticks, right.ticks)
+        if not self._pair_clock.tied and all(camera.tick_frequency_hz for camera in self._cameras):
+            # a counter that stood at zero when the stream began looked like one that does nothing
+            self._tie(time.monotonic() + ALIVE_LIMIT_S)
+        now_s = self._clock.now_s()
+        match = self._pair_clock.judge(ticks, triggered_s, now_s)
+        moments_s = self._pair_clock.moments_s(ticks)
+        if match is Validity.OK:
+            rates = tuple(camera.tick_frequency_hz for camera in self._cameras)
+            self._pair_clock.confirm(ticks, (rates[0], rates[1]), triggered_s, now_s)
+        else:
+            self._out_of_step = True
+        return match, moments_s

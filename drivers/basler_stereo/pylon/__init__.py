@@ -1,0 +1,1 @@
+"""The same pair through the vendor's library pypylon, which is an optional extra."""

@@ -1,0 +1,174 @@
+"""One real camera through the vendor's library pypylon, which is an optional extra."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.basler_stereo.control.identity import CameraIdentity
+from drivers.basler_stereo.errors import CameraLost, ControlTaken, NoCamera, NoPylon
+from drivers.basler_stereo.features import known_state
+from drivers.basler_stereo.options import BaslerOptions
+from drivers.basler_stereo.pylon.features import PylonFeatures
+from ronna_hw.devices.readings import AreaOfInterest
+
+TAKEN = "controlled by another application"  # in the library's message
+EMULATED = "BaslerCamEmu"  # device class of the cameras that the library itself emulates
+LONGEST_WAIT_S = 60.0
+READY_LIMIT_MS = 1000  # a trigger that comes before the camera awaits it is ignored
+
+
+@dataclass(frozen=True)
+class PylonFrame:
+    """One image as the library gave it; `pixels` are our own copy, None when it did not come whole."""
+
+    block_id: int
+    ticks: int
+    pixels: NDArray[Any] | None
+
+
+def load_pylon() -> tuple[Any, Any]:
+    """The library's modules `pylon` and `genicam`; raises GEV-018."""
+    try:
+        with warnings.catch_warnings():
+            # its binding warns of its own types; where warnings are errors that crashes the interpreter
+            warnings.simplefilter("ignore", DeprecationWarning)
+            from pypylon import genicam, pylon
+    except ImportError as error:
+        raise NoPylon("pypylon is not installed") from error
+    return pylon, genicam
+
+
+class PylonCamera:
+    """Found by its address; an emulated one, which has none, by serial number. Deadlines: host monotonic."""
+
+    def __init__(
+        self, side: str, address: str, serial: str | None, device_class: str, options: BaslerOptions
+    ) -> None:
+        self.side = side
+        self._address = address
+        self._serial = serial
+        self._device_class = device_class
+        self._options = options
+        self._pylon, self._genicam = load_pylon()
+        self._camera: Any = None
+        self.area = AreaOfInterest(0, 0, 0, 0)
+        self.tick_frequency_hz = 0
+
+    def connect(self) -> CameraIdentity:
+        """Find the camera; takes no control. Raises GEV-001."""
+        wanted = self._pylon.DeviceInfo()
+        wanted.SetDeviceClass(self._device_class)
+        if self._device_class == EMULATED and self._serial is not None:
+            wanted.SetSerialNumber(self._serial)
+        else:
+            wanted.SetIpAddress(self._address)
+        try:
+            self._camera = self._pylon.InstantCamera(self._pylon.TlFactory.GetInstance().CreateDevice(wanted))
+        except self._genicam.GenericException as error:
+            sought = self._serial if self._device_class == EMULATED else f"at {self._address}"
+            raise NoCamera(f"no camera {sought}", last=str(error).splitlines()[0]) from error
+        info = self._camera.GetDeviceInfo()
+        return CameraIdentity(
+            address=self._address,
+            mac=info.GetMacAddress() if info.IsMacAddressAvailable() else "",
+            vendor=info.GetVendorName(),
+            model=info.GetModelName(),
+            serial=info.GetSerialNumber(),
+            version=info.GetDeviceVersion() if info.IsDeviceVersionAvailable() else "",
+            user_name=info.GetUserDefinedName(),
+        )
+
+    def configure(self) -> None:
+        """Take control and bring everything to a known state; raises GEV-005, GEV-010, GEV-011."""
+        try:
+            self._camera.Open()
+        except self._genicam.GenericException as error:
+            if TAKEN in str(error):
+                raise ControlTaken(f"the {self.side} camera is controlled by another application") from error
+            raise CameraLost(
+                f"the {self.side} camera cannot be opened", last=str(error).splitlines()[0]
+            ) from error
+        features = self.features
+        known_state.apply_known_state(features, self._options)
+        self.area = known_state.full_area(features)
+        known_state.set_area(features, self.area)
+        if features.has("GevTimestampTickFrequency"):
+            self.tick_frequency_hz = features.whole("GevTimestampTickFrequency")
+
+    @property
+    def features(self) -> PylonFeatures:
+        """The features; only while controlled."""
+        return PylonFeatures(self._camera.GetNodeMap(), self._genicam)
+
+    def set_area(self, area: AreaOfInterest) -> None:
+        """Choose the part of the sensor to read; not while streaming. Raises GEV-011."""
+        known_state.set_area(self.features, area)
+        self.area = area
+
+    def set_exposure(self, exposure_us: float, gain_raw: int | None) -> None:
+        """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
+        known_state.set_exposure(self.features, exposure_us, gain_raw)
+
+    def start(self) -> None:
+        """Start the acquisition."""
+        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+
+    def stop(self) -> None:
+        """Stop the acquisition; images that nobody took are gone."""
+        self._camera.StopGrabbing()
+
+    def trigger(self) -> None:
+        """Take one frame as soon as the camera is ready for it; raises GEV-014."""
+        try:
+            if self._camera.CanWaitForFrameTriggerReady():
+                self._camera.WaitForFrameTriggerReady(READY_LIMIT_MS, self._pylon.TimeoutHandling_Return)
+            self.features.execute("TriggerSoftware")
+        except self._genicam.GenericException as error:
+            raise self._lost(error) from error
+
+    def take(self, deadline_s: float) -> PylonFrame | None:
+        """The next frame, or None when none came by the deadline. Raises GEV-014."""
+        left_s = min(LONGEST_WAIT_S, max(0.001, deadline_s - time.monotonic()))
+        try:
+            result = self._camera.RetrieveResult(round(left_s * 1e3), self._pylon.TimeoutHandling_Return)
+        except self._genicam.GenericException as error:
+            raise self._lost(error) from error
+        if self._camera.IsCameraDeviceRemoved():
+            raise CameraLost(f"the {self.side} camera was removed")
+        if not result.IsValid():
+            return None
+        with contextlib.closing(_Released(result)):
+            pixels = None
+            if result.GrabSucceeded():
+                pixels = np.array(result.GetArray())
+                pixels.flags.writeable = False
+            return PylonFrame(result.BlockID, result.TimeStamp, pixels)
+
+    def close(self) -> None:
+        """Give control back and let go; never raises."""
+        if self._camera is not None:
+            with contextlib.suppress(self._genicam.GenericException):
+                self._camera.Close()
+            with contextlib.suppress(self._genicam.GenericException):
+                self._camera.DetachDevice()
+        self._camera = None
+
+    def _lost(self, error: Exception) -> CameraLost:
+        return CameraLost(f"the {self.side} camera is gone", last=str(error).splitlines()[0])
+
+
+@dataclass(frozen=True)
+class _Released:
+    """Gives a grab result's buffer back to the library."""
+
+    result: Any
+
+    def close(self) -> None:
+        self.result.Release()

@@ -1,0 +1,259 @@
+"""Two real Basler cameras through the vendor's library, as a `StereoPair`: an optional extra.
+
+[stereo]
+driver = "basler_pylon"
+endpoints = { left = "gev://192.168.3.11", right = "gev://192.168.3.12" }
+
+The options are those of basler_stereo; heartbeat, packets and their repetition are the library's affair, and
+events are not asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from typing import Any, Literal, TypeVar
+
+from pydantic import ValidationError
+
+from drivers.basler_stereo.control.identity import CameraIdentity
+from drivers.basler_stereo.errors import BadOptions, CameraLost, TriggerMissed, WrongSerial
+from drivers.basler_stereo.images import stereo_reading
+from drivers.basler_stereo.options import BaslerOptions
+from drivers.basler_stereo.pair_clock import PairClock
+from drivers.basler_stereo.pair_identity import check_pair, pair_identity
+from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pylon
+from ronna_hw.clock import Clock
+from ronna_hw.config import DeviceConfig, describe_mistakes
+from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
+from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
+from ronna_hw.errors import RonnaError
+
+T = TypeVar("T")
+
+
+class PylonOptions(BaslerOptions):
+    """`device_class` chooses the library's transport: real cameras, or those it emulates."""
+
+    device_class: Literal["BaslerGigE", "BaslerCamEmu"] = "BaslerGigE"
+    trigger: Literal["software"] = "software"
+
+
+class PylonStereoPair:
+    """Calls are synchronous; one thread at a time. Time limits are host time, in seconds."""
+
+    def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
+        """Check options, endpoints and the library. Raises GEV-016, GEV-018, CFG-001 or CFG-002."""
+        load_pylon()
+        self._name = name
+        self._clock = clock
+        try:
+            self._options = PylonOptions.model_validate_json(json.dumps(config.options))
+        except ValidationError as error:
+            raise BadOptions("stereo options: " + "; ".join(describe_mistakes(error))) from error
+        self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
+        self._guard = LifecycleGuard(name)
+        self._cameras: tuple[PylonCamera, PylonCamera] | None = None
+        self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
+        self._pair_clock = PairClock((None, None), 0.0)
+        self._exposure: tuple[float, int | None] = (self._options.exposure_us, self._options.gain_raw)
+        self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
+        self._sequence = 0
+        self._out_of_step = False
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    @property
+    def state(self) -> Lifecycle:
+        return self._guard.state
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """What latched FAULT, if anything."""
+        return self._guard.fault
+
+    @property
+    def serials(self) -> tuple[str, str]:
+        """Serial numbers of the cameras, left and right; empty before `connect`."""
+        return (self._identities[0].serial, self._identities[1].serial) if self._identities else ("", "")
+
+    @property
+    def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
+        """The parts of the sensors that are read, left and right; known from `configure` on."""
+        self._guard.require("areas", READABLE)
+        left, right = self._pair
+        return left.area, right.area
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        """Find both cameras and check models and serial numbers. Raises GEV-001 to GEV-004."""
+        self._guard.require("connect", {Lifecycle.DISCONNECTED})
+        identities = self._open()
+        self._guard.enter(Lifecycle.CONNECTED)
+        return pair_identity(*identities)
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        """Take control of both and bring them to a known state; raises GEV-005, GEV-010, GEV-011."""
+        self._guard.require("configure", {Lifecycle.CONNECTED})
+        for camera in self._pair:
+            camera.configure()
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def activate(self, timeout_s: float = 10.0) -> None:
+        """Start both streams; the cameras then wait for triggers."""
+        self._guard.require("activate", {Lifecycle.CONFIGURED})
+        self._begin()
+        self._guard.enter(Lifecycle.ACTIVE)
+
+    def deactivate(self, timeout_s: float = 10.0) -> None:
+        """Stop both streams; control is kept."""
+        self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
+        self._end()
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
+        """Choose the part of each sensor to read; raises GEV-011 with both cameras as they were."""
+        self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        before, running = self.areas, self.state is Lifecycle.ACTIVE
+        if running:
+            self._end()
+        try:
+            self._set_areas((left, right))
+        except RonnaError:
+            self._set_areas(before)
+            raise
+        finally:
+            if running:
+                self._begin()
+        self._areas = (left, right)
+
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
+        """Set both cameras alike; raises GEV-011."""
+        self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        for camera in self._pair:
+            camera.set_exposure(exposure_us, gain_raw)
+        self._exposure = (exposure_us, gain_raw)
+
+    def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
+        """Trigger both cameras once and return the pair of that trigger.
+
+        A side of which no whole image came is None and the reading MISSING. Raises GEV-013 when neither
+        side sent one, and GEV-014 with FAULT latched. Afterwards the streams begin anew.
+        """
+        self._guard.require("grab_pair", {Lifecycle.ACTIVE})
+        return self._watched(lambda: self._grab(time.monotonic() + timeout_s))
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        """FAULT -> CONFIGURED by a new session with the same cameras, areas and exposure."""
+        self._guard.require("recover", {Lifecycle.FAULT})
+        require_person(acknowledged_by)
+        before = self.serials
+        self._let_go()
+        self._open()
+        if self.serials != before:
+            raise WrongSerial(
+                "other cameras answer than before", awaited="+".join(before), last="+".join(self.serials)
+            )
+        for camera in self._pair:
+            camera.configure()
+            camera.set_exposure(*self._exposure)
+        self._set_areas(self._areas or self.areas)
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def close(self) -> None:
+        """Give control back and let go; never raises."""
+        if self._guard.state is not Lifecycle.CLOSED:
+            self._let_go()
+            self._guard.enter(Lifecycle.CLOSED)
+
+    @property
+    def _pair(self) -> tuple[PylonCamera, PylonCamera]:
+        assert self._cameras is not None, "the lifecycle allows this call only with cameras"
+        return self._cameras
+
+    def _open(self) -> tuple[CameraIdentity, CameraIdentity]:
+        options = self._options
+        left, right = (
+            PylonCamera(side, self._addresses[side], serial, options.device_class, options)
+            for side, serial in (("left", options.left_serial), ("right", options.right_serial))
+        )
+        try:
+            identities = (left.connect(), right.connect())
+            check_pair(*identities, options)
+        except BaseException:
+            left.close()
+            right.close()
+            raise
+        self._cameras, self._identities = (left, right), identities
+        return identities
+
+    def _watched(self, work: Callable[[], T]) -> T:
+        try:
+            return work()
+        except CameraLost as fault:
+            self._guard.latch(fault)
+            raise
+
+    def _begin(self) -> None:
+        for camera in self._pair:
+            camera.start()
+        self._pair_clock = PairClock((None, None), self._options.pair_skew_ms / 1000.0)
+        self._out_of_step = False
+
+    def _end(self) -> None:
+        for camera in self._pair:
+            camera.stop()
+
+    def _set_areas(self, areas: tuple[AreaOfInterest, AreaOfInterest]) -> None:
+        for camera, area in zip(self._pair, areas, strict=True):
+            camera.set_area(area)
+
+    def _grab(self, deadline_s: float) -> StereoReading:
+        if self._out_of_step:
+            self._end()
+            self._begin()
+        triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
+        for camera in self._pair:
+            camera.trigger()
+        frames = [camera.take(deadline_s) for camera in self._pair]
+        self._out_of_step = any(frame is None or frame.pixels is None for frame in frames)
+        if not any(frames):
+            raise TriggerMissed("no image after a trigger", awaited="an image from either camera")
+        self._sequence += 1
+        left, right = (
+            self._image(frame, serial, camera.area, triggered_s)
+            for frame, serial, camera in zip(frames, self.serials, self._pair, strict=True)
+        )
+        match = self._match(frames, triggered_s)
+        return stereo_reading(left, right, self._sequence, triggered_s, match)
+
+    def _match(self, frames: list[Any], triggered_s: float) -> Validity:
+        if self._out_of_step:
+            return Validity.OK  # what is missing says enough
+        ticks = (frames[0].ticks, frames[1].ticks)
+        now_s = self._clock.now_s()
+        match = self._pair_clock.judge(ticks, triggered_s, now_s)
+        if match is Validity.OK:
+            left, right = self._pair
+            rates = (left.tick_frequency_hz, right.tick_frequency_hz)
+            self._pair_clock.confirm(ticks, rates, triggered_s, now_s)
+        else:
+            self._out_of_step = True
+        return match
+
+    def _image(
+        self, frame: PylonFrame | None, serial: str, area: AreaOfInterest, triggered_s: float
+    ) -> CameraImage | None:
+        if frame is None or frame.pixels is None:
+            return None
+        as_set = frame.pixels.shape == (area.height, area.width)
+        stamp = Stamp(self._sequence, frame.ticks, triggered_s)
+        validity = Validity.OK if as_set else Validity.CORRUPT
+        return CameraImage(stamp, validity, serial, frame.pixels, area)
+
+    def _let_go(self) -> None:
+        for camera in self._cameras or ():
+            camera.close()
+        self._cameras = None

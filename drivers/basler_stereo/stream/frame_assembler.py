@@ -1,0 +1,263 @@
+"""Frames from stream packets, in whatever order and number they come. No I/O; time is handed in.
+
+A frame is finished when leader, trailer and every payload packet are there. While something is missing the
+packets are asked for again in growing intervals; when that is used up the frame is given as it is.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from drivers.basler_stereo.stream.gvsp import Leader, PacketHeader, decode_header, decode_leader, following
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
+
+RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet that came; then give up
+AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other a little
+OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets of this one are repeated
+PACKETS_PER_ROUND = 64  # asked for at a time: a burst of more could overrun the socket again
+_UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
+_GONE = frozenset(
+    {
+        GevStatus.PACKET_UNAVAILABLE,
+        GevStatus.PACKET_REMOVED,
+        GevStatus.PACKET_AND_PREVIOUS_REMOVED,
+    }
+)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image as it was received: raw bytes, and what the leader said (None when it never came)."""
+
+    block_id: int
+    leader: Leader | None
+    data: bytearray | memoryview
+    missing_packets: int
+    resent_packets: int
+    slot: int = 0  # where `data` is, of the memory that the assembler was given
+
+
+@dataclass
+class StreamCounters:
+    """What happened on a stream since it was opened."""
+
+    packets: int = 0
+    ignored: int = 0  # not of the standard form, not of an open block, or of a wrong length
+    duplicates: int = 0
+    resend_requests: int = 0
+    frames: int = 0
+    incomplete_frames: int = 0
+    refusals: int = 0  # of packets that were asked for again: the camera has not got them
+
+
+@dataclass
+class _Block:
+    block_id: int
+    slot: int
+    data: bytearray | memoryview
+    came: bytearray  # one flag per packet id, leader and trailer included
+    leader: Leader | None = None
+    left: int = 0
+    resent: int = 0
+    rounds: int = 0  # of requests since one was answered in full
+    asked: list[int] = field(default_factory=list)  # packets of the last request
+    last_packet_s: float = 0.0
+    gone: set[int] = field(default_factory=set)
+
+
+Claim = Callable[[], tuple[int, bytearray | memoryview]]
+"""Memory for the next frame, of the payload's size, and its number."""
+
+
+class FrameAssembler:
+    """Assembles the frames of one stream, whose payload and packet size are known from its set-up.
+
+    Frames are put where `claim` says, by default into memory of their own.
+    """
+
+    def __init__(self, payload_bytes: int, packet_bytes: int, claim: Claim | None = None) -> None:
+        self._payload_bytes = payload_bytes
+        self._claim = claim or (lambda: (0, bytearray(payload_bytes)))
+        self._data_bytes = packet_bytes - gev.GVSP_OVERHEAD_BYTES
+        self._full_bytes = gev.GVSP_HEADER_BYTES + self._data_bytes
+        self._payload_packets = -(-payload_bytes // self._data_bytes)
+        self._trailer_id = self._payload_packets + 1
+        self._open: OrderedDict[int, _Block] = OrderedDict()
+        self._newest = 0  # block id; 0 before the first
+        # the last block ids: repeated packets of them are not a new block
+        self._finished: deque[int] = deque(maxlen=2 * OPEN_BLOCKS)
+        self.counters = StreamCounters()
+
+    @property
+    def waiting(self) -> bool:
+        """True while a frame has begun and is not finished."""
+        return bool(self._open)
+
+    def expect(self, block_id: int, from_s: float) -> None:
+        """A block has been triggered: from then on ask for it, even when not one of its packets came."""
+        if block_id in self._finished or block_id in self._open or len(self._open) >= OPEN_BLOCKS:
+            return
+        self._block(block_id).last_packet_s = from_s
+
+    def accept(self, packet: memoryview, now_s: float) -> Frame | None:
+        """Take one packet; returns the frame that it finishes, or one that gives way to a newer block."""
+        self.counters.packets += 1
+        if self._store_usual(packet, now_s):
+            return None
+        header = decode_header(packet)
+        if header is None or header.packet_id > self._trailer_id or header.block_id in self._finished:
+            self.counters.ignored += 1
+            return None
+        if header.block_id not in self._open:
+            self._expect_skipped(header.block_id, now_s)
+        pushed_out = self._give_way(header.block_id)
+        block = self._block(header.block_id)
+        block.last_packet_s = now_s
+        self._take(block, header, packet[gev.GVSP_HEADER_BYTES :])
+        # one packet never finishes a block, so no frame is lost here
+        return self._finish(block) if block.left == 0 else pushed_out
+
+    def overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
+        """What to ask for again, as (block id, first, last packet id), and a frame that is given up."""
+        for block in list(self._open.values()):
+            if now_s - block.last_packet_s < self._pause_s(block):
+                continue
+            missing = [i for i in range(self._trailer_id + 1) if not block.came[i] and i not in block.gone]
+            if self._answered(block):
+                block.rounds = 0
+            used_up = block.rounds >= len(RESEND_INTERVALS_S)
+            # an expected block of which nothing came may be late: it is asked for until it gives way
+            if not missing or (used_up and block.left <= self._trailer_id):
+                return [], self._finish(block)
+            block.rounds += not used_up
+            block.last_packet_s = now_s
+            block.asked = missing[:PACKETS_PER_ROUND] if block.left <= self._trailer_id else missing
+            ranges = _ranges(block.asked)
+            self.counters.resend_requests += len(ranges)
+            return [(block.block_id, first, last) for first, last in ranges], None
+        return [], None
+
+    def _pause_s(self, block: _Block) -> float:
+        """How long after its last packet a block is asked for again."""
+        if self._answered(block):
+            return AFTER_TRAILER_S
+        if block.rounds == 0 and block.left <= self._trailer_id:
+            newer_begun = next(reversed(self._open.values())) is not block
+            if newer_begun or block.came[self._trailer_id]:
+                return AFTER_TRAILER_S
+        return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
+
+    def _expect_skipped(self, block_id: int, now_s: float) -> None:
+        """Blocks between the newest one and this, of which not one packet came, are to be asked for."""
+        newest, self._newest = self._newest, block_id
+        skipped = (block_id - newest - 1) % gev.BLOCK_ID_LAST if newest else 0
+        if skipped >= OPEN_BLOCKS:
+            self._newest = max(newest, block_id)  # a straggler, or a wrap: nothing to conclude
+            return
+        for _ in range(skipped):
+            newest = following(newest)
+            self.expect(newest, now_s)
+
+    @staticmethod
+    def _answered(block: _Block) -> bool:
+        return bool(block.asked) and all(block.came[packet_id] for packet_id in block.asked)
+
+    def _block(self, block_id: int) -> _Block:
+        block = self._open.get(block_id)
+        if block is None:
+            block = _Block(
+                block_id,
+                *self._claim(),
+                bytearray(self._trailer_id + 1),
+                left=self._trailer_id + 1,
+            )
+            self._open[block_id] = block
+        return block
+
+    def _give_way(self, block_id: int) -> Frame | None:
+        if block_id in self._open or len(self._open) < OPEN_BLOCKS:
+            return None
+        return self._finish(next(iter(self._open.values())))
+
+    def _store_usual(self, packet: memoryview, now_s: float) -> bool:
+        """The short way for nearly every packet: full, new, of an open block that it does not finish."""
+        if len(packet) != self._full_bytes:
+            return False
+        status, block_id, word = _UNPACK_HEADER(packet)
+        block = self._open.get(block_id)
+        if block is None or status or word >> gev.GVSP_FORMAT_SHIFT != GvspFormat.PAYLOAD or block.left == 1:
+            return False
+        packet_id = word & gev.GVSP_PACKET_ID_MASK
+        if not 0 < packet_id < self._payload_packets or block.came[packet_id]:
+            return False
+        begin = (packet_id - 1) * self._data_bytes
+        block.data[begin : begin + self._data_bytes] = packet[gev.GVSP_HEADER_BYTES :]
+        block.came[packet_id] = 1
+        block.left -= 1
+        block.last_packet_s = now_s
+        return True
+
+    def _take(self, block: _Block, header: PacketHeader, content: memoryview) -> None:
+        packet_id = header.packet_id
+        if header.status in _GONE:
+            self.counters.refusals += 1
+            # until the trailer came, "unavailable" may only mean "not yet"
+            if block.came[self._trailer_id]:
+                block.gone.add(packet_id)
+            return
+        if block.came[packet_id]:
+            self.counters.duplicates += 1
+            return
+        if not self._store(block, header, content):
+            self.counters.ignored += 1
+            return
+        block.came[packet_id] = 1
+        block.left -= 1
+        block.resent += header.status == GevStatus.PACKET_RESEND
+
+    def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
+        """Keep the content where it belongs; False when kind, place and length do not fit together."""
+        packet_id = header.packet_id
+        if packet_id == gev.LEADER_PACKET_ID:
+            block.leader = decode_leader(content) if header.kind == GvspFormat.LEADER else None
+            return block.leader is not None
+        if packet_id == self._trailer_id:
+            return header.kind == GvspFormat.TRAILER
+        begin, end = self._place(packet_id)
+        if header.kind != GvspFormat.PAYLOAD or len(content) != end - begin:
+            return False
+        block.data[begin:end] = content
+        return True
+
+    def _finish(self, block: _Block) -> Frame | None:
+        del self._open[block.block_id]
+        if block.left > self._trailer_id:
+            return None  # expected, never seen
+        self._finished.append(block.block_id)
+        missing = [i for i in range(1, self._trailer_id) if not block.came[i]] if block.left else []
+        for packet_id in missing:
+            begin, end = self._place(packet_id)
+            block.data[begin:end] = bytes(end - begin)  # not the pixels of an earlier frame
+        self.counters.frames += 1
+        self.counters.incomplete_frames += bool(missing) or block.leader is None
+        return Frame(block.block_id, block.leader, block.data, len(missing), block.resent, block.slot)
+
+    def _place(self, packet_id: int) -> tuple[int, int]:
+        """Where a payload packet's bytes belong."""
+        begin = (packet_id - 1) * self._data_bytes
+        return begin, min(begin + self._data_bytes, self._payload_bytes)
+
+
+def _ranges(numbers: list[int]) -> list[tuple[int, int]]:
+    """Runs of consecutive numbers, ascending, as (first, last)."""
+    runs: list[tuple[int, int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1] = (runs[-1][0], number)
+        else:
+            runs.append((number, number))
+    return runs

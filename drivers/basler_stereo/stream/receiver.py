@@ -1,0 +1,167 @@
+"""The driver's side of the reception process: started, told what to receive, asked for frames."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import select
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+from drivers.basler_stereo.errors import ReceiverEnded
+from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
+from drivers.basler_stereo.stream.frame_slots import NOTE_BYTES, FrameSlots
+from drivers.basler_stereo.stream.receiver_orders import (
+    Beat,
+    CloseStream,
+    Expect,
+    OpenStream,
+    Order,
+    Rest,
+    send_order,
+)
+
+RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
+END_LIMIT_S = 2.0
+LOOK_UP_S = 0.1  # while waiting for a frame: how soon it is noticed that none can come
+
+
+class ReceiverProcess:
+    """One process for the streams of all cameras; it ends when `close` is called or its parent dies."""
+
+    def __init__(self) -> None:
+        self._orders, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._numbers = itertools.count(1)
+        with theirs:
+            self._process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "drivers.basler_stereo.stream.receiver_process",
+                    str(theirs.fileno()),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(),),
+            )
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def receive(
+        self,
+        stream: socket.socket,
+        control: socket.socket,
+        payload_bytes: int,
+        packet_bytes: int,
+        resend: bool,
+    ) -> StreamReceiver:
+        """Have a stream received; `control` is where repetitions are asked for. Raises GEV-017."""
+        number = next(self._numbers)
+        memory = FrameSlots.allocate(payload_bytes)
+        try:
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            with theirs:
+                order = OpenStream(number, payload_bytes, packet_bytes, resend)
+                self._tell(order, stream.fileno(), control.fileno(), memory, theirs.fileno())
+            return StreamReceiver(self._tell, number, FrameSlots(memory, payload_bytes), ours)
+        finally:
+            os.close(memory)
+
+    def keep_alive(self, control: socket.socket, period_s: float) -> int:
+        """Send a camera signs of life; returns the number to end them with. Raises GEV-017."""
+        number = next(self._numbers)
+        self._tell(Beat(number, period_s), control.fileno())
+        return number
+
+    def end_keep_alive(self, number: int) -> None:
+        """No more signs of life."""
+        with contextlib.suppress(ReceiverEnded):
+            self._tell(Rest(number))
+
+    def close(self) -> None:
+        """End the process, within two seconds."""
+        self._orders.close()
+        try:
+            self._process.wait(END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _tell(self, order: Order, *descriptors: int) -> None:
+        try:
+            send_order(self._orders, order, descriptors)
+        except OSError as error:
+            raise ReceiverEnded("the process that receives images has ended", last=str(error)) from error
+
+
+class StreamReceiver:
+    """The frames of one stream, fetched from shared memory in the order in which they were finished."""
+
+    def __init__(
+        self, tell: Callable[[Order], None], number: int, slots: FrameSlots, notes: socket.socket
+    ) -> None:
+        self._tell = tell
+        self._number = number
+        self._slots = slots
+        self._notes = notes
+
+    @property
+    def counters(self) -> StreamCounters:
+        """What happened since the stream was opened."""
+        return self._slots.counters()
+
+    @property
+    def begun(self) -> bool:
+        """True when any packet of an image came since the stream was opened."""
+        counters = self.counters
+        return counters.packets > counters.refusals
+
+    def expect(self, block_id: int, patience_s: float) -> None:
+        """A block was triggered; have it asked for when nothing of it has come after `patience_s`."""
+        self._tell(Expect(self._number, block_id, patience_s))
+
+    def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
+        """The oldest frame not yet taken, or None when none is there by the deadline (host monotonic).
+
+        Also None as soon as `hopeless()`. Raises GEV-017.
+        """
+        while True:
+            left_s = deadline_s - time.monotonic()
+            # what is there is taken even when the deadline has passed
+            if select.select([self._notes], [], [], max(0.0, min(left_s, LOOK_UP_S)))[0]:
+                frame = self._slots.fetch(self._next_note())
+                if frame is not None:
+                    return frame
+            elif left_s <= 0 or hopeless():
+                return None
+
+    def discard(self) -> int:
+        """Throw away the frames that nobody took; returns how many. Raises GEV-017."""
+        count = 0
+        while select.select([self._notes], [], [], 0.0)[0]:
+            self._next_note()
+            count += 1
+        return count
+
+    def close(self) -> None:
+        """Let go of the stream."""
+        with contextlib.suppress(ReceiverEnded):
+            self._tell(CloseStream(self._number))
+        self._notes.close()
+
+    def _next_note(self) -> bytes:
+        try:
+            note = self._notes.recv(NOTE_BYTES)
+        except OSError as error:
+            raise ReceiverEnded("the process that receives images has ended", last=str(error)) from error
+        if not note:
+            raise ReceiverEnded("the process that receives images has ended")
+        return note

@@ -1,0 +1,196 @@
+"""The loop of the reception process: packets of all streams to frames, signs of life to the cameras."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import time
+
+from drivers.basler_stereo.control import gvcp
+from drivers.basler_stereo.stream.frame_assembler import Frame, FrameAssembler
+from drivers.basler_stereo.stream.frame_slots import FrameSlots
+from drivers.basler_stereo.stream.receiver_orders import (
+    Beat,
+    CloseStream,
+    Expect,
+    OpenStream,
+    Order,
+    Rest,
+    receive_order,
+)
+from drivers.basler_stereo.stream.stream_socket import DATAGRAM_LIMIT_BYTES
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand, GvcpFlag
+
+FRAME_WAIT_S = 0.004  # while a frame has begun: how soon a pause is noticed
+IDLE_WAIT_S = 1.0
+PACKETS_AT_ONCE = 64  # of one stream before the other gets its turn
+# Packets are left to gather for a moment: waking for each burst costs as much as taking it, and on a busy
+# computer each waking waits for its turn.
+GATHER_S = 0.002
+GATHER_BUFFER_BYTES = 2 << 20  # as the kernel counts; a link of 1 Gbit/s fills a quarter of it meanwhile
+
+
+class _Stream:
+    """One camera's stream: socket, assembler, memory, and the channel on which frames are announced."""
+
+    def __init__(self, order: OpenStream, descriptors: list[int]) -> None:
+        stream, control, memory, notes = descriptors
+        self.socket = socket.socket(fileno=stream)
+        self.socket.setblocking(False)
+        self._control = socket.socket(fileno=control)
+        self._notes = socket.socket(fileno=notes)
+        self._notes.setblocking(False)
+        self._slots = FrameSlots(memory, order.payload_bytes)
+        os.close(memory)
+        self._may_gather = self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= GATHER_BUFFER_BYTES
+        self._resend = order.resend
+        self._assembler = FrameAssembler(order.payload_bytes, order.packet_bytes, self._slots.claim)
+        self._request_id = 0
+
+    @property
+    def waiting(self) -> bool:
+        return self._assembler.waiting
+
+    @property
+    def gathers(self) -> bool:
+        """True while packets may be left in the socket for a moment."""
+        return self._may_gather and self._assembler.waiting
+
+    def expect(self, block_id: int, from_s: float) -> None:
+        self._assembler.expect(block_id, from_s)
+
+    def receive(self, buffer: bytearray, view: memoryview) -> bool:
+        """Take what has come, up to a limit; True when there may be more."""
+        accept, receive = self._assembler.accept, self.socket.recv_into
+        now_s = time.monotonic()
+        with contextlib.suppress(OSError):  # nothing more has come
+            for _ in range(PACKETS_AT_ONCE):
+                frame = accept(view[: receive(buffer)], now_s)
+                if frame is not None:
+                    self._announce(frame)
+            return True
+        self._slots.write_counters(self._assembler.counters)
+        return False
+
+    def chase(self, now_s: float) -> None:
+        """Ask for what is missing; give up what does not come."""
+        ranges, given_up = self._assembler.overdue(now_s)
+        if self._resend:
+            for block_id, first, last in ranges:
+                self._request_id = self._request_id % gev.REQUEST_ID_LAST + gev.REQUEST_ID_FIRST
+                with contextlib.suppress(OSError):
+                    self._control.send(gvcp.encode_resend(self._request_id, block_id, first, last))
+        if given_up is not None:
+            self._announce(given_up)
+        if ranges or given_up is not None:
+            self._slots.write_counters(self._assembler.counters)
+
+    def close(self) -> None:
+        for each in (self.socket, self._control, self._notes):
+            each.close()
+
+    def _announce(self, frame: Frame) -> None:
+        self._slots.write_counters(self._assembler.counters)
+        with contextlib.suppress(OSError):  # a driver that does not look: newer frames take the slots
+            self._notes.send(self._slots.note(frame))
+
+
+class _Pulse:
+    """Signs of life for one camera.
+
+    They ask for no answer: the driver's own heartbeat asks who is in control. This one goes on while the
+    driver computes, or the computer gives it no time.
+    """
+
+    def __init__(self, period_s: float, control: int) -> None:
+        self._period_s = period_s
+        self._control = socket.socket(fileno=control)
+        self._command = gvcp.encode(
+            GvcpCommand.READREG,
+            gev.REQUEST_ID_LAST,  # the driver leaves it to us
+            gvcp.read_register_command(Bootstrap.CCP),
+            GvcpFlag(0),
+        )
+        self.due_s = 0.0
+
+    def beat(self, now_s: float) -> None:
+        if now_s >= self.due_s:
+            self.due_s = now_s + self._period_s
+            with contextlib.suppress(OSError):
+                self._control.send(self._command)
+
+    def close(self) -> None:
+        self._control.close()
+
+
+class ReceiverLoop:
+    """One thread for everything: waits for packets and orders, never for anything else."""
+
+    def __init__(self, orders: socket.socket) -> None:
+        self._orders = orders
+        self._streams: dict[int, _Stream] = {}
+        self._pulses: dict[int, _Pulse] = {}
+        self._poll = select.poll()
+        self._poll.register(orders, select.POLLIN)
+        self._by_descriptor: dict[int, _Stream] = {}
+
+    def run(self) -> None:
+        """Until the driver is gone."""
+        buffer = bytearray(DATAGRAM_LIMIT_BYTES)
+        view = memoryview(buffer)
+        while True:
+            more = False
+            for descriptor, _ in self._poll.poll(self._patience_s() * 1e3):
+                stream = self._by_descriptor.get(descriptor)
+                if stream is not None:
+                    more |= stream.receive(buffer, view)
+                elif descriptor == self._orders.fileno() and not self._obey():
+                    return
+            now_s = time.monotonic()
+            for stream in self._streams.values():
+                if stream.waiting:
+                    stream.chase(now_s)
+            for pulse in self._pulses.values():
+                pulse.beat(now_s)
+            if not more and any(stream.gathers for stream in self._streams.values()):
+                time.sleep(GATHER_S)
+
+    def _patience_s(self) -> float:
+        if any(stream.waiting for stream in self._streams.values()):
+            return FRAME_WAIT_S
+        now_s = time.monotonic()
+        return max(0.0, min([IDLE_WAIT_S, *(pulse.due_s - now_s for pulse in self._pulses.values())]))
+
+    def _obey(self) -> bool:
+        try:
+            received = receive_order(self._orders)
+        except OSError:
+            return False
+        if received is None:
+            return False
+        self._carry_out(*received)
+        return True
+
+    def _carry_out(self, order: Order, descriptors: list[int]) -> None:
+        match order:
+            case OpenStream():
+                stream = _Stream(order, descriptors)
+                self._streams[order.stream] = stream
+                self._by_descriptor[stream.socket.fileno()] = stream
+                self._poll.register(stream.socket, select.POLLIN)
+            case CloseStream():
+                if (ended := self._streams.pop(order.stream, None)) is not None:
+                    self._poll.unregister(ended.socket)
+                    del self._by_descriptor[ended.socket.fileno()]
+                    ended.close()
+            case Expect():
+                if (expecting := self._streams.get(order.stream)) is not None:
+                    expecting.expect(order.block_id, time.monotonic() + order.patience_s)
+            case Beat():
+                self._pulses[order.camera] = _Pulse(order.period_s, descriptors[0])
+            case Rest():
+                if (pulse := self._pulses.pop(order.camera, None)) is not None:
+                    pulse.close()

@@ -1,0 +1,192 @@
+"""The control channel against a thread that answers as told: repetition, lateness, other people's answers."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time
+
+import pytest
+
+from drivers.basler_stereo.control.channel import ControlChannel, register_write, send_together
+from drivers.basler_stereo.errors import BadDescription, CommandRefused, MalformedReply, NoReply
+from drivers.basler_stereo.features.description import fetch_description
+from ronna_hw.host.free_port import free_udp_port
+
+
+class Answering:
+    """A UDP socket whose thread gives every datagram to a function and sends what that returns."""
+
+    def __init__(self, answer) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.port = self.socket.getsockname()[1]
+        self.seen: list[bytes] = []
+        self._answer = answer
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            datagram, peer = self.socket.recvfrom(65536)
+            if datagram == b"end":
+                return
+            self.seen.append(datagram)
+            for reply in self._answer(datagram, len(self.seen)):
+                self.socket.sendto(reply, peer)
+
+    def close(self) -> None:
+        self.socket.sendto(b"end", self.socket.getsockname())
+        self._thread.join()
+        self.socket.close()
+
+
+@pytest.fixture
+def channel_to():
+    opened = []
+
+    def make(answer):
+        peer = Answering(answer)
+        channel = ControlChannel("127.0.0.1", port=peer.port)
+        opened.append((peer, channel))
+        return peer, channel
+
+    yield make
+    for peer, channel in opened:
+        channel.close()
+        peer.close()
+
+
+def ack(datagram: bytes, payload: bytes = b"", status: int = 0, command: int | None = None, shift: int = 0):
+    _, _, asked, _, request_id = struct.unpack_from(">BBHHH", datagram)
+    code = asked + 1 if command is None else command
+    return struct.pack(">HHHH", status, code, len(payload), request_id + shift) + payload
+
+
+def soon(limit_s: float = 5.0) -> float:
+    return time.monotonic() + limit_s
+
+
+def test_a_lost_answer_is_asked_for_again_with_the_same_request_id(channel_to):
+    peer, channel = channel_to(lambda data, count: [ack(data, b"\0\0\0\x07")] if count == 3 else [])
+    assert channel.read_register(0x938, soon()) == 7
+    assert len(set(peer.seen)) == 1
+    assert len(peer.seen) == 3
+
+
+def test_answers_to_other_requests_and_rubbish_are_not_taken(channel_to):
+    def answer(data, _):
+        return [
+            b"",
+            b"\0",
+            ack(data, bytes(4), shift=1),
+            ack(data, bytes(4), command=0x83),
+            ack(data, b"\0\0\0\x09"),
+        ]
+
+    _, channel = channel_to(answer)
+    assert channel.read_register(0x938, soon()) == 9
+
+
+def test_silence_ends_at_the_deadline(channel_to):
+    peer, channel = channel_to(lambda data, _: [])
+    start_s = time.monotonic()
+    with pytest.raises(NoReply, match="GEV-007"):
+        channel.write_register(0xA00, 2, soon(0.3))
+    assert time.monotonic() - start_s > 0.25
+    # asked at 0 and 0.2 s; without a deadline it would be asked twice more
+    assert len(peer.seen) <= 2
+
+
+def test_nobody_listening_ends_at_the_deadline_too():
+    port = free_udp_port()
+    channel = ControlChannel("127.0.0.1", port=port)
+    with pytest.raises(NoReply, match="GEV-007"):
+        channel.read_register(0, soon(0.3))
+    channel.close()
+
+
+def test_pending_extends_the_wait_without_a_repetition(channel_to):
+    def answer(data, _):
+        yield ack(data, struct.pack(">HH", 0, 1500), command=0x89)
+        time.sleep(1.2)  # otherwise asked for again at 0.2 and 0.6 s
+        yield ack(data, b"\0\0\0\x01")
+
+    peer, channel = channel_to(answer)
+    assert channel.read_register(0, soon()) == 1
+    assert len(peer.seen) <= 2  # the announcement itself may be late on a busy computer
+
+
+def test_a_refusal_is_told(channel_to):
+    _, channel = channel_to(lambda data, _: [ack(data, status=0x8003)])
+    with pytest.raises(CommandRefused, match=r"GEV-006.*invalid address"):
+        channel.read_register(0x123, soon())
+
+
+def test_memory_is_read_in_pieces(channel_to):
+    store = bytes(range(256)) * 6
+
+    def answer(data, _):
+        address, _, count = struct.unpack_from(">IHH", data, 8)
+        return [ack(data, data[8:12] + store[address : address + count])]
+
+    peer, channel = channel_to(answer)
+    assert channel.read_memory(0, 1301, soon()) == store[:1301]
+    assert [struct.unpack_from(">IHH", data, 8)[2] for data in peer.seen] == [536, 536, 232]
+
+
+def test_a_short_piece_of_memory_is_broken(channel_to):
+    _, channel = channel_to(lambda data, _: [ack(data, data[8:12] + b"\0\0")])
+    with pytest.raises(MalformedReply, match="GEV-008"):
+        channel.read_memory(0, 8, soon())
+
+
+def test_a_camera_without_a_description_is_refused(channel_to):
+    def answer(data, _):
+        _, _, count = struct.unpack_from(">IHH", data, 8)
+        return [ack(data, data[8:12] + b"http://somewhere/cam.xml".ljust(count, b"\0"))]
+
+    _, channel = channel_to(answer)
+    with pytest.raises(BadDescription, match="GEV-009"):
+        fetch_description(channel, soon())
+
+
+def test_commands_written_together_leave_before_the_first_answer(channel_to):
+    order = []
+
+    def first(data, _):
+        time.sleep(0.1)
+        order.append("first answers")
+        return [ack(data, bytes(4))]
+
+    def second(data, _):
+        order.append("second asked")
+        return [ack(data, status=0x8006)]
+
+    _, left = channel_to(first)
+    _, right = channel_to(second)
+    results = send_together(
+        [(left, register_write(0x20, 1)), (right, register_write(0x20, 1))], soon(), "the trigger"
+    )
+    assert order == ["second asked", "first answers"]
+    assert results[0] is None
+    assert isinstance(results[1], CommandRefused)
+
+
+def test_request_ids_are_never_zero_nor_the_last(channel_to):
+    peer, channel = channel_to(lambda data, _: [ack(data, bytes(4))])
+    channel._request_id = 0xFFFD
+    for _ in range(3):
+        channel.read_register(0, soon())
+    assert [struct.unpack_from(">H", data, 6)[0] for data in peer.seen] == [
+        0xFFFE,
+        1,
+        2,
+    ]  # the last is kept free
+
+
+def test_an_answer_that_came_while_the_host_stalled_counts(channel_to):
+    _, channel = channel_to(lambda data, _: [ack(data, struct.pack(">I", 7))])
+    past_s = time.monotonic() - 1.0
+    assert channel.read_register(0, past_s) == 7

@@ -1,0 +1,70 @@
+"""Frames to readings: pixels, areas, validity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.basler_stereo.images import camera_image, stereo_reading, unpack_12_bits
+from drivers.basler_stereo.stream.frame_assembler import Frame
+from drivers.basler_stereo.stream.gvsp import Leader
+from ronna_hw.devices.readings import AreaOfInterest, Validity
+from ronna_hw.wire.gige_vision import PixelFormat
+
+AREA = AreaOfInterest(16, 4, 6, 2)
+
+
+def image(
+    area=AREA, pixel_format=PixelFormat.MONO8, padding=0, missing=0, leader=True, data=bytes(range(12))
+):
+    said = (
+        Leader(77, pixel_format, area.offset_x, area.offset_y, area.width, area.height, padding)
+        if leader
+        else None
+    )
+    return camera_image(Frame(1, said, bytearray(data), missing, 0), "S", AREA, PixelFormat.MONO8, 5, 1.25)
+
+
+def test_a_whole_frame_is_a_valid_image():
+    found = image()
+    assert found.validity is Validity.OK
+    assert found.pixels.tolist() == [[0, 1, 2, 3, 4, 5], [6, 7, 8, 9, 10, 11]]
+    assert (found.stamp.sequence, found.stamp.device_clock, found.stamp.theatre_time_s) == (5, 77, 1.25)
+    with pytest.raises(ValueError, match="read-only"):
+        found.pixels[0, 0] = 1
+
+
+def test_missing_packets_make_it_partial_and_another_shape_corrupt():
+    assert image(missing=2).validity is Validity.PARTIAL
+    assert image(area=AreaOfInterest(17, 4, 6, 2)).validity is Validity.CORRUPT
+    assert image(pixel_format=PixelFormat.MONO12).validity is Validity.CORRUPT
+    assert image(padding=2, missing=1).validity is Validity.CORRUPT
+    assert image(leader=False) is None
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "expected"),
+    [
+        (image(), image(), Validity.OK),
+        (image(), image(missing=1), Validity.PARTIAL),
+        (image(padding=1), image(missing=1), Validity.CORRUPT),
+        (None, image(padding=1), Validity.MISSING),
+        (None, None, Validity.MISSING),
+    ],
+)
+def test_a_pair_is_as_valid_as_its_worse_side(left, right, expected):
+    reading = stereo_reading(left, right, 3, 2.0)
+    assert reading.validity is expected
+    assert reading.stamp.device_clock == (77 if left or right else 0)
+
+
+@given(st.lists(st.integers(0, 4095), min_size=1, max_size=50))
+def test_packed_values_are_unpacked_as_the_camera_family_packs_them(values):
+    padded = values + [0] * (len(values) % 2)
+    packed = bytearray()
+    for a, b in zip(padded[::2], padded[1::2], strict=True):
+        packed += bytes((a >> 4, (b & 0xF) << 4 | a & 0xF, b >> 4))
+    data = np.frombuffer(bytes(packed), dtype=np.uint8)
+    assert unpack_12_bits(data, len(values)).tolist() == values
