@@ -10,7 +10,7 @@ from pathlib import Path
 from benchmarks.figures import Figure, compared
 from benchmarks.peers import tracker_clients
 from benchmarks.tracker_stand import Rates, Stand, rates_of
-from sim.polaris.definition import write_definition
+from sim.polaris.tools.definition import write_definition
 from sim.theatre.process import load_scene
 from sim.theatre.scene.model import TrackerTool
 from sim.theatre.scene.named_scenes import robot_frame

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from drivers.ndi_polaris.discovery import find_unit, initialise
 from drivers.ndi_polaris.errors import (
     HardwareFailure,
     LinkLost,
@@ -17,21 +16,22 @@ from drivers.ndi_polaris.errors import (
     UnitRestarted,
     WrongUnit,
 )
-from drivers.ndi_polaris.frame_clock import NOMINAL_PERIOD_S, ClockFit
-from drivers.ndi_polaris.geometry import find_alike
-from drivers.ndi_polaris.identity import check_identity, read_identity
-from drivers.ndi_polaris.line_rate import raise_baud
-from drivers.ndi_polaris.measuring_settings import choose_volume, set_illuminator_rate
+from drivers.ndi_polaris.line.baud_rate import raise_baud
+from drivers.ndi_polaris.line.command_link import CommandLink
+from drivers.ndi_polaris.line.discovery import find_unit, initialise
+from drivers.ndi_polaris.line.time_limits import read_time_limits
+from drivers.ndi_polaris.line.transport import Transport, open_transport
 from drivers.ndi_polaris.options import read_options
-from drivers.ndi_polaris.port_handles import free_handle
-from drivers.ndi_polaris.rom import encode_definition
-from drivers.ndi_polaris.session import Session
-from drivers.ndi_polaris.status import clear_bump, refuse_standing_trouble
-from drivers.ndi_polaris.time_limits import read_time_limits
-from drivers.ndi_polaris.tool_loading import LoadedTool, load_tools
-from drivers.ndi_polaris.tracking import Tracking, TrackingStatistics, stop_tracking
-from drivers.ndi_polaris.transport import Transport, open_transport
-from drivers.ndi_polaris.volume import MeasuringVolume
+from drivers.ndi_polaris.rom.definition import encode_definition
+from drivers.ndi_polaris.tools.geometry import find_alike
+from drivers.ndi_polaris.tools.loading import LoadedTool, load_tools
+from drivers.ndi_polaris.tools.port_handles import free_handle
+from drivers.ndi_polaris.tracking.frame_clock import NOMINAL_PERIOD_S, ClockFit
+from drivers.ndi_polaris.tracking.tracking import Tracking, TrackingStatistics, stop_tracking
+from drivers.ndi_polaris.unit.identity import check_identity, read_identity
+from drivers.ndi_polaris.unit.measuring_settings import choose_volume, set_illuminator_rate
+from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume
+from drivers.ndi_polaris.unit.system_status import clear_bump, refuse_standing_trouble
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard, require_person
@@ -77,7 +77,7 @@ class PolarisTracker:
         self._monotonic = monotonic
         self._pause = pause
         self._guard = LifecycleGuard(name)
-        self._session: Session | None = None
+        self._open_link: CommandLink | None = None
         self._identity: Identity | None = None
         self._loaded: tuple[LoadedTool, ...] = ()
         self._volume: MeasuringVolume | None = None
@@ -120,7 +120,7 @@ class PolarisTracker:
     @property
     def baud(self) -> int | None:
         """Present rate of the serial line; None over TCP or while not connected."""
-        return self._session.transport.baud if self._session else None
+        return self._open_link.transport.baud if self._open_link else None
 
     @property
     def volume(self) -> MeasuringVolume | None:
@@ -247,17 +247,17 @@ class PolarisTracker:
         """Stop tracking, free the tools, leave the line at power-up's rate. At most 3 s; never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
-        if self._session is not None:
+        if self._open_link is not None:
             # a peer that is gone, or does not listen, gets no farewell
             with contextlib.suppress(RonnaError, OSError):
-                self._farewell(self._session, self._monotonic() + CLOSE_LIMIT_S)
+                self._farewell(self._open_link, self._monotonic() + CLOSE_LIMIT_S)
             self._let_go()
         self._guard.enter(Lifecycle.CLOSED)
 
     @property
-    def _link(self) -> Session:
-        assert self._session is not None, "the lifecycle allows this call only with a session"
-        return self._session
+    def _link(self) -> CommandLink:
+        assert self._open_link is not None, "the lifecycle allows this call only with a session"
+        return self._open_link
 
     @property
     def _run(self) -> Tracking:
@@ -274,16 +274,16 @@ class PolarisTracker:
 
     def _open(self, deadline_s: float) -> Identity:
         transport = self._open_transport(self._endpoint, max(0.1, deadline_s - self._monotonic()))
-        session = Session(transport, limits_s=self._options.limits_s(), monotonic=self._monotonic)
+        link = CommandLink(transport, limits_s=self._options.limits_s(), monotonic=self._monotonic)
         try:
-            find_unit(session, deadline_s)
-            initialise(session, deadline_s)
-            identity = read_identity(session, deadline_s)
+            find_unit(link, deadline_s)
+            initialise(link, deadline_s)
+            identity = read_identity(link, deadline_s)
             check_identity(identity, self._options.expected_model, self._options.expected_serial)
         except BaseException:
             transport.close()
             raise
-        self._session = session
+        self._open_link = link
         return identity
 
     def _set_up(self, deadline_s: float) -> None:
@@ -305,18 +305,18 @@ class PolarisTracker:
         self._loaded = load_tools(link, wanted, deadline_s, self._notices.append)
         self._tracking = Tracking(link, self._loaded, self._volume, rate_hz, self._options, self._clock)
 
-    def _farewell(self, session: Session, deadline_s: float) -> None:
+    def _farewell(self, link: CommandLink, deadline_s: float) -> None:
         if isinstance(self._guard.fault, LinkLost):
             return
         if self._guard.state in (Lifecycle.ACTIVE, Lifecycle.HOLD, Lifecycle.FAULT):
-            stop_tracking(session, deadline_s)
+            stop_tracking(link, deadline_s)
         for tool in self._loaded:
-            free_handle(session, tool.handle, deadline_s)
-        if session.transport.baud is not None:
-            session.ask("COMM", COMM_DEFAULT_ARGUMENT, deadline_s=deadline_s, retry=False)
+            free_handle(link, tool.handle, deadline_s)
+        if link.transport.baud is not None:
+            link.ask("COMM", COMM_DEFAULT_ARGUMENT, deadline_s=deadline_s, retry=False)
 
     def _let_go(self) -> None:
-        if self._session is not None:
-            self._session.transport.close()
-        self._session = None
+        if self._open_link is not None:
+            self._open_link.transport.close()
+        self._open_link = None
         self._loaded = ()

@@ -15,7 +15,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 
 if TYPE_CHECKING:
-    from drivers.ndi_polaris.rom import ToolDefinition
+    from drivers.ndi_polaris.rom.definition import ToolDefinition
 
 app = typer.Typer(
     name="ronna-rom",
@@ -51,9 +51,9 @@ def make(
     distances; 1 the description is wrong or the file cannot be written.
     """
     console.set_up_logging(verbose)
-    from drivers.ndi_polaris.geometry import alike_segments_mm, find_alike
-    from drivers.ndi_polaris.rom import decode_definition, definition_hash, encode_definition
-    from drivers.ndi_polaris.rom_description import read_description
+    from drivers.ndi_polaris.rom.definition import decode_definition, definition_hash, encode_definition
+    from drivers.ndi_polaris.rom.description import read_description
+    from drivers.ndi_polaris.tools.geometry import alike_segments_mm, find_alike
     from ronna_hw.records import write_whole
 
     block = encode_definition(read_description(description).definition())
@@ -91,9 +91,9 @@ def show(
     console.set_up_logging(verbose)
     import sys
 
-    from drivers.ndi_polaris.geometry import segment_lengths_mm
-    from drivers.ndi_polaris.rom import definition_hash
-    from drivers.ndi_polaris.rom_description import describe
+    from drivers.ndi_polaris.rom.definition import definition_hash
+    from drivers.ndi_polaris.rom.description import describe
+    from drivers.ndi_polaris.tools.geometry import segment_lengths_mm
 
     if as_toml and as_json:
         raise UsageMistake("--toml and --json exclude each other", action="Give one of them.")
@@ -147,7 +147,7 @@ def compare(
     console.set_up_logging(verbose)
     from dataclasses import asdict
 
-    from drivers.ndi_polaris.rom_compare import compare_definitions, largest_segment_difference_mm
+    from drivers.ndi_polaris.rom.comparison import compare_definitions, largest_segment_difference_mm
 
     tools = _read(first), _read(second)
     differences = compare_definitions(*tools)
@@ -192,7 +192,7 @@ def check(
     from dataclasses import asdict
     from itertools import combinations
 
-    from drivers.ndi_polaris.geometry import SEGMENT_TOLERANCE_MM, find_alike, shared_triangle
+    from drivers.ndi_polaris.tools.geometry import SEGMENT_TOLERANCE_MM, find_alike, shared_triangle
 
     tolerance = SEGMENT_TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     tools = {_short_name(path, roms): _read(path) for path in roms}
@@ -221,8 +221,8 @@ def check(
 
 
 def _read(path: Path) -> ToolDefinition:
-    from drivers.ndi_polaris.rom import read_definition
-    from drivers.ndi_polaris.shipped import find_definition
+    from drivers.ndi_polaris.rom.definition import read_definition
+    from drivers.ndi_polaris.tools.shipped import find_definition
 
     return read_definition(find_definition(path))
 
@@ -233,7 +233,7 @@ def _short_name(path: Path, others: list[Path]) -> str:
 
 
 def _as_data(tool: ToolDefinition) -> dict[str, Any]:
-    from drivers.ndi_polaris.rom_description import describe
+    from drivers.ndi_polaris.rom.description import describe
 
     return {**describe(tool), "made_on": tool.made_on.isoformat()}
 

@@ -42,13 +42,13 @@ def polaris(
     """Simulate an NDI Polaris Spectra or Vicra, for any client; runs until it is ended."""
     import gc
 
-    from sim.polaris.parameters import UnitParameters, parameter_rows
-    from sim.polaris.profile import PROFILES
-    from sim.polaris.pseudo_terminal import PseudoTerminal
-    from sim.polaris.server import EndSignal, Server, listen, network_address
-    from sim.polaris.session import Session
-    from sim.polaris.unit import Unit
-    from sim.polaris.wired import plugged_in
+    from sim.polaris.line.interpreter import CommandInterpreter
+    from sim.polaris.line.pseudo_terminal import PseudoTerminal
+    from sim.polaris.line.server import EndSignal, Server, listen, network_address
+    from sim.polaris.tools.wired_tools import plugged_in
+    from sim.polaris.unit.behaviour import UnitBehaviour, parameter_rows
+    from sim.polaris.unit.model import UNIT_MODELS
+    from sim.polaris.unit.unit import Unit
     from sim.theatre.process import announce, end_with_parent, open_world
 
     if list_parameters:
@@ -56,21 +56,21 @@ def polaris(
             typer.echo(f"{name}={value}  {meaning}")
         return
     address = None if endpoint == SERIAL_PTY else network_address(endpoint)
-    behaviour = UnitParameters.with_settings(setting or [])
-    kind = PROFILES[profile.value]
+    behaviour = UnitBehaviour.with_settings(setting or [])
+    kind = UNIT_MODELS[profile.value]
     tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     if scene == "bench" and profile is ProfileName.VICRA:
         scene = "bench-near"  # the other one lies behind its volume
     room, control = open_world(world, scene, faults)
-    session = Session(Unit(room, kind, behaviour, tools))
+    interpreter = CommandInterpreter(Unit(room, kind, behaviour, tools))
     end = EndSignal()
-    server = Server(session, end)
+    server = Server(interpreter, end)
     end_with_parent(end.give)
     # What lives now lives to the end: looking through it would hold up a reply by more than a frame.
     gc.collect()
     gc.freeze()
     if address is None:
-        line = PseudoTerminal(session, throttle=throttle)
+        line = PseudoTerminal(interpreter, throttle=throttle)
         announce("polaris", line.endpoint, control)
         server.serve_line(line)
     else:

@@ -11,7 +11,7 @@ from typing import Any
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.records import write_whole
-from sim.polaris.definition import write_definition
+from sim.polaris.tools.definition import write_definition
 from sim.theatre.control import ControlPort, Room
 from sim.theatre.scene.model import Scene
 from sim.theatre.theatre_file import theatre_content, write_theatre_file

@@ -24,7 +24,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.polaris import FRAME_RATE_HZ
-from sim.polaris.definition import write_definition
+from sim.polaris.tools.definition import write_definition
 from sim.theatre.process import load_scene
 from sim.theatre.scene.model import TrackerTool
 from sim.theatre.world import World

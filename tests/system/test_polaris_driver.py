@@ -17,7 +17,7 @@ import pytest
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.driver import CLOSE_LIMIT_S
 from drivers.ndi_polaris.errors import LinkLost, ToolRefused
-from drivers.ndi_polaris.rom import encode_definition, planar_tool
+from drivers.ndi_polaris.rom.definition import encode_definition, planar_tool
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle

@@ -25,7 +25,7 @@ import ronna_hw
 import sim
 from procedures.engine.machine import mermaid
 from ronna_hw.errors import concrete_errors
-from sim.polaris.parameters import parameter_rows
+from sim.polaris.unit.behaviour import parameter_rows
 from sim.theatre.faults import FAULT_KINDS
 
 REFERENCE = Path(__file__).resolve().parents[2] / "docs" / "reference"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import string
 
 from ronna_hw.wire.polaris import HANDLE_DIGITS
-from sim.polaris.ports import Port
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
+from sim.polaris.tools.ports import Port
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 _HEXADECIMAL = frozenset(string.hexdigits)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS, LF, MAXIMUM_STRAYS
-from sim.polaris.alerts import HARDWARE
 from sim.polaris.handlers.arguments import (
     hexadecimal,
     initialised_port_of,
@@ -12,8 +11,9 @@ from sim.polaris.handlers.arguments import (
     no_argument,
     wired_port_of,
 )
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
+from sim.polaris.unit.alerts import HARDWARE
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 FIRING_DIGITS = 8
 OPTION_DIGITS = 4

@@ -5,8 +5,8 @@ from __future__ import annotations
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import Alert
 from sim.polaris.handlers.arguments import hexadecimal, need_length
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 FEATURE_ACTIVE_PORTS = 0x0001
 FEATURE_PASSIVE_PORTS = 0x0002
@@ -24,15 +24,15 @@ INTERFACE_VOLTAGES = 0x02
 def feature_list(unit: Unit, argument: str) -> str:
     """SFLIST nn"""
     need_length(argument, 2)
-    profile = unit.profile
-    volumes = "".join(volume.feature_line() for volume in profile.volumes)
+    model = unit.model
+    volumes = "".join(volume.feature_line() for volume in model.volumes)
     lists = {
         0x00: f"{_features(unit):08X}",
         0x01: f"{unit.wired.count:X}",
-        0x02: f"{profile.passive_ports:X}",
-        int(wire.SFLIST_VOLUMES, 16): f"{len(profile.volumes)}{volumes}",
+        0x02: f"{model.passive_ports:X}",
+        int(wire.SFLIST_VOLUMES, 16): f"{len(model.volumes)}{volumes}",
         0x04: f"{unit.wired.count:X}",  # ports that sense a tool by its current
-        0x05: f"{profile.wireless_ports:X}",
+        0x05: f"{model.wireless_ports:X}",
     }
     number = hexadecimal(argument)
     if number in AURORA_LISTS:
@@ -59,10 +59,10 @@ def system_checks(unit: Unit, argument: str) -> str:
 
 
 def _features(unit: Unit) -> int:
-    profile = unit.profile
+    model = unit.model
     return (
         FEATURE_PASSIVE_PORTS
         | (FEATURE_ACTIVE_PORTS | FEATURE_TOOL_IN_PORT if unit.wired.count else 0)
-        | (FEATURE_SEVERAL_VOLUMES if len(profile.volumes) > 1 else 0)
-        | (FEATURE_ACTIVE_WIRELESS if profile.wireless_ports else 0)
+        | (FEATURE_SEVERAL_VOLUMES if len(model.volumes) > 1 else 0)
+        | (FEATURE_ACTIVE_WIRELESS if model.wireless_ports else 0)
     )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from sim.polaris.handlers.arguments import need_length
-from sim.polaris.line_settings import LineSettings
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
+from sim.polaris.line.line_settings import LineSettings
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 
 def communication(unit: Unit, argument: str) -> str:
@@ -16,7 +16,7 @@ def communication(unit: Unit, argument: str) -> str:
         settings = LineSettings.from_argument(argument)
     except KeyError:
         raise Refusal(unit.behaviour.malformed_line_settings) from None
-    if argument[0] not in unit.profile.baud_codes:
+    if argument[0] not in unit.model.baud_codes:
         raise Refusal(ErrorCode.COMMUNICATION_PARAMETERS)
     unit.line = settings
     return wire.REPLY_OKAY

@@ -5,8 +5,8 @@ from __future__ import annotations
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS
 from sim.polaris.handlers.arguments import hexadecimal, initialised_port_of, need_length, wired_port_of
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 ABSENT = (
     "GETIO", "SETIO", "SENSEL", "GP", "PSTART", "PSTOP", "GETLOG", "SYSLOG", "VSNAP", "VGET", "VCAP",

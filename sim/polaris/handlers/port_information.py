@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import Literal
 
 from ronna_hw.wire.polaris_rom import PART_NUMBER_BYTES
-from sim.polaris.ports import Port
-from sim.polaris.unit import Unit
+from sim.polaris.tools.ports import Port
+from sim.polaris.unit.unit import Unit
 
 SERIAL_BYTES = 4
 MANUFACTURER_CHARACTERS = 12
@@ -60,7 +60,7 @@ def _marker_type(_unit: Unit, port: Port) -> str:
 
 
 def _location(unit: Unit, port: Port) -> str:
-    device = unit.profile.serial_number[:DEVICE_CHARACTERS].ljust(DEVICE_CHARACTERS)
+    device = unit.model.serial_number[:DEVICE_CHARACTERS].ljust(DEVICE_CHARACTERS)
     tool_type = TOOL_WIRED if port.wired_port else TOOL_WIRELESS
     return f"{device}{SYSTEM_POLARIS}{tool_type}{port.wired_port:02d}{CHANNEL}"
 

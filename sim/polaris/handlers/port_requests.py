@@ -7,9 +7,9 @@ import re
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS, HandleQuery, SystemStatus
 from sim.polaris.handlers.arguments import hexadecimal, need_length, port_of
-from sim.polaris.ports import Port
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
+from sim.polaris.tools.ports import Port
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 # Hardware device, system type (Polaris), tool type, port, and what to load: nothing or a dummy.
 _description = re.compile(r"[!-~]{8}[*0]([*01])(\*\*|[0-9]{2})(\*\*|00|01|02)")

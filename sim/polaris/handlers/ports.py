@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS, TrackingPriority
-from sim.polaris.definition import BadDefinition, parse_definition
-from sim.polaris.geometry_rules import warning_of
 from sim.polaris.handlers.arguments import (
     hexadecimal,
     initialised_port_of,
@@ -14,10 +12,12 @@ from sim.polaris.handlers.arguments import (
     port_of,
 )
 from sim.polaris.handlers.port_information import PORT_INFORMATION
-from sim.polaris.ports import ALL_FACES, Port
-from sim.polaris.refusal import ErrorCode, Refusal, WarningCode
-from sim.polaris.unit import Unit
-from sim.polaris.user_parameter_table import RETURN_WARNING
+from sim.polaris.tools.definition import BadDefinition, parse_definition
+from sim.polaris.tools.geometry_rules import warning_of
+from sim.polaris.tools.ports import ALL_FACES, Port
+from sim.polaris.unit.refusal import ErrorCode, Refusal, WarningCode
+from sim.polaris.unit.unit import Unit
+from sim.polaris.unit.user_parameter_table import RETURN_WARNING
 
 OPTION_DIGITS = 4
 DEFAULT_INFORMATION = "0001"
@@ -49,7 +49,7 @@ def enable(unit: Unit, argument: str) -> str:
     if priority not in PRIORITIES:
         raise Refusal(ErrorCode.BAD_PRIORITY)
     port = initialised_port_of(unit, argument)
-    if not port.enabled and len(unit.ports.enabled()) >= unit.profile.enabled_tools:
+    if not port.enabled and len(unit.ports.enabled()) >= unit.model.enabled_tools:
         raise Refusal(ErrorCode.TOO_MANY_ENABLED)
     port.priority = priority
     port.enabled = True

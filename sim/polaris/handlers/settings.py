@@ -7,10 +7,10 @@ import string
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import LF
 from sim.polaris.handlers.arguments import digit_within, no_argument
-from sim.polaris.mode import Mode
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
-from sim.polaris.user_parameter_table import LONGEST_WATCH_DOG_S, WATCH_DOG
+from sim.polaris.unit.mode import Mode
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
+from sim.polaris.unit.user_parameter_table import LONGEST_WATCH_DOG_S, WATCH_DOG
 
 
 def get(unit: Unit, argument: str) -> str:
@@ -50,14 +50,14 @@ def save(unit: Unit, argument: str) -> str:
 
 def select_volume(unit: Unit, argument: str) -> str:
     """VSEL n, from 1; the parameter counts from 0."""
-    number = digit_within(argument, 1, len(unit.profile.volumes), ErrorCode.NO_SUCH_VOLUME)
+    number = digit_within(argument, 1, len(unit.model.volumes), ErrorCode.NO_SUCH_VOLUME)
     unit.parameters.set(wire.PARAMETER_SELECTED_VOLUME, str(number - 1), tracking=False)
     return wire.REPLY_OKAY
 
 
 def illuminator_rate(unit: Unit, argument: str) -> str:
     """IRATE n"""
-    number = digit_within(argument, 0, max(unit.profile.illuminator_rates))
+    number = digit_within(argument, 0, max(unit.model.illuminator_rates))
     unit.parameters.set(wire.PARAMETER_ILLUMINATOR_RATE, str(number), tracking=False)
     return wire.REPLY_OKAY
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import LF
-from sim.polaris.alerts import HARDWARE
 from sim.polaris.handlers.arguments import digit_within, need_length, no_argument
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
+from sim.polaris.unit.alerts import HARDWARE
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 VERSION_CONTROL, VERSION_LEFT, VERSION_RIGHT, VERSION_WIRED, VERSION_ENHANCED, VERSION_COMBINED = range(6)
 BEEPED, BUSY_BEEPING = "1", "0"
@@ -37,21 +37,21 @@ def reset(unit: Unit, argument: str) -> str:
 def version(unit: Unit, argument: str) -> str:
     """VER n"""
     which = digit_within(argument, VERSION_CONTROL, VERSION_COMBINED)
-    profile = unit.profile
+    model = unit.model
     if which == VERSION_COMBINED:
-        return profile.combined_revision
+        return model.combined_revision
     if which == VERSION_WIRED and not unit.wired.tools:
         raise Refusal(ErrorCode.NO_FIRMWARE_VERSION)  # no interface for wired tools is connected
     parts = {VERSION_LEFT: "Left Sensor", VERSION_RIGHT: "Right Sensor", VERSION_WIRED: "System Control Unit"}
-    revision = profile.firmware.rsplit(".", 1)[0]
+    revision = model.firmware.rsplit(".", 1)[0]
     if not unit.behaviour.freeze_tag_with_minor:
         revision = revision.partition(".")[0]
     lines = (
-        f"{profile.model} {parts.get(which, 'Control')} Firmware",
-        f"NDI S/N: {profile.serial_number}",
-        f"Characterization Date: {profile.characterization_date}",
-        f"Freeze Tag: {profile.model} Rev {revision}",
-        f"Freeze Date: {profile.freeze_date}",
+        f"{model.name} {parts.get(which, 'Control')} Firmware",
+        f"NDI S/N: {model.serial_number}",
+        f"Characterization Date: {model.characterization_date}",
+        f"Freeze Tag: {model.name} Rev {revision}",
+        f"Freeze Date: {model.freeze_date}",
         "(C) Northern Digital Inc.",
     )
     return LF.join(lines)
@@ -60,7 +60,7 @@ def version(unit: Unit, argument: str) -> str:
 def api_revision(unit: Unit, argument: str) -> str:
     """APIREV"""
     no_argument(argument)
-    return unit.profile.api_revision
+    return unit.model.api_revision
 
 
 def beep(unit: Unit, argument: str) -> str:

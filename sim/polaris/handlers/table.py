@@ -18,9 +18,9 @@ from sim.polaris.handlers import (
     tool_memory,
     tracking,
 )
-from sim.polaris.mode import Group, Mode, modes_of
-from sim.polaris.parameters import UnitParameters
-from sim.polaris.unit import Unit
+from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.polaris.unit.mode import Group, Mode, modes_of
+from sim.polaris.unit.unit import Unit
 
 CarryOut = Callable[[Unit, str], str | bytes]
 
@@ -89,6 +89,6 @@ COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
 )
 
 
-def modes_of_commands(behaviour: UnitParameters) -> dict[str, frozenset[Mode]]:
+def modes_of_commands(behaviour: UnitBehaviour) -> dict[str, frozenset[Mode]]:
     """The modes in which each command is taken."""
     return {name: modes_of(command.group, behaviour) for name, command in COMMANDS.items()}

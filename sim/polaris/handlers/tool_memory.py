@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS
-from sim.polaris.definition import wiring_definition
 from sim.polaris.handlers.arguments import (
     hexadecimal,
     initialised_port_of,
@@ -12,10 +11,11 @@ from sim.polaris.handlers.arguments import (
     port_of,
     wired_port_of,
 )
-from sim.polaris.ports import Port
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.unit import Unit
-from sim.polaris.wired import WiredTool
+from sim.polaris.tools.definition import wiring_definition
+from sim.polaris.tools.ports import Port
+from sim.polaris.tools.wired_tools import WiredTool
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 ADDRESS_DIGITS = 4
 BLOCK_DIGITS = 2 * wire.PVWR_BLOCK_BYTES

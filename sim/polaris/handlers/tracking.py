@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import ReplyOption
-from sim.polaris.alerts import HARDWARE
-from sim.polaris.binary_reply import binary_body
-from sim.polaris.framing import ascii_reply, binary_reply
-from sim.polaris.geometry_rules import wavelength_of
 from sim.polaris.handlers.arguments import hexadecimal, need_length, no_argument
-from sim.polaris.ports import Port
-from sim.polaris.refusal import ErrorCode, Refusal
-from sim.polaris.text_reply import text_reply
-from sim.polaris.unit import Unit
+from sim.polaris.line.framing import ascii_reply, binary_reply
+from sim.polaris.replies.bx import binary_body
+from sim.polaris.replies.tx import text_reply
+from sim.polaris.tools.geometry_rules import wavelength_of
+from sim.polaris.tools.ports import Port
+from sim.polaris.unit.alerts import HARDWARE
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
 
 OPTION_DIGITS = 4
 RESTART_COUNTER = int(wire.TSTART_RESET_FRAME_COUNTER, 16)

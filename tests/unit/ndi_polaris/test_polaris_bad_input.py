@@ -18,8 +18,8 @@ import pytest
 import serial
 
 from drivers.ndi_polaris import PolarisTracker, errors
-from drivers.ndi_polaris.robot_frame import robot_frame
-from drivers.ndi_polaris.rom import definition_hash, encode_definition
+from drivers.ndi_polaris.rom.definition import definition_hash, encode_definition
+from drivers.ndi_polaris.tools.robot_frame import robot_frame
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Lifecycle

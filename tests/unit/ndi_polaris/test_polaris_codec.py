@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.ndi_polaris.bx_reply import decode_bx
-from drivers.ndi_polaris.codec import (
+from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply
+from drivers.ndi_polaris.line.codec import (
     ascii_line,
     binary_reply_bytes,
     encode_command,
@@ -16,9 +16,9 @@ from drivers.ndi_polaris.codec import (
     unit_error,
     warning_meaning,
 )
-from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply
-from drivers.ndi_polaris.tracking_reply import HandleState
-from drivers.ndi_polaris.tx_reply import decode_tx
+from drivers.ndi_polaris.tracking.bx_reply import decode_bx
+from drivers.ndi_polaris.tracking.reply import HandleState
+from drivers.ndi_polaris.tracking.tx_reply import decode_tx
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.polaris import PortStatus, SystemStatus, crc16
 

@@ -10,8 +10,8 @@ import pytest
 from polaris_unit_in_process import StillClock
 
 from drivers.ndi_polaris import PolarisTracker, errors
-from drivers.ndi_polaris.robot_frame import robot_frame
-from drivers.ndi_polaris.rom import encode_definition
+from drivers.ndi_polaris.rom.definition import encode_definition
+from drivers.ndi_polaris.tools.robot_frame import robot_frame
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import NobodyNamed
 from ronna_hw.devices.lifecycle import Lifecycle

@@ -12,26 +12,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ndi_polaris.errors import BadToolFile, SameGeometry
-from drivers.ndi_polaris.geometry import (
-    alike_segments_mm,
-    check_distinct,
-    find_alike,
-    segment_lengths_mm,
-    shared_segments_mm,
-)
-from drivers.ndi_polaris.robot_frame import robot_frame
-from drivers.ndi_polaris.rom import (
+from drivers.ndi_polaris.rom.comparison import compare_definitions, largest_segment_difference_mm
+from drivers.ndi_polaris.rom.definition import (
     ToolDefinition,
     decode_definition,
     encode_definition,
     planar_tool,
     read_definition,
 )
-from drivers.ndi_polaris.rom_compare import compare_definitions, largest_segment_difference_mm
-from drivers.ndi_polaris.rom_fields import blank_block
-from drivers.ndi_polaris.shipped import FOLDER, shipped_definitions
-from drivers.ndi_polaris.x_frame import x_frame
-from sim.polaris.definition import parse_definition, write_definition
+from drivers.ndi_polaris.rom.fields import blank_block
+from drivers.ndi_polaris.tools.geometry import (
+    alike_segments_mm,
+    check_distinct,
+    find_alike,
+    segment_lengths_mm,
+    shared_segments_mm,
+)
+from drivers.ndi_polaris.tools.robot_frame import robot_frame
+from drivers.ndi_polaris.tools.shipped import FOLDER, shipped_definitions
+from drivers.ndi_polaris.tools.x_frame import x_frame
+from sim.polaris.tools.definition import parse_definition, write_definition
 from sim.theatre.scene.named_scenes import robot_frame as robot_frame_of_the_scene
 
 RIGID_BODY = planar_tool(

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
-from sim.polaris.definition import write_definition
-from sim.polaris.parameters import UnitParameters
-from sim.polaris.profile import SPECTRA, Profile
-from sim.polaris.session import Session
-from sim.polaris.unit import Unit
-from sim.polaris.wired import WiredPorts
+from sim.polaris.line.interpreter import CommandInterpreter
+from sim.polaris.tools.definition import write_definition
+from sim.polaris.tools.wired_tools import WiredPorts
+from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.polaris.unit.model import SPECTRA, UnitModel
+from sim.polaris.unit.unit import Unit
 from sim.theatre.scene.model import Scene, TrackerTool
 from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
@@ -34,19 +34,19 @@ class Bench:
 
     world: World
     unit: Unit
-    session: Session
+    interpreter: CommandInterpreter
 
     def send(self, line: str) -> str:
         """Answer to a line in the form without CRC, its own CRC checked and cut off."""
-        return text_of(self.session.answer(line.encode("latin-1")))
+        return text_of(self.interpreter.answer(line.encode("latin-1")))
 
     def send_with_crc(self, line: str) -> str:
         """The same in the form with CRC; the line includes the colon."""
-        return text_of(self.session.answer(f"{line}{crc16(line.encode()):04X}".encode()))
+        return text_of(self.interpreter.answer(f"{line}{crc16(line.encode()):04X}".encode()))
 
     def raw(self, line: str) -> bytes:
         """The bytes of an answer."""
-        return self.session.answer(line.encode("latin-1"))
+        return self.interpreter.answer(line.encode("latin-1"))
 
     def load(self, content: bytes) -> int:
         """Request a handle and write a definition to it."""
@@ -81,14 +81,14 @@ def make_bench() -> Callable[..., Bench]:
         scene: Scene | None = None,
         *,
         paced: bool = False,
-        profile: Profile = SPECTRA,
+        model: UnitModel = SPECTRA,
         wired: WiredPorts | None = None,
         **behaviour: Any,
     ) -> Bench:
         world = World.create(scene or built_in_scene("bench"), paced=paced)
         behaviour.setdefault("saved_illuminator_rate", EVERY_FRAME)
-        unit = Unit(world, profile, UnitParameters(**behaviour), wired)
-        return Bench(world, unit, Session(unit))
+        unit = Unit(world, model, UnitBehaviour(**behaviour), wired)
+        return Bench(world, unit, CommandInterpreter(unit))
 
     return make
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
-from sim.polaris.definition import write_definition
 from sim.polaris.handlers.table import COMMANDS
-from sim.polaris.mode import Mode
-from sim.polaris.profile import SPECTRA
-from sim.polaris.user_parameter_table import parameter_table
-from sim.polaris.wired import WiredPorts, WiredTool
+from sim.polaris.tools.definition import write_definition
+from sim.polaris.tools.wired_tools import WiredPorts, WiredTool
+from sim.polaris.unit.mode import Mode
+from sim.polaris.unit.model import SPECTRA
+from sim.polaris.unit.user_parameter_table import parameter_table
 from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:

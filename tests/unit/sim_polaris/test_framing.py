@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim.polaris.framing import LineBuffer, Overlong, ascii_reply, binary_reply, parse_request
-from sim.polaris.refusal import ErrorCode, Refusal
+from sim.polaris.line.framing import LineBuffer, Overlong, ascii_reply, binary_reply, parse_request
+from sim.polaris.unit.refusal import ErrorCode, Refusal
 
 LIMIT = 40
 

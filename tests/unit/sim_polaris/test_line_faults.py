@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ronna_hw.wire.polaris import crc16
-from sim.polaris.line_faults import LineFaults
-from sim.polaris.server import EndSignal, Server
+from sim.polaris.line.line_faults import LineFaults
+from sim.polaris.line.server import EndSignal, Server
 
 if TYPE_CHECKING:
     from conftest import Bench
@@ -33,7 +33,7 @@ def with_crc(text: str) -> bytes:
 def conversation(bench: Bench, faults: LineFaults, line: bytes) -> bytes:
     """What a host hears when it sends one line."""
     heard = faults.heard(line)
-    return faults.said(heard, bench.session.answer(heard))
+    return faults.said(heard, bench.interpreter.answer(heard))
 
 
 def test_a_good_line_changes_nothing(bench: Bench) -> None:
@@ -104,7 +104,7 @@ def test_while_a_host_waits_in_vain_the_time_of_the_theatre_passes(bench: Bench)
 
 def test_a_late_reply_comes_after_all(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     slept: list[float] = []
-    monkeypatch.setattr("sim.polaris.line_faults.time.sleep", slept.append)
+    monkeypatch.setattr("sim.polaris.line.line_faults.time.sleep", slept.append)
     faults = happen(bench, "delay replies 3 s")
     began_s = bench.world.clock.now_s()
     assert conversation(bench, faults, b"INIT ") == OKAY
@@ -118,7 +118,7 @@ def host(make_bench: Callable[..., Bench]) -> Iterator[tuple[Bench, socket.socke
     bench = make_bench(reset_s=0.0)
     end = EndSignal()
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        server = threading.Thread(target=Server(bench.session, end).serve_network, args=(listener,))
+        server = threading.Thread(target=Server(bench.interpreter, end).serve_network, args=(listener,))
         server.start()
         with socket.create_connection(listener.getsockname(), timeout=HANG_GUARD_S) as connection:
             yield bench, connection

@@ -7,10 +7,10 @@ import pytest
 
 from sim.kuka.arm.joint_chain import Chain
 from sim.kuka.arm.robot_description import description
-from sim.polaris.disturbance import NONE
-from sim.polaris.line_of_sight import Capsule, Ellipsoid, visible
-from sim.polaris.optics import eyes_mm
-from sim.polaris.stage import Stage
+from sim.polaris.optics.marker_noise import eyes_mm
+from sim.polaris.scene.disturbance import NONE
+from sim.polaris.scene.line_of_sight import Capsule, Ellipsoid, visible
+from sim.polaris.scene.true_scene import TrueScene
 from sim.theatre.rigid import matrix_of
 from sim.theatre.scene.named_scenes import SceneName, built_in_scene
 from sim.theatre.world import ArmState, World
@@ -18,13 +18,13 @@ from sim.theatre.world import ArmState, World
 EYE = np.zeros((1, 3))
 
 
-def stage_at_home(name: SceneName, seed: int) -> tuple[Stage, World]:
+def stage_at_home(name: SceneName, seed: int) -> tuple[TrueScene, World]:
     scene = built_in_scene(name, seed=seed)
     world = World.create(scene, paced=False)
     joints = tuple(np.radians(scene.arm.home_deg).tolist())
     flange = Chain(description(scene.arm.variant)).flange(joints)
     world.publish_arm(ArmState(joints, flange, 0, True))
-    return Stage(world), world
+    return TrueScene(world), world
 
 
 def ball(centre: tuple[float, float, float], radius_mm: float) -> Ellipsoid:
@@ -77,32 +77,32 @@ def test_the_nearest_distance_of_two_segments_agrees_with_trying_all_places() ->
 @pytest.mark.parametrize("name", ["default", "mini"])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_tracker_sees_head_and_frame_past_the_arm_at_home(name: SceneName, seed: int) -> None:
-    stage, world = stage_at_home(name, seed)
-    arm = stage.arm()
+    scene, world = stage_at_home(name, seed)
+    arm = scene.arm()
     assert arm is not None
-    markers = stage.frame(arm, NONE).markers_mm
-    points = np.vstack([stage.fiducials_mm, markers])
+    markers = scene.frame(arm, NONE).markers_mm
+    points = np.vstack([scene.fiducials_mm, markers])
     for tool in (0, world.scene.mount.tool_number_stereo, world.scene.mount.tool_number_guide):
-        assert visible(eyes_mm(), points, stage.bodies(arm, tool)).all()
+        assert visible(eyes_mm(), points, scene.bodies(arm, tool)).all()
 
 
 def test_a_sphere_behind_the_head_is_not_seen() -> None:
-    stage, world = stage_at_home("default", 0)
+    scene, world = stage_at_home("default", 0)
     head = world.scene.head
     centre = matrix_of(head.robot_from_ct) @ [*head.centre_ct_mm, 1.0]
     in_tracker = np.linalg.inv(matrix_of(world.scene.tracker.robot_from_tracker)) @ centre
     far_side = in_tracker[:3] * (1.0 + 120.0 / np.linalg.norm(in_tracker[:3]))
-    assert not visible(eyes_mm(), far_side[None], stage.bodies(None, 0)).any()
+    assert not visible(eyes_mm(), far_side[None], scene.bodies(None, 0)).any()
 
 
 def test_an_arm_that_reaches_over_the_head_hides_spheres() -> None:
-    stage, world = stage_at_home("default", 0)
-    arm = stage.arm()
+    scene, world = stage_at_home("default", 0)
+    arm = scene.arm()
     assert arm is not None
     tracker = matrix_of(world.scene.tracker.robot_from_tracker)
     towards = tracker[:3, 3] / np.linalg.norm(tracker[:3, 3])
     flange = arm.robot_from_flange.copy()
-    middle = (tracker @ [*stage.fiducials_mm.mean(axis=0), 1.0])[:3]
+    middle = (tracker @ [*scene.fiducials_mm.mean(axis=0), 1.0])[:3]
     flange[:3, 3] = middle + 200.0 * towards
-    bodies = stage.bodies(ArmState(arm.joints_rad, flange, 1, True), 1)
-    assert not visible(eyes_mm(), stage.fiducials_mm, bodies).all()
+    bodies = scene.bodies(ArmState(arm.joints_rad, flange, 1, True), 1)
+    assert not visible(eyes_mm(), scene.fiducials_mm, bodies).all()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.polaris.optics import Optics
-from sim.polaris.profile import SPECTRA
-from sim.polaris.volume import EXTENDED_PYRAMID, PYRAMID, VICRA_VOLUME, Volume
+from sim.polaris.optics.marker_noise import Optics
+from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, VICRA_VOLUME, Volume
+from sim.polaris.unit.model import SPECTRA
 from sim.theatre.noise import noise
 from sim.theatre.scene.model import TrackerTruth
 from sim.theatre.scene.named_scenes import built_in_scene

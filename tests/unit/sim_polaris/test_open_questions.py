@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from ronna_hw.wire.polaris import ReplyOption, SystemStatus
-from sim.polaris.binary_reply import binary_body
 from sim.polaris.errors import BadUnitParameter
-from sim.polaris.measurement import Frame, Stray
-from sim.polaris.parameters import UnitParameters, parameter_rows
-from sim.polaris.refusal import ErrorCode
-from sim.polaris.text_reply import text_reply
+from sim.polaris.measurement.frame import Frame, Stray
+from sim.polaris.replies.bx import binary_body
+from sim.polaris.replies.tx import text_reply
+from sim.polaris.unit.behaviour import UnitBehaviour, parameter_rows
+from sim.polaris.unit.refusal import ErrorCode
 from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
@@ -124,10 +124,10 @@ def test_strays_outside_are_told_from_either_end_of_a_byte() -> None:
     outside, inside = Stray((900.0, 0.0, -1000.0), False), Stray((0.0, 0.0, -1000.0), True)
     frame = Frame(1, (), (outside, inside, inside), SystemStatus(0))
     option = ReplyOption.STRAY_PASSIVE
-    assert binary_body(frame, option, UnitParameters())[1:3] == b"\x03\x01"
-    assert binary_body(frame, option, UnitParameters(first_stray_is_low_bit=False))[1:3] == b"\x03\x80"
-    assert text_reply(frame, option, UnitParameters())[2:5] == "034"
-    assert text_reply(frame, option, UnitParameters(first_stray_is_high_bit=False))[2:5] == "031"
+    assert binary_body(frame, option, UnitBehaviour())[1:3] == b"\x03\x01"
+    assert binary_body(frame, option, UnitBehaviour(first_stray_is_low_bit=False))[1:3] == b"\x03\x80"
+    assert text_reply(frame, option, UnitBehaviour())[2:5] == "034"
+    assert text_reply(frame, option, UnitBehaviour(first_stray_is_high_bit=False))[2:5] == "031"
 
 
 def test_a_serial_number_may_be_told_byte_by_byte(
@@ -142,14 +142,14 @@ def test_a_serial_number_may_be_told_byte_by_byte(
 
 def test_every_parameter_has_a_meaning_and_can_be_set_by_its_name() -> None:
     rows = parameter_rows()
-    assert [name for name, _, _ in rows] == [entry.name for entry in fields(UnitParameters)]
+    assert [name for name, _, _ in rows] == [entry.name for entry in fields(UnitBehaviour)]
     assert all(len(meaning) > len(name) for name, _, meaning in rows)
-    assert UnitParameters.with_settings([f"{name}={value}" for name, value, _ in rows]) == UnitParameters()
+    assert UnitBehaviour.with_settings([f"{name}={value}" for name, value, _ in rows]) == UnitBehaviour()
 
 
 def test_parameters_are_set_by_text() -> None:
     settings = ["enforces_line=no", "bad_definition=40", "watch_dog=reset", "reset_s=2.5"]
-    chosen = UnitParameters.with_settings(settings)
+    chosen = UnitBehaviour.with_settings(settings)
     assert not chosen.enforces_line
     assert chosen.bad_definition is ErrorCode.DEFINITION_CORRUPT
     assert (chosen.watch_dog, chosen.reset_s) == ("reset", 2.5)
@@ -168,5 +168,5 @@ def test_parameters_are_set_by_text() -> None:
 )
 def test_a_wrong_setting_is_named(setting: str, said: str) -> None:
     with pytest.raises(BadUnitParameter, match=said) as refused:
-        UnitParameters.with_settings([setting])
+        UnitBehaviour.with_settings([setting])
     assert refused.value.code == "PSU-001"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.polaris.fit import fit_body
-from sim.polaris.volume import EXTENDED_PYRAMID, PYRAMID, Volume
+from sim.polaris.measurement.rigid_fit import fit_rigid_body
+from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, Volume
 from sim.theatre.rigid import rotation_from_vector
 
 
@@ -39,7 +39,7 @@ def test_a_fit_finds_the_pose_it_was_made_with() -> None:
         body = generator.uniform(-80.0, 80.0, (4, 3))
         rotation = rotation_from_vector(generator.uniform(-2.0, 2.0, 3))
         shift = generator.uniform(-500.0, 500.0, 3)
-        found = fit_body(body, body @ rotation.T + shift)
+        found = fit_rigid_body(body, body @ rotation.T + shift)
         assert np.allclose(found[0], rotation, atol=1e-9)
         assert np.allclose(found[1], shift, atol=1e-7)
         assert found[2].max() < 1e-9
@@ -47,13 +47,13 @@ def test_a_fit_finds_the_pose_it_was_made_with() -> None:
 
 def test_a_mirror_image_is_never_fitted() -> None:
     body = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 90.0, 0.0], [10.0, 20.0, 40.0]])
-    rotation, _, distances = fit_body(body, body * (1.0, 1.0, -1.0))
+    rotation, _, distances = fit_rigid_body(body, body * (1.0, 1.0, -1.0))
     assert np.linalg.det(rotation) == pytest.approx(1.0)
     assert distances.max() > 5.0
 
 
 def test_a_planar_body_is_fitted_without_a_flip() -> None:
     body = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 90.0, 0.0], [-44.0, 40.0, 0.0]])
-    rotation, _, distances = fit_body(body, body + np.random.default_rng(3).normal(0.0, 0.1, (4, 3)))
+    rotation, _, distances = fit_rigid_body(body, body + np.random.default_rng(3).normal(0.0, 0.1, (4, 3)))
     assert np.linalg.norm(rotation - np.eye(3)) < 0.02
     assert distances.max() < 0.5

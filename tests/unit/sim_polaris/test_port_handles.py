@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ronna_hw.wire import polaris_rom
-from sim.polaris.definition import write_definition
+from sim.polaris.tools.definition import write_definition
 from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:

@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 
 from sim.polaris.errors import LineUnavailable
-from sim.polaris.mode import Mode
-from sim.polaris.parameters import UnitParameters
-from sim.polaris.pseudo_terminal import PseudoTerminal
-from sim.polaris.server import EndSignal, Server
-from sim.polaris.session import Session
-from sim.polaris.unit import Unit
+from sim.polaris.line.interpreter import CommandInterpreter
+from sim.polaris.line.pseudo_terminal import PseudoTerminal
+from sim.polaris.line.server import EndSignal, Server
+from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.polaris.unit.mode import Mode
+from sim.polaris.unit.unit import Unit
 from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
@@ -85,10 +85,10 @@ class Line:
     def __init__(self, *, throttle: bool = False, faults: str = "", **behaviour: Any) -> None:
         world = World.create(built_in_scene("bench"), paced=True)
         world.set_fault_script(faults)
-        self.session = Session(Unit(world, behaviour=UnitParameters(**behaviour)))
+        self.interpreter = CommandInterpreter(Unit(world, behaviour=UnitBehaviour(**behaviour)))
         self._end = EndSignal()
-        self._terminal = PseudoTerminal(self.session, throttle=throttle)
-        server = Server(self.session, self._end)
+        self._terminal = PseudoTerminal(self.interpreter, throttle=throttle)
+        server = Server(self.interpreter, self._end)
         self._thread = threading.Thread(target=server.serve_line, args=(self._terminal,))
         self._thread.start()
 
@@ -238,7 +238,7 @@ def test_a_unit_that_starts_is_deaf_until_it_says_reset(make_line: Callable[...,
     host.ask("INIT ")
     host.send_break()
     deadline_s = time.monotonic() + ANSWER_LIMIT_S
-    while line.session.unit.mode is not Mode.NOT_INITIALISED and time.monotonic() < deadline_s:
+    while line.interpreter.unit.mode is not Mode.NOT_INITIALISED and time.monotonic() < deadline_s:
         time.sleep(0.01)
     host.write(b"INIT \r")
     assert host.read() == RESET
@@ -297,9 +297,9 @@ def test_a_host_without_pseudo_terminals_is_told_so(monkeypatch: pytest.MonkeyPa
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "openpty", refuse)
-    session = Session(Unit(World.create(built_in_scene("bench"), paced=True)))
+    interpreter = CommandInterpreter(Unit(World.create(built_in_scene("bench"), paced=True)))
     with pytest.raises(LineUnavailable, match="No space left") as refused:
-        PseudoTerminal(session, throttle=False)
+        PseudoTerminal(interpreter, throttle=False)
     assert refused.value.code == "PSU-003"
 
 

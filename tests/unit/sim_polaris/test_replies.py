@@ -7,20 +7,20 @@ import struct
 import pytest
 
 from ronna_hw.wire.polaris import PortStatus, ReplyOption, SystemStatus
-from sim.polaris.binary_reply import binary_body
-from sim.polaris.framing import ascii_reply, binary_reply
-from sim.polaris.measurement import Frame, Stray
-from sim.polaris.parameters import UnitParameters
-from sim.polaris.ports import Port
-from sim.polaris.text_reply import text_reply
-from sim.polaris.tracking_rules import ToolPose, Tracked
+from sim.polaris.line.framing import ascii_reply, binary_reply
+from sim.polaris.measurement.frame import Frame, Stray
+from sim.polaris.measurement.tracking_rules import ToolPose, Tracked
+from sim.polaris.replies.bx import binary_body
+from sim.polaris.replies.tx import text_reply
+from sim.polaris.tools.ports import Port
+from sim.polaris.unit.behaviour import UnitBehaviour
 
 T = ReplyOption.TRANSFORMS
 PORT = Port(0x01, initialised=True, enabled=True)
 POSE = ToolPose((1.0, 0.0, 0.0, 0.0), (10.5, -20.25, -1500.0), 0.125)
 INSIDE = PortStatus(0)
 NO_FAULT = SystemStatus(0)
-USUAL = UnitParameters()
+USUAL = UnitBehaviour()
 
 
 def frame_with(number: int, tracked: Tracked | None, *strays: Stray) -> Frame:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
-from sim.polaris.extra_strays import REFLECTION_PRESENCE
-from sim.polaris.volume import PYRAMID
+from sim.polaris.optics.measuring_volume import PYRAMID
+from sim.polaris.scene.extra_strays import REFLECTION_PRESENCE
 from sim.theatre.scene.model import Scene, TrackerTool
 from sim.theatre.scene.named_scenes import built_in_scene
 

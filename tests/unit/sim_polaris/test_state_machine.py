@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sim.polaris.handlers.table import COMMANDS
-from sim.polaris.profile import SPECTRA
+from sim.polaris.unit.model import SPECTRA
 from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
@@ -61,11 +61,11 @@ def test_init_returns_to_setup_from_tracking_and_forgets_handles(bench: Bench, p
 
 def test_reset_asks_for_init_and_goes_back_to_the_default_rate(bench: Bench) -> None:
     assert bench.send("COMM 50000") == "OKAY"
-    assert bench.session.reply_line.baud == 9600
+    assert bench.interpreter.reply_line.baud == 9600
     assert bench.send("ECHO x") == "x"
-    assert bench.session.reply_line.baud == 115200
+    assert bench.interpreter.reply_line.baud == 115200
     assert bench.send("RESET 0") == "RESET"
-    assert bench.session.reply_line.baud == 9600
+    assert bench.interpreter.reply_line.baud == 9600
     assert bench.send("PHSR 00") == "ERROR10"
 
 
@@ -89,11 +89,11 @@ def test_the_mode_is_told_before_the_arguments_and_they_before_the_handle(bench:
 
 
 def test_a_line_longer_than_any_command_is_refused(bench: Bench) -> None:
-    from sim.polaris.framing import LineBuffer
+    from sim.polaris.line.framing import LineBuffer
 
     long = b"ECHO " + b"x" * SPECTRA.longest_command + b"\r"
     (line,) = LineBuffer(SPECTRA.longest_command).feed(long, 0.0)
-    assert bench.session.answer(line).startswith(b"ERROR02")
+    assert bench.interpreter.answer(line).startswith(b"ERROR02")
 
 
 @pytest.mark.parametrize(

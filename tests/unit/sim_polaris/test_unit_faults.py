@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.polaris.definition import write_definition
+from sim.polaris.tools.definition import write_definition
 from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
@@ -193,16 +193,16 @@ def test_a_dead_unit_says_nothing_and_comes_back_with_reset_as_after_power_up(
     tracked: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     moments = later()
-    monkeypatch.setattr("sim.polaris.session.time.monotonic", lambda: next(moments))
+    monkeypatch.setattr("sim.polaris.line.interpreter.time.monotonic", lambda: next(moments))
     assert tracked.send("COMM 50000") == "OKAY"
     tracked.world.set_fault_script("at 1 s: tracker power off for 2 s")
     tracked.world.clock.sleep(1.0)
     assert tracked.raw("TX 0801") == b""
     assert tracked.raw("INIT ") == b""
-    assert tracked.session.unasked() == b""
+    assert tracked.interpreter.unasked() == b""
     tracked.world.clock.sleep(2.0)
     assert first_words(tracked) == b"RESETBE6F\r"
-    assert tracked.session.reply_line.baud == 9600
+    assert tracked.interpreter.reply_line.baud == 9600
     assert tracked.send("TX 0801") == "ERROR10"
     assert tracked.send("INIT ") == "OKAY"
     assert tracked.send("PHSR 00") == "00"
@@ -210,12 +210,12 @@ def test_a_dead_unit_says_nothing_and_comes_back_with_reset_as_after_power_up(
 
 def test_a_unit_that_restarts_forgets_everything(tracked: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     moments = later()
-    monkeypatch.setattr("sim.polaris.session.time.monotonic", lambda: next(moments))
+    monkeypatch.setattr("sim.polaris.line.interpreter.time.monotonic", lambda: next(moments))
     happen(tracked, "restart")
     assert tracked.raw("TX 0801") == b""
     assert first_words(tracked) == b"RESETBE6F\r"
     assert tracked.send("PHSR 00") == "ERROR10"
-    assert tracked.session.unasked() == b""  # once
+    assert tracked.interpreter.unasked() == b""  # once
 
 
 def later() -> Iterator[float]:
@@ -229,6 +229,6 @@ def later() -> Iterator[float]:
 def first_words(bench: Bench) -> bytes:
     """What the unit says of itself."""
     for _ in range(1000):
-        if said := bench.session.unasked():
+        if said := bench.interpreter.unasked():
             return said
     return b""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from sim.polaris.profile import VICRA
+from sim.polaris.unit.model import VICRA
 from sim.theatre.scene.model import TrackerTool
 from sim.theatre.scene.named_scenes import built_in_scene
 
@@ -118,12 +118,12 @@ def test_the_watch_dog_may_reset_the_unit(make_bench: Callable[..., Bench]) -> N
     bench.send("INIT ")
     bench.send("HCWDOG 2")
     bench.world.clock.sleep(1.0)
-    assert bench.session.unasked() == b""
+    assert bench.interpreter.unasked() == b""
     bench.world.clock.sleep(2.0)
-    assert bench.session.unasked() == b"RESETBE6F\r"
+    assert bench.interpreter.unasked() == b"RESETBE6F\r"
     assert bench.send("PHSR 00") == "ERROR10"
     bench.world.clock.sleep(10.0)
-    assert bench.session.unasked() == b""  # it was reset too
+    assert bench.interpreter.unasked() == b""  # it was reset too
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_a_beep_may_take_its_time(make_bench: Callable[..., Bench]) -> None:
 
 
 def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
-    bench = make_bench(built_in_scene("bench-near"), profile=VICRA)
+    bench = make_bench(built_in_scene("bench-near"), model=VICRA)
     bench.send("INIT ")
     for _ in bench.world.scene.tracker.places:
         bench.enable(pointer)
@@ -154,7 +154,7 @@ def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], poin
 
 
 def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
-    bench = make_bench(profile=VICRA)
+    bench = make_bench(model=VICRA)
     assert bench.send("INIT ") == "OKAY"
     assert bench.send("VER 4").split("\n") == [
         "Polaris Vicra Control Firmware",

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ronna_hw.wire import polaris_rom as rom
-from sim.polaris.definition import checksum, write_definition
 from sim.polaris.errors import BadWiredTool
-from sim.polaris.wired import WiredPorts, WiredTool, plugged_in
+from sim.polaris.tools.definition import checksum, write_definition
+from sim.polaris.tools.wired_tools import WiredPorts, WiredTool, plugged_in
 from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:

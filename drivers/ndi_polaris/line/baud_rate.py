@@ -1,0 +1,63 @@
+"""The fastest rate of a serial line that both ends and the cable can do."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from drivers.ndi_polaris.errors import LinkLost, NoReply, PortUnavailable, UnitError
+from drivers.ndi_polaris.line.command_link import CommandLink
+from drivers.ndi_polaris.line.discovery import answers, find_unit, initialise
+from ronna_hw.errors import ProtocolError
+from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMM_DEFAULT_ARGUMENT
+
+RATE_SETTLING_S = 0.1  # from OKAY to COMM until the unit listens at the new rate, as other clients wait
+
+
+def raise_baud(
+    link: CommandLink, maximum: int, deadline_s: float, pause: Callable[[float], None] = time.sleep
+) -> int | None:
+    """Go to the fastest rate that both ends can do, and prove it by a command; None over TCP.
+
+    A unit that is lost at a rate which the cable does not carry is looked for again, if need be by a break,
+    and a slower rate tried. Raises NDI-002 or NDI-003 when it is not found any more.
+    """
+    if link.transport.baud is None:
+        return None
+    for code, baud in sorted(COMM_BAUD_CODES.items(), key=lambda item: -item[1]):
+        if baud > maximum:
+            continue
+        if baud <= link.transport.baud:
+            break
+        try:
+            if _switch(link, code, baud, link.transport.baud, deadline_s, pause):
+                break
+        except LinkLost:
+            find_unit(link, deadline_s)
+            initialise(link, deadline_s)
+    return link.transport.baud
+
+
+def _switch(
+    link: CommandLink, code: str, baud: int, present: int, deadline_s: float, pause: Callable[[float], None]
+) -> bool:
+    try:  # our own end first: a unit that has switched to a rate we cannot do would be lost
+        link.transport.set_baud(baud)
+        link.transport.set_baud(present)
+    except PortUnavailable:
+        link.transport.set_baud(present)
+        return False
+    try:
+        link.ask("COMM", code + COMM_DEFAULT_ARGUMENT[1:], deadline_s=deadline_s, retry=False)
+    except UnitError:
+        return False
+    except (ProtocolError, NoReply):
+        pass  # the answer was lost: only trying tells whether the unit has switched
+    pause(RATE_SETTLING_S)
+    link.transport.set_baud(baud)
+    if answers(link, deadline_s):
+        return True
+    link.transport.set_baud(present)
+    if not answers(link, deadline_s):
+        raise LinkLost(f"the unit answers neither at {baud} baud nor at {present}")
+    return False

@@ -1,0 +1,304 @@
+"""One conversation with the unit: a command, its reply, and getting back in step after a disturbance.
+
+The link has no message numbers, so a late reply looks like the next one. Therefore: input is emptied
+before each command; bytes found there, a time-out or a broken reply make the session *unsettled*; and an
+unsettled session first sends a harmless command with a text of its own and discards everything up to its
+echo. Only then is the next command sent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from drivers.ndi_polaris.errors import (
+    CommandGarbled,
+    LinkLost,
+    MalformedReply,
+    NoReply,
+    NotInitialised,
+    UnitRestarted,
+)
+from drivers.ndi_polaris.line.codec import (
+    BX_START_BYTES,
+    ascii_line,
+    encode_command,
+    open_ascii,
+    split_binary,
+    trailing_text,
+    unit_error,
+)
+from drivers.ndi_polaris.line.transport import Transport
+from ronna_hw.errors import ProtocolError
+from ronna_hw.wire.polaris import (
+    BITS_PER_BYTE_ON_LINE,
+    COMMAND_TIMEOUT_S,
+    REPLY_RESET,
+    crc16,
+)
+
+ORDINARY_REPLY_BYTES = 128  # what a reply is reckoned with for its transfer time unless the command says more
+LONGEST_REPLY_BYTES = 16384  # beyond any reply of these units: a line that never ends is noise
+LONGEST_LIMIT_S = max(COMMAND_TIMEOUT_S.values())  # for a command that the unit gives no limit
+QUIET_S = 0.02  # a drained line has said nothing for this long
+STALL_S = 0.5  # a reply that has begun and then pauses this long is cut off
+BABBLE_BYTES = 1_000_000  # a line that yields this much unasked is not a unit's
+ECHO_ATTEMPTS = 3
+REFUSALS_NEEDED = 2  # one error may be the late answer to another command, two in a row are not
+RESET_TEXT = b"%b%04X\r" % (REPLY_RESET.encode(), crc16(REPLY_RESET.encode()))
+
+Reply = str | bytes  # text of an ASCII reply, body of a binary one
+_FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: what a unit may say instead of a binary reply
+
+
+class _Echo(Enum):
+    HEARD = "heard"
+    REFUSED = "refused"  # answered, but by an error
+    SILENT = "silent"
+
+
+@dataclass
+class LinkStatistics:
+    """Counts since the session began."""
+
+    commands: int = 0
+    retries: int = 0
+    resynchronised: int = 0
+    discarded_bytes: int = 0
+
+
+class CommandLink:
+    """Commands and replies over one transport. Not for use by two threads at once."""
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        limits_s: Mapping[str, float] = COMMAND_TIMEOUT_S,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.transport = transport
+        self.statistics = LinkStatistics()
+        self._limits_s = limits_s
+        self._monotonic = monotonic
+        self._settled = False  # what an earlier client left on its way may still arrive
+        self._silent_since_s: float | None = None
+        self._echoes = 0
+
+    def now_s(self) -> float:
+        """The clock that time limits are counted on (host, monotonic)."""
+        return self._monotonic()
+
+    def adopt_limits(self, limits_s: Mapping[str, float]) -> None:
+        """Wait as long as these say, in seconds by command; other commands keep their limit."""
+        self._limits_s = {**self._limits_s, **limits_s}
+
+    def ask(
+        self,
+        name: str,
+        argument: str = "",
+        *,
+        deadline_s: float | None = None,
+        reply_bytes: int = ORDINARY_REPLY_BYTES,
+        retry: bool = True,
+    ) -> str:
+        """Send a command and return the text of its reply, OKAY and WARNINGhh included.
+
+        The time limit is the unit's own for that command plus the transfer at the present rate, cut by
+        `deadline_s` on the session's clock. With `retry` a disturbed exchange is repeated once: only for
+        commands whose repetition does no harm. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
+        """
+        reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=retry, binary=False)
+        assert isinstance(reply, str)
+        return reply
+
+    def ask_binary(
+        self, name: str, argument: str = "", *, deadline_s: float | None = None, reply_bytes: int
+    ) -> bytes:
+        """As `ask`, for a command with a binary reply: the body, its CRCs checked."""
+        reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=True, binary=True)
+        if isinstance(reply, str):
+            self._settled = False
+            raise MalformedReply(f"{name} was answered by a text", wire=reply.encode())
+        return reply
+
+    def limit_s(self, name: str, sent_bytes: int, reply_bytes: int) -> float:
+        """How long the unit may take: its own limit and the transfer both ways."""
+        baud = self.transport.baud
+        transfer_s = (sent_bytes + reply_bytes) * BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
+        return self._limits_s.get(name, LONGEST_LIMIT_S) + transfer_s
+
+    def drain(self, quiet_s: float = QUIET_S, deadline_s: float | None = None) -> bytes:
+        """Discard input until the line has been quiet for `quiet_s`; returns the last part of it.
+
+        Raises NDI-006 when the line does not stop.
+        """
+        discarded, count = b"", 0
+        while data := self.transport.read(quiet_s):
+            discarded = (discarded + data)[-LONGEST_REPLY_BYTES:]
+            count += len(data)
+            self.statistics.discarded_bytes += len(data)
+            if count > BABBLE_BYTES:
+                raise MalformedReply("the line does not stop talking", wire=discarded)
+            if deadline_s is not None and self._monotonic() > deadline_s:
+                break
+        return discarded
+
+    def distrust(self) -> None:
+        """Have the next command get back in step first: the caller has seen a reply that cannot be right."""
+        self._settled = False
+
+    def settle(self, deadline_s: float | None = None) -> None:
+        """Bring both sides back in step: send ECHO with a text of its own, discard all up to its echo.
+
+        A unit without ECHO refuses it, twice, which serves as well. Raises NDI-007 while the unit may
+        only be slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it restarted.
+        """
+        refusals = 0
+        for _ in range(ECHO_ATTEMPTS):
+            if RESET_TEXT in self.drain(deadline_s=deadline_s):
+                raise UnitRestarted("the unit announced a reset")
+            outcome = self._echo(deadline_s)
+            refusals = refusals + 1 if outcome is _Echo.REFUSED else 0
+            if outcome is _Echo.HEARD or refusals >= REFUSALS_NEEDED:
+                self._settled = True
+                self._silent_since_s = None
+                self.statistics.resynchronised += 1
+                return
+            if deadline_s is not None and self._monotonic() >= deadline_s:
+                break
+        self._give_up()
+
+    def _exchange(
+        self,
+        name: str,
+        argument: str,
+        deadline_s: float | None,
+        reply_bytes: int,
+        *,
+        retry: bool,
+        binary: bool,
+    ) -> Reply:
+        try:
+            return self._once(name, argument, deadline_s, reply_bytes, binary)
+        except (ProtocolError, CommandGarbled, NoReply):
+            if not retry or (deadline_s is not None and self._monotonic() >= deadline_s):
+                raise
+        self.statistics.retries += 1
+        return self._once(name, argument, deadline_s, reply_bytes, binary)
+
+    def _once(
+        self, name: str, argument: str, deadline_s: float | None, reply_bytes: int, binary: bool
+    ) -> Reply:
+        self._check_stale_input()
+        command = encode_command(name, argument)
+        limit_s = self.limit_s(name, len(command), reply_bytes)
+        if not self._settled:
+            self.settle(deadline_s)
+        self.transport.write(command)
+        self.statistics.commands += 1
+        began_s = self._monotonic()
+        until_s = began_s + limit_s if deadline_s is None else min(began_s + limit_s, deadline_s)
+        try:
+            reply, rest = self._receive(until_s, binary)
+        except ProtocolError:
+            self._silent_since_s = None
+            self._settled = False
+            raise
+        if reply is None:
+            self._settled = False
+            if self._silent_since_s is None:
+                self._silent_since_s = began_s
+            raise NoReply(
+                f"no reply to {name}",
+                limit=f"{until_s - began_s:.3f} s",
+                wire=rest,
+                awaited="a reply with CRC",
+            )
+        self._silent_since_s = None
+        if rest:  # the unit says one thing per command: more than that is a doubled or a late reply
+            self.statistics.discarded_bytes += len(rest)
+            self._settled = False
+        if isinstance(reply, str):
+            self._raise_for(reply, name)
+        return reply
+
+    def _raise_for(self, text: str, name: str) -> None:
+        if text == REPLY_RESET and name != "RESET":
+            raise UnitRestarted(f"the unit announced a reset in answer to {name}")
+        error = unit_error(text, name)
+        if isinstance(error, NotInitialised) and name != "INIT":
+            raise UnitRestarted(f"the unit is no longer initialised: it answered {text} to {name}") from error
+        if error is not None:
+            raise error
+
+    def _receive(self, until_s: float, binary: bool) -> tuple[Reply | None, bytes]:
+        """(reply or None, what came with it). Reads until a whole reply or `until_s`."""
+        buffer = b""
+        while True:
+            if binary and buffer[:1] == BX_START_BYTES[:1]:
+                if (reply := split_binary(buffer)) is not None:
+                    return reply
+            elif binary and buffer and buffer[0] not in _FIRST_BYTES_OF_TEXT:
+                raise MalformedReply("a binary reply begins with other bytes than C4 A5", wire=buffer)
+            elif (split := ascii_line(buffer)) is not None:
+                return open_ascii(split[0]), split[1]
+            if len(buffer) > LONGEST_REPLY_BYTES:
+                raise MalformedReply(
+                    "a reply does not end", limit=f"{LONGEST_REPLY_BYTES} bytes", wire=buffer
+                )
+            left_s = until_s - self._monotonic()
+            if left_s <= 0:
+                return None, buffer
+            data = self.transport.read(min(left_s, STALL_S) if buffer else left_s)
+            if not data and buffer and left_s > STALL_S:
+                raise MalformedReply("a reply stops in the middle", limit=f"{STALL_S} s", wire=buffer)
+            buffer += data
+
+    def _check_stale_input(self) -> None:
+        """Empty the input before a command; what was there makes the session unsettled."""
+        if not (stale := self.transport.read(0.0)):
+            return
+        self.statistics.discarded_bytes += len(stale)
+        stale += self.drain(0.0)
+        self._settled = False
+        if RESET_TEXT in stale:
+            raise UnitRestarted("the unit announced a reset", wire=stale)
+
+    def _echo(self, deadline_s: float | None) -> _Echo:
+        self._echoes += 1
+        mark = f"INSTEP{self._echoes:06d}"
+        command = encode_command("ECHO", mark)
+        began_s = self._monotonic()
+        self.transport.write(command)
+        until_s = began_s + self.limit_s("ECHO", len(command), len(command))
+        if deadline_s is not None:
+            until_s = min(until_s, deadline_s)
+        heard = b""
+        while (left_s := until_s - self._monotonic()) > 0:
+            heard = (heard + self.transport.read(left_s))[-LONGEST_REPLY_BYTES:]
+            if RESET_TEXT in heard:
+                raise UnitRestarted("the unit announced a reset", wire=heard)
+            if not heard.endswith(b"\r"):
+                continue
+            text = trailing_text(heard[:-1])
+            if text is not None and text.endswith(mark):
+                return _Echo.HEARD
+            error = unit_error(text or "", "ECHO")
+            if error is not None and not self.transport.read(QUIET_S):
+                return _Echo.REFUSED
+        if heard:
+            self._silent_since_s = None
+        elif self._silent_since_s is None:
+            self._silent_since_s = began_s
+        return _Echo.SILENT
+
+    def _give_up(self) -> None:
+        since_s = self._silent_since_s
+        silent_s = self._monotonic() - since_s if since_s is not None else 0.0
+        limit_s = max(self._limits_s.get(name, 0.0) for name in ("BX", "TX", "ECHO"))
+        if silent_s >= limit_s:
+            raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", last=f"{silent_s:.1f} s")
+        raise NoReply("the unit is not yet back in step", limit=f"{limit_s:.1f} s", last=f"{silent_s:.1f} s")

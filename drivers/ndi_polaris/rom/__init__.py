@@ -1,0 +1,1 @@
+"""Tool definitions (.rom): read, write, describe and compare."""

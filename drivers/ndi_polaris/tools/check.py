@@ -1,0 +1,39 @@
+"""Ask the unit which tool it holds on a handle, and compare it with the definition that was sent there."""
+
+from __future__ import annotations
+
+from drivers.ndi_polaris.errors import ForeignTool, UnitError
+from drivers.ndi_polaris.line.command_link import CommandLink
+from drivers.ndi_polaris.rom.definition import ToolDefinition, encode_definition
+from ronna_hw.wire.polaris_rom import SERIAL_OFFSET
+
+# PHINF 0005: tool information (33 characters) and part number (20), without anything between them.
+TOOL_AND_PART_NUMBER = "0005"
+SERIAL = slice(23, 31)
+PART_NUMBER = slice(33, 53)
+
+
+def check_handle(
+    link: CommandLink, handle: int, name: str, definition: ToolDefinition, deadline_s: float
+) -> str | None:
+    """A note when serial or part number is another one; raises NDI-013 when both are.
+
+    Either byte order of the serial number is right: firmware differs. A unit that cannot say is believed.
+    """
+    try:
+        text = link.ask("PHINF", f"{handle:02X}{TOOL_AND_PART_NUMBER}", deadline_s=deadline_s)
+    except UnitError:
+        return None
+    serial, part_number = text[SERIAL].upper(), text[PART_NUMBER].strip()
+    sent = encode_definition(definition)[SERIAL_OFFSET : SERIAL_OFFSET + 4]
+    same_serial = serial in (sent.hex().upper(), sent[::-1].hex().upper())
+    same_part_number = part_number == definition.part_number
+    if same_serial and same_part_number:
+        return None
+    awaited = f"part number {definition.part_number}, serial number {sent[::-1].hex().upper()}"
+    told = f"part number {part_number or '-'}, serial number {serial or '-'}"
+    if not same_serial and not same_part_number:
+        raise ForeignTool(
+            f"the unit holds another tool than {name} on handle {handle:02X}", awaited=awaited, last=told
+        )
+    return f"{name}: the unit tells {told}, its definition {awaited}"

@@ -1,0 +1,18 @@
+"""The x-shaped frame of four fiducials as a tool of the tracker."""
+
+from __future__ import annotations
+
+from datetime import date
+
+from drivers.ndi_polaris.rom.definition import ToolDefinition, planar_tool
+from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
+
+NAME = "x_frame"
+PART_NUMBER = "RONNA-X"
+MANUFACTURER = "RONNA"
+DEFINED_ON = date(2025, 1, 7)
+
+
+def x_frame() -> ToolDefinition:
+    """The definition of the x-shaped frame; markers in mm in the frame itself, seen from outside."""
+    return planar_tool(PART_NUMBER, SPHERE_CENTRES_MM, OUTWARD, manufacturer=MANUFACTURER, made_on=DEFINED_ON)

@@ -1,0 +1,1 @@
+"""From TSTART to TSTOP: requests, replies and readings."""

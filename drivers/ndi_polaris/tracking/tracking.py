@@ -1,0 +1,152 @@
+"""Tracking, from TSTART to TSTOP: one request per reading, in the order of the unit's frame numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.ndi_polaris.errors import HandleRefused, UnitError, UnitRestarted, WrongMode
+from drivers.ndi_polaris.line.command_link import CommandLink
+from drivers.ndi_polaris.options import PolarisOptions
+from drivers.ndi_polaris.tools.loading import LoadedTool
+from drivers.ndi_polaris.tracking.bx_reply import decode_bx
+from drivers.ndi_polaris.tracking.frame_clock import FrameClock, counted_on
+from drivers.ndi_polaris.tracking.readings import assemble, frame_number
+from drivers.ndi_polaris.tracking.reply import TrackingReply
+from drivers.ndi_polaris.tracking.tx_reply import decode_tx
+from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume
+from drivers.ndi_polaris.unit.system_status import ALARMING_STATUS, alarm
+from ronna_hw.clock import Clock
+from ronna_hw.devices.readings import Stamp, TrackerFrame
+from ronna_hw.wire.polaris import (
+    BX_CRC_BYTES,
+    BX_HEADER_BYTES,
+    FRAME_RATE_HZ,
+    MAXIMUM_STRAYS,
+    TSTART_RESET_FRAME_COUNTER,
+    ReplyOption,
+)
+
+FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
+BYTES_PER_HANDLE = 80  # of TX, the longer form
+BYTES_PER_STRAY = 21
+
+_OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
+
+
+@dataclass
+class TrackingStatistics:
+    """Counts since `start`, from the unit's frame numbers."""
+
+    frames: int = 0
+    repeated: int = 0
+    missed: int = 0  # measurements that the unit made between two of our requests
+
+
+class Tracking:
+    """One configured unit: its tools, its volume, its clock. Time limits are the session's, in seconds."""
+
+    def __init__(
+        self,
+        link: CommandLink,
+        tools: tuple[LoadedTool, ...],
+        volume: MeasuringVolume | None,
+        rate_hz: int,
+        options: PolarisOptions,
+        clock: Clock,
+    ) -> None:
+        self._link = link
+        self._tools = tools
+        self._volume = volume
+        self._options = options
+        self._clock = clock
+        self._frames_per_measurement = round(FRAME_RATE_HZ / rate_hz)
+        self._binary = options.reply != "TX"
+        self._longest_reply_bytes = (
+            BX_HEADER_BYTES + BX_CRC_BYTES + len(tools) * BYTES_PER_HANDLE + MAXIMUM_STRAYS * BYTES_PER_STRAY
+        )
+        self._begin()
+
+    def _begin(self) -> None:
+        self._sequence = 0
+        self._last_count: int | None = None
+        self.statistics = TrackingStatistics()
+        self.frame_clock = FrameClock()
+
+    def start(self, deadline_s: float) -> None:
+        """Have the unit track, its frame number from 0."""
+        try:
+            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+        except WrongMode:  # already tracking: an earlier start was carried out, its answer lost
+            self.stop(deadline_s)
+            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+        self._begin()
+
+    def stop(self, deadline_s: float) -> None:
+        """Have the unit stop tracking."""
+        stop_tracking(self._link, deadline_s)
+
+    def read(self, deadline_s: float) -> TrackerFrame:
+        """The next frame; raises what `PolarisTracker.read_frame` says."""
+        reply, count = self._newest(deadline_s)
+        arrived_s = self._clock.now_s()
+        if reply.system_status & ALARMING_STATUS:
+            problem = alarm(reply.system_status, self._link, deadline_s)
+            if problem is not None:
+                raise problem
+        repeated = count == self._last_count
+        if repeated:
+            self.statistics.repeated += 1
+        elif self._last_count is not None:
+            step = count - self._last_count
+            self.statistics.missed += max(0, step // self._frames_per_measurement - 1)
+        self._last_count = count
+        self.statistics.frames += 1
+        self._sequence += 1
+        return assemble(
+            reply,
+            self._tools,
+            frame=frame_number(reply),
+            stamp=Stamp(self._sequence, count, arrived_s, self.frame_clock.note(count, arrived_s)),
+            repeated=repeated,
+            volume=self._volume,
+            stray_to_marker_mm=self._options.stray_to_marker_mm,
+        )
+
+    def _newest(self, deadline_s: float) -> tuple[TrackingReply, int]:
+        """A reply and its frame count, not older than the one before; an older one is asked for anew."""
+        for _ in range(2):
+            reply = self._request(deadline_s)
+            count = counted_on(frame_number(reply), self._last_count)
+            if self._last_count is None or count >= self._last_count:
+                return reply, count
+            self._link.distrust()  # the late copy of another reply
+        raise UnitRestarted("the frame number went backwards: tracking was started anew by somebody else")
+
+    def _request(self, deadline_s: float) -> TrackingReply:
+        try:
+            if self._binary:
+                try:
+                    return decode_bx(
+                        self._link.ask_binary(
+                            "BX", _OPTIONS_TEXT, deadline_s=deadline_s, reply_bytes=self._longest_reply_bytes
+                        )
+                    )
+                except UnitError as error:
+                    if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
+                        raise
+                    self._binary = False  # this unit has no binary reply
+            return decode_tx(
+                self._link.ask(
+                    "TX", _OPTIONS_TEXT, deadline_s=deadline_s, reply_bytes=self._longest_reply_bytes
+                )
+            )
+        except WrongMode as error:
+            raise UnitRestarted("the unit is no longer tracking") from error
+
+
+def stop_tracking(link: CommandLink, deadline_s: float) -> None:
+    """TSTOP; a unit that does not track is no error."""
+    try:
+        link.ask("TSTOP", deadline_s=deadline_s)
+    except WrongMode:  # it had stopped by itself, or the answer to the first try was lost
+        return

@@ -1,0 +1,55 @@
+"""What the unit measures with: one of its volumes, and the rate of its illuminators."""
+
+from __future__ import annotations
+
+from drivers.ndi_polaris.errors import MalformedReply, UnitError
+from drivers.ndi_polaris.line.command_link import CommandLink
+from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume, parse_volumes
+from drivers.ndi_polaris.unit.user_parameters import read_parameter
+from ronna_hw.wire.polaris import (
+    ILLUMINATOR_RATES_HZ,
+    PARAMETER_ILLUMINATOR_RATE,
+    PARAMETER_SELECTED_VOLUME,
+    SFLIST_VOLUMES,
+)
+
+SFLIST_BYTES = 1024  # room for nine volumes of 74 characters each
+
+
+def choose_volume(link: CommandLink, wanted: int | None, deadline_s: float) -> MeasuringVolume | None:
+    """Select volume number `wanted` (from 1) if given; the volume in use, or None if the unit cannot say."""
+    if wanted is not None:
+        link.ask("VSEL", f"{wanted}", deadline_s=deadline_s)
+    try:
+        volumes = parse_volumes(
+            link.ask("SFLIST", SFLIST_VOLUMES, deadline_s=deadline_s, reply_bytes=SFLIST_BYTES)
+        )
+    except (UnitError, MalformedReply):
+        return None
+    index = wanted - 1 if wanted is not None else _selected(link, deadline_s)
+    return volumes[index] if 0 <= index < len(volumes) else None
+
+
+def _selected(link: CommandLink, deadline_s: float) -> int:
+    try:
+        value = read_parameter(link, PARAMETER_SELECTED_VOLUME, deadline_s)
+    except UnitError:
+        return 0
+    return int(value) if value.isdecimal() else 0
+
+
+def set_illuminator_rate(link: CommandLink, rate_hz: int, deadline_s: float) -> int:
+    """Set the rate by SET, or IRATE on older firmware; the rate that the unit then has, in Hz."""
+    code = next(code for code, rate in ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
+    for name, argument in (("SET", f"{PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
+        try:
+            link.ask(name, argument, deadline_s=deadline_s)
+        except UnitError:
+            continue
+        return rate_hz
+    try:
+        value = read_parameter(link, PARAMETER_ILLUMINATOR_RATE, deadline_s)
+    except UnitError:
+        value = ""
+    kept = int(value) if value.isdecimal() else min(ILLUMINATOR_RATES_HZ)
+    return ILLUMINATOR_RATES_HZ.get(kept, min(ILLUMINATOR_RATES_HZ.values()))

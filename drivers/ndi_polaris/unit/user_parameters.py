@@ -1,0 +1,19 @@
+"""User parameters of the unit by GET, with the answer checked to be the one to the question."""
+
+from __future__ import annotations
+
+from drivers.ndi_polaris.errors import MalformedReply
+from drivers.ndi_polaris.line.command_link import CommandLink
+
+PARAMETER_REPLY_BYTES = 256
+
+
+def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> str:
+    """Value of one parameter; raises NDI-036 when the unit does not have it, NDI-006 for another answer."""
+    for _ in range(2):
+        text = link.ask("GET", name, deadline_s=deadline_s, reply_bytes=PARAMETER_REPLY_BYTES)
+        answered, _, value = text.partition("=")
+        if answered.endswith(name):  # some firmware puts the name of the device before it
+            return value.strip()
+        link.distrust()  # the late copy of another reply
+    raise MalformedReply(f"GET {name} gives another parameter", wire=text.encode())

@@ -1,0 +1,66 @@
+"""The byte stream to a host. A reply is written without blocking for long."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Sequence
+from typing import Protocol
+
+from sim.polaris.line.line_settings import LineSettings
+
+RECEIVE_BYTES = 4096
+Ready = Sequence[tuple[int, int]]  # files and events, as poll tells them
+SEND_PATIENCE_S = 5.0  # a host that reads nothing for so long is gone
+
+
+class Channel(Protocol):
+    """A stream to one host."""
+
+    def files(self) -> tuple[int, ...]:
+        """File descriptors to wait on."""
+        ...
+
+    def receive(self, ready: Ready) -> bytes | None:
+        """What has arrived on the files that are ready, possibly nothing; None when the host is gone."""
+        ...
+
+    def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
+        """Wait as long as so many bytes take on a line of these settings."""
+        ...
+
+    def send(self, data: bytes, line: LineSettings) -> None:
+        """Send a reply with these line settings."""
+        ...
+
+
+class Connection:
+    """One TCP connection. It has no line settings."""
+
+    def __init__(self, peer: socket.socket) -> None:
+        self._peer = peer
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        peer.settimeout(SEND_PATIENCE_S)
+
+    def files(self) -> tuple[int, ...]:
+        return (self._peer.fileno(),)
+
+    def receive(self, ready: Ready) -> bytes | None:
+        try:
+            return self._peer.recv(RECEIVE_BYTES) or None
+        except OSError:
+            return None
+
+    def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
+        """Nothing: a network has no rate."""
+
+    def send(self, data: bytes, line: LineSettings) -> None:
+        try:
+            self._peer.sendall(data)
+        except OSError:  # half a reply is worth nothing: the next receive tells that the host is gone
+            with contextlib.suppress(OSError):
+                self._peer.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._peer.close()

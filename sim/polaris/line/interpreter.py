@@ -1,0 +1,166 @@
+"""Command lines to answers.
+
+Checks run in a fixed order: length and CRC of the line, known name, initialised, mode, then the command's
+own checks of its arguments and of the handle. A command that fails a check has no effect.
+"""
+
+from __future__ import annotations
+
+import time
+
+from ronna_hw.wire.polaris import REPLY_ERROR, REPLY_RESET
+from sim.polaris.handlers.table import COMMANDS, modes_of_commands
+from sim.polaris.line.framing import ascii_reply, parse_request
+from sim.polaris.line.line_settings import LineSettings
+from sim.polaris.unit.mode import Mode
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
+from sim.polaris.unit.unit_faults import Power, UnitFaults
+
+NANOSECONDS_PER_SECOND = 1_000_000_000
+LOOK_S = 0.1  # between two looks at what happens without a command
+
+
+class CommandInterpreter:
+    """The conversation of a unit with its hosts. It outlives each of them, as the unit does."""
+
+    def __init__(self, unit: Unit) -> None:
+        self.unit = unit
+        self.reply_line = unit.line  # of the last answer: COMM is answered with the old settings
+        self._modes = modes_of_commands(unit.behaviour)
+        self._replies: dict[bytes, bytes] = {}  # to requests for the frame `_replies_frame`
+        self._replies_frame = -1
+        self._watch_dog_ns = 0
+        self._heard_ns = 0
+        self._faults = UnitFaults(unit)
+        self._break_s: float | None = None  # host time at which what looked like a break was one
+        self._starts_s: float | None = None  # host time at which a unit that starts again says RESET
+
+    def answer(self, line: bytes) -> bytes:
+        """The bytes that the unit sends back for one command line (without its CR)."""
+        if self._watch_dog_ns:
+            self._watch()
+            self._heard_ns = self.unit.clock.now_ns()
+        if self._faults.concerned and not self._works():
+            return b""
+        kept = self._replies.get(line)
+        if kept is not None and self.unit.frames.number() == self._replies_frame:
+            return kept
+        if self._starts_s is not None:
+            return b""  # a unit that starts hears nothing
+        self.reply_line = self.unit.line
+        try:
+            answer = self._carry_out(line)
+        except Refusal as refusal:
+            return ascii_reply(f"{REPLY_ERROR}{refusal.code:02X}")
+        return ascii_reply(answer) if isinstance(answer, str) else answer
+
+    @property
+    def line(self) -> LineSettings:
+        """The settings with which the unit listens now."""
+        return self.unit.line
+
+    def restart(self, after_s: float | None = None) -> None:
+        """A break, or the power came back: settings as saved; RESET is said a while later."""
+        self.unit.reset()
+        self._forget()
+        self._watch_dog_ns = 0
+        self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
+
+    def suspect_break(self) -> None:
+        """The host did what it does before a break. It was one if silence follows."""
+        self._break_s = time.monotonic() + self.unit.behaviour.break_silence_s
+
+    def deny_break(self) -> None:
+        """The host spoke on."""
+        self._break_s = None
+
+    def host_left(self) -> None:
+        """The last host closed the line."""
+        if self.unit.behaviour.line_after_close == "default":
+            self.unit.restore_line()
+
+    def due_s(self) -> float:
+        """Host time at which to ask `unasked` again: something may have happened by then."""
+        moments_s = (time.monotonic() + LOOK_S, self._break_s, self._starts_s)
+        return min(moment_s for moment_s in moments_s if moment_s is not None)
+
+    def unasked(self) -> bytes:
+        """What the unit says of itself now: RESET, once it has started again."""
+        if self._watch_dog_ns:
+            self._watch()
+        if self._faults.concerned:
+            self._works()
+        if self._break_s is not None and time.monotonic() >= self._break_s:
+            self._break_s = None
+            self.restart()
+        if self._starts_s is None or time.monotonic() < self._starts_s:
+            return b""
+        self._starts_s = None
+        self.reply_line = self.unit.line
+        return ascii_reply(REPLY_RESET)
+
+    def _carry_out(self, line: bytes) -> str | bytes:
+        unit = self.unit
+        request = parse_request(line)
+        name = request.name.upper() if unit.behaviour.accepts_lower_case else request.name
+        command = COMMANDS.get(name)
+        if command is None:
+            raise Refusal(ErrorCode.UNKNOWN_COMMAND)
+        if unit.mode not in self._modes[name]:
+            early = unit.mode is Mode.NOT_INITIALISED
+            raise Refusal(ErrorCode.NOT_INITIALISED if early else ErrorCode.WRONG_MODE)
+        if not command.tells_frame:
+            self._forget()
+        if not unit.faults.empty:
+            self._faults.before(name, request.argument)
+        answer = command.carry_out(unit, request.argument)
+        if command.restarts_line:
+            self.reply_line = unit.line
+        if not command.tells_frame:
+            self._set_watch_dog()
+        elif unit.frames.repeats and isinstance(answer, bytes):
+            self._keep(line, answer)
+        return answer
+
+    def _keep(self, line: bytes, reply: bytes) -> None:
+        """The same request for the same frame gets the same answer: no need to measure or encode again."""
+        number = self.unit.frames.last
+        if number != self._replies_frame:
+            self._replies.clear()
+            self._replies_frame = number
+        self._replies[line] = reply
+
+    def _forget(self) -> None:
+        self._replies.clear()
+
+    def _set_watch_dog(self) -> None:
+        self._watch_dog_ns = self.unit.watch_dog_s * NANOSECONDS_PER_SECOND
+        self._heard_ns = self.unit.clock.now_ns()
+
+    def _watch(self) -> None:
+        """The watch dog bites when the host has been silent for too long."""
+        if self.unit.clock.now_ns() - self._heard_ns > self._watch_dog_ns:
+            self._bite()
+
+    def _bite(self) -> None:
+        """What the watch dog does."""
+        self._forget()
+        if self.unit.behaviour.watch_dog == "reset":
+            self.restart()
+        elif self.unit.mode is Mode.TRACKING:
+            self.unit.stop_tracking()
+
+    def _works(self) -> bool:
+        """Let faults act; False while the unit is dead."""
+        self._forget()
+        power = self._faults.power()
+        if power is Power.GONE:
+            self._starts_s = None
+            return False
+        if power is Power.RETURNS:
+            self.restart()
+        self._faults.act()
+        if self._faults.host_seems_gone:
+            self._bite()
+        return True

@@ -1,0 +1,105 @@
+"""Serves the unit to hosts, one at a time, until it is told to end."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import time
+
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from sim.errors import EndpointTaken
+from sim.polaris.line.channel import Channel, Connection, Ready
+from sim.polaris.line.framing import LineBuffer
+from sim.polaris.line.interpreter import CommandInterpreter
+from sim.polaris.line.line_faults import LineFaults
+from sim.polaris.line.pseudo_terminal import PseudoTerminal
+
+WAITING_HOSTS = 4  # further hosts wait until the one before them hangs up
+
+
+class EndSignal:
+    """Wakes a waiting server from a signal handler or another thread."""
+
+    def __init__(self) -> None:
+        self._reader, self._writer = os.pipe()
+        self.given = False
+
+    def give(self) -> None:
+        """Tell the server to end."""
+        self.given = True
+        os.write(self._writer, b"\0")
+
+    def fileno(self) -> int:
+        return self._reader
+
+
+class Server:
+    """Carries the bytes between hosts and a session."""
+
+    def __init__(self, interpreter: CommandInterpreter, end: EndSignal) -> None:
+        self._interpreter = interpreter
+        self._end = end
+
+    def serve_line(self, line: PseudoTerminal) -> None:
+        """Serve a serial line."""
+        self._converse(line)
+
+    def serve_network(self, listener: socket.socket) -> None:
+        """Serve connections, one after another; the unit's state outlives them."""
+        waiting = self._poll(listener.fileno())
+        while (ready := self._wait(waiting)) is not None:
+            if not ready:
+                self._interpreter.unasked()  # nobody hears it
+                continue
+            connection = Connection(listener.accept()[0])
+            try:
+                self._converse(connection)
+            finally:
+                connection.close()
+
+    def _converse(self, channel: Channel) -> None:
+        interpreter = self._interpreter
+        faults = LineFaults(interpreter.unit)
+        lines = LineBuffer(interpreter.unit.model.longest_command)
+        waiting = self._poll(*channel.files())
+        while (ready := self._wait(waiting)) is not None:
+            if unasked := interpreter.unasked():
+                channel.send(unasked, interpreter.reply_line)
+            received = channel.receive(ready) if ready else b""
+            if received is None:
+                return
+            if not received:
+                continue
+            for line in lines.feed(received, time.monotonic()):
+                channel.let_arrive(len(line) + 1, interpreter.line)
+                line = faults.heard(line)
+                answer = faults.said(line, interpreter.answer(line))
+                if answer:
+                    channel.send(answer, interpreter.reply_line)
+
+    def _poll(self, *files: int) -> select.poll:
+        poll = select.poll()
+        for file in (*files, self._end.fileno()):
+            poll.register(file, select.POLLIN)
+        return poll
+
+    def _wait(self, poll: select.poll) -> Ready | None:
+        """Wait for a host, or until the unit has something to say; None when told to end."""
+        wait_ms = max(0.0, self._interpreter.due_s() - time.monotonic()) * 1000.0
+        ready = poll.poll(wait_ms)
+        return None if self._end.given else ready
+
+
+def network_address(text: str) -> Endpoint:
+    """Where to listen; port 0 asks for any free one. Raises CFG-002 for anything but tcp://host:port."""
+    return parse_endpoint(text, listening=True).require("tcp")
+
+
+def listen(address: Endpoint) -> socket.socket:
+    """Open the network address; raises SIM-004 when it cannot be had."""
+    try:
+        return socket.create_server((address.host, address.port), backlog=WAITING_HOSTS)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise EndpointTaken(f"cannot listen on {address.host}:{address.port}: {reason}") from error

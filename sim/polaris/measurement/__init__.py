@@ -1,0 +1,1 @@
+"""From visible markers to one frame of tool poses and strays."""

@@ -1,0 +1,1 @@
+"""A frame as the text of TX or the bytes of BX."""

@@ -1,0 +1,52 @@
+"""What of a frame a reply tells, whether as text or as bytes."""
+
+from __future__ import annotations
+
+from ronna_hw.wire.polaris import PortStatus, ReplyOption, ToolInformation
+from sim.polaris.measurement.frame import Stray
+from sim.polaris.measurement.tracking_rules import Tracked, as_asked
+from sim.polaris.tools.ports import Port
+from sim.polaris.unit.behaviour import UnitBehaviour
+
+MARKER_DIGITS = 20  # option 0002 always tells as many
+Point = tuple[float, float, float]
+
+
+def reported_tool(tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour) -> Tracked | None:
+    """A tool without what the request and the unit leave out outside the volume."""
+    if tracked is None or not tracked.volume_status:
+        return tracked
+    outside = bool(options & ReplyOption.OUT_OF_VOLUME)
+    return as_asked(tracked, outside=outside, partially_outside=behaviour.poses_partially_out)
+
+
+def port_status(port: Port, tracked: Tracked | None) -> int:
+    """Status of a handle in TX and BX."""
+    return int(port.status | (tracked.volume_status if tracked is not None else PortStatus(0)))
+
+
+def information(tracked: Tracked | None) -> int:
+    """The byte of tool information."""
+    return int(ToolInformation.TOO_FEW_MARKERS) if tracked is None else tracked.information
+
+
+def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
+    """One digit for each marker."""
+    digits = "" if tracked is None else "".join(map(str, tracked.marker_digits))
+    digits = digits.ljust(MARKER_DIGITS, "0")
+    return digits if first_first else digits[::-1]
+
+
+def seen_markers(tracked: Tracked | None) -> list[tuple[Point, bool]]:
+    """The markers of a tool that were measured, and whether they are within the volume."""
+    if tracked is None:
+        return []
+    pairs = zip(tracked.markers_mm, tracked.markers_inside, strict=True)
+    return [(position, inside) for position, inside in pairs if position is not None]
+
+
+def reported_strays(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Stray, ...]:
+    """Count and bits cover all strays, positions only those inside unless 0800 asks for all."""
+    if options & ReplyOption.OUT_OF_VOLUME:
+        return strays
+    return tuple(stray for stray in strays if stray.inside)

@@ -1,0 +1,50 @@
+"""Strays that no scene places: further spheres that a fault brings in, and reflections that come and go."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.polaris.optics.measuring_volume import Volume
+from sim.theatre.noise import noise
+
+Vectors = NDArray[np.float64]
+
+INNER_SHARE = 0.7  # of the volume's depth and width, in which they lie
+REFLECTION_PRESENCE = 0.3  # share of the frames in which a glint is bright enough
+REFLECTION_SPREAD_MM = 3.0  # it wanders over the surface that reflects
+SPHERES, REFLECTIONS = "tracker extra spheres", "tracker reflections"
+
+
+@lru_cache(maxsize=8)
+def extra_strays(seed: int, count: int, volume: Volume) -> Vectors:
+    """Places (n, 3) of further spheres; the first ones stay where they are when there are more."""
+    return _places(seed, SPHERES, count, volume)
+
+
+@lru_cache(maxsize=8)
+def reflecting_places(seed: int, count: int, volume: Volume) -> Vectors:
+    """Places (n, 3) where something shines."""
+    return _places(seed, REFLECTIONS, count, volume)
+
+
+def reflections(places_mm: Vectors, generator: np.random.Generator) -> Vectors:
+    """The reflections (m, 3) of one frame."""
+    shines = generator.random(len(places_mm)) < REFLECTION_PRESENCE
+    wandered = places_mm + generator.normal(0.0, REFLECTION_SPREAD_MM, places_mm.shape)
+    found: Vectors = wandered[shines]
+    return found
+
+
+def _places(seed: int, what: str, count: int, volume: Volume) -> Vectors:
+    near, far = volume.depths_mm
+    middle, reach = (near + far) / 2.0, INNER_SHARE * (far - near) / 2.0
+    places = np.empty((count, 3))
+    for index in range(count):
+        x, y, z = noise(seed, what, index).uniform(-1.0, 1.0, 3)
+        depth_mm = middle + reach * z
+        half_x, half_y = volume.half_widths_mm(depth_mm)
+        places[index] = (INNER_SHARE * half_x * x, INNER_SHARE * half_y * y, -depth_mm)
+    return places

@@ -1,0 +1,115 @@
+"""Where the markers truly are, in the tracker frame, and what faults do to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.polaris.scene.arm_capsules import arm_capsules
+from sim.polaris.scene.disturbance import Disturbance
+from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
+from sim.polaris.tools.definition import ToolDefinition
+from sim.theatre.rigid import apply, inverse, matrix_of, rotation_from_vector
+from sim.theatre.scene.model import TrackerTool
+from sim.theatre.world import ArmState, World
+
+Vectors = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrueTool:
+    """A tool in the room: what it is called, where its markers (n, 3) are, and which of them are covered."""
+
+    names: frozenset[str]
+    markers_mm: Vectors
+    covered: tuple[int, ...]  # rows
+
+
+class TrueScene:
+    """The room without noise. What never moves is computed once; the arm is looked up for each frame."""
+
+    def __init__(self, world: World) -> None:
+        scene = world.scene
+        self._world = world
+        self._tracker_from_robot = inverse(matrix_of(scene.tracker.robot_from_tracker))
+        self._tool_from_marker = matrix_of(scene.mount.flange_from_tool_true) @ matrix_of(
+            scene.mount.tool_from_marker_true
+        )
+        self._places = tuple(matrix_of(place) for place in scene.tracker.places)
+        self._tools = {tool.part_number: tool for tool in scene.tracker.tools}
+        self.frame_on_mount: TrackerTool = scene.tracker.tools[0]
+        self.strays_mm: Vectors = np.array(scene.tracker.strays_mm, dtype=float).reshape(-1, 3)
+        fiducials = scene.head.fiducials if scene.tracker.fiducials_visible else ()
+        self.fiducial_numbers = tuple(fiducial.number for fiducial in fiducials)
+        centres = np.array([fiducial.centre_ct_mm for fiducial in fiducials], dtype=float).reshape(-1, 3)
+        self.fiducials_mm: Vectors = apply(
+            self._tracker_from_robot @ matrix_of(scene.head.robot_from_ct), centres
+        )
+        self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
+
+    def arm(self) -> ArmState | None:
+        """Where the arm is; None without an arm."""
+        arm = self._world.arm()
+        return arm if arm.robot_from_flange[:3].any() else None
+
+    def mounted_tool(self) -> int:
+        """Number of what hangs on the mount."""
+        return self._world.mounted_tool()
+
+    def bodies(self, arm: ArmState | None, mounted_tool: int) -> tuple[Body, ...]:
+        """What may stand in the way of light: the head, where there is one, and the arm."""
+        head = self._head if self.fiducial_numbers else ()
+        if arm is None:
+            return head
+        return (*head, *arm_capsules(self._world.scene, arm, mounted_tool, self._tracker_from_robot))
+
+    def hangs_on_mount(self, definition: ToolDefinition) -> bool:
+        """True for the reference frame M, as long as there is an arm that carries it."""
+        return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
+
+    def tool(
+        self, definition: ToolDefinition, place: int | None, arm: ArmState | None, disturbance: Disturbance
+    ) -> TrueTool | None:
+        """A loaded tool, whatever definition was loaded for it; None when it is not in the room."""
+        if arm is not None and definition.part_number == self.frame_on_mount.part_number:
+            return self.frame(arm, disturbance)
+        if place is None or place >= len(self._places):
+            return None
+        tool = self._tools.get(definition.part_number)
+        markers = definition.markers_mm if tool is None else np.array(tool.markers_mm)
+        names = frozenset({definition.part_number} if tool is None else {tool.name, tool.part_number})
+        return _disturbed(names, self._places[place], markers, disturbance)
+
+    def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
+        """The reference frame M on the mount, loaded or not."""
+        tool = self.frame_on_mount
+        pose = self._tracker_from_robot @ arm.robot_from_flange @ self._tool_from_marker
+        names = frozenset({tool.name, tool.part_number})
+        return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)
+
+
+def _disturbed(
+    names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance
+) -> TrueTool:
+    """The tool as the faults that name it leave it."""
+    for name, push_mm in disturbance.bent:
+        if name in names:
+            outwards = markers_mm[-1] - markers_mm.mean(axis=0)
+            push = outwards * (push_mm / np.linalg.norm(outwards))
+            markers_mm = np.vstack([markers_mm[:-1], markers_mm[-1] + push])
+    for name, angle_deg in disturbance.turned:
+        if name in names:
+            pose = pose.copy()
+            pose[:3, :3] = pose[:3, :3] @ rotation_from_vector((radians(angle_deg), 0.0, 0.0))
+    places = markers_mm @ pose[:3, :3].T + pose[:3, 3]
+    for name, way_mm in disturbance.moved:
+        if name in names:
+            places = places + way_mm
+    if names & disturbance.hidden_tools:
+        covered = tuple(range(len(places)))
+    else:
+        covered = tuple(number - 1 for name, number in disturbance.hidden_tool_markers if name in names)
+    return TrueTool(names, places, covered)

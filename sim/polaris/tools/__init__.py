@@ -1,0 +1,1 @@
+"""Tools: definitions, port handles, wired tools, and whether two can be told apart."""

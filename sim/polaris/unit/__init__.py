@@ -1,0 +1,1 @@
+"""The unit: its model, mode, settings, alerts and faults."""

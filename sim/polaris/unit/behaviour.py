@@ -1,0 +1,213 @@
+"""What public sources leave open about the unit, each as one named parameter with its meaning.
+
+The values are best estimates. A driver must live with every alternative; `ronna-sim polaris --set NAME=VALUE`
+chooses one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from enum import IntEnum
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+from sim.polaris.errors import BadUnitParameter
+from sim.polaris.unit.refusal import ErrorCode
+
+ON_WORDS, OFF_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitBehaviour:
+    """How this unit behaves where public sources are silent or disagree."""
+
+    # line
+    enforces_line: Annotated[
+        bool, "A serial host whose rate or odd parity differs from the unit's is not understood."
+    ] = True
+    wrong_line: Annotated[Literal["silence", "garbage"], "What a host with wrong line settings hears."] = (
+        "silence"
+    )
+    line_after_close: Annotated[
+        Literal["default", "kept"], "Line settings once the last host closed a pseudo-terminal."
+    ] = "default"
+    power_up_reset: Annotated[bool, "RESET is said on a serial line at power-up, whoever listens."] = True
+    break_from_flush: Annotated[
+        bool, "A pseudo-terminal carries no break: flushing both directions stands for one."
+    ] = True
+    break_silence_s: Annotated[
+        float, "Silence after such a flush that makes it a break: who only flushes goes on to speak."
+    ] = 0.1
+    break_deaf_s: Annotated[float, "Time after an open in which such a flush is not taken for a break."] = (
+        0.05
+    )
+    reset_s: Annotated[
+        float, "Time from a break, a power-up in mid-run or a watch dog to RESET; seconds on a real unit."
+    ] = 0.1
+    malformed_line_settings: Annotated[ErrorCode, "COMM with a code that no unit has: 23 or 07."] = (
+        ErrorCode.OUT_OF_RANGE
+    )
+    accepts_lower_case: Annotated[bool, "Command names in lower case are understood."] = False
+    strips_eighth_bit: Annotated[bool, "On a line of 7 data bits a BX reply loses the eighth."] = True
+
+    # state machine
+    answers_before_init: Annotated[
+        bool, "VER, COMM, GET and the like are answered before INIT, not refused with 10."
+    ] = True
+    identity_while_tracking: Annotated[
+        bool, "VER and COMM are answered while tracking, not refused with 0C."
+    ] = True
+    settings_while_tracking: Annotated[
+        bool, "SAVE, SFLIST, VSEL and the like are allowed while tracking, not refused with 0C."
+    ] = False
+    settings_in_diagnostic: Annotated[
+        bool, "SET, SAVE, SFLIST and the like are allowed in diagnostic mode."
+    ] = True
+    handles_in_diagnostic: Annotated[bool, "PHSR, PINIT and the like are allowed in diagnostic mode."] = False
+    init_forgets_handles: Annotated[bool, "INIT frees all port handles."] = True
+    starts_without_tools: Annotated[bool, "TSTART without an enabled tool is OKAY, not refused with 12."] = (
+        True
+    )
+    most_tracked: Annotated[int, "TSTART with more enabled tools answers 28."] = 15
+    hardware_fault_at_init: Annotated[
+        Literal["WARNING01", "ERROR15", "ERROR1A", "OKAY"], "Answer of INIT with a hardware alert."
+    ] = "WARNING01"
+    starts_with_hardware_fault: Annotated[
+        bool, "TSTART with a hardware alert is OKAY, not refused with 12."
+    ] = False
+    watch_dog: Annotated[
+        Literal["stop", "reset"], "What the watch dog does: stops tracking, or resets the unit."
+    ] = "stop"
+    beep_s: Annotated[float, "Length of a beep; BEEP answers 0 as long as the last one lasts."] = 0.0
+    absent_command: Annotated[ErrorCode, "GETIO, SETIO, GX and others without a public format: 33 or 01."] = (
+        ErrorCode.NOT_AVAILABLE
+    )
+    unknown_feature_list: Annotated[ErrorCode, "SFLIST of an unknown list: 23 or 25."] = (
+        ErrorCode.OUT_OF_RANGE
+    )
+
+    # tools
+    bad_definition: Annotated[
+        ErrorCode, "PINIT of a definition with a wrong checksum or content: 13, newer firmware 40."
+    ] = ErrorCode.BAD_DEFINITION
+    definition_beyond_limits: Annotated[
+        ErrorCode, "PINIT of too many or too few markers, faces or groups: 13, newer firmware 41."
+    ] = ErrorCode.BAD_DEFINITION
+    warns_with_code: Annotated[bool, "WARNING carries two digits; older firmware says WARNING alone."] = True
+    segment_tolerance_mm: Annotated[
+        float, "Segments of one tool closer than this break unique geometry; NDI's steps are 5 mm."
+    ] = 3.0
+    conflict: Annotated[
+        Literal["segment", "triangle"],
+        "What two tools must share to conflict: one segment, or three of a triangle.",
+    ] = "triangle"
+    conflict_tolerance_mm: Annotated[float, "Segments of two tools closer than this count as shared."] = 2.0
+    judges_only_flagged: Annotated[
+        bool, "Only definitions with the unique-geometry flag are judged by these rules."
+    ] = False
+    supported_wavelengths: Annotated[
+        str, "Wavelength codes of markers that the volumes support; others make TSTART answer 22."
+    ] = "01"
+    memory_of_passive: Annotated[
+        Literal["32", "1E/1F"], "PPRD and PPWR of a handle without memory: 32, or 1E and 1F."
+    ] = "32"
+    serial_low_byte_first: Annotated[
+        bool, "PHINF tells the serial number of a definition as a number, not byte by byte."
+    ] = True
+    accessories_of_passive: Annotated[
+        bool, "PHINF 0008 tells the tool-in-port entry of a passive definition."
+    ] = False
+    replaces_definition_by_test: Annotated[
+        bool, "TTCFG replaces the memory of a wired tool, not refused with 32."
+    ] = False
+    port_change_until: Annotated[
+        Literal["search", "reply"], "System status 0040/0080 stand until PHSR, or for one reply."
+    ] = "search"
+
+    # TX and BX
+    poses_partially_out: Annotated[
+        bool, "A pose is told when too few, but some, markers are inside the volume."
+    ] = True
+    lists_disabled_handles: Annotated[
+        bool, "Initialised but not enabled handles stand in the reply as DISABLED."
+    ] = False
+    status_of_unseen_handles: Annotated[
+        bool, "TX tells status and frame of DISABLED and UNOCCUPIED handles too."
+    ] = False
+    first_stray_is_high_bit: Annotated[
+        bool, "TX: the out-of-volume digits are one number, stray 0 its highest bit."
+    ] = True
+    first_stray_is_low_bit: Annotated[
+        bool, "BX: stray 0 is the lowest bit of the first out-of-volume byte, not the highest."
+    ] = True
+    first_marker_is_first_digit: Annotated[bool, "TX option 0002 begins with marker 0."] = True
+    first_marker_is_first_nibble: Annotated[bool, "BX option 0002 begins with marker 0."] = False
+    text_tool_markers: Annotated[bool, "TX knows option 0008 (markers of tools), not refused with 23."] = (
+        False
+    )
+    text_active_stray: Annotated[
+        Literal["status", "words"], "TX option 0004: two digits of status before a position, or words."
+    ] = "status"
+    binary_active_stray_always: Annotated[
+        bool, "BX option 0004 sends 12 bytes of position whatever the status."
+    ] = True
+
+    # identity and the rest
+    freeze_tag_with_minor: Annotated[
+        bool, "The freeze tag ends in 007.000; without the minor some clients use TX."
+    ] = True
+    saved_illuminator_rate: Annotated[
+        int, "Illuminator rate at power-up, as saved: 0 is 20 Hz, 1 30 Hz, 2 60 Hz."
+    ] = 0
+    user_memory_bytes: Annotated[int, "Size of the user area of a wired tool's memory."] = 1024
+    line_separation_mm: Annotated[float, "Line separation that 3D tells for every marker."] = 0.05
+
+    @classmethod
+    def with_settings(cls, settings: list[str]) -> UnitBehaviour:
+        """Parameters with some of them set by `name=value`; raises PSU-001 naming what is wrong."""
+        kinds = _kinds()
+        values: dict[str, Any] = {}
+        for setting in settings:
+            name, equals, text = setting.partition("=")
+            if name not in kinds:
+                alike = ", ".join(get_close_matches(name, kinds)) or None
+                raise BadUnitParameter(f"there is no parameter {name!r}", awaited=alike)
+            if not equals:
+                raise BadUnitParameter(f"{name} is given no value", awaited=f"{name}=VALUE")
+            values[name] = _value(name, kinds[name][0], text)
+        return replace(cls(), **values)
+
+
+def parameter_rows() -> list[tuple[str, str, str]]:
+    """Of each parameter its name, best estimate, and meaning with the values of an enumeration."""
+    rows = []
+    kinds = _kinds()
+    for entry in fields(UnitBehaviour):
+        kind, meaning = kinds[entry.name]
+        default: Any = entry.default
+        text = f"{int(default):02X}" if isinstance(default, IntEnum) else str(default).lower()
+        choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
+        rows.append((entry.name, default if get_origin(kind) is Literal else text, meaning + choices))
+    return rows
+
+
+def _kinds() -> dict[str, tuple[Any, str]]:
+    """Type and meaning of each parameter."""
+    hints = get_type_hints(UnitBehaviour, include_extras=True)
+    return {entry.name: get_args(hints[entry.name]) for entry in fields(UnitBehaviour)}
+
+
+def _value(name: str, kind: Any, text: str) -> Any:
+    if get_origin(kind) is Literal:
+        if text in get_args(kind):
+            return text
+        raise BadUnitParameter(f"{name} is {text!r}", awaited=", ".join(get_args(kind)))
+    if kind is bool:
+        if text.lower() in ON_WORDS + OFF_WORDS:
+            return text.lower() in ON_WORDS
+        raise BadUnitParameter(f"{name} is {text!r}", awaited="true or false")
+    try:
+        return ErrorCode(int(text, 16)) if kind is ErrorCode else kind(text)
+    except ValueError as error:
+        awaited = "an error code of two hexadecimal digits" if kind is ErrorCode else "a number"
+        raise BadUnitParameter(f"{name} is {text!r}", awaited=awaited) from error

@@ -1,0 +1,184 @@
+"""The unit itself: its mode, its settings, what is loaded, and the frame it measures now."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ronna_hw.wire import polaris as wire
+from ronna_hw.wire.polaris import ILLUMINATOR_RATES_HZ, SystemStatus
+from sim.polaris.line.line_settings import DEFAULT_LINE
+from sim.polaris.measurement.frame import DEVICE, Frame, Measurer
+from sim.polaris.optics.measuring_volume import Volume
+from sim.polaris.tools.ports import Port, PortTable
+from sim.polaris.tools.wired_tools import WiredPorts
+from sim.polaris.unit.alerts import Alerts
+from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.polaris.unit.frame_counter import FrameCounter
+from sim.polaris.unit.mode import Mode
+from sim.polaris.unit.model import SPECTRA, UnitModel
+from sim.polaris.unit.refusal import Refusal
+from sim.polaris.unit.user_parameter_table import WATCH_DOG
+from sim.polaris.unit.user_parameters import UserParameters
+from sim.theatre.faults import FaultBoard
+from sim.theatre.world import World
+
+
+class Unit:
+    """A Polaris in its room."""
+
+    def __init__(
+        self,
+        world: World,
+        model: UnitModel = SPECTRA,
+        behaviour: UnitBehaviour | None = None,
+        wired: WiredPorts | None = None,
+    ) -> None:
+        self.model = model
+        self.behaviour = behaviour or UnitBehaviour()
+        self.clock = world.clock
+        self.seed = world.scene.seed
+        self.faults = FaultBoard(world, DEVICE)
+        self.mode = Mode.NOT_INITIALISED
+        self.line = DEFAULT_LINE
+        self.ports = PortTable(model.handles)
+        self.wired = wired or WiredPorts(0)
+        self.measurer = Measurer(world, model.volumes)
+        self.frames = FrameCounter(world.clock)
+        self.alerts = Alerts()
+        self.port_changes = SystemStatus(0)  # wired tools that came or went
+        self.infrared_checked = False
+        self.beeps_until_s = 0.0
+        self._frame: Frame | None = None
+        self.parameters = UserParameters(model, self.wired.count, self.alerts, lambda: self.mode.value)
+        rate = min(self.behaviour.saved_illuminator_rate, max(model.illuminator_rates))
+        self.parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
+
+    def initialise(self) -> None:
+        """Come to setup; passive handles are forgotten, plugged tools get theirs."""
+        self.mode = Mode.SETUP
+        self.infrared_checked = False
+        if self.behaviour.init_forgets_handles:
+            self.ports.free_all()
+        for number in sorted(self.wired.plugged):
+            self._give_handle(number)
+
+    def reset(self) -> None:
+        """As after power-up or a break: settings as saved, default line, not initialised."""
+        self.mode = Mode.NOT_INITIALISED
+        self.line = DEFAULT_LINE
+        self.frames = FrameCounter(self.clock)
+        self.ports.free_all()
+        self.alerts.reset()
+        self.parameters.reset()
+        self.port_changes = SystemStatus(0)
+        self.infrared_checked = False
+
+    def restore_line(self) -> None:
+        """Listen at 9600 8N1 again."""
+        self.line = DEFAULT_LINE
+
+    def start_tracking(self, *, restart: bool) -> None:
+        """Begin to measure; with `restart` the frame number starts at zero."""
+        self._begin(restart=restart)
+        self.mode = Mode.TRACKING
+
+    def start_diagnostic(self) -> None:
+        """Begin to measure single markers."""
+        self._begin(restart=False)
+        self.mode = Mode.DIAGNOSTIC
+
+    def stop_tracking(self) -> None:
+        """Back to setup; handles stay as they are."""
+        self.mode = Mode.SETUP
+
+    def stop_diagnostic(self) -> None:
+        """Back to setup."""
+        self.mode = Mode.SETUP
+
+    def take_time(self, duration_s: float) -> None:
+        """The command that is carried out takes so much longer, in theatre time."""
+        self.clock.sleep(duration_s)
+
+    def plug(self, number: int) -> None:
+        """A wired tool is put into its socket; an initialised unit gives it a handle."""
+        if number in self.wired.plugged or number not in self.wired.tools:
+            return
+        self.wired.plugged.add(number)
+        if self.mode is not Mode.NOT_INITIALISED:
+            self._give_handle(number)
+            self._port_changed(SystemStatus.PORT_OCCUPIED)
+
+    def unplug(self, number: int) -> None:
+        """A wired tool is pulled out of its socket."""
+        if number not in self.wired.plugged:
+            return
+        self.wired.plugged.discard(number)
+        self.ports.unplug(number)
+        self._port_changed(SystemStatus.PORT_UNOCCUPIED)
+
+    @property
+    def volume(self) -> Volume:
+        """The selected volume."""
+        return self.model.volumes[self.parameters.number(wire.PARAMETER_SELECTED_VOLUME)]
+
+    @property
+    def watch_dog_s(self) -> int:
+        """Seconds without a command after which the watch dog acts; 0 never."""
+        return self.parameters.number(WATCH_DOG)
+
+    def frame(self) -> Frame:
+        """The frame that a request gets now: measured once, however often it is asked for."""
+        faulty = self.frames.missed or not self.faults.empty
+        if faulty and self._frame is not None and self._holds_frame():
+            return self._frame
+        number = self.frames.number()
+        status = self.alerts.system_status | self.port_changes | self.measurer.light
+        kept = self._frame
+        if kept is None or kept.number != number or kept.system_status != status:
+            kept = self._frame = self._measured(number, status, self.ports.enabled())
+        if self.port_changes and self.behaviour.port_change_until == "reply":
+            self.port_changes = SystemStatus(0)
+        return kept
+
+    def diagnostic_frame(self, port: Port) -> Frame:
+        """What is seen of one tool, enabled or not, and of everything else, in diagnostic mode."""
+        self.measurer.forget_tools()  # the one before may have looked at another tool
+        return self._measured(self.frames.number(), self.alerts.system_status, (port,))
+
+    def _measured(self, number: int, status: SystemStatus, ports: tuple[Port, ...]) -> Frame:
+        seen = tuple(port for port in ports if port.occupied)
+        since_start = self.frames.since_start(number)
+        frame = self.measurer.frame(number, since_start, seen, self.volume, status)
+        if frame.strays and not any(port.reflects for port in seen):
+            frame = replace(frame, strays=())  # only enabled passive handles make the illuminators fire
+        listed = [port for port in self.ports if port in ports or self.behaviour.lists_disabled_handles]
+        if len(listed) > len(seen):
+            found = {port.handle: tracked for port, tracked in frame.tools}
+            frame = replace(frame, tools=tuple((port, found.get(port.handle)) for port in listed))
+        return frame
+
+    def _holds_frame(self) -> bool:
+        """True while a fault keeps the unit from measuring anew; another one makes it miss frames."""
+        self.frames.missed = sum(int(fault.argument) for fault in self.faults.active("skip_frames"))
+        if not self.faults.active("repeat_frames"):
+            return False
+        self.frames.pass_one()
+        return True
+
+    def _begin(self, *, restart: bool) -> None:
+        rate = self.parameters.number(wire.PARAMETER_ILLUMINATOR_RATE)
+        self.frames.start(restart=restart, rate_hz=ILLUMINATOR_RATES_HZ[rate])
+        self.measurer.forget_tools()
+        self._frame = None
+
+    def _give_handle(self, number: int) -> None:
+        tool = self.wired.tool(number)
+        if tool is not None and self.ports.of_socket(number) is None:
+            try:
+                self.ports.request_wired(number, tool)
+            except Refusal:  # no handle is left; the tool waits for a free one
+                return
+
+    def _port_changed(self, what: SystemStatus) -> None:
+        self.port_changes |= what
+        self._frame = None

@@ -1,0 +1,134 @@
+"""What the faults of the unit itself do: alerts, refusals, slowness, tools on cables, loss of power.
+
+A session lets them act before each command. Faults of the markers and the light are in `disturbance`, those
+of the line to the host in `line_faults`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum, auto
+
+from ronna_hw.wire.polaris import Alert
+from sim.polaris.handlers.arguments import hexadecimal
+from sim.polaris.tools.definition import wiring_definition
+from sim.polaris.tools.ports import Port
+from sim.polaris.tools.wired_tools import WiredTool
+from sim.polaris.unit.refusal import ErrorCode, Refusal
+from sim.polaris.unit.unit import Unit
+
+
+class Power(Enum):
+    """What the supply does."""
+
+    STAYS = auto()
+    GONE = auto()
+    RETURNS = auto()  # now, after it was gone or for a moment
+
+
+class UnitFaults:
+    """The tracker's faults as they act on a unit. Costs one question while there are none."""
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+        self._board = unit.faults
+        self._dead = False
+        self._alerts = Alert(0)
+        self._plugged: set[int] = set()
+        self._pulled: set[int] = set()
+        self._refusals: dict[str, Callable[[str], None]] = {
+            "TSTART": self._start,
+            "PENA": self._enable,
+            "PHRQ": self._request,
+            "PINIT": self._initialise,
+        }
+
+    @property
+    def concerned(self) -> bool:
+        """False while no fault of the tracker is in the script and none is left to end."""
+        left = self._dead or bool(self._alerts or self._plugged or self._pulled)
+        return left or not self._board.empty
+
+    def power(self) -> Power:
+        """What happened to the supply since the last question."""
+        was_dead, self._dead = self._dead, bool(self._board.active("power_off"))
+        if self._dead:
+            return Power.GONE
+        return Power.RETURNS if was_dead or self._board.happened("unit_restart") else Power.STAYS
+
+    def act(self) -> None:
+        """Let happen what happens by itself."""
+        board, unit = self._board, self._unit
+        alerts = Alert(sum({1 << int(fault.argument) for fault in board.active("alert")}))
+        alerts |= Alert.TOO_HOT if board.active("hot") else Alert(0)
+        alerts |= Alert.TOO_COLD if board.active("cold") else Alert(0)
+        if alerts != self._alerts:
+            unit.alerts.impose(alerts)
+            self._alerts = alerts
+        if board.happened("bump"):
+            unit.alerts.raise_alert(Alert.BUMP)
+        self._change_plugs()
+
+    @property
+    def host_seems_gone(self) -> bool:
+        """True once for each time the watch dog bites without reason."""
+        return bool(self._board.happened("watchdog"))
+
+    def before(self, name: str, argument: str) -> None:
+        """A command is about to be carried out; raises Refusal when a fault prevents it."""
+        for fault in self._board.active("slow"):
+            if fault.argument == name:
+                self._unit.take_time(float(fault.arguments[1]))
+        refusal = self._refusals.get(name)
+        if refusal is not None:
+            refusal(argument)
+
+    def _start(self, _argument: str) -> None:
+        if self._board.active("wavelength") and self._unit.ports.enabled():
+            raise Refusal(ErrorCode.WAVELENGTH)
+
+    def _enable(self, _argument: str) -> None:
+        self._refuse_beyond("enabled_limit", len(self._unit.ports.enabled()), ErrorCode.TOO_MANY_ENABLED)
+
+    def _request(self, _argument: str) -> None:
+        self._refuse_beyond("handle_limit", len(list(self._unit.ports)), ErrorCode.NO_HANDLES_LEFT)
+
+    def _initialise(self, argument: str) -> None:
+        if self._board.active("corrupt_definitions"):
+            _corrupt(self._unit.ports.port(hexadecimal(argument, ErrorCode.BAD_HANDLE)))
+
+    def _refuse_beyond(self, kind: str, count: int, code: ErrorCode) -> None:
+        if any(count >= int(fault.argument) for fault in self._board.active(kind)):
+            raise Refusal(code)
+
+    def _change_plugs(self) -> None:
+        """Tools on cables come and go as long as their fault acts."""
+        unit = self._unit
+        plugged = {int(fault.argument) for fault in self._board.active("plug")}
+        pulled = {int(fault.argument) for fault in self._board.active("unplug")}
+        for number in plugged - self._plugged:
+            _lay_ready(unit, number)
+            unit.plug(number)
+        for number in self._plugged - plugged:
+            unit.unplug(number)
+        for number in (pulled - self._pulled) & unit.wired.plugged:
+            unit.unplug(number)
+            self._pulled.add(number)
+        for number in self._pulled - pulled:
+            unit.plug(number)
+        self._plugged, self._pulled = plugged, self._pulled & pulled
+
+
+def _corrupt(port: Port) -> None:
+    """A bit of its memory is not what was written."""
+    if not port.initialised:
+        port.memory[-1] ^= 0x01
+
+
+def _lay_ready(unit: Unit, number: int) -> None:
+    """Where no tool lies beside that socket, a test tool does."""
+    wired = unit.wired
+    wired.count = max(wired.count, number)
+    if number not in wired.tools:
+        size = unit.behaviour.user_memory_bytes
+        wired.tools[number] = WiredTool.from_definition(wiring_definition(), number, size)

@@ -1,0 +1,137 @@
+"""Tools with several faces, the spread of the markers, and the order of the tracking rules."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ronna_hw.wire.polaris import PortStatus
+from sim.polaris.measurement.tracking_rules import as_asked, track
+from sim.polaris.tools.definition import ToolDefinition, parse_definition, write_definition
+from sim.theatre.rigid import rotation_from_vector
+from sim.theatre.scene.model import TrackerTool
+
+FACE = ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (30.0, 100.0, 0.0), (-30.0, 135.0, 0.0))
+PLACE_MM = np.array([0.0, 0.0, -1500.0])
+
+
+def one_face(**changes: object) -> ToolDefinition:
+    definition = parse_definition(write_definition(TrackerTool(name="t", part_number="T", markers_mm=FACE)))
+    return replace(definition, **changes)
+
+
+def two_faces() -> ToolDefinition:
+    """A roof: both faces slope by 30 degrees about y, the second one with another pattern."""
+    slopes = [rotation_from_vector((0.0, np.radians(angle), 0.0)) for angle in (-30.0, 30.0)]
+    patterns = np.array(FACE), np.array([(0.0, 10.0, 0.0), (20.0, 65.0, 0.0), (5.0, 125.0, 0.0)])
+    shifts = (-60.0, 0.0, 0.0), (60.0, 0.0, 0.0)
+    markers = np.vstack([p @ s.T + t for p, s, t in zip(patterns, slopes, shifts, strict=True)])
+    normals = np.vstack([np.tile(s[:, 2], (len(p), 1)) for p, s in zip(patterns, slopes, strict=True)])
+    return one_face(markers_mm=markers, normals=normals, faces=(1, 1, 1, 1, 2, 2, 2), maximum_angle_deg=60.0)
+
+
+def seen_turned(definition: ToolDefinition, turn_deg: float) -> np.ndarray:
+    """All its markers, measured without error, with the tool turned about y."""
+    return definition.markers_mm @ rotation_from_vector((0.0, np.radians(turn_deg), 0.0)).T + PLACE_MM
+
+
+def followed(definition: ToolDefinition, turns_deg: list[float]) -> list[int]:
+    """The face that is tracked while the tool turns."""
+    face, faces = 0, []
+    numbers = list(range(len(definition.markers_mm)))
+    for turn in turns_deg:
+        measured = seen_turned(definition, turn)
+        face = track(definition, numbers, measured, [True] * len(numbers), face).face
+        faces.append(face)
+    return faces
+
+
+def test_the_face_that_looks_at_the_unit_is_tracked_and_the_other_is_not_used() -> None:
+    definition = two_faces()
+    tracked = track(definition, list(range(7)), seen_turned(definition, 25.0), [True] * 7)
+    assert tracked.face == 1
+    assert tracked.information == 0x10
+    assert tracked.marker_digits == (3, 3, 3, 3, 0, 0, 0)
+    other = track(definition, list(range(7)), seen_turned(definition, -25.0), [True] * 7)
+    assert other.face == 2
+    assert other.information == 0x20
+    assert other.marker_digits == (0, 0, 0, 0, 3, 3, 3)
+
+
+def test_another_face_takes_over_two_degrees_later() -> None:
+    definition = two_faces()
+    turns = np.arange(-6.0, 6.01, 0.1)
+    away = followed(definition, turns.tolist())
+    back = followed(definition, turns[::-1].tolist())
+    change_away = turns[away.index(1)]
+    change_back = turns[::-1][back.index(2)]
+    # the angle of one face grows as that of the other shrinks: a turn by 1 degree makes 2 of difference
+    assert change_away - change_back == pytest.approx(2.0, abs=0.25)
+
+
+def test_a_face_that_is_switched_off_is_never_tracked() -> None:
+    definition = two_faces()
+    measured = seen_turned(definition, 25.0)
+    assert track(definition, list(range(7)), measured, [True] * 7, 0, 0b10).face == 2
+    none = track(definition, list(range(7)), measured, [True] * 7, 0, 0b100)
+    assert none.pose is None
+    assert none.information == 0x02
+
+
+def test_markers_too_close_together_do_not_make_a_pose() -> None:
+    measured = np.array(FACE) + PLACE_MM
+    wide = one_face(minimum_spread_mm=(100.0, 40.0, 0.0))
+    assert track(wide, [0, 1, 2, 3], measured, [True] * 4).pose is not None
+    wider = one_face(minimum_spread_mm=(150.0, 40.0, 0.0))
+    narrow = track(wider, [0, 1, 2, 3], measured, [True] * 4)
+    assert narrow.pose is None
+    assert narrow.information == 0x01
+
+
+def test_rules_act_in_their_order() -> None:
+    """Beyond the angle and outside and badly placed: the first rule that a marker breaks is told."""
+    normals = np.tile((0.0, 0.0, 1.0), (4, 1))
+    normals[1] = (0.0, 1.0, 0.0)
+    definition = one_face(normals=normals, maximum_angle_deg=60.0)
+    measured = np.array(FACE) + PLACE_MM
+    tracked = track(definition, [0, 1, 2, 3], measured, [True, False, True, True])
+    assert tracked.marker_digits == (3, 1, 3, 3)
+    assert tracked.pose is not None
+    dropped = track(one_face(), [0, 1, 2, 3], measured, [True, False, True, True])
+    assert dropped.marker_digits == (3, 4, 3, 3)
+    assert dropped.volume_status == PortStatus(0)
+
+
+def test_markers_outside_are_used_only_when_they_are_needed_and_asked_for() -> None:
+    measured = np.array(FACE) + PLACE_MM
+    tracked = track(one_face(), [0, 1, 2, 3], measured, [True, False, False, True])
+    assert tracked.volume_status == PortStatus.PARTIALLY_OUT_OF_VOLUME
+    asked = as_asked(tracked, outside=True, partially_outside=False)
+    assert asked.marker_digits == (3, 5, 5, 3)
+    unasked = as_asked(tracked, outside=False, partially_outside=False)
+    assert unasked.pose is None
+    assert unasked.marker_digits == (3, 4, 4, 3)
+    assert unasked.information & 0x02
+
+
+def test_a_minimum_above_three_is_respected() -> None:
+    measured = np.array(FACE) + PLACE_MM
+    tracked = track(one_face(minimum_markers=4), [0, 1, 3], measured[[0, 1, 3]], [True] * 3)
+    assert tracked.pose is None
+    assert tracked.information == 0x02
+    assert tracked.marker_digits == (0, 0, 0, 0)
+
+
+def test_a_marker_beyond_the_maximum_error_is_told_and_left_out() -> None:
+    markers = np.array([*FACE, (60.0, 40.0, 0.0), (-70.0, 80.0, 0.0)])
+    definition = one_face(
+        markers_mm=markers, normals=np.tile((0.0, 0.0, 1.0), (6, 1)), faces=(1,) * 6, maximum_error_mm=1.0
+    )
+    measured = markers + PLACE_MM
+    measured[5, 2] += 3.0
+    tracked = track(definition, list(range(6)), measured, [True] * 6)
+    assert tracked.marker_digits[5] == 2
+    assert tracked.pose is not None
+    assert tracked.pose.position_mm == pytest.approx(tuple(PLACE_MM), abs=1e-6)

@@ -1,0 +1,115 @@
+"""How the unit spends its time: what it encodes once, what it drops, when it speaks unasked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from ronna_hw.wire.polaris import COMMAND_NAMES, PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
+from sim.polaris.handlers.table import COMMANDS
+from sim.polaris.unit.unit import Unit
+from sim.theatre.scene.model import TrackerTool
+from sim.theatre.scene.named_scenes import built_in_scene
+
+if TYPE_CHECKING:
+    from conftest import Bench
+
+FRAME_NS = 1_000_000_000 // 60
+
+
+@pytest.fixture
+def counted(
+    make_bench: Callable[..., Bench], pointer: TrackerTool, monkeypatch: pytest.MonkeyPatch
+) -> tuple[Bench, list[int], list[int]]:
+    """A tracking bench whose time is set by hand, and the numbers of the frames that it measured."""
+    bench = make_bench(paced=True)
+    now_ns, measured = [0], []
+    monkeypatch.setattr(bench.world.clock, "now_ns", lambda: now_ns[0])
+    measure = Unit._measured
+
+    def counting(unit: Unit, number: int, *rest: Any) -> Any:
+        measured.append(number)
+        return measure(unit, number, *rest)
+
+    monkeypatch.setattr(Unit, "_measured", counting)
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    return bench, now_ns, measured
+
+
+def test_a_frame_is_measured_once_however_often_and_in_whatever_form_it_is_asked_for(
+    counted: tuple[Bench, list[int], list[int]],
+) -> None:
+    bench, now_ns, measured = counted
+    for frame in range(3):
+        now_ns[0] = frame * FRAME_NS + FRAME_NS // 2
+        answers = {bench.raw(line) for line in ("TX 1801", "BX 1801", "TX:1801" + "3D9A") for _ in range(50)}
+        assert len(answers) == 2
+    assert measured == [0, 1, 2]
+
+
+def test_the_same_reply_is_encoded_once(
+    counted: tuple[Bench, list[int], list[int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, now_ns, _ = counted
+    first = bench.raw("BX 1801")
+    monkeypatch.setattr("sim.polaris.handlers.tracking.binary_body", None)  # would fail if it were called
+    assert {bench.raw("BX 1801") for _ in range(20)} == {first}
+    now_ns[0] += FRAME_NS + 1
+    with pytest.raises(TypeError):
+        bench.raw("BX 1801")
+
+
+def test_a_change_of_settings_shows_in_the_very_frame(counted: tuple[Bench, list[int], list[int]]) -> None:
+    bench, _, _ = counted
+    assert "MISSING" not in bench.send("TX 0001")
+    bench.send(f"SET Param.Simulated Alerts={1 << 21}")
+    assert bench.send("TX 0001").endswith("0100")
+
+
+def test_a_unit_that_starts_again_hears_nothing_and_then_says_reset(
+    bench: Bench, pointer: TrackerTool
+) -> None:
+    bench.enable(pointer)
+    bench.send("COMM 50000")
+    bench.interpreter.restart(3600.0)
+    assert bench.raw("INIT ") == b""
+    assert bench.interpreter.unasked() == b""
+    bench.interpreter.restart(0.0)
+    assert bench.interpreter.unasked() == b"RESETBE6F\r"
+    assert bench.interpreter.unasked() == b""
+    assert bench.interpreter.reply_line.baud == 9600
+    assert bench.send("INIT ") == "OKAY"
+    assert bench.send("PHSR 00") == "00"
+
+
+def test_there_are_never_more_than_fifty_strays(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    scene = built_in_scene("bench")
+    many = tuple((-200.0 + 50.0 * (k % 8), -200.0 + 50.0 * (k // 8), -1700.0) for k in range(60))
+    tracker = scene.tracker.model_copy(update={"strays_mm": many, "line_separation_mm": 0.0})
+    bench = make_bench(scene.model_copy(update={"tracker": tracker}))
+    bench.send("INIT ")
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    block = bench.send("TX 1801").split("\n")[1]
+    assert int(block[:2], 16) == 50
+    assert len(block) == 2 + 13 + 50 * 21 + 4
+    assert bench.raw("BX 1801")[6 + 43] == 50
+
+
+def test_the_whole_virtual_memory_can_be_written_in_blocks(bench: Bench) -> None:
+    bench.send("PHRQ *********1****")
+    for address in range(0, PVWR_SPACE_BYTES, PVWR_BLOCK_BYTES):
+        assert bench.send(f"PVWR 01{address:04X}{'aB' * PVWR_BLOCK_BYTES}") == "OKAY"
+    assert bench.send("PINIT 01") == "ERROR13"
+
+
+@pytest.mark.parametrize("name", sorted(COMMAND_NAMES))
+def test_every_command_of_the_vendor_is_known(bench: Bench, name: str) -> None:
+    assert name in COMMANDS
+    assert not bench.raw(f"{name} ").startswith(b"ERROR01")
