@@ -34,6 +34,8 @@ class PortUnavailable(ConnectError):
 
     code = "NDI-001"
     action = "Check cable, power, address and permission, and that no other program holds the port."
+    number: int | None = None  # of the system's error
+    reason = ""  # the system's word for it
 
 
 class NothingAnswers(ConnectError):

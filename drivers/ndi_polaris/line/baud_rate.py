@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from drivers.ndi_polaris.errors import LinkLost, NoReply, PortUnavailable, UnitError
 from drivers.ndi_polaris.line.command_link import CommandLink
-from drivers.ndi_polaris.line.discovery import answers, find_unit, initialise
+from drivers.ndi_polaris.line.discovery import find_unit, initialise
+from drivers.ndi_polaris.line.inquiry import inquire
 from ronna_hw.errors import ProtocolError
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMM_DEFAULT_ARGUMENT
 
@@ -55,9 +56,9 @@ def _switch(
         pass  # the answer was lost: only trying tells whether the unit has switched
     pause(RATE_SETTLING_S)
     link.transport.set_baud(baud)
-    if answers(link, deadline_s):
+    if inquire(link, deadline_s).answered:
         return True
     link.transport.set_baud(present)
-    if not answers(link, deadline_s):
+    if not inquire(link, deadline_s).answered:
         raise LinkLost(f"the unit answers neither at {baud} baud nor at {present}")
     return False

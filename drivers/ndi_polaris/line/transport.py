@@ -205,8 +205,10 @@ class TcpTransport(_Descriptor):
 
 def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
     """The error with the advice that fits its cause."""
-    advice = _ADVICE.get(_number(error) or 0)
-    return PortUnavailable(f"cannot open {endpoint}: {_reason(error)}", action=advice)
+    number, reason = _number(error), _reason(error)
+    unavailable = PortUnavailable(f"cannot open {endpoint}: {reason}", action=_ADVICE.get(number or 0))
+    unavailable.number, unavailable.reason = number, reason
+    return unavailable
 
 
 def _number(error: Exception) -> int | None:
