@@ -47,7 +47,7 @@ class Logger:
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self._names = dict(names)
-        self._channel = logging.getLogger(".".join((_ROOT, *names.values())))
+        self._channel = logging.getLogger(".".join((_ROOT, *names.values())).replace(" ", "."))
 
     def debug(self, event: str, **facts: Any) -> None:
         """Detail for the one who looks for a fault."""
@@ -89,7 +89,7 @@ def logger(**names: str) -> Logger:
     """The logger of one part: `logger(device="tracker")`, `logger(part="engine", step="registration")`.
 
     The names are in each of its lines; their values, joined by dots, are what a level is set for: `engine`
-    covers `engine.registration`.
+    covers `engine.registration`, and `ronna-sim` the process `ronna-sim polaris`.
     """
     return Logger(names)
 

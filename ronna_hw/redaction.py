@@ -6,6 +6,7 @@ error about a CT, a plan or a file is logged by its code alone, and so is every 
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import PurePath
@@ -68,6 +69,8 @@ def redacted(key: str, value: Any) -> Any:
         return error_text(value)
     if isinstance(value, PurePath):
         return REDACTED if not str(value).startswith("/dev/") else str(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
         return {str(inner): redacted(str(inner), one) for inner, one in value.items()}
     if isinstance(value, Sequence | set | frozenset) and not isinstance(value, str | bytes):

@@ -14,6 +14,7 @@ from typing import Protocol, runtime_checkable
 
 from ronna_hw.devices.errors import NobodyNamed, WrongState
 from ronna_hw.errors import RonnaError
+from ronna_hw.logs import logger
 
 
 class Lifecycle(StrEnum):
@@ -109,9 +110,10 @@ def require_person(name: str) -> str:
 
 
 class LifecycleGuard:
-    """Keeps a driver's state honest: refuses wrong calls, latches faults. One per driver object."""
+    """Keeps a driver's state honest: refuses wrong calls, latches and logs faults. One per driver object."""
 
     def __init__(self, device: str) -> None:
+        self.log = logger(device=device)
         self._device = device
         self._state = Lifecycle.DISCONNECTED
         self._fault: RonnaError | None = None
@@ -136,19 +138,18 @@ class LifecycleGuard:
             last=str(self._fault) if self._fault and self._state is Lifecycle.FAULT else None,
         )
 
-    def enter(self, state: Lifecycle) -> None:
-        """Move to `state`; raise DEV-001 when the lifecycle has no such transition."""
+    def enter(self, state: Lifecycle, **facts: object) -> None:
+        """Move to `state` and log it with `facts`; raise DEV-001 when there is no such transition."""
         if state is self._state:
             return
         if state not in _ALLOWED[self._state]:
             raise WrongState(f"{self._device}: cannot go from {self._state} to {state}")
-        self._state = state
-        if state is not Lifecycle.FAULT:
-            self._fault = None
+        before, self._state, self._fault = self._state, state, None
+        self.log.info(state, before=before, **facts)
 
     def latch(self, cause: RonnaError) -> None:
         """Enter FAULT from anywhere but CLOSED, and keep the first cause."""
         if self._state in (Lifecycle.CLOSED, Lifecycle.FAULT):
             return
-        self._state = Lifecycle.FAULT
-        self._fault = cause
+        before, self._state, self._fault = self._state, Lifecycle.FAULT, cause
+        self.log.error(Lifecycle.FAULT, before=before, cause=cause)

@@ -18,6 +18,7 @@ from queue import Empty, SimpleQueue
 from typing import IO, Any
 
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.logs import logger
 
 READY_TIMEOUT_S = 10.0  # the contract of every command that prints READY
 STOP_TIMEOUT_S = 2.0  # the same contract, for SIGTERM
@@ -43,7 +44,9 @@ class ChildProcess:
         must follow.
         """
         self.name = name
+        self._log = logger(process=name)
         self.ready: dict[str, Any] = {}
+        self._end_logged = False
         self._lines: SimpleQueue[str | None] = SimpleQueue()
         self._messages: deque[str] = deque(maxlen=MESSAGE_LINES_KEPT)
         self.process = subprocess.Popen(
@@ -55,6 +58,7 @@ class ChildProcess:
             # Ctrl-C reaches the whole foreground group: it is for the parent to say what ends, and when.
             start_new_session=True,
         )
+        self._log.debug("started", pid=self.process.pid)
         self._readers = [
             threading.Thread(target=self._read_output, args=(self.process.stdout,), daemon=True),
             threading.Thread(target=self._read_messages, args=(self.process.stderr,), daemon=True),
@@ -83,6 +87,7 @@ class ChildProcess:
                 raise ChildNotReady(f"{self.name} ended before it was ready: {words}")
             if line.startswith("READY "):
                 self.ready = json.loads(line.removeprefix("READY "))
+                self._log.info("ready", pid=self.process.pid, said=self.ready)
                 return self.ready
 
     @property
@@ -97,11 +102,13 @@ class ChildProcess:
 
     def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
         """End the process: SIGTERM, then SIGKILL. Never raises; may be called twice."""
-        if self.alive:
+        ended_before = not self.alive
+        if not ended_before:
             self.process.terminate()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(timeout_s)
         if self.alive:
+            self._log.warning("killed: SIGTERM did not end it", limit_s=timeout_s)
             self.process.kill()
             self.process.wait()
         for reader in self._readers:
@@ -109,6 +116,9 @@ class ChildProcess:
         for stream in (self.process.stdout, self.process.stderr):
             if stream is not None:
                 stream.close()
+        if not self._end_logged:
+            self._end_logged = True
+            self._log.info("ended", exit_code=self.process.returncode, by_itself=ended_before)
 
     def __enter__(self) -> ChildProcess:
         return self

@@ -1,8 +1,12 @@
+import json
+from pathlib import Path
+
 import pytest
 
 from ronna_hw.devices import Lifecycle, LifecycleGuard
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.logs import keep_log
 
 
 def test_a_device_cannot_become_active_before_it_is_configured() -> None:
@@ -36,3 +40,18 @@ def test_closed_is_final() -> None:
     assert guard.state is Lifecycle.CLOSED
     with pytest.raises(WrongState):
         guard.enter(Lifecycle.CONNECTED)
+
+
+def test_every_change_of_state_is_logged_under_the_name_of_the_device(tmp_path: Path) -> None:
+    guard = LifecycleGuard("robot.master")
+    with keep_log(tmp_path):
+        guard.enter(Lifecycle.CONNECTED, serial="P9-1")
+        guard.latch(LinkTimeout("silence"))
+    _, connected, fault = (json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines())
+    assert {key: connected[key] for key in ("event", "before", "device", "serial")} == {
+        "event": "connected",
+        "before": "disconnected",
+        "device": "robot.master",
+        "serial": "P9-1",
+    }
+    assert (fault["event"], fault["level"], fault["cause"]) == ("fault", "error", "silence")

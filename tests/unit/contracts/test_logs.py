@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from ronna_hw import logs
+from ronna_hw.host.child_process import ChildProcess
 from ronna_hw.logs import LOG_FILE, keep_log, logger, set_level
 
 NAMES = ("ronna", "ronna.tracker", "ronna.robot", "ronna.robot.master")
@@ -111,6 +112,19 @@ def test_a_full_disk_loses_lines_and_stops_nothing(tmp_path: Path) -> None:
 def test_a_folder_that_is_gone_stops_nothing(tmp_path: Path) -> None:
     with keep_log(tmp_path / "gone"):
         logger(device="tracker").info("connected")
+
+
+def test_a_child_process_is_logged_from_ready_to_end_without_the_token_of_its_control_port(
+    tmp_path: Path,
+) -> None:
+    ready = "READY " + json.dumps({"control": "tcp://127.0.0.1:5?token=6f1e2b"})
+    program = f"import time; print({ready!r}, flush=True); time.sleep(60)"
+    with keep_log(tmp_path):
+        ChildProcess("ronna-sim theatre", [sys.executable, "-c", program]).stop()
+    text = (tmp_path / LOG_FILE).read_text()
+    assert [line["event"] for line in lines_of(tmp_path)] == ["opened", "ready", "ended"]
+    assert "tcp://127.0.0.1:5?token=" in text
+    assert "6f1e2b" not in text
 
 
 def test_a_library_that_reads_patient_files_is_named_but_not_quoted(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError, DataError, RonnaError
 from ronna_hw.redaction import REDACTED, error_text, redacted, redacted_arguments, scrubbed
 
@@ -58,6 +59,11 @@ def test_the_token_of_a_control_port_is_taken_out_of_its_endpoint() -> None:
 def test_values_are_redacted_at_any_depth() -> None:
     value: dict[str, Any] = {"series": [{"patient_id": "7", "slices": 12}], "wire": b"\x01\xff"}
     assert redacted("facts", value) == {"series": [{"patient_id": REDACTED, "slices": 12}], "wire": "01 ff"}
+
+
+def test_a_record_is_logged_field_by_field() -> None:
+    identity = Identity("NDI", "Polaris", "P9-1", "007.000")
+    assert redacted("identity", identity)["serial"] == "P9-1"
 
 
 @pytest.mark.parametrize(
