@@ -90,7 +90,7 @@ class DatedRecord(Strict):
             raise CalibrationExpired(
                 f"calibration {self.identifier} expired",
                 limit=self.expires.isoformat(),
-                last=moment.isoformat(),
+                got=moment.isoformat(),
             )
 
 

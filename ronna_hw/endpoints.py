@@ -45,7 +45,7 @@ class Endpoint:
     def require(self, *schemes: str) -> Endpoint:
         """Return itself, or raise CFG-002 when its scheme is none of `schemes`."""
         if self.scheme not in schemes:
-            raise BadEndpoint(f"{self} is not usable here", awaited=" or ".join(f"{s}:" for s in schemes))
+            raise BadEndpoint(f"{self} is not usable here", expected=" or ".join(f"{s}:" for s in schemes))
         return self
 
 
@@ -62,15 +62,15 @@ def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
     except ValueError as error:
         raise BadEndpoint(f"{text!r} is not an endpoint: {error}") from error
     if parts.scheme not in SCHEMES or parts.scheme == "host":
-        raise BadEndpoint(f"{text!r} has no known scheme", awaited=", ".join(SCHEMES))
+        raise BadEndpoint(f"{text!r} has no known scheme", expected=", ".join(SCHEMES))
     if parts.scheme in ("serial", "shm"):
         if parts.netloc or not parts.path.startswith("/"):
-            raise BadEndpoint(f"{text!r} needs an absolute path", awaited=f"{parts.scheme}:///path")
+            raise BadEndpoint(f"{text!r} needs an absolute path", expected=f"{parts.scheme}:///path")
         return Endpoint(parts.scheme, path=parts.path)
     if not parts.hostname or parts.path or parts.query:
-        raise BadEndpoint(f"{text!r} needs a host", awaited=f"{parts.scheme}://host:port")
+        raise BadEndpoint(f"{text!r} needs a host", expected=f"{parts.scheme}://host:port")
     if parts.scheme == "gev":
         return Endpoint("gev", host=parts.hostname, port=port or 0)
     if port is None or (port == 0 and not listening):
-        raise BadEndpoint(f"{text!r} needs a port", awaited=f"{parts.scheme}://host:port")
+        raise BadEndpoint(f"{text!r} needs a port", expected=f"{parts.scheme}://host:port")
     return Endpoint(parts.scheme, host=parts.hostname, port=port)

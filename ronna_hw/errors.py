@@ -1,11 +1,11 @@
 """One tree of errors for the whole project.
 
     RonnaError
-    +-- ConfigurationError   a file or an option is wrong; nothing has been touched
+    +-- ConfigurationError   a file or an option is wrong; no device has been touched
     +-- DataError            an input (CT, plan, points) is wrong; also a ValueError
-    +-- ConnectError         the device is not there, or is another one
-    +-- ProtocolError        bytes that break the protocol; the last ones are kept
-    +-- LinkTimeout          an answer did not come in time; also a TimeoutError
+    +-- ConnectError         the device is absent, or it is a different one
+    +-- ProtocolError        bytes that violate the protocol; the last ones are kept
+    +-- LinkTimeout          no reply within its time limit; also a TimeoutError
     +-- DeviceError          the device itself reports a fault
     +-- LimitError           a limit of motion, range or safety was reached
     +-- StateError           the call is not allowed in the present state
@@ -35,10 +35,10 @@ LAST_BYTES_KEPT = 64  # enough for a whole short telegram, short enough for one 
 
 
 class RonnaError(Exception):
-    """Base of every error of ours: what happened, what was awaited, the limit, and what to do.
+    """Base class of all our errors: what happened, what was expected, the limit, and what to do.
 
-    `code`, `action` and `exit_code` are class attributes of the concrete error; `what` is said by the
-    raiser. `wire` keeps the last bytes of a protocol error.
+    `code`, `action` and `exit_code` are class attributes of the concrete error; the raiser supplies `what`
+    and, where they help, `expected`, `limit` and `got`. `wire` keeps the last bytes of a protocol error.
     """
 
     code: ClassVar[str] = ""
@@ -49,32 +49,37 @@ class RonnaError(Exception):
         self,
         what: str,
         *,
-        awaited: str | None = None,
+        expected: str | None = None,
         limit: str | None = None,
-        last: str | None = None,
+        got: str | None = None,
         action: str | None = None,
         wire: bytes = b"",
     ) -> None:
         self.what = what
-        self.awaited = awaited
+        self.expected = expected
         self.limit = limit
-        self.last = last
+        self.got = got
         self.advice = action or self.action
         self.wire = bytes(wire[-LAST_BYTES_KEPT:])
         self.attachments: dict[str, str] = {}  # file name -> text: evidence for the folder of a run
         super().__init__(self._one_line())
 
+    @property
+    def summary(self) -> str:
+        """What happened, with its values: `no reply; expected OKAY, got ERROR01`; without code and advice."""
+        values = [
+            f"{label} {value}"
+            for label, value in (("expected", self.expected), ("limit", self.limit), ("got", self.got))
+            if value
+        ]
+        if values == [f"got {self.got}"]:  # nothing to compare it with: it explains what happened
+            return f"{self.what}: {self.got}"
+        return "; ".join(part for part in (self.what, ", ".join(values)) if part)
+
     def _one_line(self) -> str:
-        parts = [f"{self.code}: {self.what}" if self.code else self.what]
-        if self.awaited:
-            parts.append(f"awaited {self.awaited}")
-        if self.limit:
-            parts.append(f"limit {self.limit}")
-        if self.last:
-            parts.append(f"last value {self.last}")
+        line = f"{self.code}: {self.summary}" if self.code else self.summary
         if self.wire:
-            parts.append(f"last bytes {self.wire.hex(' ')}")
-        line = "; ".join(parts)
+            line = f"{line}; last bytes {self.wire.hex(' ')}"
         return f"{line.removesuffix('.')}. {self.advice}" if self.advice else line
 
 

@@ -95,5 +95,5 @@ def read_record(path: Path) -> Record:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadRecord(f"{path.name} is not a record: {error}") from error
     if record.sha256 != claimed:
-        raise BadRecord(f"{path.name} does not match its hash", last=record.sha256[:12], awaited=claimed[:12])
+        raise BadRecord(f"{path.name} does not match its hash", got=record.sha256[:12], expected=claimed[:12])
     return record

@@ -40,7 +40,7 @@ def load_driver(name: str) -> Any:
     for point in entry_points(group=GROUP):
         if point.name == name:
             return point.load()
-    raise UnknownDriver(f"no driver {name!r} is installed", awaited="one of " + ", ".join(driver_names()))
+    raise UnknownDriver(f"no driver {name!r} is installed", expected="one of " + ", ".join(driver_names()))
 
 
 def make_device(name: str, config: DeviceConfig, clock: Clock) -> Any:

@@ -100,12 +100,12 @@ class Camera:
         try:
             self._control = ControlChannel(self._address)
         except OSError as error:
-            raise NoCamera(f"no way to {self._address}", last=error.strerror) from error
+            raise NoCamera(f"no way to {self._address}", got=error.strerror) from error
         try:
             return identify(self._control, deadline_s)
         except NoCamera as error:
             peer = str(self._control.link.getpeername()[0])
-            raise NoCamera(error.what, awaited=error.awaited, last=listed(discover_cameras(peer))) from error
+            raise NoCamera(error.what, expected=error.expected, got=listed(discover_cameras(peer))) from error
 
     def configure(self, reception: ReceiverProcess, deadline_s: float) -> None:
         """Take control, read the description, bring everything to a known state, find the packet size.

@@ -208,7 +208,7 @@ class BaslerStereoPair:
         if found != before:
             _close_all(cameras)
             raise WrongSerial(
-                "other cameras answer than before", awaited="+".join(before), last="+".join(found)
+                "other cameras answer than before", expected="+".join(before), got="+".join(found)
             )
         self._cameras, self._identities = cameras, identities
         self._configure_cameras(deadline_s)
@@ -254,13 +254,13 @@ class BaslerStereoPair:
         except CommandRefused as error:
             if error.status != GevStatus.ACCESS_DENIED:
                 raise
-            taken = ControlLost("a camera refuses our commands", last=error.what)
+            taken = ControlLost("a camera refuses our commands", got=error.what)
             self._guard.latch(taken)
             raise taken from error
         except NoReply as error:
             if leaves_settings:
                 raise
-            lost = CameraLost("a camera no longer answers", last=error.what)
+            lost = CameraLost("a camera no longer answers", got=error.what)
             self._guard.latch(lost)
             raise lost from error
 

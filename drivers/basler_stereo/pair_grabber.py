@@ -164,15 +164,17 @@ class PairGrabber:
 
     def _missed(self) -> TriggerMissed:
         """Neither camera sent an image: what is known about the reason."""
-        awaited = "an image from either camera"
+        expected = "an image from either camera"
         if self._options.trigger == "line1":
-            return TriggerMissed("no pulse came on the trigger line", awaited=awaited, action=NO_PULSE)
+            return TriggerMissed("no pulse came on the trigger line", expected=expected, action=NO_PULSE)
         if any(camera.receiver.begun for camera in self._cameras):
-            return TriggerMissed("no whole image after a trigger", awaited=awaited, last="some packets of it")
+            return TriggerMissed(
+                "no whole image after a trigger", expected=expected, got="some packets of it"
+            )
         if any(camera.receiver.counters.refusals for camera in self._cameras):
             said = "the cameras say that they have none"
-            return TriggerMissed("no image after a trigger", awaited=awaited, last=said, action=NOT_TAKEN)
-        return TriggerMissed("no image after a trigger", awaited=awaited, last="not one packet")
+            return TriggerMissed("no image after a trigger", expected=expected, got=said, action=NOT_TAKEN)
+        return TriggerMissed("no image after a trigger", expected=expected, got="not one packet")
 
     def _reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
         match, moments_s = self._match(frames, triggered_s)

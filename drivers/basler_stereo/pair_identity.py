@@ -14,23 +14,23 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
         if options.expected_model and identity.model != options.expected_model:
             raise WrongModel(
                 f"another device at {identity.address}",
-                awaited=options.expected_model,
-                last=f"{identity.vendor} {identity.model}".strip(),
+                expected=options.expected_model,
+                got=f"{identity.vendor} {identity.model}".strip(),
             )
     wanted = (options.left_serial, options.right_serial)
     if left.serial == right.serial:
-        raise WrongSerial(f"{left.address} and {right.address} are the same camera", last=left.serial)
+        raise WrongSerial(f"{left.address} and {right.address} are the same camera", got=left.serial)
     if _matches((left.serial, right.serial), wanted):
         return
     if _matches((right.serial, left.serial), wanted):
         raise CablesSwapped(
             "the cameras answer at each other's address",
-            awaited=f"left {wanted[0]}, right {wanted[1]}",
-            last=f"left {left.serial}, right {right.serial}",
+            expected=f"left {wanted[0]}, right {wanted[1]}",
+            got=f"left {left.serial}, right {right.serial}",
         )
     for side, identity, serial in (("left", left, wanted[0]), ("right", right, wanted[1])):
         if serial is not None and identity.serial != serial:
-            raise WrongSerial(f"another camera is the {side} one", awaited=serial, last=identity.serial)
+            raise WrongSerial(f"another camera is the {side} one", expected=serial, got=identity.serial)
 
 
 def pair_identity(left: CameraIdentity, right: CameraIdentity) -> Identity:

@@ -208,7 +208,7 @@ class LinkProcessStalled(DeviceError):
 
 
 class ControllerNotFound(ConnectError):
-    """Nothing answers at the controller's address, or not with the awaited telegrams."""
+    """Nothing answers at the controller's address, or not with the expected telegrams."""
 
     code = "EKI-001"
     action = "Check the address, the cable and that the EKI server program runs on the controller."

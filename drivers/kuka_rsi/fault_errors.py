@@ -51,9 +51,9 @@ def error_of_fault(
             said = f"; the controller shows message {message}" if message else ""
             return LinkSilent(
                 f"{where} telegrams ceased{said}",
-                awaited="a telegram in every cycle",
+                expected="a telegram in every cycle",
                 limit=f"{options.silence_limit_s:g} s",
-                last=f"IPOC {state.IPOC}",
+                got=f"IPOC {state.IPOC}",
             )
         case Fault.HEARTBEAT:
             return HeartbeatLate(
@@ -69,7 +69,7 @@ def error_of_fault(
             return PathFailed(f"{where} the path had no solution")
         case Fault.RESTARTED:
             return ControllerRestarted(
-                f"{where} telegrams of another run came{strangers_text(state)}", last=f"IPOC {state.IPOC}"
+                f"{where} telegrams of another run came{strangers_text(state)}", got=f"IPOC {state.IPOC}"
             )
         case Fault.LOSSES:
             return LinkUnusable(
@@ -79,7 +79,7 @@ def error_of_fault(
         case Fault.BASE:
             return PoseDisagrees(
                 f"{name}: the first telegram's axes are outside the joint ranges",
-                last=axes_text(state),
+                got=axes_text(state),
             )
 
 
@@ -89,7 +89,7 @@ def _tripped(where: str, state: LinkState, surroundings: Surroundings) -> Motion
         return MotionTripped(
             f"{what} A{state.violation_axis}",
             limit=f"{degrees(state.violation_limit):.4f} deg",
-            last=f"{degrees(state.violation_value):.4f} deg",
+            got=f"{degrees(state.violation_value):.4f} deg",
         )
     unit = "mm" if state.violation_kind == CLEARANCE else "mm/s"
     pairs = surroundings.pairs
@@ -99,7 +99,7 @@ def _tripped(where: str, state: LinkState, surroundings: Surroundings) -> Motion
     return MotionTripped(
         f"{what} {bodies}",
         limit=f"{state.violation_limit:.1f} {unit}",
-        last=f"{state.violation_value:.1f} {unit}",
+        got=f"{state.violation_value:.1f} {unit}",
     )
 
 

@@ -68,7 +68,7 @@ class FaultWatch:
         elif eki is not None and eki.silent_s > self._eki_limit_s:
             # An emergency stop would not be told any more.
             where = f"{self._name}: {eki.where} says nothing"
-            self._stop_for(NoAnswer(where, awaited="a State every 0.1 s", limit=f"{self._eki_limit_s:g} s"))
+            self._stop_for(NoAnswer(where, expected="a State every 0.1 s", limit=f"{self._eki_limit_s:g} s"))
 
     def latch(self, error: RonnaError) -> None:
         """Latch an error that is about to be raised."""

@@ -197,7 +197,7 @@ class LinkClient:
             known = os.strerror(state.errno) if state.errno > 0 else "there is no such address"
             reason = f"cannot listen on {where}: {known}"
             if state.errno <= 0 or state.errno == errno.EADDRNOTAVAIL:
-                raise LinkNotStarted(reason, awaited="an address of this computer", action=GIVE_OUR_ADDRESS)
+                raise LinkNotStarted(reason, expected="an address of this computer", action=GIVE_OUR_ADDRESS)
             raise LinkNotStarted(reason)
 
     def _beat(self) -> None:

@@ -69,11 +69,11 @@ class MotionFollower:
                 raise MotionNotFinished(
                     f"{self._name}: the motion did not end or settle{losses_text(begun, link.state)}",
                     limit=f"{timeout_s:g} s",
-                    last=axes_text(link.state),
+                    got=axes_text(link.state),
                 )
         self._watch.raise_any()
         if state.result is Result.STOPPED:
-            raise MotionStopped(f"{self._name}: stopped on the way", last=axes_text(state))
+            raise MotionStopped(f"{self._name}: stopped on the way", got=axes_text(state))
         if state.result is not Result.DONE:
             raise error_of_refusal(self._name, state)
         return state

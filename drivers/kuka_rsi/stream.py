@@ -146,7 +146,7 @@ def start_stream(
                 require_ready(eki.status(max(rest_of(deadline), LEAST_TRY_S)), drives=False, modes=modes)
                 raise CommandRefused(
                     f"the controller refused {CommandName.DRIVES}",
-                    last=f"{answer.code.name} {answer.text}".strip(),
+                    got=f"{answer.code.name} {answer.text}".strip(),
                 )
         eki.await_state(lambda s: s.drives, rest_of(deadline))
         state = eki.status(max(rest_of(deadline), LEAST_TRY_S))
@@ -167,7 +167,7 @@ def start_stream(
         others += f"; {said.rejected} were of another form or Type" if said.rejected else ""
         raise NoTelegram(
             f"{name}: the RSI program runs, but no telegram of it comes here{others}",
-            awaited=f"telegrams of {options.controller_host}" if options.controller_host else None,
+            expected=f"telegrams of {options.controller_host}" if options.controller_host else None,
             limit=f"{timeout_s:g} s",
         )
     for axis, (told, measured) in enumerate(zip(state.axes_deg, first.base_rad, strict=True)):

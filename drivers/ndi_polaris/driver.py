@@ -206,9 +206,9 @@ class PolarisTracker:
             if left_s <= 0:
                 raise NoReply(
                     "the unit makes too few measurements",
-                    awaited=f"{frames}",
+                    expected=f"{frames}",
                     limit=f"{timeout_s} s",
-                    last=f"{len(measurements)}",
+                    got=f"{len(measurements)}",
                 )
             frame = self.read_frame(left_s)
             if frame.validity is Validity.STALE:
@@ -231,7 +231,7 @@ class PolarisTracker:
         identity = self._open(deadline_s)
         if before is not None and identity.serial != before.serial:
             self._let_go()
-            raise WrongUnit("another unit answers than before", awaited=before.serial, last=identity.serial)
+            raise WrongUnit("another unit answers than before", expected=before.serial, got=identity.serial)
         if isinstance(cause, SensorBumped) or self._bump_was_told:
             clear_bump(self._link, deadline_s)
             self._bump_was_told = False

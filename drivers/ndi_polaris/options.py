@@ -51,8 +51,8 @@ class ToolOption(Strict):
         if self.sha256 not in (None, found):
             raise ForeignTool(
                 f"{self.rom} is not the definition that tool {self.name} was set up with",
-                awaited=f"sha256 {self.sha256}",
-                last=found,
+                expected=f"sha256 {self.sha256}",
+                got=found,
             )
         return definition
 

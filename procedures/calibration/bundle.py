@@ -102,7 +102,7 @@ def fit_bundle(
     """
     if len(observations) < least_poses:
         raise TooFewPoses(
-            "too few poses show the ball", awaited=f"at least {least_poses}", last=str(len(observations))
+            "too few poses show the ball", expected=f"at least {least_poses}", got=str(len(observations))
         )
     looks = _arrays(observations)
     spread = orientation_spread(looks.rotations)
@@ -110,7 +110,7 @@ def fit_bundle(
         raise DegeneratePoses(
             "the orientations of the poses hardly differ",
             limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
-            last=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+            got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
         )
     cameras = cameras_of(start)
     points, _ = intersected(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
@@ -303,17 +303,17 @@ def _require_fit(used: NDArray[np.bool_], arm_error: float, gaps: Array, looks: 
         raise DoesNotFit(
             "the ball seems to move from look to look",
             limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
-            last=f"{arm_error:.2f} mm",
+            got=f"{arm_error:.2f} mm",
         )
     if gap_px > GAP_LIMIT_PX:
         raise DoesNotFit(
             "left and right images contradict each other",
             limit=f"{GAP_LIMIT_PX:g} px",
-            last=f"{gap_px:.1f} px",
+            got=f"{gap_px:.1f} px",
         )
     if np.mean(~used) > MOST_OUTLIERS:
         raise DoesNotFit(
-            "too many looks do not fit the others", limit=f"{MOST_OUTLIERS:.0%}", last=f"{np.mean(~used):.0%}"
+            "too many looks do not fit the others", limit=f"{MOST_OUTLIERS:.0%}", got=f"{np.mean(~used):.0%}"
         )
 
 

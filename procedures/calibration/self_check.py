@@ -119,7 +119,7 @@ class CheckResult:
             f"the stereo head has changed since its calibration ({', '.join(sign.name for sign in bad)}); "
             f"the ball is seen {1000 * moved:.0f} um away",
             limit=f"chi square {bad[0].limit:.1f}",
-            last=f"{bad[0].statistic:.1f}",
+            got=f"{bad[0].statistic:.1f}",
         )
 
 
@@ -159,7 +159,7 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
         raise CheckUncertain(
             "the check would not see a camera turned by 0.01 degrees",
             limit=f"{1000 * TWIST_SHIFT_MM / SENSITIVITY:.0f} um",
-            last=f"{1000 * worst:.0f} um",
+            got=f"{1000 * worst:.0f} um",
         )
     share = float(np.sum(1.0 / then.visits + 1.0 / now.visits)) / len(numbers) ** 2
     gap_variance = 0.5 * (then.gap_variance_mm2 + now.gap_variance_mm2) * share + GAP_FLOOR_MM**2
@@ -201,7 +201,7 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
     numbers = baseline.orientations
     if len(numbers) < LEAST_ORIENTATIONS:
         raise NotTheBaseline(
-            "the baseline has too few orientations", awaited=str(LEAST_ORIENTATIONS), last=str(len(numbers))
+            "the baseline has too few orientations", expected=str(LEAST_ORIENTATIONS), got=str(len(numbers))
         )
     for run, name in ((baseline.looks, "baseline"), (looks, "check")):
         for number in numbers:
@@ -209,7 +209,7 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
             if count < LEAST_VISITS:
                 raise NotTheBaseline(
                     f"the {name} looks {count} time(s) from orientation {number + 1}",
-                    awaited=f"at least {LEAST_VISITS}",
+                    expected=f"at least {LEAST_VISITS}",
                 )
     poses = {look.orientation: np.array(look.joints_rad) for look in baseline.looks}
     for look in looks:
@@ -220,7 +220,7 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
             raise NotTheBaseline(
                 f"orientation {look.orientation + 1} is looked from another pose than in the baseline",
                 limit=f"{np.degrees(SAME_POSE_RAD):.2f} deg in every joint",
-                last=f"{np.degrees(apart):.2f} deg",
+                got=f"{np.degrees(apart):.2f} deg",
             )
 
 

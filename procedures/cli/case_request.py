@@ -39,7 +39,7 @@ def check_request(request: CaseRequest) -> None:
         for part in ("ct", "plan.toml"):
             path = (request.case or Path()) / part
             if not path.exists():
-                raise PathProblem(f"{path} does not exist", awaited="a case folder with ct/ and plan.toml")
+                raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
     if request.faults is not None and not request.faults.is_file():
         raise UsageMistake(f"there is no fault script {request.faults}", action="Give the path of a file.")
 

@@ -126,7 +126,7 @@ def _theatre(
     for option, numbers in (("--robot-from-ct", robot_from_ct), ("--home", home_deg or ())):
         if not all(math.isfinite(value) for value in numbers):
             raise UsageMistake(
-                f"{option} needs finite numbers", last=" ".join(f"{value:g}" for value in numbers)
+                f"{option} needs finite numbers", got=" ".join(f"{value:g}" for value in numbers)
             )
     from procedures.engine.devices import MASTER
     from procedures.planning.posture import HOME_DEG

@@ -45,7 +45,7 @@ class SimulatedCase:
             _, messages = self._phantom.communicate(timeout=PHANTOM_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             raise ChildNotReady(
-                "ronna-sim phantom did not end", awaited="the phantom CT", limit=f"{PHANTOM_TIMEOUT_S:g} s"
+                "ronna-sim phantom did not end", expected="the phantom CT", limit=f"{PHANTOM_TIMEOUT_S:g} s"
             ) from None
         if self._phantom.returncode != 0:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)

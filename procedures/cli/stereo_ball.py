@@ -59,7 +59,7 @@ def place_of_ball(context: StepContext, told_mm: Triple | None) -> BallPlace:
     points = points_from(found.payload["points_robot_mm"])
     alone = [number for number in range(len(points)) if _nearest_mm(points, number) >= ALONE_MM]
     if not alone:
-        raise NoBall("the tracker sees no ball that stands alone", last=f"{len(points)} stray spheres")
+        raise NoBall("the tracker sees no ball that stands alone", got=f"{len(points)} stray spheres")
     joints = context.devices.arm.read_state().joints_rad
     head_mm = tool_pose(context, joints, stereo_tool_in_flange(context)).translation_mm
     chosen = min(alone, key=lambda number: float(np.linalg.norm(points[number] - head_mm)))

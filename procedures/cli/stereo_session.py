@@ -101,7 +101,7 @@ def observe_for_check(
             progress((round_number * len(first) + number + 1) / (visits * len(first)))
     watcher.go_home()
     if not seen:
-        raise NoSphere("the ball is not in view from any orientation", last=watcher.why_rejected())
+        raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
     return seen
 
 
@@ -139,8 +139,8 @@ def _bring_over_ball(
     if not watcher.reaches(place.first_look.pose) or reached < poses:
         raise PosesOutOfReach(
             "the poses about the ball are out of the arm's reach",
-            awaited=f"{poses} poses",
-            last=f"{reached} of {len(plan)}",
+            expected=f"{poses} poses",
+            got=f"{reached} of {len(plan)}",
         )
     x, y, z = place.ball_mm.tolist()
     context.confirm(
@@ -173,13 +173,13 @@ def refuse_too_few(watcher: BallWatcher, count: int) -> None:
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
         raise PosesOutOfReach(
             "too few poses about the ball can be taken",
-            awaited=f"at least {LEAST_POSES}",
-            last=f"{count}; {watcher.why_rejected()}",
+            expected=f"at least {LEAST_POSES}",
+            got=f"{count}; {watcher.why_rejected()}",
         )
     raise TooFewPoses(
         "too few poses show the ball",
-        awaited=f"at least {LEAST_POSES}",
-        last=f"{count}; {watcher.why_rejected()}",
+        expected=f"at least {LEAST_POSES}",
+        got=f"{count}; {watcher.why_rejected()}",
     )
 
 

@@ -65,7 +65,7 @@ class Engine:
         for key in self.sequence:
             if str(key) == name:
                 return key
-        raise UnknownStep(f"there is no step {name!r}", awaited=", ".join(str(key) for key in self.sequence))
+        raise UnknownStep(f"there is no step {name!r}", expected=", ".join(str(key) for key in self.sequence))
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Everything that keeps a step from beginning now; empty when it may begin."""

@@ -50,7 +50,7 @@ class StepContext:
         answer = self.operator.confirm(question)
         self.record_confirmation(question, answer)
         if not answer:
-            raise NotConfirmed(f"the operator did not confirm: {subject}", last=value)
+            raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
     def result(self, kind: str) -> Record:
         """A result of this step's trajectory, or one that belongs to none."""

@@ -48,8 +48,8 @@ def numbers(path: Path, header: FileDataset, keyword: str, count: int) -> tuple[
     except (TypeError, ValueError):
         found = ()
     if len(found) != count or not all(math.isfinite(number) for number in found):
-        awaited = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise AttributeMissing(f"{path.name}: {keyword} is missing or not {awaited}")
+        expected = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise AttributeMissing(f"{path.name}: {keyword} is missing or not {expected}")
     return found
 
 

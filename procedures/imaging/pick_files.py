@@ -30,7 +30,7 @@ def read_picks(path: Path) -> Array:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise PicksUnreadable(f"{path.name} holds no picks: {error}") from error
     if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
-        raise PicksUnreadable(f"{path.name} holds no picks", awaited="three finite numbers per pick")
+        raise PicksUnreadable(f"{path.name} holds no picks", expected="three finite numbers per pick")
     return picks
 
 

@@ -44,7 +44,7 @@ def localize_picks(
     picks = np.asarray(picks_mm, dtype=float)
     check_request(volume.geometry, diameter_mm, expected)
     if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
-        raise PickRefused("picks are rows of three finite numbers", last=f"shape {picks.shape}")
+        raise PickRefused("picks are rows of three finite numbers", got=f"shape {picks.shape}")
     radius_mm = 0.5 * diameter_mm
     found: list[Sphere] = []
     for number, pick_mm in enumerate(picks, start=1):

@@ -182,15 +182,15 @@ def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
     for path, header in images:
         modality = text(path, header, "Modality")
         if modality != "CT":
-            raise WrongModality(f"{path.name} has modality {modality or '(none)'}", awaited="CT")
+            raise WrongModality(f"{path.name} has modality {modality or '(none)'}", expected="CT")
         if text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
-            raise WrongModality(f"{path.name} is a multi-frame (enhanced) CT", awaited="one slice per file")
+            raise WrongModality(f"{path.name} is a multi-frame (enhanced) CT", expected="one slice per file")
 
 
 def _refuse_scouts(images: list[tuple[Path, FileDataset]]) -> None:
     for path, header in images:
         if scout := _SCOUT_WORDS.intersection(_image_type(path, header)):
-            raise ScoutView(f"{path.name} has image type {min(scout)}", awaited="slices")
+            raise ScoutView(f"{path.name} has image type {min(scout)}", expected="slices")
 
 
 def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
@@ -234,7 +234,7 @@ def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
         )
     kind = text(path, header, "RescaleType").upper()
     if kind not in _HOUNSFIELD | _UNSPECIFIED:
-        raise RescaleUnusable(f"{path.name}: RescaleType is {kind}", awaited="HU")
+        raise RescaleUnusable(f"{path.name}: RescaleType is {kind}", expected="HU")
     return slope, intercept
 
 

@@ -35,7 +35,7 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader) -> None:
     if data.get("PhotometricInterpretation", "MONOCHROME2") != "MONOCHROME2":
         raise PixelsUnusable(f"{name} has photometric interpretation {data.PhotometricInterpretation}")
     if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
-        raise PixelsUnusable(f"{name} has pixels with a decimal point", awaited="whole numbers")
+        raise PixelsUnusable(f"{name} has pixels with a decimal point", expected="whole numbers")
     if "PixelData" not in data:
         raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
     syntax = str(data.file_meta.get("TransferSyntaxUID", ""))
@@ -51,7 +51,7 @@ def _stored_16_bit(data: FileDataset, name: str, shape: tuple[int, ...]) -> NDAr
     pixels: bytes = data.PixelData
     needed = 2 * shape[0] * shape[1]
     if len(pixels) < needed:
-        raise FileDamaged(f"{name} is truncated", awaited=f"{needed} bytes of pixels", last=f"{len(pixels)}")
+        raise FileDamaged(f"{name} is truncated", expected=f"{needed} bytes of pixels", got=f"{len(pixels)}")
     stored = np.frombuffer(pixels, dtype="<i2" if signed else "<u2", count=needed // 2).reshape(shape)
     bits = int(data.get("BitsStored", 16))
     high = int(data.get("HighBit", bits - 1))

@@ -125,7 +125,7 @@ def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
     if steps_mm[closest] < SAME_PLACE_MM:
         raise SliceDuplicated(
             f"{slices[closest].path.name} and {slices[closest + 1].path.name} lie at the same place",
-            last=f"{steps_mm[closest]:.4f} mm apart",
+            got=f"{steps_mm[closest]:.4f} mm apart",
         )
     usual_mm = float(np.median(steps_mm))
     widest = int(np.argmax(steps_mm))
@@ -134,8 +134,8 @@ def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
         raise SpacingUneven(
             f"{missing} slice{'s' if missing > 1 else ''} missing between "
             f"{slices[widest].path.name} and {slices[widest + 1].path.name}",
-            awaited=f"a slice every {usual_mm:.3f} mm",
-            last=f"{steps_mm[widest]:.3f} mm",
+            expected=f"a slice every {usual_mm:.3f} mm",
+            got=f"{steps_mm[widest]:.3f} mm",
         )
     count = np.arange(len(along_mm))
     spacing_mm, start_mm = np.polyfit(count, along_mm, 1)
@@ -145,7 +145,7 @@ def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
         raise SpacingUneven(
             f"{slices[worst].path.name} is off the even spacing of {spacing_mm:.3f} mm",
             limit=f"{POSITION_TOLERANCE_MM} mm",
-            last=f"{deviation_mm[worst]:.3f} mm",
+            got=f"{deviation_mm[worst]:.3f} mm",
         )
     return float(spacing_mm)
 
@@ -165,7 +165,7 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
         raise GantryTilted(
             "the slices are not stacked along their normal",
             limit=f"{np.degrees(SHEAR_LIMIT):.2f} degrees",
-            last=f"{np.degrees(np.arctan(size)):.2f} degrees",
+            got=f"{np.degrees(np.arctan(size)):.2f} degrees",
         )
     deviation_mm = np.linalg.norm(sideways - np.outer(along_mm, drift), axis=1)
     worst = int(np.argmax(deviation_mm))
@@ -173,5 +173,5 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
         raise SpacingUneven(
             f"{slices[worst].path.name} is shifted sideways against the other slices",
             limit=f"{POSITION_TOLERANCE_MM} mm",
-            last=f"{deviation_mm[worst]:.3f} mm",
+            got=f"{deviation_mm[worst]:.3f} mm",
         )

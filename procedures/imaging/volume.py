@@ -36,7 +36,7 @@ class VoxelGeometry:
         sized = len(self.shape) == 3 and min(self.shape) > 0
         shapes = [np.shape(value) for value in (self.origin_mm, self.axes, self.spacing_mm)]
         if not sized or shapes != [(3,), (3, 3), (3,)]:
-            raise VolumeMalformed("a geometry of another shape", last=f"{self.shape}, {shapes}")
+            raise VolumeMalformed("a geometry of another shape", got=f"{self.shape}, {shapes}")
         numbers = np.concatenate([self.origin_mm, np.ravel(self.axes), self.spacing_mm])
         if not np.isfinite(numbers).all() or np.min(self.spacing_mm) <= 0:
             raise VolumeMalformed("a geometry that is not finite, or a spacing that is not positive")
@@ -91,7 +91,7 @@ class Volume:
         if self.voxels.dtype != np.int16 or self.voxels.shape != self.geometry.shape:
             raise VolumeMalformed(
                 f"voxels of {self.voxels.dtype} and shape {self.voxels.shape}",
-                awaited=f"int16 and {self.geometry.shape}",
+                expected=f"int16 and {self.geometry.shape}",
             )
 
     @cached_property

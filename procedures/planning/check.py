@@ -115,8 +115,8 @@ def _in_this_series(plan: Plan, volume: Volume) -> Judged:
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
             "the plan belongs to another CT series",
-            awaited=plan.series_instance_uid,
-            last=volume.series_instance_uid,
+            expected=plan.series_instance_uid,
+            got=volume.series_instance_uid,
         )
         return [wrong], []
     findings = _outside(plan, volume)
@@ -137,8 +137,8 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
         findings.append(
             WrongOrientation(
                 "the CT was taken in another patient position",
-                awaited=plan.patient_orientation.value,
-                last=volume.patient_position,
+                expected=plan.patient_orientation.value,
+                got=volume.patient_position,
             )
         )
     if plan.implanted < FEWEST_THAT_TELL_A_MOVE:
@@ -152,8 +152,8 @@ def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
         return [], layout_warnings(points_mm)
     wrong = WrongMarkerCount(
         "the CT shows another number of fiducials",
-        awaited=str(plan.implanted),
-        last=str(len(points_mm)),
+        expected=str(plan.implanted),
+        got=str(len(points_mm)),
     )
     return [wrong], []
 
@@ -202,14 +202,14 @@ def _unknown(plan: Plan) -> list[RonnaError]:
     found: list[RonnaError] = []
     if plan.tool not in KNOWN_TOOLS:
         found.append(
-            UnknownTool("the plan names an unknown tool", awaited=" or ".join(KNOWN_TOOLS), last=plan.tool)
+            UnknownTool("the plan names an unknown tool", expected=" or ".join(KNOWN_TOOLS), got=plan.tool)
         )
     if plan.fiducials is FiducialKind.XFRAME:
         found.append(
             FiducialsNotYet(
                 "the x-shaped frame of fiducials is not supported yet",
-                awaited=FiducialKind.FREE.value,
-                last=plan.fiducials.value,
+                expected=FiducialKind.FREE.value,
+                got=plan.fiducials.value,
             )
         )
     return found

@@ -145,8 +145,4 @@ def raise_together(findings: Sequence[RonnaError], what: str) -> None:
 
 def brief(finding: RonnaError, with_code: bool) -> str:
     """What happened, with its values, without the advice."""
-    parts = [f"{finding.code} {finding.what}" if with_code else finding.what]
-    for label, value in (("awaited", finding.awaited), ("limit", finding.limit), ("found", finding.last)):
-        if value:
-            parts.append(f"{label} {value}")
-    return ", ".join(parts)
+    return f"{finding.code} {finding.summary}" if with_code else finding.summary

@@ -61,7 +61,7 @@ def head_shape(volume: Volume) -> HeadShape:
     labels, count = ndimage.label(kept)
     sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
     if sizes.max() < LEAST_VOXELS:
-        raise NoHeadInCt("the CT shows nothing of the size of a head", last=f"{sizes.max()} solid places")
+        raise NoHeadInCt("the CT shows nothing of the size of a head", got=f"{sizes.max()} solid places")
     largest = labels == 1 + int(sizes.argmax())
     largest = ndimage.binary_dilation(largest, iterations=rounds)
     points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)

@@ -87,7 +87,7 @@ def drive(
         try:
             posture = place(setting.model, visit.approach, visit.pose, tool, branch, journey.near_rad, limits)
         except LimitError as error:
-            reason = "; ".join(part for part in (error.what, _values(error)) if part)
+            reason = error.summary
             journey.unmet.append(Unmet(visit.identifier, f"{reason} [{error.code}]"))
             continue
         _note(journey, visit, posture)
@@ -114,9 +114,3 @@ def _tool(setting: ArmSetting, visit: Visit) -> Transform:
 
 def _flange(setting: ArmSetting, visit: Visit) -> Transform:
     return visit.pose @ _tool(setting, visit).inverse()
-
-
-def _values(error: LimitError) -> str:
-    return ", ".join(
-        f"{label} {value}" for label, value in (("limit", error.limit), ("found", error.last)) if value
-    )

@@ -63,7 +63,7 @@ def register_clouds(
     image, physical = _checked(image_mm, "image"), _checked(physical_mm, "physical")
     if not 0.0 < overlap <= 1.0 or round(overlap * len(image)) < FEWEST_PAIRS:
         raise BadParameter(
-            "the overlap must leave three points", limit="above 0, at most 1", last=f"{overlap}"
+            "the overlap must leave three points", limit="above 0, at most 1", got=f"{overlap}"
         )
     tree = cKDTree(physical)
     if start is not None:
@@ -82,13 +82,13 @@ def register_clouds(
     if best.residual_mm > CLEARLY_BETTER * nearest_mm + ROUNDING_MM:
         raise UnsoundRegistration(
             "the clouds fit better as a mirror image",
-            last=f"{nearest_mm:.3g} mm, else {best.residual_mm:.3g} mm",
+            got=f"{nearest_mm:.3g} mm, else {best.residual_mm:.3g} mm",
         )
     for fit in fits:
         differs = turn_rad(best.matrix[:3, :3], fit.matrix[:3, :3]) > SAME_TURN_RAD
         if differs and fit.residual_mm < CLEARLY_BETTER * best.residual_mm + ROUNDING_MM:
             raise SymmetricCloud(
-                "two orientations fit alike", last=f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm"
+                "two orientations fit alike", got=f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm"
             )
     return _as_fit(best)
 
@@ -146,7 +146,7 @@ def _axes(points: Array, name: str) -> Array:
 def _checked(points_mm: ArrayLike, name: str) -> Array:
     points = checked_points(points_mm, name)
     if len(points) < FEWEST_PAIRS:
-        raise TooFewPoints(f"{len(points)} {name} point(s) given", awaited=f"at least {FEWEST_PAIRS}")
+        raise TooFewPoints(f"{len(points)} {name} point(s) given", expected=f"at least {FEWEST_PAIRS}")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] <= LINE_RATIO * spread[0]:
         raise CollinearPoints(f"the {name} cloud is a line")

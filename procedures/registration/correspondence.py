@@ -39,7 +39,7 @@ class Prior:
             raise BadParameter("a prior needs one SciPy Rotation physical <- image")
         if not (isinstance(self.tolerance_rad, int | float) and 0.0 < self.tolerance_rad <= math.pi):
             raise BadParameter(
-                "the prior's tolerance is impossible", limit="0 to pi rad", last=f"{self.tolerance_rad}"
+                "the prior's tolerance is impossible", limit="0 to pi rad", got=f"{self.tolerance_rad}"
             )
 
     def allows(self, rotation: Array) -> bool:
@@ -90,7 +90,7 @@ class Match:
             nearest = [_shown(self.pairs)] if len(self.pairs) else []
             nearest += [_shown(self.runner_up.pairs)] if self.runner_up else []
             raise NoUniqueMatch(
-                f"the correspondence is {self.status}: {self.reason}", last=", or ".join(nearest)
+                f"the correspondence is {self.status}: {self.reason}", got=", or ".join(nearest)
             )
         return self.transform
 

@@ -28,7 +28,7 @@ DEFAULT_CONFIDENCE = 0.95
 def degrees_of_freedom(pairs: int) -> int:
     """Residual degrees of freedom of a rigid fit of `pairs` points: 3n - 6. Raises REG-002."""
     if pairs < FEWEST_PAIRS:
-        raise TooFewPoints(f"{pairs} pair(s) given", awaited=f"at least {FEWEST_PAIRS}")
+        raise TooFewPoints(f"{pairs} pair(s) given", expected=f"at least {FEWEST_PAIRS}")
     return 3 * pairs - POSE_UNKNOWNS
 
 
@@ -66,14 +66,14 @@ def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDEN
     """
     freedom = degrees_of_freedom(pairs)
     if not (math.isfinite(fle_mm) and fle_mm > 0.0):
-        raise BadParameter("FLE must be positive and finite", last=f"{fle_mm} mm")
+        raise BadParameter("FLE must be positive and finite", got=f"{fle_mm} mm")
     return fle_mm * math.sqrt(chi_square_limit(freedom, confidence) / (3 * pairs))
 
 
 def chi_square_limit(freedom: int, confidence: float) -> float:
     """The chi-square value that is exceeded with probability 1 - confidence."""
     if not 0.0 < confidence < 1.0:
-        raise BadParameter("a confidence lies between 0 and 1", last=f"{confidence}")
+        raise BadParameter("a confidence lies between 0 and 1", got=f"{confidence}")
     return float(chdtri(freedom, 1.0 - confidence))
 
 
@@ -104,7 +104,7 @@ class FreGate:
             raise ResidualTooLarge(
                 "the fiducial residual is larger than the localization error explains",
                 limit=f"{self.limit_mm:.3f} mm at {self.confidence:.0%}",
-                last=f"{self.fre_mm:.3f} mm",
+                got=f"{self.fre_mm:.3f} mm",
             )
 
 
@@ -119,7 +119,7 @@ def fre_gate(fre_mm: float, fle_mm: float, pairs: int, confidence: float = DEFAU
 def require_size(name: str, size_mm: float) -> None:
     """Raises REG-007 for the size of an error that is not finite or negative."""
     if not (math.isfinite(size_mm) and size_mm >= 0.0):
-        raise BadParameter(f"{name} must be finite and not negative", last=f"{size_mm} mm")
+        raise BadParameter(f"{name} must be finite and not negative", got=f"{size_mm} mm")
 
 
 def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) -> Array:
@@ -171,7 +171,7 @@ def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None
     of freedom; the limit then widens as an F distribution says.
     """
     if not 0.0 < confidence < 1.0:
-        raise BadParameter("a confidence lies between 0 and 1", last=f"{confidence}")
+        raise BadParameter("a confidence lies between 0 and 1", got=f"{confidence}")
     variances = np.maximum(np.linalg.eigvalsh(covariance_mm2), 0.0)
     total = variances.sum(axis=-1)
     squares = np.square(variances).sum(axis=-1)

@@ -212,7 +212,7 @@ def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array
     if middle <= COLLINEAR_REFUSED * largest:
         ratio = middle / largest if largest > 0.0 else 0.0
         raise CollinearPoints(
-            "the points lie on a line", limit=f"ratio {COLLINEAR_REFUSED:g}", last=f"{ratio:.2g}"
+            "the points lie on a line", limit=f"ratio {COLLINEAR_REFUSED:g}", got=f"{ratio:.2g}"
         )
     findings = []
     if middle < COLLINEAR_WARNED * largest:

@@ -23,7 +23,7 @@ def checked_points(points_mm: ArrayLike, name: str) -> Array:
     if values.size == 0 and values.ndim <= 2:
         return np.zeros((0, 3))
     if values.ndim != 2 or values.shape[1] != 3:
-        raise BadPoints(f"the {name} points have shape {values.shape}", awaited="(n, 3)")
+        raise BadPoints(f"the {name} points have shape {values.shape}", expected="(n, 3)")
     if not np.all(np.isfinite(values)):
         rows = np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist()
         raise BadPoints(f"the {name} points are not finite in row(s) {rows}")
@@ -32,7 +32,7 @@ def checked_points(points_mm: ArrayLike, name: str) -> Array:
         raise BadPoints(
             f"the {name} points are out of any theatre",
             limit=f"{COORDINATE_LIMIT_MM:g} mm",
-            last=f"{farthest_mm:g} mm",
+            got=f"{farthest_mm:g} mm",
         )
     return values
 
@@ -52,7 +52,7 @@ def checked_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, A
     if len(image) != len(physical):
         raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
     if len(image) < FEWEST_PAIRS:
-        raise TooFewPoints(f"{len(image)} pair(s) given", awaited=f"at least {FEWEST_PAIRS}")
+        raise TooFewPoints(f"{len(image)} pair(s) given", expected=f"at least {FEWEST_PAIRS}")
     for name, points in (("image", image), ("physical", physical)):
         refuse_duplicates(points, name)
     return image, physical
@@ -67,7 +67,7 @@ def refuse_duplicates(points: Array, name: str) -> None:
         raise DuplicatePoints(
             f"{name} points {first} and {second} are the same sphere",
             limit=f"{NEAREST_SPHERES_MM:g} mm apart",
-            last=f"{distances.min():.3f} mm",
+            got=f"{distances.min():.3f} mm",
         )
 
 
@@ -75,7 +75,7 @@ def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
     """Covariances (count, 3, 3) in mm2, exactly symmetric. Raises REG-005."""
     values = _real_numbers(covariance_mm2, "the covariances", BadCovariance)
     if values.shape != (count, 3, 3):
-        raise BadCovariance(f"the covariances have shape {values.shape}", awaited=f"({count}, 3, 3)")
+        raise BadCovariance(f"the covariances have shape {values.shape}", expected=f"({count}, 3, 3)")
     if not np.all(np.isfinite(values)):
         raise BadCovariance("a covariance is not finite")
     transposed = values.transpose(0, 2, 1)
@@ -87,7 +87,7 @@ def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
     if np.any(smallest <= np.finfo(float).eps * np.abs(scale)):
         row = int(np.argmin(smallest))
         raise BadCovariance(
-            f"covariance {row} is not positive definite", last=f"smallest variance {smallest[row]:.3g} mm2"
+            f"covariance {row} is not positive definite", got=f"smallest variance {smallest[row]:.3g} mm2"
         )
     return np.asarray(values, dtype=float)
 
@@ -99,5 +99,5 @@ def _real_numbers(numbers: ArrayLike, what: str, mistake: type[BadPoints] | type
     except (TypeError, ValueError) as error:
         raise mistake(f"{what} are not an array of numbers") from error
     if given.dtype.kind not in REAL_KINDS:
-        raise mistake(f"{what} are not real numbers", awaited="integers or floats", last=str(given.dtype))
+        raise mistake(f"{what} are not real numbers", expected="integers or floats", got=str(given.dtype))
     return np.array(given, dtype=float)

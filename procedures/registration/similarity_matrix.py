@@ -47,7 +47,7 @@ def match_by_similarity(
     """
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
     if not (np.isfinite(tolerance_mm) and tolerance_mm > 0.0):
-        raise BadParameter("the tolerance e must be a positive length", last=f"{tolerance_mm} mm")
+        raise BadParameter("the tolerance e must be a positive length", got=f"{tolerance_mm} mm")
     if min(len(image), len(physical)) < FEWEST_PAIRS:
         found = SimilarityPairs(MatchStatus.TOO_FEW, _no_pairs())
     else:

@@ -72,14 +72,14 @@ class Camera:
         """Normalised coordinates (2,) without distortion, by fixed-point iteration; raises STE-004."""
         observed: Array = (np.asarray(pixel, dtype=float) - self._principal) / self._focal
         if observed.shape != (2,) or not np.all(np.isfinite(observed)):
-            raise BadMeasurement("a pixel is two finite numbers", last=str(pixel))
+            raise BadMeasurement("a pixel is two finite numbers", got=str(pixel))
         ideal: Array = observed.copy()
         for _ in range(UNDISTORT_ITERATIONS):
             step = observed - self._distorted(ideal)
             ideal = ideal + step
             if np.abs(step).max() < UNDISTORT_END:
                 return ideal
-        raise BadMeasurement("the distortion cannot be undone here", last=str(tuple(observed)))
+        raise BadMeasurement("the distortion cannot be undone here", got=str(tuple(observed)))
 
     def direction(self, normalised: Array) -> Array:
         """Unit direction (3,) of the line of sight in tool coordinates."""

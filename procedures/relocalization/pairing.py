@@ -110,7 +110,7 @@ def _named(problems: dict[str, DataError]) -> DataError:
     if len(problems) == len(SIDES) and len(words) == 1:
         problems = {"both cameras": worst}
     what = "; ".join(f"{camera}: {one.what}" for camera, one in problems.items())
-    return type(worst)(what, awaited=worst.awaited, limit=worst.limit, last=worst.last)
+    return type(worst)(what, expected=worst.expected, limit=worst.limit, got=worst.got)
 
 
 def _agreeing(

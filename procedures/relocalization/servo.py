@@ -74,8 +74,8 @@ class ServoState:
         if state.steps_made >= self.settings.steps:
             raise ServoExhausted(
                 f"the servo is not at its end after {state.steps_made} steps",
-                awaited=f"a residual of at most {self.settings.tolerance_mm} mm",
-                last=f"{length:.3f} mm",
+                expected=f"a residual of at most {self.settings.tolerance_mm} mm",
+                got=f"{length:.3f} mm",
             )
         return state
 
@@ -109,8 +109,8 @@ class ServoState:
         if now > self.settings.noise_mm and now > self.settings.shrink * before:
             raise ServoDiverges(
                 f"the residual does not shrink within {span} steps",
-                awaited=f"at most {self.settings.shrink * before:.3f} mm",
-                last=" ".join(f"{value:.3f}" for value in self.residuals_mm) + " mm",
+                expected=f"at most {self.settings.shrink * before:.3f} mm",
+                got=" ".join(f"{value:.3f}" for value in self.residuals_mm) + " mm",
             )
 
 
@@ -126,7 +126,7 @@ def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
 def _vector(residual_mm: ArrayLike) -> Array:
     residual = np.array(residual_mm, dtype=float)
     if residual.shape != (3,) or not all(math.isfinite(value) for value in residual):
-        raise BadMeasurement("a residual is three finite numbers in mm", last=str(residual_mm))
+        raise BadMeasurement("a residual is three finite numbers in mm", got=str(residual_mm))
     return residual
 
 

@@ -52,7 +52,7 @@ def measure_sphere(
             best = sphere
     if best is None:
         raise NoSphere(
-            "no sphere in view", awaited="a bright disc", last=f"{round_shapes} round shape(s), none a sphere"
+            "no sphere in view", expected="a bright disc", got=f"{round_shapes} round shape(s), none a sphere"
         )
     return best
 
@@ -93,9 +93,9 @@ def _spheres(
 def _refuse_even(dark: float, bright: float, full_range: float) -> NoReturn:
     limit, last = f"{CONTRAST_FLOOR * full_range:.0f} grey values apart", f"{dark:.0f} to {bright:.0f}"
     if dark >= SATURATED_LEVEL * full_range:
-        raise Saturated("the image is saturated", limit=limit, last=last)
+        raise Saturated("the image is saturated", limit=limit, got=last)
     evenness = "dark all over" if bright <= DARK_LEVEL * full_range else "even: it has no contrast"
-    raise NoContrast(f"the image is {evenness}", limit=limit, last=last)
+    raise NoContrast(f"the image is {evenness}", limit=limit, got=last)
 
 
 def _visible_px(sphere: SphereImage) -> float:
@@ -104,14 +104,14 @@ def _visible_px(sphere: SphereImage) -> float:
 
 def _checked(image: object) -> GreyImage:
     if not isinstance(image, np.ndarray):
-        raise BadImage("the image is not an array", last=type(image).__name__)
+        raise BadImage("the image is not an array", got=type(image).__name__)
     native = image.dtype.newbyteorder("=")
     if image.ndim != 2 or native not in (np.dtype(np.uint8), np.dtype(np.uint16)):
-        raise BadImage("the image is not a grey image", last=f"{image.ndim}-D {image.dtype}")
+        raise BadImage("the image is not a grey image", got=f"{image.ndim}-D {image.dtype}")
     if min(image.shape) < SMALLEST_SIDE_PX:
-        raise BadImage("the image is too small", limit=f"{SMALLEST_SIDE_PX} px", last=str(image.shape))
+        raise BadImage("the image is too small", limit=f"{SMALLEST_SIDE_PX} px", got=str(image.shape))
     if native == np.uint16 and int(image.max()) > TWELVE_BIT_LIMIT:
-        raise BadImage("values of more than 12 bits", limit=str(TWELVE_BIT_LIMIT), last=str(image.max()))
+        raise BadImage("values of more than 12 bits", limit=str(TWELVE_BIT_LIMIT), got=str(image.max()))
     return image.astype(native, copy=False)  # OpenCV takes the byte order of this machine only
 
 

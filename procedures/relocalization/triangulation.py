@@ -68,7 +68,7 @@ def triangulate(
     start, gap = _nearest_point(cameras, centres)
     if gap > ray_gap_limit_mm:
         raise RaysDoNotMeet(
-            "the lines of sight do not meet", limit=f"{ray_gap_limit_mm} mm", last=f"{gap:.3f} mm"
+            "the lines of sight do not meet", limit=f"{ray_gap_limit_mm} mm", got=f"{gap:.3f} mm"
         )
     pixels = [camera.pixel_of(centre) for camera, centre in zip(cameras, centres, strict=True)]
     position, covariance = _weighted_point(cameras, outlines, pixels, start)
@@ -81,16 +81,16 @@ def triangulate(
         if abs(radius - expected) > SIZE_TOLERANCE * expected:
             raise WrongSize(
                 "this is not a sphere of the expected size",
-                awaited=f"radius {expected:.2f} mm",
+                expected=f"radius {expected:.2f} mm",
                 limit=f"{SIZE_TOLERANCE:.0%}",
-                last=f"{radius:.2f} mm",
+                got=f"{radius:.2f} mm",
             )
     if abs(radii[0] - radii[1]) > LIKENESS_TOLERANCE * expected:
         raise WrongSize(
             "the two images do not show one sphere",
-            awaited="radii that agree",
+            expected="radii that agree",
             limit=f"{LIKENESS_TOLERANCE:.1%}",
-            last=f"{radii[0]:.2f} and {radii[1]:.2f} mm",
+            got=f"{radii[0]:.2f} and {radii[1]:.2f} mm",
         )
     reliable = all(outline.status is SphereStatus.OK for outline in outlines)
     return StereoPoint(position, covariance, gap, sum(radii) / len(radii), reliable)
@@ -99,14 +99,14 @@ def triangulate(
 def check_serial(calibration: CameraCalibration, serial: str) -> None:
     """Raise STE-010 unless the calibration is that of the camera with this serial number."""
     if calibration.serial != serial:
-        raise WrongCamera("calibration of another camera", awaited=calibration.serial, last=serial)
+        raise WrongCamera("calibration of another camera", expected=calibration.serial, got=serial)
 
 
 def _check(outlines: tuple[SphereImage, SphereImage]) -> None:
     for outline in outlines:
         numbers = np.array([*outline.centre_px, *outline.axes_px, *np.ravel(outline.covariance_px2)])
         if not np.all(np.isfinite(numbers)) or min(outline.axes_px) <= 0:
-            raise BadMeasurement("an outline has numbers that are none", last=str(numbers))
+            raise BadMeasurement("an outline has numbers that are none", got=str(numbers))
 
 
 def _nearest_point(cameras: tuple[Camera, Camera], centres: list[Array]) -> tuple[Array, float]:

@@ -23,7 +23,7 @@ def run(context: StepContext) -> Outcome:
     error_mm = float(np.linalg.norm(reached.translation_mm - wanted.translation_mm))
     if error_mm > POSITION_LIMIT_MM:
         raise GateFailed(
-            "the arm is not where it was sent", limit=f"{POSITION_LIMIT_MM} mm", last=f"{error_mm:.3f} mm"
+            "the arm is not where it was sent", limit=f"{POSITION_LIMIT_MM} mm", got=f"{error_mm:.3f} mm"
         )
     return Outcome(
         payload={"tool_pose": pose_payload(reached), "nominal_error_mm": error_mm},

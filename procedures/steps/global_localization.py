@@ -42,7 +42,7 @@ def run(context: StepContext) -> Outcome:
     spread = max((float(group.spread_mm) for group in groups), default=0.0)
     if spread > SPREAD_LIMIT_MM:
         raise GateFailed(
-            "a sphere moved while the tracker looked", limit=f"{SPREAD_LIMIT_MM} mm", last=f"{spread:.2f} mm"
+            "a sphere moved while the tracker looked", limit=f"{SPREAD_LIMIT_MM} mm", got=f"{spread:.2f} mm"
         )
     joints = context.devices.arm.read_state().joints_rad
     robot_from_tool = tool_pose(context, joints, stereo_tool_in_flange(context))
@@ -92,7 +92,7 @@ def _fresh_frames(context: StepContext) -> tuple[list[TrackerFrame], int]:
             context.progress(len(frames) / FRAMES, "reading the tracker")
         elif clock.now_s() > limit_s:
             raise GateFailed(
-                "the tracker gives no new measurements", awaited=f"{FRAMES}", last=f"{len(frames)}"
+                "the tracker gives no new measurements", expected=f"{FRAMES}", got=f"{len(frames)}"
             )
         else:
             clock.sleep(FRAME_S / 2)

@@ -20,7 +20,7 @@ def run(context: StepContext) -> Outcome:
     arm, tool = context.devices.arm, context.calibrations.tool_tip
     mounted = arm.read_tool_identity().number
     if mounted != tool.tool_number:
-        raise WrongTool("the guide is not mounted", awaited=str(tool.tool_number), last=str(mounted))
+        raise WrongTool("the guide is not mounted", expected=str(tool.tool_number), got=str(mounted))
     target = target_pose(context)
     standoff = standoff_pose(context, target)
     context.confirm(

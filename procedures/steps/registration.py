@@ -62,7 +62,7 @@ def run(context: StepContext) -> Outcome:
         raise GateFailed(
             f"the fit does not agree with its own error budget at {context.key.trajectory}",
             limit=f"{gate.limit_mm:.3f} mm",
-            last=f"{gate.fre_mm:.3f} mm",
+            got=f"{gate.fre_mm:.3f} mm",
             action=_advice([fiducials[one] for one in moved_spheres(image, physical, measured, arm_mm)]),
         )
     predicted = predict_tip_error(context, fit, trajectory.target_mm)
@@ -70,7 +70,7 @@ def run(context: StepContext) -> Outcome:
         raise GateFailed(
             f"the predicted error at {trajectory.id} exceeds the plan's margin",
             limit=f"{trajectory.margin_mm:g} mm",
-            last=f"{predicted.rms_mm:.2f} mm",
+            got=f"{predicted.rms_mm:.2f} mm",
         )
     context.confirm(
         f"accept the registration for {trajectory.id}",

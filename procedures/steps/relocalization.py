@@ -104,7 +104,7 @@ def centre_on(context: StepContext, fiducial: int, expected: Transform, near: Jo
         joints = context.devices.arm.read_state().joints_rad
         pose = tool_pose(context, joints, stereo_tool_in_flange(context))
         if seen.point is None:
-            raise SphereNotFound(f"sphere {fiducial + 1} was lost during the servo", last=seen.reason)
+            raise SphereNotFound(f"sphere {fiducial + 1} was lost during the servo", got=seen.reason)
         servo = servo.measured(pose, seen.point.position_mm)
         if servo.converged:
             break
@@ -206,7 +206,7 @@ def _gate(context: StepContext, differences_mm: Array) -> None:
         raise GateFailed(
             f"sphere {int(apart.argmax()) + 1} is not where the tracker saw it",
             limit=f"{limit:g} mm",
-            last=f"{apart.max():.2f} mm",
+            got=f"{apart.max():.2f} mm",
             action="Check that the patient has not moved, then localize with the tracker again.",
         )
 

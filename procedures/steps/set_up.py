@@ -38,7 +38,7 @@ def run(context: StepContext) -> Outcome:
     check_serial(calibrations.stereo_head.right, right)
     mounted = context.devices.arm.read_tool_identity().number
     if mounted != STEREO_HEAD_NUMBER:
-        raise WrongTool("the stereo head is not mounted", awaited=str(STEREO_HEAD_NUMBER), last=str(mounted))
+        raise WrongTool("the stereo head is not mounted", expected=str(STEREO_HEAD_NUMBER), got=str(mounted))
     return Outcome(
         payload={
             "identities": identities,

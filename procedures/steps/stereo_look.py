@@ -73,7 +73,7 @@ def look(context: StepContext) -> Look:
         raise PairNotUsable(
             "no pair of images can be used",
             limit=f"{1 + FURTHER_TRIES} pairs in a row",
-            last=f"the pair is {reading.validity}: {_sides(reading)}",
+            got=f"the pair is {reading.validity}: {_sides(reading)}",
         )
     images = (_placed(reading.left), _placed(reading.right))
     try:
@@ -83,7 +83,7 @@ def look(context: StepContext) -> Look:
     problem = None
     if seen.point is None:
         rims = f"{seen.left.rim_fraction:.0%} left, {seen.right.rim_fraction:.0%} right"
-        problem = NotTrusted(seen.doubt, last=f"rim in view {rims}")
+        problem = NotTrusted(seen.doubt, got=f"rim in view {rims}")
     return Look(reading, seen.left, seen.right, seen.point, problem)
 
 

@@ -23,7 +23,7 @@ def run(context: StepContext) -> Outcome:
     context.confirm("the tool has been exchanged", f"the surgical guide, tool {calibration.tool_number}")
     mounted = devices.arm.read_tool_identity().number
     if mounted != calibration.tool_number:
-        raise WrongTool("the guide is not mounted", awaited=str(calibration.tool_number), last=str(mounted))
+        raise WrongTool("the guide is not mounted", expected=str(calibration.tool_number), got=str(mounted))
     context.confirm(
         "tip calibration of the guide",
         f"{calibration.identifier}, made {calibration.created:%Y-%m-%d}, "

@@ -79,5 +79,5 @@ def require_frames(transform: Transform, target: Frame, source: Frame) -> None:
     """Raises FRM-001 when a transform maps between other frames than these."""
     if (transform.target, transform.source) != (target, source):
         raise FrameMismatch(
-            f"a transform {target} <- {source} is needed", last=f"{transform.target} <- {transform.source}"
+            f"a transform {target} <- {source} is needed", got=f"{transform.target} <- {transform.source}"
         )

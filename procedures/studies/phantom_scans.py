@@ -51,7 +51,7 @@ def phantom_scan(family: str, protocol: str, seed: int, fiducials: str = "free")
             check=False,
         )
         if done.returncode != 0:
-            raise PhantomFailed(f"{family}, {protocol}, seed {seed}", last=" ".join(done.stderr.split()))
+            raise PhantomFailed(f"{family}, {protocol}, seed {seed}", got=" ".join(done.stderr.split()))
         said = json.loads(done.stdout)
         truth = json.loads(Path(said["truth"]).read_text(encoding="utf-8"))
         yield PhantomScan(

@@ -110,7 +110,7 @@ def _require_address(scheduler: str) -> None:
         whole = None
     if not whole:
         raise SchedulerUnreachable(
-            "that is no address of a Dask scheduler", awaited="tcp://HOST:PORT", last=scheduler
+            "that is no address of a Dask scheduler", expected="tcp://HOST:PORT", got=scheduler
         )
 
 

@@ -77,7 +77,7 @@ class SweptPath:
             f"on {what} the {bad.first} would come too near to the {bad.second}, "
             f"{bad.parameter:.0%} of the way",
             limit=f"{self.surroundings.margin_mm:g} mm",
-            last=f"{bad.distance_mm:.1f} mm",
+            got=f"{bad.distance_mm:.1f} mm",
         )
 
     def _at(self, row: np.intp, column: np.intp) -> Closest:

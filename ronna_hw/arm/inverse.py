@@ -214,7 +214,7 @@ def _wrist(pose: Pose, arm: tuple[float, float, float], flipped: bool) -> tuple[
     yx = c23 * (c1 * r[1] - s1 * r[4]) - s23 * r[7]
     sine = hypot(zy, zz)
     if sine < SINGULAR_A5_RAD:
-        raise Singular("A4 and A6 are in one line", limit=f"A5 {SINGULAR_A5_RAD} rad", last=f"{sine:.2e} rad")
+        raise Singular("A4 and A6 are in one line", limit=f"A5 {SINGULAR_A5_RAD} rad", got=f"{sine:.2e} rad")
     if flipped:
         return (atan2(zy, zz), -atan2(sine, zx), atan2(yx, xx))
     return (atan2(-zy, -zz), atan2(sine, zx), atan2(-yx, -xx))
@@ -250,7 +250,7 @@ def _unreachable(model: ArmModel, pose: Pose) -> Unreachable:
     return Unreachable(
         "the wrist centre is out of reach of A2",
         limit=f"{shortest:.1f} to {longest:.1f} mm",
-        last=f"{distance:.1f} mm",
+        got=f"{distance:.1f} mm",
     )
 
 
@@ -265,6 +265,6 @@ def _out_of_range(model: ArmModel, joints_rad: tuple[float, ...]) -> OutOfJointR
             return OutOfJointRange(
                 f"A{axis + 1} would leave its range",
                 limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg",
-                last=f"{degrees(angle):.3f} deg",
+                got=f"{degrees(angle):.3f} deg",
             )
     return OutOfJointRange("a joint would leave its range")

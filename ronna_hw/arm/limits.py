@@ -57,7 +57,7 @@ class MotionLimits:
     def slowed(self, fraction: float) -> MotionLimits:
         """The same with all speeds times `fraction` (0 < fraction <= 1); raises ARM-006 outside that."""
         if not 0.0 < fraction <= 1.0:
-            raise MotionInvalid("a speed fraction must be above 0 and at most 1", last=repr(fraction))
+            raise MotionInvalid("a speed fraction must be above 0 and at most 1", got=repr(fraction))
         return replace(
             self,
             speed_rad_s=_times(self.speed_rad_s, fraction),

@@ -159,7 +159,7 @@ class JointMotion:
                 raise OutOfJointRange(
                     f"A{axis + 1} would swing beyond its range",
                     limit=f"{degrees(lower[axis]):.1f} to {degrees(upper[axis]):.1f} deg",
-                    last=f"{degrees(low):.3f} to {degrees(high):.3f} deg",
+                    got=f"{degrees(low):.3f} to {degrees(high):.3f} deg",
                 )
         self._time_s = 0.0
         self._stopping = False

@@ -66,7 +66,7 @@ def _require_within(ranges: tuple[JointVector, JointVector], joints_rad: JointVe
     lower_rad, upper_rad = ranges
     if len(joints_rad) != len(lower_rad):
         raise MotionInvalid(
-            f"a joint vector of {len(joints_rad)} values", awaited=f"{len(lower_rad)}, A1 to A6 in rad"
+            f"a joint vector of {len(joints_rad)} values", expected=f"{len(lower_rad)}, A1 to A6 in rad"
         )
     for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
         if angle != angle:
@@ -75,7 +75,7 @@ def _require_within(ranges: tuple[JointVector, JointVector], joints_rad: JointVe
             raise OutOfJointRange(
                 f"A{axis + 1} would leave its range",
                 limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg",
-                last=f"{degrees(angle):.3f} deg",
+                got=f"{degrees(angle):.3f} deg",
             )
 
 
@@ -118,7 +118,7 @@ def plan_line(
             if abs(joints[axis] - points[-1][axis]) > pi:
                 raise OutOfJointRange(
                     f"A{axis + 1} would have to turn beyond its range on the line",
-                    last=f"{degrees(points[-1][axis]):.1f} deg at {k / count:.0%} of the line",
+                    got=f"{degrees(points[-1][axis]):.1f} deg at {k / count:.0%} of the line",
                 )
         points.append(joints)
     asked = _cartesian(line, limits)
@@ -127,7 +127,7 @@ def plan_line(
         raise TooFast(
             "the line passes too near a singular pose",
             limit=f"{LEAST_SPEED_FRACTION:.0%} of the line speed",
-            last=f"{allowed.velocity / asked.velocity:.2%}",
+            got=f"{allowed.velocity / asked.velocity:.2%}",
         )
     return MotionPlan(start_rad, points[-1], allowed, target, tool_in_flange_mm)
 
@@ -161,7 +161,7 @@ def pose_along_tool(
     """
     length = hypot(*axis)
     if not STANDSTILL_RAD < length < inf:
-        raise MotionInvalid("the tool axis has no direction", last=repr(axis))
+        raise MotionInvalid("the tool axis has no direction", got=repr(axis))
     x, y, z = (distance_mm * part / length for part in axis)
     tool = forward(model, start_rad).compose(flange_from_tool)
     return Pose(tool.apply((x, y, z)), tool.rotation).compose(flange_from_tool.inverse())

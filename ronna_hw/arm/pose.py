@@ -149,7 +149,7 @@ class Pose(NamedTuple):
 
         if (transform.target, transform.source) != (Frame.ROBOT, Frame.FLANGE):
             raise FrameMismatch(
-                "a flange pose needs robot <- flange", last=f"{transform.target} <- {transform.source}"
+                "a flange pose needs robot <- flange", got=f"{transform.target} <- {transform.source}"
             )
         return cls.from_matrix(transform.as_matrix().tolist())
 

@@ -104,7 +104,7 @@ class Profiler:
         try:
             self._generator.calculate(request, profile.raw)
         except RuckigError as error:
-            raise MotionInvalid("no profile for this motion", last=" ".join(str(error).split())) from error
+            raise MotionInvalid("no profile for this motion", got=" ".join(str(error).split())) from error
         profile.duration_s = profile.raw.duration
         return profile
 

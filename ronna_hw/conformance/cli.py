@@ -185,7 +185,7 @@ def _who_confirms(motions: str, moves: list[str], dut: DeviceUnderTest, given: s
         tell("Look that nobody and nothing is within its reach, and hold the emergency stop.")
         name = typer.prompt("Who confirms this?", default="", show_default=False, err=True)
     if not name or not name.strip():
-        raise NotConfirmed(f"nobody has confirmed that {dut.name} may move", awaited="a person's name")
+        raise NotConfirmed(f"nobody has confirmed that {dut.name} may move", expected="a person's name")
     return name.strip()
 
 

@@ -47,7 +47,7 @@ class Choice:
         if unknown := sorted(set(self.allow) - set(PERMISSIONS)):
             raise NoDeviceChosen(
                 f"--allow knows no {', '.join(unknown)}",
-                awaited=" or ".join(PERMISSIONS),
+                expected=" or ".join(PERMISSIONS),
                 action="Correct it.",
             )
 
@@ -115,7 +115,7 @@ def _from_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[str
         if name is None or name not in theatre.robot:
             raise DeviceNotInFile(
                 f"the theatre file has no robot {name or 'that is the only one'}",
-                awaited=", ".join(theatre.robot) or "a robot",
+                expected=", ".join(theatre.robot) or "a robot",
             )
         return f"robot.{name}", theatre.robot[name]
     chosen: DeviceConfig | None = getattr(theatre, kind)

@@ -9,7 +9,7 @@ class WrongState(StateError):
     """A call came in a lifecycle state that does not allow it."""
 
     code = "DEV-001"
-    action = "Bring the device to the awaited state first; after a fault, call recover."
+    action = "Bring the device to the expected state first; after a fault, call recover."
 
 
 class UnknownDriver(ConfigurationError):

@@ -134,8 +134,8 @@ class LifecycleGuard:
             return
         raise WrongState(
             f"{self._device}: {call} is not allowed while {self._state}",
-            awaited=" or ".join(sorted(states)),
-            last=str(self._fault) if self._fault and self._state is Lifecycle.FAULT else None,
+            expected=" or ".join(sorted(states)),
+            got=str(self._fault) if self._fault and self._state is Lifecycle.FAULT else None,
         )
 
     def enter(self, state: Lifecycle, **facts: object) -> None:

@@ -98,7 +98,7 @@ class TrackerFrame:
             if reading.tool == name:
                 return reading
         known = ", ".join(reading.tool for reading in self.tools)
-        raise UnknownTool(f"the tracker has no tool {name}", awaited=known or "no tool at all", last=name)
+        raise UnknownTool(f"the tracker has no tool {name}", expected=known or "no tool at all", got=name)
 
 
 class OperationMode(StrEnum):

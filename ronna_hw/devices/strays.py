@@ -107,7 +107,7 @@ def _checked(frame: Sequence[Vector3]) -> Array:
     if readings.size == 0:
         return np.zeros((0, 3))
     if readings.ndim != 2 or readings.shape[1] != 3 or not np.isfinite(readings).all():
-        raise BadStrays("strays are no finite positions", awaited="(n, 3)", last=str(readings.shape))
+        raise BadStrays("strays are no finite positions", expected="(n, 3)", got=str(readings.shape))
     return readings
 
 

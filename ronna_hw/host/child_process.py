@@ -77,7 +77,7 @@ class ChildProcess:
             except Empty:
                 self.stop()
                 raise ChildNotReady(
-                    f"{self.name} did not become ready", awaited="READY", limit=f"{timeout_s:g} s"
+                    f"{self.name} did not become ready", expected="READY", limit=f"{timeout_s:g} s"
                 ) from None
             if line is None:
                 self.process.wait()

@@ -137,7 +137,7 @@ def changed_parameters(assignments: Iterable[str]) -> ControllerParameters:
         name, _, text = assignment.partition("=")
         if name not in kinds:
             alike = " or ".join(get_close_matches(name, kinds)) or None
-            raise UnknownParameter(f"the controller has no parameter {name!r}", awaited=alike)
+            raise UnknownParameter(f"the controller has no parameter {name!r}", expected=alike)
         values[name] = _value(name, text, *kinds[name])
     return replace(ControllerParameters(), **values)
 
@@ -163,18 +163,18 @@ def _value(name: str, text: str, kind: Any, _meaning: str, most: Most | None = N
     choices = {"true": True, "false": False} if kind is bool else {item: item for item in get_args(kind)}
     if choices:
         if text not in choices:
-            raise UnknownParameter(f"{name} cannot be {text!r}", awaited=" or ".join(choices))
+            raise UnknownParameter(f"{name} cannot be {text!r}", expected=" or ".join(choices))
         return choices[text]
     try:
         value = kind(text)
     except ValueError:
-        raise UnknownParameter(f"{name} cannot be {text!r}", awaited=f"a {kind.__name__}") from None
+        raise UnknownParameter(f"{name} cannot be {text!r}", expected=f"a {kind.__name__}") from None
     may_be_zero = getattr(ControllerParameters, name) == 0
     largest = most.value if most is not None else float("inf")
     if not (value > 0 or (may_be_zero and value == 0)) or not value <= largest or value == float("inf"):
         least = "of at least 0" if may_be_zero else "above 0"
         up_to = f", at most {largest:g}" if most is not None else ""
-        raise UnknownParameter(f"{name} cannot be {text}", awaited=f"a number {least}{up_to}")
+        raise UnknownParameter(f"{name} cannot be {text}", expected=f"a number {least}{up_to}")
     return value
 
 

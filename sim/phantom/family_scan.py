@@ -57,7 +57,7 @@ def family_scan(
 ) -> Scan:
     """Draw a scan; raises SIM-001 for unknown names or when the markers do not fit."""
     if name not in FAMILIES:
-        raise BadScene(f"there is no family {name!r}", awaited=", ".join(FAMILIES))
+        raise BadScene(f"there is no family {name!r}", expected=", ".join(FAMILIES))
     if fiducials == XFRAME and markers is not None:
         raise BadScene("the x-shaped frame has four spheres; leave the number of markers out")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
@@ -86,7 +86,7 @@ def family_scan(
 def protocol_named(name: str) -> CtProtocol:
     """A protocol by name; raises SIM-001."""
     if name not in PROTOCOLS:
-        raise BadScene(f"there is no protocol {name!r}", awaited=", ".join(PROTOCOLS))
+        raise BadScene(f"there is no protocol {name!r}", expected=", ".join(PROTOCOLS))
     return PROTOCOLS[name]
 
 

@@ -73,8 +73,8 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     if (high - low > field).any():
         raise BadScene(
             "markers and trajectories do not fit into the field of the CT",
-            awaited=f"a field of {_three(high - low)} mm",
-            last=f"{_three(field)} mm",
+            expected=f"a field of {_three(high - low)} mm",
+            got=f"{_three(field)} mm",
         )
     middle = 0.5 * (np.minimum(low, centre - semi_axes) + np.maximum(high, centre + semi_axes))
     middle = np.clip(middle, high - field / 2, low + field / 2)

@@ -124,7 +124,7 @@ class ControlChannel:
             if answer is not None:
                 return gvcp.require_success(answer, f"{self._address}: {what}")
             if self._monotonic() >= limit_s:
-                raise NoReply(f"{self._address}: no answer", awaited=what, limit=f"{COMMAND_LIMIT_S} s")
+                raise NoReply(f"{self._address}: no answer", expected=what, limit=f"{COMMAND_LIMIT_S} s")
             patience_s *= 2.0
             self._send(datagram)
 

@@ -52,7 +52,7 @@ def decode(datagram: bytes) -> Acknowledge | None:
 def require_success(acknowledge: Acknowledge, what: str) -> bytes:
     """The payload of a successful answer; raises GEV-006 with the status by name."""
     if acknowledge.status != GevStatus.SUCCESS:
-        refused = CommandRefused(f"{what} was refused", last=status_name(acknowledge.status))
+        refused = CommandRefused(f"{what} was refused", got=status_name(acknowledge.status))
         refused.status = acknowledge.status
         raise refused
     return acknowledge.payload
@@ -74,7 +74,7 @@ def read_register_command(address: int) -> bytes:
 def register_value(payload: bytes, what: str) -> int:
     """The value in the answer to a READREG of one register; raises GEV-008."""
     if len(payload) != gev.REGISTER_BYTES:
-        raise MalformedReply(f"{what}: an answer of {len(payload)} bytes", awaited="4", wire=payload)
+        raise MalformedReply(f"{what}: an answer of {len(payload)} bytes", expected="4", wire=payload)
     return int(_U32.unpack(payload)[0])
 
 
@@ -98,7 +98,7 @@ def memory_data(payload: bytes, address: int, count: int) -> bytes:
     if len(payload) != gev.REGISTER_BYTES + count or _U32.unpack_from(payload)[0] != address:
         raise MalformedReply(
             f"reading memory at 0x{address:X}: an answer of {len(payload)} bytes",
-            awaited=f"address and {count} bytes",
+            expected=f"address and {count} bytes",
             wire=payload[:16],
         )
     return payload[gev.REGISTER_BYTES :]

@@ -65,7 +65,7 @@ class Heartbeat:
                 lost = CameraLost(
                     f"{self._control.address} no longer answers its heartbeat",
                     limit=f"{self._timeout_s:g} s",
-                    last=f"silent for {silent_s:.1f} s",
+                    got=f"silent for {silent_s:.1f} s",
                 )
                 lost.__cause__ = error
                 self._on_lost(lost)
@@ -74,6 +74,6 @@ class Heartbeat:
                 if self._ending.is_set():
                     return
                 if not isinstance(error, RonnaError):
-                    error = CameraLost(f"the link to {self._control.address} broke", last=str(error))
+                    error = CameraLost(f"the link to {self._control.address} broke", got=str(error))
                 self._on_lost(error)
                 return

@@ -29,7 +29,7 @@ def identify(control: ControlChannel, deadline_s: float) -> CameraIdentity:
     try:
         memory = control.discover(deadline_s)
     except NoReply as error:
-        raise NoCamera(f"no camera answers at {control.address}", awaited="a discovery answer") from error
+        raise NoCamera(f"no camera answers at {control.address}", expected="a discovery answer") from error
     return decode_identity(memory, control.address)
 
 
@@ -38,7 +38,7 @@ def decode_identity(memory: bytes, address: str) -> CameraIdentity:
     if len(memory) != gev.DISCOVERY_BYTES:
         raise MalformedReply(
             f"{address}: a discovery answer of {len(memory)} bytes",
-            awaited=str(gev.DISCOVERY_BYTES),
+            expected=str(gev.DISCOVERY_BYTES),
             wire=memory[:16],
         )
     (high,) = struct.unpack_from(">H", memory, Bootstrap.MAC_HIGH + 2)

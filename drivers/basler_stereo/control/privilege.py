@@ -27,7 +27,7 @@ def take_control(control: ControlChannel, who: str, deadline_s: float) -> None:
         if give_up_s is None:
             give_up_s = _lapse_s(control, deadline_s)
         if time.monotonic() + 2 * ASK_AGAIN_S >= give_up_s:  # time for one more question, not for two
-            raise ControlTaken(f"{who} is controlled by another application", last=refusal)
+            raise ControlTaken(f"{who} is controlled by another application", got=refusal)
         time.sleep(ASK_AGAIN_S)
 
 
@@ -38,7 +38,7 @@ def require_control(control: ControlChannel, deadline_s: float) -> None:
     except CommandRefused as error:  # under another's exclusive access even reading is refused
         raise ControlLost(f"{control.address} is controlled by another application") from error
     if not privilege & (gev.CCP_CONTROL | gev.CCP_EXCLUSIVE):
-        raise ControlLost(f"{control.address} has let go of its controller", last=f"privilege {privilege}")
+        raise ControlLost(f"{control.address} has let go of its controller", got=f"privilege {privilege}")
 
 
 def _ask(control: ControlChannel, deadline_s: float) -> str | None:

@@ -61,9 +61,7 @@ def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
             name, address, length = parse_url(url)
             data = control.read_memory(address, length, deadline_s)
             return unpacked(data) if name.lower().endswith(".zip") else data.rstrip(b"\0")
-    raise BadDescription(
-        f"{control.address} has no description on the camera", last=url or "an empty address"
-    )
+    raise BadDescription(f"{control.address} has no description on the camera", got=url or "an empty address")
 
 
 def parse_url(url: str) -> tuple[str, int, int]:
@@ -72,9 +70,9 @@ def parse_url(url: str) -> tuple[str, int, int]:
         name, address, length = url[len(gev.URL_LOCAL) :].split("?", 1)[0].split(";")
         place = int(address, 16), int(length, 16)
     except ValueError as error:
-        raise BadDescription("the address of the description cannot be read", last=url) from error
+        raise BadDescription("the address of the description cannot be read", got=url) from error
     if not 0 < place[1] <= LARGEST_FILE_BYTES:
-        raise BadDescription("the description has an impossible length", last=str(place[1]))
+        raise BadDescription("the description has an impossible length", got=str(place[1]))
     return name.lstrip("/"), *place
 
 
@@ -84,7 +82,7 @@ def unpacked(data: bytes) -> bytes:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             member = archive.infolist()[0]
             if member.file_size > LARGEST_FILE_BYTES:
-                raise BadDescription("the packed description is too large", last=str(member.file_size))
+                raise BadDescription("the packed description is too large", got=str(member.file_size))
             return archive.read(member)
     except (zipfile.BadZipFile, IndexError, NotImplementedError, EOFError) as error:
         raise BadDescription("the packed description cannot be read") from error
@@ -99,7 +97,7 @@ def parse_description(data: bytes) -> dict[str, Node]:
     except ElementTree.ParseError as error:
         raise BadDescription(f"the description is not XML: {error}", wire=data[:32]) from error
     if _local(root.tag) != ROOT:
-        raise BadDescription("the description has another root", awaited=ROOT, last=_local(root.tag))
+        raise BadDescription("the description has another root", expected=ROOT, got=_local(root.tag))
     return {node.name: node for node in _nodes(root)}
 
 
@@ -107,7 +105,7 @@ class _Builder(ElementTree.TreeBuilder):
     """Builds the tree, and refuses a document type: with it come entities."""
 
     def doctype(self, name: str, public: str | None, system: str | None) -> None:
-        raise BadDescription("the description declares a document type", last=name)
+        raise BadDescription("the description declares a document type", got=name)
 
 
 def _nodes(parent: ElementTree.Element) -> Iterator[Node]:
@@ -157,7 +155,7 @@ def whole_number(text: str | None, what: str) -> int:
     try:
         return int((text or "").strip(), 0)
     except ValueError as error:
-        raise BadDescription(f"{what} is not a whole number", last=str(text)) from error
+        raise BadDescription(f"{what} is not a whole number", got=str(text)) from error
 
 
 def _local(tag: str) -> str:

@@ -94,7 +94,7 @@ class FeatureMap:
         """Set an enumeration by the name of its entry."""
         entries = self.entries(name)
         if entry not in entries:
-            raise MissingFeature(f"{name} cannot be {entry}", awaited=" or ".join(sorted(entries)))
+            raise MissingFeature(f"{name} cannot be {entry}", expected=" or ".join(sorted(entries)))
         self._write(name, entries[entry], 0)
 
     def execute(self, name: str) -> None:
@@ -105,7 +105,7 @@ class FeatureMap:
         """Address and bytes that carry out a command."""
         node = self._node(name)
         if node.kind != "Command":
-            raise MissingFeature(f"{name} is not a command", last=node.kind)
+            raise MissingFeature(f"{name} is not a command", got=node.kind)
         value = self._own_or_other(node, "CommandValue", 0)
         target = node.text("pValue")
         register = self._final_register(target or "", 0)
@@ -163,7 +163,7 @@ class FeatureMap:
         elif node.text("Value") is not None:
             self._held[name] = value
         else:
-            raise MissingFeature(f"{name} cannot be written", last=node.kind)
+            raise MissingFeature(f"{name} cannot be written", got=node.kind)
 
     def _checked(self, name: str, depth: int) -> Node:
         if depth > DEPTH_LIMIT:

@@ -128,7 +128,7 @@ def set_area(features: Features, area: AreaOfInterest) -> None:
     features.set_number("OffsetX", area.offset_x)
     features.set_number("OffsetY", area.offset_y)
     if (found := present_area(features)) != area:
-        raise OutOfRange("the camera took another area", awaited=_shown(area), last=_shown(found))
+        raise OutOfRange("the camera took another area", expected=_shown(area), got=_shown(found))
 
 
 def present_area(features: Features) -> AreaOfInterest:
@@ -140,7 +140,7 @@ def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -
     """Bytes of one image; raises GEV-009 when camera and arithmetic disagree."""
     expected = image_bytes(area, pixel_format)
     if features.has("PayloadSize") and (said := features.whole("PayloadSize")) != expected:
-        raise BadDescription("the payload size does not fit the area", awaited=str(expected), last=str(said))
+        raise BadDescription("the payload size does not fit the area", expected=str(expected), got=str(said))
     return expected
 
 
@@ -160,7 +160,7 @@ def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfIntere
         and area.offset_y + area.height <= sensor.height
     )
     if not inside:
-        raise OutOfRange("the area is not on the sensor", limit=_shown(sensor), last=_shown(area))
+        raise OutOfRange("the area is not on the sensor", limit=_shown(sensor), got=_shown(area))
     for name, value in (
         ("Width", area.width),
         ("Height", area.height),
@@ -170,7 +170,7 @@ def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfIntere
         limits = features.limits(name)
         start, step = int(limits.minimum or 0), int(limits.step or 1)
         if value < start or (value - start) % step:
-            raise OutOfRange(f"{name} {value}", limit=f"from {start} in steps of {step}", last=_shown(area))
+            raise OutOfRange(f"{name} {value}", limit=f"from {start} in steps of {step}", got=_shown(area))
 
 
 def _require_within(features: Features, name: str, value: Number) -> None:

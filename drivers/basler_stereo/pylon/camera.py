@@ -73,7 +73,7 @@ class PylonCamera:
             self._camera = self._pylon.InstantCamera(self._pylon.TlFactory.GetInstance().CreateDevice(wanted))
         except self._genicam.GenericException as error:
             sought = self._serial if self._device_class == EMULATED else f"at {self._address}"
-            raise NoCamera(f"no camera {sought}", last=str(error).splitlines()[0]) from error
+            raise NoCamera(f"no camera {sought}", got=str(error).splitlines()[0]) from error
         info = self._camera.GetDeviceInfo()
         return CameraIdentity(
             address=self._address,
@@ -93,7 +93,7 @@ class PylonCamera:
             if TAKEN in str(error):
                 raise ControlTaken(f"the {self.side} camera is controlled by another application") from error
             raise CameraLost(
-                f"the {self.side} camera cannot be opened", last=str(error).splitlines()[0]
+                f"the {self.side} camera cannot be opened", got=str(error).splitlines()[0]
             ) from error
         features = self.features
         known_state.apply_known_state(features, self._options)
@@ -161,7 +161,7 @@ class PylonCamera:
         self._camera = None
 
     def _lost(self, error: Exception) -> CameraLost:
-        return CameraLost(f"the {self.side} camera is gone", last=str(error).splitlines()[0])
+        return CameraLost(f"the {self.side} camera is gone", got=str(error).splitlines()[0])
 
 
 @dataclass(frozen=True)

@@ -41,16 +41,16 @@ class PylonFeatures:
         try:
             node.SetValue(value)
         except self._genicam.OutOfRangeException as error:
-            raise OutOfRange(f"{name} {value}", last=str(error).splitlines()[0]) from error
+            raise OutOfRange(f"{name} {value}", got=str(error).splitlines()[0]) from error
         except self._genicam.GenericException as error:
-            raise MissingFeature(f"{name} cannot be set now", last=str(error).splitlines()[0]) from error
+            raise MissingFeature(f"{name} cannot be set now", got=str(error).splitlines()[0]) from error
 
     def choose(self, name: str, entry: str) -> None:
         """Set an enumeration to its entry."""
         try:
             self._node(name).SetValue(entry)
         except self._genicam.GenericException as error:
-            raise MissingFeature(f"{name} cannot be {entry}", last=str(error).splitlines()[0]) from error
+            raise MissingFeature(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
 
     def execute(self, name: str) -> None:
         """Carry out a command."""

@@ -154,7 +154,7 @@ class PylonStereoPair:
         self._open()
         if self.serials != before:
             raise WrongSerial(
-                "other cameras answer than before", awaited="+".join(before), last="+".join(self.serials)
+                "other cameras answer than before", expected="+".join(before), got="+".join(self.serials)
             )
         for camera in self._pair:
             camera.configure()
@@ -220,7 +220,7 @@ class PylonStereoPair:
         frames = [camera.take(deadline_s) for camera in self._pair]
         self._out_of_step = any(frame is None or frame.pixels is None for frame in frames)
         if not any(frames):
-            raise TriggerMissed("no image after a trigger", awaited="an image from either camera")
+            raise TriggerMissed("no image after a trigger", expected="an image from either camera")
         self._sequence += 1
         left, right = (
             self._image(frame, serial, camera.area, triggered_s)

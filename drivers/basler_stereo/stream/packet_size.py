@@ -35,7 +35,7 @@ def choose_packet_bytes(
             if size < (wanted_bytes or 0) and _carries(control, stream, size, deadline_s):
                 raise PacketTooLarge(
                     f"packets of {wanted_bytes} bytes from {control.address} do not arrive",
-                    awaited=f"a test packet within {PROBE_LIMIT_S} s",
+                    expected=f"a test packet within {PROBE_LIMIT_S} s",
                     limit=f"packets of {size} bytes do",
                 )
         return _accepted(control, wanted_bytes or BELIEVED_BYTES, deadline_s), False

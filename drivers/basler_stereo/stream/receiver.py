@@ -99,7 +99,7 @@ class ReceiverProcess:
         try:
             send_order(self._orders, order, descriptors)
         except OSError as error:
-            raise ReceiverEnded("the process that receives images has ended", last=str(error)) from error
+            raise ReceiverEnded("the process that receives images has ended", got=str(error)) from error
 
 
 class StreamReceiver:
@@ -161,7 +161,7 @@ class StreamReceiver:
         try:
             note = self._notes.recv(NOTE_BYTES)
         except OSError as error:
-            raise ReceiverEnded("the process that receives images has ended", last=str(error)) from error
+            raise ReceiverEnded("the process that receives images has ended", got=str(error)) from error
         if not note:
             raise ReceiverEnded("the process that receives images has ended")
         return note

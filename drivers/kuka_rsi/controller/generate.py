@@ -46,11 +46,11 @@ def render(context: RsiContext) -> dict[str, str]:
     if unknown:
         raise ContextInvalid(
             f"the controller's files have no {', '.join(unknown)}",
-            awaited="wiring and feedback of AXISCORR and STOP only",
+            expected="wiring and feedback of AXISCORR and STOP only",
         )
     axis_wires = {w.input: w.indx for w in context.wiring if w.object == "AXISCORR"}
     if (axis_wires or context.feedback) and len(axis_wires) < AXES:
-        raise ContextInvalid("the wiring of AXISCORR is not complete", awaited="A1 to A6")
+        raise ContextInvalid("the wiring of AXISCORR is not complete", expected="A1 to A6")
     environment = Environment(
         loader=PackageLoader("drivers.kuka_rsi.controller"),
         undefined=StrictUndefined,

@@ -133,7 +133,7 @@ class EkiClient:
         """As `command`; raises EKI-008 unless the answer is OK."""
         ack = self.command(name, timeout_s, **values)
         if ack.code is not AckCode.OK:
-            raise CommandRefused(f"the controller refused {name}", last=f"{ack.code.name} {ack.text}".strip())
+            raise CommandRefused(f"the controller refused {name}", got=f"{ack.code.name} {ack.text}".strip())
 
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float

@@ -87,14 +87,14 @@ def require_ours(state: ControllerState, context: RsiContext, variant: ArmVarian
         ("arm", variant.value, state.variant),
     )
     wrong = [
-        f"{name} is {said}, not {awaited}"
-        for name, awaited, said in facts
-        if said is not None and said != awaited
+        f"{name} is {said}, not {expected}"
+        for name, expected, said in facts
+        if said is not None and said != expected
     ]
     if wrong:
         raise WrongController(
             "the controller is not set up for this driver: " + "; ".join(wrong),
-            awaited=IN_A_CONTEXT if state.context_hash not in (None, context_hash(context)) else None,
+            expected=IN_A_CONTEXT if state.context_hash not in (None, context_hash(context)) else None,
         )
     return tuple(name for name, _, said in facts if said is None)
 

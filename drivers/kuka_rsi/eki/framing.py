@@ -90,7 +90,7 @@ class TelegramScanner:
         return None
 
     def _break_off(self) -> NoReturn:
-        raise BadEkiTelegram("a telegram breaks off", awaited="its end", wire=bytes(self._buffer))
+        raise BadEkiTelegram("a telegram breaks off", expected="its end", wire=bytes(self._buffer))
 
 
 def _name(tag: bytes) -> bytes:

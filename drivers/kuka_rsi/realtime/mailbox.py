@@ -141,7 +141,7 @@ class Mailbox:
             raise SurroundingsTooLarge(
                 "the arm's surroundings do not fit into its mailbox",
                 limit=f"{LONGEST_SURROUNDINGS} bytes",
-                last=f"{len(line)} bytes",
+                got=f"{len(line)} bytes",
             )
         self._surroundings = surroundings
         self._surroundings_number += 1

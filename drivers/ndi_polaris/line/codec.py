@@ -42,7 +42,7 @@ def open_ascii(line: bytes) -> str:
     """The text of one ASCII reply, given without its CR; raises NDI-005."""
     text = line[:-ASCII_CRC_DIGITS]
     if not _crc_is_right(line):
-        raise BadReplyCrc("an ASCII reply has a wrong CRC", awaited=f"{crc16(text):04X}", wire=line)
+        raise BadReplyCrc("an ASCII reply has a wrong CRC", expected=f"{crc16(text):04X}", wire=line)
     try:
         return text.decode("ascii")
     except UnicodeDecodeError as error:
@@ -96,7 +96,7 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
     (crc,) = _CRC.unpack_from(buffer, whole - BX_CRC_BYTES)
     if crc != crc16(body):
         raise BadReplyCrc(
-            "the body of a binary reply has a wrong CRC", awaited=f"{crc16(body):04X}", wire=buffer[:whole]
+            "the body of a binary reply has a wrong CRC", expected=f"{crc16(body):04X}", wire=buffer[:whole]
         )
     return body, buffer[whole:]
 

@@ -215,7 +215,7 @@ class CommandLink:
                 f"no reply to {name}",
                 limit=f"{until_s - began_s:.3f} s",
                 wire=rest,
-                awaited="a reply with CRC",
+                expected="a reply with CRC",
             )
         self._silent_since_s = None
         if rest:  # the unit says one thing per command: more than that is a doubled or a late reply
@@ -300,5 +300,5 @@ class CommandLink:
         silent_s = self._monotonic() - since_s if since_s is not None else 0.0
         limit_s = max(self._limits_s.get(name, 0.0) for name in ("BX", "TX", "ECHO"))
         if silent_s >= limit_s:
-            raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", last=f"{silent_s:.1f} s")
-        raise NoReply("the unit is not yet back in step", limit=f"{limit_s:.1f} s", last=f"{silent_s:.1f} s")
+            raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")
+        raise NoReply("the unit is not yet back in step", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")

@@ -48,7 +48,7 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
     if heard:
         raise NotAPolaris("something answers, but with no valid CRC", wire=bytes(heard))
     what = ", ".join(tried) or "nothing: the time limit is too short"
-    raise NothingAnswers(f"no unit answers: tried {what}", awaited=f"a reply to {INQUIRY_COMMAND}")
+    raise NothingAnswers(f"no unit answers: tried {what}", expected=f"a reply to {INQUIRY_COMMAND}")
 
 
 def await_reset(link: CommandLink, deadline_s: float) -> bool:

@@ -85,13 +85,13 @@ def encode_definition(tool: ToolDefinition) -> bytes:
 def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
     """Read a .rom, zero padding allowed; raises NDI-011 with what is wrong with it."""
     if not layout.ROM_BYTES <= len(block) <= layout.ROM_FILE_LIMIT_BYTES or any(block[layout.ROM_BYTES :]):
-        raise BadToolFile(f"{name} has {len(block)} bytes", awaited=f"{layout.ROM_BYTES} bytes")
+        raise BadToolFile(f"{name} has {len(block)} bytes", expected=f"{layout.ROM_BYTES} bytes")
     if block[: len(layout.ROM_MAGIC)] != layout.ROM_MAGIC:
-        raise BadToolFile(f"{name} is not a tool definition", awaited="a file that begins with NDI")
+        raise BadToolFile(f"{name} is not a tool definition", expected="a file that begins with NDI")
     (claimed,) = struct.unpack_from("<H", block, layout.CHECKSUM_OFFSET)
     if claimed != checksum(block):
         raise BadToolFile(
-            f"{name} has a wrong checksum", awaited=f"{checksum(block):04X}", last=f"{claimed:04X}"
+            f"{name} has a wrong checksum", expected=f"{checksum(block):04X}", got=f"{claimed:04X}"
         )
     count = block[layout.MARKER_COUNT_OFFSET]
     if count > layout.ROM_MARKERS:

@@ -55,7 +55,7 @@ def _number(name: str, form: str, offset: int) -> Field:
         try:
             code.pack_into(block, offset, value)
         except (struct.error, OverflowError) as error:
-            raise BadToolFile(f"{name} does not fit into a definition", last=str(value)) from error
+            raise BadToolFile(f"{name} does not fit into a definition", got=str(value)) from error
 
     return Field(name, ((offset, code.size),), lambda block: code.unpack_from(block, offset)[0], write)
 
@@ -124,7 +124,7 @@ def _read_bits(block: bytes, bits: Bits) -> int:
 
 def _write_bits(block: bytearray, bits: Bits, value: int) -> None:
     if not 0 <= value < 1 << bits[1]:
-        raise BadToolFile("the serial number of a definition does not fit", last=str(value))
+        raise BadToolFile("the serial number of a definition does not fit", got=str(value))
     (serial,) = struct.unpack_from("<I", block, layout.SERIAL_OFFSET)
     mask = ((1 << bits[1]) - 1) << bits[0]
     struct.pack_into("<I", block, layout.SERIAL_OFFSET, serial & ~mask | value << bits[0])

@@ -30,10 +30,10 @@ def check_handle(
     same_part_number = part_number == definition.part_number
     if same_serial and same_part_number:
         return None
-    awaited = f"part number {definition.part_number}, serial number {sent[::-1].hex().upper()}"
+    expected = f"part number {definition.part_number}, serial number {sent[::-1].hex().upper()}"
     told = f"part number {part_number or '-'}, serial number {serial or '-'}"
     if not same_serial and not same_part_number:
         raise ForeignTool(
-            f"the unit holds another tool than {name} on handle {handle:02X}", awaited=awaited, last=told
+            f"the unit holds another tool than {name} on handle {handle:02X}", expected=expected, got=told
         )
-    return f"{name}: the unit tells {told}, its definition {awaited}"
+    return f"{name}: the unit tells {told}, its definition {expected}"

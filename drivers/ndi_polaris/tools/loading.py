@@ -83,7 +83,7 @@ def _load(
     if missing := [tool for tool in loaded if tool.handle not in enabled]:
         raise MalformedReply(
             "the unit does not list a tool as enabled that it has enabled",
-            awaited=", ".join(f"{tool.handle:02X}" for tool in missing),
+            expected=", ".join(f"{tool.handle:02X}" for tool in missing),
         )
     return tuple(loaded)
 

@@ -20,7 +20,7 @@ def read_identity(link: CommandLink, deadline_s: float) -> Identity:
     lines = text.split(LF)
     model = lines[0].split(_MODEL_ENDS_AT)[0].strip()
     if FAMILY.lower() not in model.lower():
-        raise NotAPolaris("the device that answers does not call itself Polaris", last=model or "no model")
+        raise NotAPolaris("the device that answers does not call itself Polaris", got=model or "no model")
     fields = _fields(lines[1:])
     try:
         firmware = read_parameter(link, PARAMETER_FIRMWARE, deadline_s)
@@ -44,9 +44,9 @@ def read_identity(link: CommandLink, deadline_s: float) -> Identity:
 def check_identity(identity: Identity, model: str | None, serial: str | None) -> None:
     """Raise NDI-004 when model or serial number is not the expected one; None expects nothing."""
     if model is not None and model.lower() not in identity.model.lower():
-        raise WrongUnit("the unit is of another model", awaited=model, last=identity.model)
+        raise WrongUnit("the unit is of another model", expected=model, got=identity.model)
     if serial is not None and serial != identity.serial:
-        raise WrongUnit("the unit has another serial number", awaited=serial, last=identity.serial or "none")
+        raise WrongUnit("the unit has another serial number", expected=serial, got=identity.serial or "none")
 
 
 def _ask_or(link: CommandLink, name: str, argument: str, deadline_s: float) -> str:

@@ -54,12 +54,12 @@ def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None
     status = SystemStatus(bits)
     alerts = read_new_alerts(link, deadline_s) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
     if SystemStatus.HARDWARE_FAILURE in status or alerts & FAILURE_ALERTS:
-        return HardwareFailure("the unit reports a hardware fault", last=_names(status, alerts))
+        return HardwareFailure("the unit reports a hardware fault", got=_names(status, alerts))
     if Alert.BUMP in alerts:
-        return SensorBumped("the unit was bumped", last=_names(status, alerts))
+        return SensorBumped("the unit was bumped", got=_names(status, alerts))
     if SystemStatus.TEMPERATURE in status or alerts & TEMPERATURE_ALERTS:
         return TemperatureHold(
-            "the unit withholds poses: temperature out of range", last=_names(status, alerts)
+            "the unit withholds poses: temperature out of range", got=_names(status, alerts)
         )
     return None
 
@@ -68,7 +68,7 @@ def read_new_alerts(link: CommandLink, deadline_s: float | None) -> Alert:
     """Alerts that came up since they were last read; reading clears the pending mark."""
     value = read_parameter(link, PARAMETER_NEW_ALERTS, deadline_s)
     if not value.isdecimal():
-        raise MalformedReply("the alerts have an unknown form", last=value)
+        raise MalformedReply("the alerts have an unknown form", got=value)
     return Alert(int(value))
 
 
@@ -77,9 +77,9 @@ def refuse_standing_trouble(link: CommandLink, deadline_s: float) -> None:
     value = _value_or(link, PARAMETER_ALERTS, "0", deadline_s)
     alerts = Alert(int(value)) if value.isdecimal() else Alert(0)
     if alerts & FAILURE_ALERTS:
-        raise HardwareFailure("the unit reports a hardware fault", last=_names(SystemStatus(0), alerts))
+        raise HardwareFailure("the unit reports a hardware fault", got=_names(SystemStatus(0), alerts))
     if Alert.BUMP in alerts or _value_or(link, PARAMETER_BUMPED, "0", deadline_s) == "1":
-        raise SensorBumped("the unit was bumped before this session", last=_names(SystemStatus(0), alerts))
+        raise SensorBumped("the unit was bumped before this session", got=_names(SystemStatus(0), alerts))
 
 
 def clear_bump(link: CommandLink, deadline_s: float) -> None:

@@ -37,13 +37,13 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
     """
     if len(path.stem) > longest_name:
         raise EthernetFileInvalid(
-            f"the name {path.name} is too long", limit=f"{longest_name} characters", last=f"{len(path.stem)}"
+            f"the name {path.name} is too long", limit=f"{longest_name} characters", got=f"{len(path.stem)}"
         )
     root = _root(path)
     config = {name: _text(root, name) for name in ("IP_NUMBER", "PORT", "SENTYPE", "ONLYSEND")}
     protocol = (root.findtext("CONFIG/PROTOCOL") or "UDP").strip().upper()
     if protocol != "UDP":
-        raise EthernetFileInvalid(f"{path.name}: PROTOCOL {protocol} is not served", awaited="UDP")
+        raise EthernetFileInvalid(f"{path.name}: PROTOCOL {protocol} is not served", expected="UDP")
     elements = {
         section: [_element(element, path, section) for element in root.findall(f"{section}/ELEMENTS/ELEMENT")]
         for section in SECTIONS
@@ -94,7 +94,7 @@ def _root(path: Path) -> ElementTree.Element:
     except ElementTree.ParseError as error:
         raise EthernetFileInvalid(f"{path.name} is not XML: {error}") from error
     if root.tag != "ROOT" or root.find("CONFIG") is None:
-        raise EthernetFileInvalid(f"{path.name} is not an Ethernet file", awaited="ROOT > CONFIG")
+        raise EthernetFileInvalid(f"{path.name} is not an Ethernet file", expected="ROOT > CONFIG")
     return root
 
 
@@ -119,7 +119,7 @@ def _integer(text: str, path: Path, what: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise EthernetFileInvalid(f"{path.name}: {what} is {text!r}", awaited="a whole number") from None
+        raise EthernetFileInvalid(f"{path.name}: {what} is {text!r}", expected="a whole number") from None
 
 
 def _program() -> dict[str, Any]:

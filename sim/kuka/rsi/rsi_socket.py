@@ -26,7 +26,7 @@ def resolve(endpoint: Endpoint) -> tuple[str, int]:
     try:
         socket.inet_pton(socket.AF_INET, host)
     except OSError as error:
-        raise ClientAddressInvalid(f"{endpoint} is not an address", awaited="four numbers") from error
+        raise ClientAddressInvalid(f"{endpoint} is not an address", expected="four numbers") from error
     return host, endpoint.port
 
 

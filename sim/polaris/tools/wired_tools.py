@@ -26,7 +26,7 @@ class WiredTool:
         if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
             raise BadWiredTool(
                 f"the definition of wired tool {number} has {len(content)} bytes",
-                awaited=f"{ROM_BYTES} to {PVWR_SPACE_BYTES} bytes",
+                expected=f"{ROM_BYTES} to {PVWR_SPACE_BYTES} bytes",
             )
         memory = bytearray(content.ljust(PVWR_SPACE_BYTES, b"\0"))
         return cls(memory, bytearray(user_memory_bytes), f"{number:0{2 * DEVICE_IDENTIFIER_BYTES}X}")

@@ -171,9 +171,9 @@ class UnitBehaviour:
             name, equals, text = setting.partition("=")
             if name not in kinds:
                 alike = ", ".join(get_close_matches(name, kinds)) or None
-                raise BadUnitParameter(f"there is no parameter {name!r}", awaited=alike)
+                raise BadUnitParameter(f"there is no parameter {name!r}", expected=alike)
             if not equals:
-                raise BadUnitParameter(f"{name} is given no value", awaited=f"{name}=VALUE")
+                raise BadUnitParameter(f"{name} is given no value", expected=f"{name}=VALUE")
             values[name] = _value(name, kinds[name][0], text)
         return replace(cls(), **values)
 
@@ -201,13 +201,13 @@ def _value(name: str, kind: Any, text: str) -> Any:
     if get_origin(kind) is Literal:
         if text in get_args(kind):
             return text
-        raise BadUnitParameter(f"{name} is {text!r}", awaited=", ".join(get_args(kind)))
+        raise BadUnitParameter(f"{name} is {text!r}", expected=", ".join(get_args(kind)))
     if kind is bool:
         if text.lower() in ON_WORDS + OFF_WORDS:
             return text.lower() in ON_WORDS
-        raise BadUnitParameter(f"{name} is {text!r}", awaited="true or false")
+        raise BadUnitParameter(f"{name} is {text!r}", expected="true or false")
     try:
         return ErrorCode(int(text, 16)) if kind is ErrorCode else kind(text)
     except ValueError as error:
-        awaited = "an error code of two hexadecimal digits" if kind is ErrorCode else "a number"
-        raise BadUnitParameter(f"{name} is {text!r}", awaited=awaited) from error
+        expected = "an error code of two hexadecimal digits" if kind is ErrorCode else "a number"
+        raise BadUnitParameter(f"{name} is {text!r}", expected=expected) from error

@@ -41,7 +41,7 @@ def built_in_scene(
     The default scene has 5 markers and 3 targets, the mini scene 3 and 1.
     """
     if name not in SCENES:
-        raise BadScene(f"there is no scene {name!r}", awaited=", ".join(SCENES))
+        raise BadScene(f"there is no scene {name!r}", expected=", ".join(SCENES))
     mini = name == "mini"
     generator = np.random.Generator(np.random.Philox(key=seed))
     head = draw_head(

@@ -84,7 +84,7 @@ def test_status_and_turn_follow_the_signs() -> None:
 
 def test_a_pose_out_of_reach_says_how_far() -> None:
     model = arm_model(ArmVariant.SIXX)
-    with pytest.raises(Unreachable, match=r"limit 33\.5 to 876\.5 mm; last value 1975") as caught:
+    with pytest.raises(Unreachable, match=r"limit 33\.5 to 876\.5 mm, got 1975") as caught:
         solutions(model, Pose.from_kuka(2080, 0, 400, 0, 90, 0))
     assert caught.value.code == "ARM-001"
     with pytest.raises(Unreachable):

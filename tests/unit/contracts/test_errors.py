@@ -39,11 +39,18 @@ def test_every_code_is_named_by_a_test() -> None:
     assert [error for error in _our_errors() if not words & {error.code, error.__name__}] == []
 
 
-def test_an_error_is_one_line_with_what_was_awaited_the_limit_and_what_to_do() -> None:
+def test_an_error_is_one_line_with_what_was_expected_the_limit_and_what_to_do() -> None:
     error = RonnaError(
-        "no answer", awaited="OKAY", limit="2 s", last="nothing", action="Try.", wire=b"\x01\xff"
+        "no answer", expected="OKAY", limit="2 s", got="nothing", action="Try.", wire=b"\x01\xff"
     )
-    assert str(error) == "no answer; awaited OKAY; limit 2 s; last value nothing; last bytes 01 ff. Try."
+    assert str(error) == "no answer; expected OKAY, limit 2 s, got nothing; last bytes 01 ff. Try."
+
+
+def test_a_value_without_anything_to_compare_it_with_follows_a_colon() -> None:
+    assert (
+        str(RonnaError("no way to 10.0.0.1", got="no route to host"))
+        == "no way to 10.0.0.1: no route to host"
+    )
 
 
 def test_outside_the_contracts_errors_live_in_their_packages_errors_module() -> None:

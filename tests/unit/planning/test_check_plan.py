@@ -76,7 +76,7 @@ def test_a_series_that_does_not_say_how_the_patient_lay_is_warned_about(plan, ma
 
 
 def test_another_number_of_fiducials_is_refused(plan, make_volume):
-    with pytest.raises(WrongMarkerCount, match=r"PLAN-008.*awaited 4.*3"):
+    with pytest.raises(WrongMarkerCount, match=r"PLAN-008.*expected 4.*3"):
         check_plan(plan, make_volume(), fiducials_mm=FOUR[:3]).require()
 
 

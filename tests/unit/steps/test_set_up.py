@@ -56,5 +56,5 @@ def test_all_devices_are_configured_and_their_notices_are_told() -> None:
 
 
 def test_another_tool_is_refused() -> None:
-    with pytest.raises(WrongTool, match="awaited 1; last value 2"):
+    with pytest.raises(WrongTool, match="expected 1, got 2"):
         set_up.run(Room(mounted=2))  # type: ignore[arg-type]

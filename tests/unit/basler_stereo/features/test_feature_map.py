@@ -165,7 +165,7 @@ def test_entries_that_this_model_has_not_cannot_be_chosen(features):
     features.choose("Source", "Action1")
     features.set_number("Installed", 0)
     assert features.entries("Source") == {"Software": 0}
-    with pytest.raises(MissingFeature, match=r"GEV-010: Source cannot be Action1; awaited Software"):
+    with pytest.raises(MissingFeature, match=r"GEV-010: Source cannot be Action1; expected Software"):
         features.choose("Source", "Action1")
     assert features.choice("Source") == "Action1"  # what it is, it tells nevertheless
 
