@@ -119,6 +119,8 @@ def localize(
     refused: MarkerCountWrong | None = None
     with console.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
+        log = console.command_logger()
+        log.info("series read", shape=volume.geometry.shape, spacing_mm=volume.geometry.spacing_mm.tolist())
         patient = imaging.read_identity(series_dir) if identity else None
         began_s = time.perf_counter()
         localize_in = partial(imaging.localize, volume)
@@ -135,6 +137,7 @@ def localize(
         except MarkerCountWrong as error:
             refused = error
         elapsed_s = time.perf_counter() - began_s
+        log.info("localized", method=method, refused=refused, elapsed_s=round(elapsed_s, 3))
     if patient is not None and not as_json:
         console.tell(f"patient: {patient.describe()}")
     for sentence in volume.warnings:

@@ -38,6 +38,7 @@ __all__ = [
     "LogLevelOption",
     "Progress",
     "VerboseOption",
+    "command_logger",
     "exit_code_of",
     "fail_with",
     "message_console",

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
-import traceback
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
-
-if TYPE_CHECKING:
-    from ronna_hw.logs import Logger
+from ronna_hw.logs import Logger, logger, set_level
 
 LEVELS_VARIABLE = "RONNA_LOG"
 VERBOSE_FLAG = "--verbose"
@@ -27,8 +24,6 @@ VerboseOption = Annotated[
 
 def set_log_levels(levels: Iterable[str] | None) -> None:
     """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
-    from ronna_hw.logs import set_level
-
     for entry in levels or ():
         name, _, level = entry.strip().rpartition("=")
         try:
@@ -61,7 +56,7 @@ def set_up_logging(verbose: bool) -> None:
 
     A command calls this before it starts work; without it warnings of libraries would mix with its messages.
     """
-    from ronna_hw.logs import about_this_computer, ignore_libraries, show_log
+    from ronna_hw.log_output import about_this_computer, ignore_libraries, show_log
 
     if not verbose:
         ignore_libraries()
@@ -72,13 +67,13 @@ def set_up_logging(verbose: bool) -> None:
 
 def command_logger() -> Logger:
     """The logger of the command that runs in this process."""
-    from ronna_hw.logs import logger
-
     return logger(command=Path(sys.argv[0]).name)
 
 
 def log_failure(problem: Exception, error: RonnaError) -> None:
     """Log how a command failed: the error, and where it was raised without any values."""
+    import traceback
+
     frames = traceback.extract_tb(problem.__traceback__)
     raised_at = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in frames]
     command_logger().error("failed", error=error, raised_by=type(problem).__name__, trace=raised_at)

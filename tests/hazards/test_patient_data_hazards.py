@@ -54,16 +54,33 @@ def _truncated(series: Path) -> None:
     os.truncate(series / "004.dcm", 700)
 
 
+def _with_an_unreadable_name(series: Path) -> None:
+    """A value that pydicom warns about, quoting it."""
+    path = series / "006.dcm"
+    path.write_bytes(path.read_bytes().replace(b"Seeded^Patient", b"Seeded^Patien\xff"))
+
+
 @pytest.mark.hazard(35)
-@pytest.mark.parametrize("spoil", [_sound, _without_a_slice, _truncated])
-def test_no_message_not_even_a_trace_carries_patient_data(series: Path, spoil: object) -> None:
+@pytest.mark.parametrize("spoil", [_sound, _without_a_slice, _truncated, _with_an_unreadable_name])
+def test_no_message_no_trace_and_no_log_carries_patient_data(series: Path, spoil: object) -> None:
     assert callable(spoil)
     spoil(series)
-    program = [sys.executable, "-P", "-c", "from procedures.cli.ct import main; main()"]
+    command = (
+        "import sys; from pathlib import Path; from procedures.cli.ct import main; "
+        "from ronna_hw.log_output import keep_log\n"
+        "with keep_log(Path(sys.argv.pop())): main()"
+    )
     done = subprocess.run(
-        [*program, "localize", str(series), "--verbose"], capture_output=True, text=True, timeout=150
+        [sys.executable, "-P", "-c", command, "localize", str(series), "--verbose", str(series.parent)],
+        capture_output=True,
+        text=True,
+        timeout=150,
+        env={**os.environ, "RONNA_LOG": "debug"},
     )
     assert done.returncode != 0
     assert "CT-0" in done.stderr
-    for secret in SECRETS:
-        assert secret not in done.stdout + done.stderr
+    log = (series.parent / "log.jsonl").read_text()
+    assert "failed" in log
+    for secret in (*SECRETS, "Seeded^Patien"):
+        assert secret not in done.stdout + done.stderr + log
+    assert str(series) not in log

@@ -6,7 +6,7 @@ import pytest
 from ronna_hw.devices import Lifecycle, LifecycleGuard
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.logs import keep_log
+from ronna_hw.log_output import keep_log
 
 
 def test_a_device_cannot_become_active_before_it_is_configured() -> None:

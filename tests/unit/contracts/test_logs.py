@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw import logs
+from ronna_hw import log_output
 from ronna_hw.host.child_process import ChildProcess
-from ronna_hw.logs import LOG_FILE, keep_log, logger, set_level
+from ronna_hw.log_output import LOG_FILE, keep_log
+from ronna_hw.logs import logger, set_level
 
 NAMES = ("ronna", "ronna.tracker", "ronna.robot", "ronna.robot.master")
 
@@ -87,19 +88,20 @@ def test_a_level_that_does_not_exist_is_refused() -> None:
 
 
 def test_the_log_of_a_run_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logs, "FILE_BYTES", 2000)
+    monkeypatch.setattr(log_output, "FILE_BYTES", 2000)
     with keep_log(tmp_path):
         for number in range(200):
             logger(device="tracker").info("frame lost", number=number)
     files = list(tmp_path.iterdir())
-    assert len(files) == 1 + logs.OLD_FILES
+    assert len(files) == 1 + log_output.OLD_FILES
     assert sum(file.stat().st_size for file in files) <= 2000 * len(files)
     assert lines_of(tmp_path)[-1]["number"] == 199
 
 
 def test_a_full_disk_loses_lines_and_stops_nothing(tmp_path: Path) -> None:
     done = run_script(
-        "import resource, sys; from pathlib import Path; from ronna_hw.logs import keep_log, logger\n"
+        "import resource; from pathlib import Path\n"
+        "from ronna_hw.log_output import keep_log; from ronna_hw.logs import logger\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         f"with keep_log(Path({str(tmp_path)!r})):\n"
         "    for _ in range(100): logger(device='tracker').info('frame lost')\n"
@@ -147,7 +149,7 @@ def test_a_trace_of_a_library_is_left_out(tmp_path: Path) -> None:
 
 def test_a_warning_keeps_its_place_and_loses_its_text() -> None:
     done = run_script(
-        "import sys, warnings; from ronna_hw.logs import show_log; show_log(sys.stderr); "
+        "import sys, warnings; from ronna_hw.log_output import show_log; show_log(sys.stderr); "
         "warnings.warn_explicit('DOE^JOHN', UserWarning, 'series.py', 7)"
     )
     assert "series.py:7: UserWarning" in done.stderr
@@ -156,7 +158,7 @@ def test_a_warning_keeps_its_place_and_loses_its_text() -> None:
 
 def test_ignored_warnings_reach_nobody() -> None:
     done = run_script(
-        "import logging, warnings; from ronna_hw.logs import ignore_libraries; ignore_libraries(); "
+        "import logging, warnings; from ronna_hw.log_output import ignore_libraries; ignore_libraries(); "
         "warnings.warn('x'); logging.getLogger('pydicom').warning('y')"
     )
     assert done.stderr == ""

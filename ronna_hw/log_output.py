@@ -1,0 +1,149 @@
+"""Where the log goes: lines on a stream, or `log.jsonl` in the folder of a run, rotated and bounded.
+
+What comes in through the loggers of libraries leaves by the same way, without their values.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import logging.handlers
+import platform
+import re
+import sys
+import warnings
+from collections.abc import Iterator, MutableMapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from ronna_hw.logs import ALL, logger
+from ronna_hw.redaction import REDACTED, redacted_arguments, scrubbed
+
+LOG_FILE = "log.jsonl"
+FILE_BYTES = 1_000_000
+OLD_FILES = 3  # log.jsonl.1 to .3: a run keeps at most four megabytes
+
+_READ_PATIENT_FILES = ("pydicom", "pynetdicom", "highdicom", "gdcm")
+_WARNING_PLACE = re.compile(r"\w+\.py:\d+: \w+")  # series.py:52: UserWarning
+_VERSIONS_LOGGED = (
+    "ronna-hw",
+    "numpy",
+    "scipy",
+    "opencv-contrib-python-headless",
+    "pydicom",
+    "pyserial",
+    "pin",
+)
+
+
+def show_log(stream: TextIO) -> None:
+    """Write the log to a stream for the rest of the process, one readable line per event."""
+    import structlog
+
+    _attach(_Shown(stream), structlog.dev.ConsoleRenderer(colors=False))
+    logging.captureWarnings(True)
+
+
+def ignore_libraries() -> None:
+    """Silence the warnings of libraries; without this Python prints them on standard error."""
+    logging.getLogger().addHandler(logging.NullHandler())
+    warnings.simplefilter("ignore")
+
+
+@contextlib.contextmanager
+def keep_log(folder: Path, **facts: Any) -> Iterator[None]:
+    """Keep the log in `folder/log.jsonl` inside the block: rotated, bounded, closed at the end.
+
+    It begins with versions and platform; `facts` are added to that line. A full disk loses lines of the log
+    and stops nothing.
+    """
+    import structlog
+
+    handler = _attach(
+        _BoundedFile(
+            folder / LOG_FILE, maxBytes=FILE_BYTES, backupCount=OLD_FILES, encoding="utf-8", delay=True
+        ),
+        structlog.processors.JSONRenderer(default=str),
+    )
+    try:
+        logger(part="log").info("opened", **about_this_computer(), **facts)
+        yield
+    finally:
+        logging.getLogger().removeHandler(handler)
+        handler.close()
+
+
+def about_this_computer() -> dict[str, Any]:
+    """Versions, platform and the command as it was called, redacted: how a question to the authors begins."""
+    from importlib import metadata
+
+    versions = {}
+    for package in _VERSIONS_LOGGED:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[package] = metadata.version(package)
+    return {
+        "versions": versions,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "command": Path(sys.argv[0]).name,
+        "arguments": redacted_arguments(sys.argv[1:]),
+    }
+
+
+class _NeverStops(logging.Handler):
+    """What a full disk or a closed pipe refuses is lost: a run depends on its journal, not on its log."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Lose the line."""
+
+
+class _Shown(_NeverStops, logging.StreamHandler[TextIO]):
+    """Standard error."""
+
+
+class _BoundedFile(_NeverStops, logging.handlers.RotatingFileHandler):
+    """A file that rotates."""
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            super().close()
+
+
+def _attach(handler: logging.Handler, renderer: Any) -> logging.Handler:
+    """Put a handler at the root, where the lines of libraries arrive as well as ours."""
+    import structlog
+
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(
+            foreign_pre_chain=[
+                structlog.processors.TimeStamper(fmt="iso", utc=True),
+                structlog.stdlib.add_log_level,
+                _redact_library,
+            ],
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, _event_first, renderer],
+        )
+    )
+    logging.getLogger().addHandler(handler)
+    ours = logging.getLogger(ALL)
+    if ours.level == logging.NOTSET:
+        ours.setLevel(logging.INFO)
+    return handler
+
+
+def _event_first(_log: object, _method: str, event: MutableMapping[str, Any]) -> dict[str, Any]:
+    return {key: event[key] for key in ("timestamp", "level", "event")} | dict(event)
+
+
+def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any]) -> dict[str, Any]:
+    """A library's own line. Of a warning the place is kept; of what reads the patient's files, no text."""
+    record: logging.LogRecord = event["_record"]
+    text = str(event["event"])
+    if record.name == "py.warnings":
+        place = _WARNING_PLACE.search(text)
+        text = place.group() if place else REDACTED
+    elif record.name.split(".")[0] in _READ_PATIENT_FILES:
+        text = REDACTED
+    else:
+        text = scrubbed(text)
+    event.pop("exc_info", None)  # a trace shows local values
+    return {**event, "library": record.name, "event": text}
