@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from contextlib import AbstractContextManager
+from typing import Any, Self, TypeVar
 
 from drivers.basler_stereo.camera import Camera
 from drivers.basler_stereo.control.identity import CameraIdentity
@@ -25,6 +26,8 @@ from drivers.basler_stereo.stream.frame_assembler import StreamCounters
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.activation import activated
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
@@ -59,6 +62,7 @@ class BaslerStereoPair:
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
         self._exposure: tuple[float, int | None] = (self._options.exposure_us, self._options.gain_raw)
         self._sequence = 0
+        self._last_pair: StereoReading | None = None
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
@@ -96,6 +100,12 @@ class BaslerStereoPair:
     def notices(self) -> tuple[str, ...]:
         """What was found at `configure` that is no error but should be known."""
         return tuple(notice for camera in self._cameras or () for notice in camera.notices)
+
+    def observe(self) -> LastKnown[StereoReading]:
+        return self._guard.last_known(self._last_pair)
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
+        return activated(self, timeout_s)
 
     @property
     def counters(self) -> tuple[StreamCounters | None, StreamCounters | None]:
@@ -320,6 +330,7 @@ class BaslerStereoPair:
     def _grab(self, deadline_s: float) -> StereoReading:
         reading = self._streams.grab(self._sequence + 1, deadline_s)
         self._sequence += 1
+        self._last_pair = reading
         return reading
 
     def _let_go(self) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Self
 
 from drivers.kuka_rsi import stream
 from drivers.kuka_rsi.connections import Connections
@@ -17,24 +19,25 @@ from drivers.kuka_rsi.micro_move import verify_by_motion
 from drivers.kuka_rsi.motion_following import MotionFollower
 from drivers.kuka_rsi.motion_planning import MotionPlanner
 from drivers.kuka_rsi.options import read_options
+from drivers.kuka_rsi.readings import ArmReadings
 from drivers.kuka_rsi.realtime.histogram import link_statistics
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, LinkState, Phase, StopOrder
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
 from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.model import ArmModel, arm_model, radians6
+from ronna_hw.arm.model import ArmModel, arm_model
 from ronna_hw.arm.planning import TOOL_Z, MotionPlan, plan_along_tool, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.activation import activated
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import (
     ArmReading,
     JointVector,
     LinkStatistics,
-    Stamp,
     ToolIdentity,
-    Validity,
     Vector3,
 )
 from ronna_hw.devices.robot import StopKind
@@ -44,7 +47,6 @@ from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 CLOSING_STOP_S = 1.0  # host time that close() gives the arm to come to rest
 RUNS_S = 0.2  # since the real-time process last looked around: then it is worth talking to
 FLANGE = Pose()  # of a tool that is none
-STALE_S = 0.5  # age of a measured pose beyond which it is called stale, host time
 
 _STOP_ORDERS = {
     StopKind.HOLD: StopOrder.HOLD,
@@ -57,7 +59,8 @@ _STOP_ORDERS = {
 class KukaRsiArm:
     """Endpoints `rsi` (udp://, where this computer listens) and `eki_project` (tcp://, the controller)."""
 
-    wire_protocol = "kuka-rsi-eki"  # which byte-level conformance cases apply
+    wire_protocol = "kuka-rsi-eki"
+    notices: tuple[str, ...] = ()
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Opens nothing. Raises CFG-001, CFG-002, RSI-013 or RSI-017 when the configuration is wrong."""
@@ -72,7 +75,7 @@ class KukaRsiArm:
         self._watch = FaultWatch(name, self._guard, self._connections, options)
         cycle_s = self._context.program.cycle_ms / 1000.0
         self._follower = MotionFollower(name, self._connections, self._watch, cycle_s)
-        self._sequence = 0
+        self._readings = ArmReadings(self._connections, clock, options.silence_limit_s)
         self._t1_confirmed_by = ""
 
     # Lifecycle
@@ -95,6 +98,13 @@ class KukaRsiArm:
     def fault(self) -> RonnaError | None:
         """The error that latched FAULT, if any."""
         return self._watch.fault
+
+    def observe(self) -> LastKnown[ArmReading]:
+        state = self._guard.state  # unlike `state` this does not look for new faults
+        return self._guard.last_known(self._readings.newest(streaming=state in STREAMING))
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
+        return activated(self, timeout_s)
 
     @property
     def controller(self) -> ControllerCommands:
@@ -228,17 +238,14 @@ class KukaRsiArm:
         self._watch.raise_new()
         self._guard.require("read_state", READABLE)
         if self._guard.state in STREAMING:
-            return self._reading(self._connections.link.state)
-        state = self._ask(timeout_s)
-        return ArmReading(
-            self._stamp(0), Validity.OK, radians6(*state.axes_deg), commanded_rad=None, moving=state.moving
-        )
+            return self._readings.of_stream(self._connections.link.state)
+        return self._readings.of_controller(self._ask(timeout_s))
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
         """Number of the tool that the controller's inputs report; 0 is none."""
         self._watch.raise_new()
         self._guard.require("read_tool_identity", READABLE)
-        return ToolIdentity(self._stamp(0), self._ask(timeout_s).tool)
+        return ToolIdentity(self._readings.stamp(), self._ask(timeout_s).tool)
 
     def link_statistics(self) -> LinkStatistics:
         """Health of the link since the last `activate`."""
@@ -351,7 +358,7 @@ class KukaRsiArm:
         stops = link.stop_number
         planned = plan(link.state.commanded_rad, self._planner.limits(mode, speed_fraction))
         clear = self._planner.clear(planned, link, mode)
-        return self._reading(self._follower.follow(clear, stops, timeout_s))
+        return self._readings.of_stream(self._follower.follow(clear, stops, timeout_s))
 
     def _start(self, timeout_s: float) -> None:
         t1_allowed, self._t1_confirmed_by = bool(self._t1_confirmed_by), ""
@@ -371,18 +378,3 @@ class KukaRsiArm:
         except RonnaError:
             self._watch.notice()
             raise
-
-    def _reading(self, state: LinkState) -> ArmReading:
-        age_s = (time.monotonic_ns() - state.received_ns) / 1e9
-        limit_s = max(STALE_S, self._options.silence_limit_s)
-        return ArmReading(
-            self._stamp(state.IPOC),
-            Validity.OK if age_s <= limit_s else Validity.STALE,
-            state.measured_rad,
-            state.commanded_rad,
-            state.moving or not state.settled,
-        )
-
-    def _stamp(self, device_clock: int) -> Stamp:
-        self._sequence += 1
-        return Stamp(self._sequence, device_clock, self._clock.now_s())

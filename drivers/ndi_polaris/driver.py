@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from contextlib import AbstractContextManager
+from typing import Any, Self, TypeVar
 
 from drivers.ndi_polaris.errors import (
     HardwareFailure,
@@ -34,6 +35,8 @@ from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume
 from drivers.ndi_polaris.unit.system_status import clear_bump, refuse_standing_trouble
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.activation import activated
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.devices.strays import StrayAverage, average_strays
@@ -82,6 +85,7 @@ class PolarisTracker:
         self._loaded: tuple[LoadedTool, ...] = ()
         self._volume: MeasuringVolume | None = None
         self._tracking: Tracking | None = None
+        self._last_frame: TrackerFrame | None = None
         self._notices: list[str] = []
         self._bump_was_told = False
 
@@ -142,6 +146,12 @@ class PolarisTracker:
         """The unit's clock beside the theatre's, with its drift; None before the first reading."""
         return self._tracking.frame_clock.fit if self._tracking else None
 
+    def observe(self) -> LastKnown[TrackerFrame]:
+        return self._guard.last_known(self._last_frame)
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
+        return activated(self, timeout_s)
+
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find the unit at whatever rate it was left, initialise it and check who it is.
 
@@ -192,6 +202,7 @@ class PolarisTracker:
             raise
         if self._guard.state is Lifecycle.HOLD:
             self._guard.enter(Lifecycle.ACTIVE)
+        self._last_frame = frame
         return frame
 
     def average_strays(self, frames: int = 60, timeout_s: float = 10.0) -> StrayAverage:

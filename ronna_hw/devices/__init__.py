@@ -1,5 +1,6 @@
 """Typed device interfaces, their lifecycle, and the readings they give."""
 
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Identity, Lifecycle, LifecycleGuard
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.devices.stereo import StereoPair
@@ -8,6 +9,7 @@ from ronna_hw.devices.tracker import OpticalTracker
 __all__ = [
     "Device",
     "Identity",
+    "LastKnown",
     "Lifecycle",
     "LifecycleGuard",
     "OpticalTracker",

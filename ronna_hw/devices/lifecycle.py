@@ -8,13 +8,17 @@ Reading is allowed from CONNECTED, motion only in ACTIVE.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol, runtime_checkable
+from typing import Protocol, Self, TypeVar, runtime_checkable
 
 from ronna_hw.devices.errors import NobodyNamed, WrongState
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
+
+R = TypeVar("R")
 
 
 class Lifecycle(StrEnum):
@@ -70,8 +74,40 @@ class Device(Protocol):
         ...
 
     @property
+    def wire_protocol(self) -> str:
+        """What is spoken on the wire, such as `ndi-polaris`: which byte-level conformance cases apply.
+
+        Empty when it is nothing that the conformance suite knows.
+        """
+        ...
+
+    @property
     def state(self) -> Lifecycle:
         """Present state of the lifecycle."""
+        ...
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """The error that latched FAULT; None in any other state."""
+        ...
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What `configure` found that is no error but that the operator should know."""
+        ...
+
+    def observe(self) -> LastKnown[object]:
+        """State, fault and newest reading as last seen. Allowed in every state, CLOSED too, in any thread.
+
+        Only looks: asks the device nothing, latches nothing, never raises.
+        """
+        ...
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
+        """Bring the device to ACTIVE for a block, from wherever it stands; deactivate it on leaving.
+
+        `ronna_hw.devices.activation.activated` implements it for every driver.
+        """
         ...
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
@@ -115,41 +151,49 @@ class LifecycleGuard:
     def __init__(self, device: str) -> None:
         self.log = logger(device=device)
         self._device = device
-        self._state = Lifecycle.DISCONNECTED
-        self._fault: RonnaError | None = None
+        # One value, replaced at once: whoever looks from another thread never sees half of a change.
+        self._now: tuple[Lifecycle, RonnaError | None] = (Lifecycle.DISCONNECTED, None)
 
     @property
     def state(self) -> Lifecycle:
-        return self._state
+        return self._now[0]
 
     @property
     def fault(self) -> RonnaError | None:
         """The error that latched FAULT, if any."""
-        return self._fault
+        return self._now[1]
+
+    def last_known(self, reading: R | None) -> LastKnown[R]:
+        """What `Device.observe` returns, with the newest reading that the driver has."""
+        return LastKnown(*self._now, reading)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
         """Raise DEV-001 unless the present state is one of `allowed`; a latched fault names its cause."""
         states = tuple(allowed)
-        if self._state in states:
+        state, fault = self._now
+        if state in states:
             return
+        cause = f" ({fault})" if fault else ""
         raise WrongState(
-            f"{self._device}: {call} is not allowed while {self._state}",
+            f"{self._device}: {call} is not allowed now",
             expected=" or ".join(sorted(states)),
-            got=str(self._fault) if self._fault and self._state is Lifecycle.FAULT else None,
+            got=f"{state}{cause}",
         )
 
     def enter(self, state: Lifecycle, **facts: object) -> None:
         """Move to `state` and log it with `facts`; raise DEV-001 when there is no such transition."""
-        if state is self._state:
+        before = self.state
+        if state is before:
             return
-        if state not in _ALLOWED[self._state]:
-            raise WrongState(f"{self._device}: cannot go from {self._state} to {state}")
-        before, self._state, self._fault = self._state, state, None
+        if state not in _ALLOWED[before]:
+            raise WrongState(f"{self._device}: cannot go from {before} to {state}")
+        self._now = (state, None)
         self.log.info(state, before=before, **facts)
 
     def latch(self, cause: RonnaError) -> None:
         """Enter FAULT from anywhere but CLOSED, and keep the first cause."""
-        if self._state in (Lifecycle.CLOSED, Lifecycle.FAULT):
+        before = self.state
+        if before in (Lifecycle.CLOSED, Lifecycle.FAULT):
             return
-        before, self._state, self._fault = self._state, Lifecycle.FAULT, cause
+        self._now = (Lifecycle.FAULT, cause)
         self.log.error(Lifecycle.FAULT, before=before, cause=cause)

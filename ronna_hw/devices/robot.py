@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
 
@@ -25,6 +26,10 @@ class StopKind(StrEnum):
 @runtime_checkable
 class RobotArm(Device, Protocol):
     """`activate` starts the correction stream (the arm may move); `deactivate` ends it."""
+
+    def observe(self) -> LastKnown[ArmReading]:
+        """As `Device.observe`; the reading holds the last axes that the controller reported."""
+        ...
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
         """Measured axes; allowed from CONNECTED."""

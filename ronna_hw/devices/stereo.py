@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 
@@ -15,6 +16,10 @@ class StereoPair(Device, Protocol):
     @property
     def serials(self) -> tuple[str, str]:
         """Serial numbers read from the cameras, left and right."""
+        ...
+
+    def observe(self) -> LastKnown[StereoReading]:
+        """As `Device.observe`; the reading is the last pair."""
         ...
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:

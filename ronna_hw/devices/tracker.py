@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.readings import TrackerFrame
 
@@ -15,6 +16,10 @@ class OpticalTracker(Device, Protocol):
     @property
     def tools(self) -> tuple[str, ...]:
         """Names of the tools to load, in the order of the theatre file."""
+        ...
+
+    def observe(self) -> LastKnown[TrackerFrame]:
+        """As `Device.observe`; the reading is the last frame."""
         ...
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:

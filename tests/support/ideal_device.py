@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
+from typing import Any, Self
+
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.activation import activated
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
-from ronna_hw.errors import ConfigurationError
+from ronna_hw.errors import ConfigurationError, RonnaError
 
 
 class IdealDevice:
-    """Goes from state to state as it is told."""
+    """Goes from state to state as it is told, and has no readings."""
+
+    wire_protocol = ""
+    notices: tuple[str, ...] = ()
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock, *, known: set[str]) -> None:
         if set(config.options) - known:
@@ -20,6 +28,16 @@ class IdealDevice:
     @property
     def state(self) -> Lifecycle:
         return self.guard.state
+
+    @property
+    def fault(self) -> RonnaError | None:
+        return self.guard.fault
+
+    def observe(self) -> LastKnown[Any]:
+        return self.guard.last_known(None)
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
+        return activated(self, timeout_s)
 
     def configure(self, timeout_s: float = 10.0) -> None:
         self.guard.require("configure", {Lifecycle.CONNECTED})

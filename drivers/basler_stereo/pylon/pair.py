@@ -13,7 +13,8 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from typing import Any, Literal, TypeVar
+from contextlib import AbstractContextManager
+from typing import Any, Literal, Self, TypeVar
 
 from pydantic import ValidationError
 
@@ -26,6 +27,8 @@ from drivers.basler_stereo.pair_identity import check_pair, pair_identity
 from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pylon
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, describe_mistakes
+from ronna_hw.devices.activation import activated
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.errors import RonnaError
@@ -42,6 +45,9 @@ class PylonOptions(BaslerOptions):
 
 class PylonStereoPair:
     """Calls are synchronous; one thread at a time. Time limits are host time, in seconds."""
+
+    wire_protocol = ""  # spoken by the vendor's library
+    notices: tuple[str, ...] = ()
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Check options, endpoints and the library. Raises GEV-016, GEV-018, CFG-001 or CFG-002."""
@@ -60,6 +66,7 @@ class PylonStereoPair:
         self._exposure: tuple[float, int | None] = (self._options.exposure_us, self._options.gain_raw)
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
         self._sequence = 0
+        self._last_pair: StereoReading | None = None
         self._out_of_step = False
 
     @property
@@ -86,6 +93,12 @@ class PylonStereoPair:
         self._guard.require("areas", READABLE)
         left, right = self._pair
         return left.area, right.area
+
+    def observe(self) -> LastKnown[StereoReading]:
+        return self._guard.last_known(self._last_pair)
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
+        return activated(self, timeout_s)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers. Raises GEV-001 to GEV-004."""
@@ -143,7 +156,8 @@ class PylonStereoPair:
         side sent one, and GEV-014 with FAULT latched. Afterwards the streams begin anew.
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
-        return self._watched(lambda: self._grab(time.monotonic() + timeout_s))
+        self._last_pair = self._watched(lambda: self._grab(time.monotonic() + timeout_s))
+        return self._last_pair
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED by a new session with the same cameras, areas and exposure."""

@@ -5,17 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 from driven_arm import MODEL, THERE, largest_step, moving, state_of
 from waiting import eventually
 
+from drivers.kuka_rsi.fault_watch import FaultWatch
 from ronna_hw.arm.errors import OutOfJointRange
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.model import radians6
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices import Lifecycle, RobotArm
+from ronna_hw.devices import LastKnown, Lifecycle, RobotArm
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
 
@@ -56,6 +58,49 @@ def test_a_session_from_connect_to_close(controller: Any, make_arm: Any) -> None
     arm.close()
     assert state_of(arm) is Lifecycle.CLOSED
     arm.close()
+
+
+def test_the_arm_can_be_observed_in_every_state_from_any_thread_without_looking_for_faults(
+    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(watch: FaultWatch) -> None:
+        raise AssertionError("observing looked for faults")
+
+    arm = make_arm()
+    assert arm.observe() == LastKnown(Lifecycle.DISCONNECTED, None, None)
+    arm.connect()
+    asked = arm.read_state()
+    assert arm.observe().reading.joints_rad == asked.joints_rad
+    arm.configure()
+    arm.activate()
+    arm.move_joints(THERE)
+    with monkeypatch.context() as patch:
+        patch.setattr(FaultWatch, "notice", never)
+        with ThreadPoolExecutor() as elsewhere:
+            seen = elsewhere.submit(arm.observe).result()
+    assert seen.state is Lifecycle.ACTIVE
+    assert seen.reading.commanded_rad == THERE
+    arm.close()
+    assert arm.observe().state is Lifecycle.CLOSED
+    assert arm.observe().reading.commanded_rad == THERE
+
+
+def test_a_block_that_is_left_by_an_error_while_the_arm_moves_leaves_it_at_rest(
+    controller: Any, make_arm: Any
+) -> None:
+    def break_off() -> None:
+        with arm.active():
+            motions.append(moving(arm, controller))
+            raise ZeroDivisionError
+
+    arm = make_arm()
+    motions: list[Any] = []
+    with pytest.raises(ZeroDivisionError):
+        break_off()
+    motions[0][0].join()
+    assert state_of(arm) is Lifecycle.CONFIGURED
+    assert controller.facts["RSI"] == "0"
+    assert largest_step(controller.replies) < 1 / 8
 
 
 def test_the_first_correction_is_zero_and_no_step_is_large(controller: Any, active_arm: Any) -> None:

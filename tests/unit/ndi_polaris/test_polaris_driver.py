@@ -10,7 +10,7 @@ import pytest
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost, NoReply
-from ronna_hw.devices import Lifecycle, OpticalTracker
+from ronna_hw.devices import LastKnown, Lifecycle, OpticalTracker
 from ronna_hw.devices.errors import WrongState
 
 Make = Callable[..., PolarisTracker]
@@ -34,6 +34,16 @@ def test_calls_out_of_order_are_refused(make_tracker: Make) -> None:
         device.activate()
     with pytest.raises(WrongState):
         device.recover("tester")
+
+
+def test_the_tracker_can_be_observed_in_every_state(make_tracker: Make) -> None:
+    device = make_tracker()
+    assert device.observe() == LastKnown(Lifecycle.DISCONNECTED, None, None)
+    with device.active():
+        frame = device.read_frame()
+        assert device.observe() == LastKnown(Lifecycle.ACTIVE, None, frame)
+    device.close()
+    assert device.observe() == LastKnown(Lifecycle.CLOSED, None, frame)
 
 
 def test_tracking_stops_and_starts_again_at_frame_0(tracker: PolarisTracker) -> None:

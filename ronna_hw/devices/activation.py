@@ -1,0 +1,53 @@
+"""A device made active for the length of a block, whatever happens in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.host.interruption import interruption_deferred
+
+D = TypeVar("D", bound=Device)
+RUNNING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
+
+
+@contextmanager
+def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
+    """Connect and configure as needed, activate, and deactivate on leaving the block.
+
+    `timeout_s` limits each of these calls. A device that is in HOLD starts anew; one that is already active
+    is taken as it is, and deactivated all the same. What the block raises is never masked: a failure to
+    deactivate is added to it as a note. Raises what `connect`, `configure` and `activate` raise, and DEV-001
+    for a device that is in FAULT or CLOSED.
+    """
+    _activate(device, timeout_s)
+    try:
+        yield device
+    except BaseException as problem:
+        with interruption_deferred():
+            try:
+                _deactivate(device, timeout_s)
+            except Exception as error:
+                problem.add_note(f"{device.name} could not be deactivated: {error}")
+        raise
+    with interruption_deferred():
+        _deactivate(device, timeout_s)
+
+
+def _activate(device: Device, timeout_s: float) -> None:
+    if device.state is Lifecycle.HOLD:
+        device.deactivate(timeout_s)
+    if device.state is Lifecycle.DISCONNECTED:
+        device.connect(timeout_s)
+    if device.state is Lifecycle.CONNECTED:
+        device.configure(timeout_s)
+    if device.state is not Lifecycle.ACTIVE:
+        device.activate(timeout_s)
+
+
+def _deactivate(device: Device, timeout_s: float) -> None:
+    """Nothing is left to do for a device that is in FAULT: it has stopped, and only `recover` leaves that."""
+    if device.state in RUNNING:
+        device.deactivate(timeout_s)

@@ -1,0 +1,21 @@
+"""What is known of a device without asking it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+if TYPE_CHECKING:
+    from ronna_hw.devices.lifecycle import Lifecycle
+    from ronna_hw.errors import RonnaError
+
+R_co = TypeVar("R_co", covariant=True)
+
+
+@dataclass(frozen=True)
+class LastKnown(Generic[R_co]):
+    """State, latched fault and newest reading as they were last seen; the reading's stamp tells its age."""
+
+    state: Lifecycle
+    fault: RonnaError | None
+    reading: R_co | None
