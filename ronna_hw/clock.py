@@ -167,9 +167,10 @@ class SharedClock:
                 fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def close(self) -> None:
-        """Let go of the shared memory."""
-        self._memory.close()
-        os.close(self._file)
+        """Let go of the shared memory; may be called twice."""
+        if not self._memory.closed:
+            self._memory.close()
+            os.close(self._file)
 
     def _i64(self, offset: int) -> int:
         return int(_i64.unpack_from(self._memory, offset)[0])

@@ -122,11 +122,24 @@ class TheatreFile(Strict):
         default_factory=dict, description="Name = arm; the procedure uses `master`."
     )
     stereo: DeviceConfig | None = Field(default=None, description="The stereo head.")
+    device: dict[str, DeviceConfig] = Field(
+        default_factory=dict, description="Name = device of any other kind, such as a force sensor."
+    )
     calibration: Calibrations | None = Field(default=None, description="What was measured before.")
     cell: CellConfig = Field(default=CellConfig(), description="What stands around the arm.")
     procedure: ProcedureSettings = Field(
         default=ProcedureSettings(), description="What the procedure may assume here."
     )
+
+    @property
+    def devices(self) -> dict[str, DeviceConfig]:
+        """All devices by the name of their table: `tracker`, `stereo`, `robot.master`, `device.force`."""
+        single = {"tracker": self.tracker, "stereo": self.stereo}
+        return {
+            **{name: config for name, config in single.items() if config is not None},
+            **{f"robot.{name}": config for name, config in self.robot.items()},
+            **{f"device.{name}": config for name, config in self.device.items()},
+        }
 
 
 def read_theatre_file(path: Path) -> TheatreFile:
@@ -142,11 +155,14 @@ def read_theatre_file(path: Path) -> TheatreFile:
         raise BadTheatreFile(f"{path.name} is not TOML: {error}") from error
     theatre = parse_theatre(content, path.name)
     folder = path.resolve().parent
-    places: dict[str, Any] = {"robot": {name: arm.read_from(folder) for name, arm in theatre.robot.items()}}
-    for name in ("tracker", "stereo"):
-        device: DeviceConfig | None = getattr(theatre, name)
-        places[name] = None if device is None else device.read_from(folder)
-    return theatre.model_copy(update=places)
+    return theatre.model_copy(
+        update={
+            "tracker": theatre.tracker and theatre.tracker.read_from(folder),
+            "stereo": theatre.stereo and theatre.stereo.read_from(folder),
+            "robot": {name: arm.read_from(folder) for name, arm in theatre.robot.items()},
+            "device": {name: device.read_from(folder) for name, device in theatre.device.items()},
+        }
+    )
 
 
 def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:

@@ -19,6 +19,22 @@ class UnknownDriver(ConfigurationError):
     action = "Check the driver name in the theatre file, or install the package that offers it."
 
 
+class NotInTheatre(ConfigurationError, KeyError):
+    """The theatre file does not have the device or the table that is asked for."""
+
+    code = "DEV-007"
+    action = "Add its table to the theatre file, with driver and endpoint, or ask for one that is there."
+
+    __str__ = Exception.__str__  # a KeyError shows its message in quotes
+
+
+class WrongKind(ConfigurationError):
+    """A device of the theatre file does not offer the interface that is asked for."""
+
+    code = "DEV-008"
+    action = "Name a driver of that kind in the device's table, or ask for the interface that it has."
+
+
 class UnknownTool(ConfigurationError, LookupError):
     """A tool is asked for that is not among the tools of the tracker."""
 

@@ -1,0 +1,80 @@
+"""A whole simulated theatre in one line: the command `ronna-sim theatre` for the length of a block.
+
+    with simulated_theatre("mini", seed=7) as theatre:
+        ...
+
+Nothing is imported from the simulators: the theatre is opened through the file that the command writes.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Self
+
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.interruption import interruption_deferred
+from ronna_hw.theatre import Theatre
+
+NAME = "ronna-sim theatre"
+
+
+class TheatreProcess:
+    """`ronna-sim theatre`, begun but not awaited; `await_ready` and `stop` must follow."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._child = ChildProcess(NAME, command("sim.cli", "theatre", *arguments), timeout_s=None)
+
+    def await_ready(self) -> None:
+        """Return when every device is ready; raises PRC-001 with the command's own words."""
+        self._child.await_ready()
+
+    @property
+    def file(self) -> Path:
+        """The theatre file that was written."""
+        return Path(self._child.ready["file"])
+
+    @property
+    def control(self) -> str:
+        """Endpoint of the control port."""
+        return str(self._child.ready["endpoints"]["control"])
+
+    def stop(self) -> None:
+        """End it. Bounded in time, never raises; an interruption meanwhile takes effect afterwards."""
+        with interruption_deferred():
+            self._child.stop()
+
+
+class SimulatedTheatre(Theatre):
+    """A theatre whose devices are simulated."""
+
+    control: str = ""  # endpoint for `ronna-sim mount` and `ronna-sim fault`
+
+    @classmethod
+    def of(cls, process: TheatreProcess) -> Self:
+        """The theatre of a process that is ready."""
+        theatre = cls.from_file(process.file)
+        theatre.control = process.control
+        return theatre
+
+
+@contextmanager
+def simulated_theatre(
+    scene: str = "mini", *, seed: int = 0, timeout_s: float = 10.0
+) -> Iterator[SimulatedTheatre]:
+    """Start a simulated theatre, connect and configure its devices, and end all of it with the block.
+
+    `scene` is `default`, `mini`, `bench` or the path of a scene file. Raises PRC-001 with the command's own
+    words when there is no such scene, and whatever `open_theatre` raises.
+    """
+    with tempfile.TemporaryDirectory(prefix="ronna-theatre-") as folder:
+        process = TheatreProcess("--scene", scene, "--seed", str(seed), "--out", folder)
+        try:
+            process.await_ready()
+            with SimulatedTheatre.of(process) as theatre:
+                theatre.connect(timeout_s)
+                yield theatre
+        finally:
+            process.stop()

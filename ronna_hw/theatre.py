@@ -1,0 +1,180 @@
+"""The front door: all devices of a theatre file, for the length of a block.
+
+with open_theatre("theatre.toml") as theatre, theatre.tracker.active() as tracker:
+    frame = tracker.read_frame()
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Self, TypeVar, cast
+
+from ronna_hw.clock import Clock, SharedClock, open_clock
+from ronna_hw.config import Calibrations, TheatreFile, read_theatre_file
+from ronna_hw.devices.errors import NotInTheatre, WrongKind
+from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.robot import RobotArm, StopKind
+from ronna_hw.devices.stereo import StereoPair
+from ronna_hw.devices.tracker import OpticalTracker
+from ronna_hw.host.interruption import interruption_deferred
+from ronna_hw.logs import logger
+from ronna_hw.registry import make_device
+
+D = TypeVar("D")
+STOP_LIMIT_S = 5.0  # host time, for all arms together
+
+
+class Theatre:
+    """The devices of one theatre file. Each is made when it is first asked for; `connect` makes all.
+
+    As a context manager it closes everything on leaving.
+    """
+
+    def __init__(self, file: TheatreFile, clock: Clock) -> None:
+        """Opens nothing."""
+        self.file = file
+        self.clock = clock
+        self.arms: Mapping[str, RobotArm] = _Arms(self)
+        self._devices: dict[str, Device] = {}
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> Self:
+        """Read the file and open its clock, but no device. Raises CFG-001 or CLK-001."""
+        file = read_theatre_file(Path(path))
+        return cls(file, open_clock(file.clock.endpoint))
+
+    @property
+    def tracker(self) -> OpticalTracker:
+        """The optical tracker; raises DEV-007 when the file has none."""
+        return self._device("tracker", OpticalTracker)
+
+    @property
+    def stereo(self) -> StereoPair:
+        """The stereo head; raises DEV-007 when the file has none."""
+        return self._device("stereo", StereoPair)
+
+    @property
+    def calibrations(self) -> Calibrations:
+        """The calibration records; raises DEV-007 when the file has none."""
+        if self.file.calibration is None:
+            raise NotInTheatre(
+                f"theatre {self.file.theatre} has no calibration records",
+                action="Add [calibration] to the theatre file.",
+            )
+        return self.file.calibration
+
+    def device(self, name: str, interface: Callable[..., D]) -> D:
+        """The device of table `[device.NAME]` as `interface`: a runtime-checkable protocol, or a class.
+
+        Raises DEV-007 when the file has no such table, DEV-008 when the device is of another kind.
+        """
+        return self._device(f"device.{name}", interface)
+
+    def require(self, *names: str) -> None:
+        """Raise DEV-007 that names every one of these tables that the file lacks, such as `robot.master`."""
+        known = self.file.devices
+        if missing := [name for name in names if name not in known]:
+            raise NotInTheatre(
+                f"theatre {self.file.theatre} has no {', '.join(missing)}",
+                got=f"it has {', '.join(known) or 'no device at all'}",
+            )
+
+    def connect(self, timeout_s: float = 10.0) -> None:
+        """Connect and configure every device that is not yet, with `timeout_s` for each call.
+
+        Raises the driver's error of the first that fails; those before it stay connected.
+        """
+        for name in self.file.devices:
+            device = self._made(name)
+            if device.state is Lifecycle.DISCONNECTED:
+                device.connect(timeout_s)
+            if device.state is Lifecycle.CONNECTED:
+                device.configure(timeout_s)
+
+    def stop(self) -> None:
+        """Bring all arms to rest at once, as well as their links still allow; never raises."""
+        moving = [
+            threading.Thread(target=_stop, args=(device,))
+            for device in self._devices.values()
+            if isinstance(device, RobotArm) and device.observe().state is Lifecycle.ACTIVE
+        ]
+        for stop in moving:
+            stop.start()
+        for stop in moving:
+            stop.join()
+
+    def close(self) -> None:
+        """Stop the arms, then end all sessions, the arms' first. Bounded in time; never raises.
+
+        An interruption meanwhile takes effect afterwards.
+        """
+        with interruption_deferred():
+            self.stop()
+            for device in sorted(self._devices.values(), key=lambda one: not isinstance(one, RobotArm)):
+                try:
+                    device.close()
+                except Exception as error:  # the others must be closed all the same
+                    logger(device=device.name).error("cannot be closed", cause=error)
+            if isinstance(self.clock, SharedClock):
+                self.clock.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self.close()
+        except KeyboardInterrupt:  # before `close` could hold it back
+            self.close()
+            raise
+
+    def _device(self, name: str, interface: Callable[..., D]) -> D:
+        device = self._made(name)
+        if not isinstance(device, cast("type", interface)):
+            kind = getattr(interface, "__name__", repr(interface))
+            raise WrongKind(f"{name}: driver {self.file.devices[name].driver} offers no {kind}")
+        return cast("D", device)
+
+    def _made(self, name: str) -> Device:
+        if name not in self._devices:
+            self.require(name)
+            self._devices[name] = make_device(name, self.file.devices[name], self.clock)
+        return self._devices[name]
+
+
+class _Arms(Mapping[str, RobotArm]):
+    """The arms by name; a name that the file lacks raises DEV-007."""
+
+    def __init__(self, theatre: Theatre) -> None:
+        self._theatre = theatre
+
+    def __getitem__(self, name: str) -> RobotArm:
+        return self._theatre._device(f"robot.{name}", RobotArm)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._theatre.file.robot)
+
+    def __len__(self) -> int:
+        return len(self._theatre.file.robot)
+
+
+@contextmanager
+def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Iterator[Theatre]:
+    """Connect and configure all devices of a theatre file for the length of a block.
+
+    On leaving, also by an exception or Ctrl-C, the arms are stopped and everything is closed in bounded time.
+    Raises CFG-001 for a missing or wrong file, and the driver's error when a device is not there.
+    """
+    with Theatre.from_file(path) as theatre:
+        theatre.connect(timeout_s)
+        yield theatre
+
+
+def _stop(arm: RobotArm) -> None:
+    with contextlib.suppress(Exception):  # `close` goes on, and the link stops the arm when it ends
+        arm.stop(StopKind.HOLD, STOP_LIMIT_S)
