@@ -1,9 +1,9 @@
-"""Cases: small functions with a number, a statement of behaviour, and what they need to be run."""
+"""Cases: small functions, each with a number, a statement of behaviour and what it needs to run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -12,18 +12,23 @@ from ronna_hw.conformance.errors import NoSuchCase
 if TYPE_CHECKING:
     from ronna_hw.conformance.device_under_test import DeviceUnderTest
 
-# What a case may need, and why it is left out when that is not there.
-NEEDS = {
-    "motion": "it moves the device: allow it with --allow motion",
-    "destructive": "it resets the device or spoils its set-up: allow it with --allow destructive",
-    "line faults": "nothing can be put between this driver and this endpoint",
-    "checked replies": "the protocol of this driver has no checksums that we know of",
-    "polaris bytes": "the device does not speak the NDI Polaris protocol, or the driver does not say so",
-    "tool definition": "no tool definition is configured",
-    "serial line": "the endpoint is no serial line: rates and breaks have no meaning there",
-    "live faults": "no control port is known by which the device could be made to fail: --control names one",
-    "host time": "the theatre's time is not the host's",
-}
+
+@dataclass(frozen=True)
+class Need:
+    """What a case needs of the device under test, and why the case is skipped without it."""
+
+    name: str
+    reason: str
+
+
+MOTION = Need("motion", "it moves the device: allow it with --allow motion")
+DESTRUCTIVE = Need(
+    "destructive", "it resets the device or changes its settings: allow it with --allow destructive"
+)
+LINE_FAULTS = Need("line faults", "nothing can be put between this driver and this endpoint")
+CHECKED_REPLIES = Need("checked replies", "the driver's wire protocol has no known checksums")
+LIVE_FAULTS = Need("live faults", "no control port to inject faults through: give one with --control")
+HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
 
 class Outcome(StrEnum):
@@ -35,84 +40,89 @@ class Outcome(StrEnum):
 
 
 class NotShown(Exception):
-    """Raised by a case that cannot be decided here, such as when no stray is in sight. Its text says why."""
+    """Raised by a case that cannot be decided here, for example because no stray is in view; says why."""
 
 
 class Nonconformity(AssertionError):
     """Raised by a case when the device behaves otherwise."""
 
 
+Run = Callable[["DeviceUnderTest"], None]
+
+
 @dataclass(frozen=True)
 class Case:
     """One behaviour under a stable number.
 
-    T.. any tracker must show; P.. and D.. are lines of the Polaris checklist, about the unit and its driver.
+    T, R and S cases hold for any tracker, robot or stereo pair; the other letters belong to a wire protocol.
     """
 
     number: str
     statement: str
-    needs: frozenset[str]
-    run: Callable[[DeviceUnderTest], None]
+    needs: tuple[Need, ...]
+    run: Run
 
 
-@dataclass
-class Suite:
-    """All cases of one kind of device, and how its simulator is started.
+class CaseList:
+    """Cases in the order in which they are defined."""
 
-    `driver` is the driver that `--sim` and `--endpoint` mean unless another is named; `simulator` holds the
-    arguments of `ronna-sim`; `motions` says what the cases move that need "motion".
-    """
+    def __init__(self, cases: Iterable[Case] = ()) -> None:
+        self.cases = list(cases)
 
-    kind: str
-    driver: str
-    simulator: tuple[str, ...]
-    cases: list[Case] = field(default_factory=list)
-    motions: str = ""
-
-    def moving(self) -> list[str]:
-        """Numbers of the cases that move the device."""
-        return [case.number for case in self.cases if "motion" in case.needs]
-
-    def only(self, beginnings: Sequence[str]) -> Suite:
-        """The same suite with the cases whose number begins so; all of them when nothing is named.
-
-        Raises CNF-003 when no case is left.
-        """
-        if not beginnings:
-            return self
-        cases = [case for case in self.cases if case.number.startswith(tuple(beginnings))]
-        if not cases:
-            raise NoSuchCase(f"no case of the {self.kind} suite begins with {' or '.join(beginnings)}")
-        return replace(self, cases=cases)
-
-    def case(
-        self, number: str, statement: str, *, needs: tuple[str, ...] = ()
-    ) -> Callable[[Callable[[DeviceUnderTest], None]], Callable[[DeviceUnderTest], None]]:
-        """Add the decorated function as a case; numbers must be unique and needs known."""
-        if unknown := set(needs) - set(NEEDS):
-            raise ValueError(f"case {number} needs the unknown {', '.join(sorted(unknown))}")
+    def case(self, number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Callable[[Run], Run]:
+        """Add the decorated function as a case; raises ValueError when the number is taken."""
         if any(other.number == number for other in self.cases):
             raise ValueError(f"two cases have the number {number}")
 
-        def add(run: Callable[[DeviceUnderTest], None]) -> Callable[[DeviceUnderTest], None]:
-            self.cases.append(Case(number, statement, frozenset(needs), run))
+        def add(run: Run) -> Run:
+            self.cases.append(Case(number, statement, needs, run))
             return run
 
         return add
 
 
+class Suite(CaseList):
+    """All cases for one kind of device.
+
+    `driver` is tested unless another is named; `motions` says what the cases that need "motion" move.
+    """
+
+    def __init__(self, kind: str, driver: str, *, motions: str = "", cases: Iterable[Case] = ()) -> None:
+        super().__init__(cases)
+        self.kind = kind
+        self.driver = driver
+        self.motions = motions
+
+    def with_cases(self, cases: Iterable[Case]) -> Suite:
+        """A suite of the same kind with these cases."""
+        return Suite(self.kind, self.driver, motions=self.motions, cases=cases)
+
+    def moving(self) -> list[str]:
+        """Numbers of the cases that move the device."""
+        return [case.number for case in self.cases if MOTION in case.needs]
+
+    def only(self, prefixes: Sequence[str]) -> Suite:
+        """The cases whose number starts with one of `prefixes`, all of them without any; raises CNF-003."""
+        if not prefixes:
+            return self
+        cases = [case for case in self.cases if case.number.startswith(tuple(prefixes))]
+        if not cases:
+            raise NoSuchCase(f"no case of the {self.kind} suite starts with {' or '.join(prefixes)}")
+        return self.with_cases(cases)
+
+
 def check(condition: bool, expected: str, found: object = "") -> None:
-    """Raise Nonconformity unless `condition`: what was expected, and what was found instead."""
+    """Raise Nonconformity unless `condition` holds, with what was expected and what was found."""
     if not condition:
         raise Nonconformity(f"expected {expected}" + (f", found {found}" if found != "" else ""))
 
 
 def refused(call: Callable[[], object], kind: type[Exception], what: str) -> Exception:
-    """The error of that kind that `call` raises; Nonconformity when it raises none, or another."""
+    """The error that `call` raises; Nonconformity when it raises none or one of another class."""
     try:
         call()
     except kind as error:
         return error
     except Exception as error:
         raise Nonconformity(f"expected {what} to raise {kind.__name__}, found {error!r}") from error
-    raise Nonconformity(f"expected {what} to raise {kind.__name__}, found that it was carried out")
+    raise Nonconformity(f"expected {what} to raise {kind.__name__}, but it was carried out")

@@ -26,9 +26,9 @@ from ronna_hw.command_line.console import (
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 
 if TYPE_CHECKING:
+    from ronna_hw.conformance.choice import Choice
     from ronna_hw.conformance.device_under_test import DeviceUnderTest
     from ronna_hw.conformance.report import Report
-    from ronna_hw.conformance.stand import Choice
 
 app = typer.Typer(
     name="ronna-conformance",
@@ -135,7 +135,7 @@ def _choice(
     device: str | None = None,
     control: str | None = None,
 ) -> Choice:
-    from ronna_hw.conformance.stand import Choice
+    from ronna_hw.conformance.choice import Choice
 
     return Choice(sim, config, tuple(endpoints or ()), driver, device, tuple(allow or ()), control)
 
@@ -150,14 +150,16 @@ def _run(
     confirmed_by: str | None = None,
 ) -> int:
     set_up_logging(verbose)
+    from ronna_hw.conformance.choice import resolve
     from ronna_hw.conformance.report import run_suite
-    from ronna_hw.conformance.stand import load_suite, stand
+    from ronna_hw.conformance.stand import stand
     from ronna_hw.records import write_whole
 
     if report_file is not None:
         write_whole(report_file, b"")  # a place that cannot be written is told before the work, not after
-    suite = load_suite(kind).only(only or [])
-    with stand(suite, choice) as dut:
+    target = resolve(kind, choice)
+    suite = target.suite.only(only or [])
+    with stand(target) as dut:
         moves = suite.moving() if "motion" in dut.offers and not choice.sim else []
         person = _who_confirms(suite.motions, moves, dut, confirmed_by) if moves else ""
         with progress_bar(f"{kind} suite") as progress:

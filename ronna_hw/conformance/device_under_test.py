@@ -6,23 +6,23 @@ from typing import Any
 
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.conformance.case import HOST_TIME, LINE_FAULTS, LIVE_FAULTS
 from ronna_hw.conformance.disturbed_line import DisturbedLine
-from ronna_hw.conformance.polaris.tap import PolarisTap
+from ronna_hw.conformance.protocol import ProtocolCases
 from ronna_hw.devices.lifecycle import Device, Lifecycle
-from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.host.control_port import ask_control_port
-from ronna_hw.registry import load_driver, make_device
+from ronna_hw.registry import make_device
 
-CHECKED_PROTOCOLS = frozenset({"ndi-polaris"})  # their replies carry checksums
 _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
 
 
 class DeviceUnderTest:
-    """One device configuration under test. `offers` is what the cases may rely on.
+    """One driver with one configuration. `offers` names the needs of cases that it meets.
 
-    `clock_known` is False where the host's clock was taken because nobody said which clock the device has.
-    `control` is the endpoint by which the device can be made to fail, where there is one.
+    `clock_known` is False where the host's clock is only assumed. `control` is the endpoint of a control
+    port, through which faults can be injected.
     """
 
     def __init__(
@@ -32,6 +32,7 @@ class DeviceUnderTest:
         clock: Clock,
         allowed: frozenset[str] = frozenset(),
         *,
+        protocol: ProtocolCases | None = None,
         clock_known: bool = True,
         control: str | None = None,
     ) -> None:
@@ -43,9 +44,11 @@ class DeviceUnderTest:
         self._shared: Device | None = None
         self._made: list[Device] = []
         self.offers = allowed | self._capabilities()
+        if protocol is not None:
+            self.offers |= protocol.offers(self)
 
     def make(self, *, endpoint: str | None = None, options: dict[str, Any] | None = None) -> Any:
-        """A new driver object, not connected, perhaps on another endpoint; ends every other session first."""
+        """A new driver object, not connected. Closes every other session first."""
         self.release()
         changes: dict[str, Any] = {}
         if endpoint is not None:
@@ -57,7 +60,7 @@ class DeviceUnderTest:
         return device
 
     def at(self, state: Lifecycle) -> Any:
-        """The shared device, brought to CONNECTED, CONFIGURED or ACTIVE; made anew when it is beyond use."""
+        """The shared device in CONNECTED, CONFIGURED or ACTIVE; a new one when the old one failed."""
         device = self._shared
         if device is None or device.state not in _ON_THE_WAY:
             device = self._shared = self.make()
@@ -71,33 +74,32 @@ class DeviceUnderTest:
         return device
 
     def brought_to(self, state: Lifecycle, device: Any) -> Any:
-        """A device of `make`, brought from where it is to `state`."""
+        """A device from `make`, brought from its present state to `state`."""
         steps = (device.connect, device.configure, device.activate)
         for step in steps[_ON_THE_WAY.index(device.state) : _ON_THE_WAY.index(state)]:
             step()
         return device
 
     def release(self) -> None:
-        """End every session, so that the endpoint is free."""
+        """Close every session, so that the endpoint is free."""
         for device in self._made:
             device.close()
         self._made.clear()
         self._shared = None
 
-    def disturbed_line(self) -> DisturbedLine:
-        """A line of ours between driver and device; give its endpoint to `make`."""
-        self.release()
-        assert self.config.endpoint is not None, "line faults are offered only for one endpoint"
-        return DisturbedLine(parse_endpoint(self.config.endpoint))
+    @property
+    def endpoint(self) -> Endpoint:
+        """The only endpoint; for cases whose needs imply that there is one."""
+        assert self.config.endpoint is not None, "the case needs a single endpoint"
+        return parse_endpoint(self.config.endpoint)
 
-    def polaris_tap(self) -> PolarisTap:
-        """A line of ours that understands commands and replies of the Polaris protocol."""
+    def disturbed_line(self) -> DisturbedLine:
+        """A line between driver and device that can misbehave; give its endpoint to `make`."""
         self.release()
-        assert self.config.endpoint is not None, "line faults are offered only for one endpoint"
-        return PolarisTap(parse_endpoint(self.config.endpoint))
+        return DisturbedLine(self.endpoint)
 
     def fault(self, line: str) -> None:
-        """Make the device fail, by one line of the language of faults. Raises CTL-001 or CTL-002."""
+        """Inject a fault, as one line of a fault script. Raises CTL-001 or CTL-002."""
         ask_control_port(self._control_port, "fault", line=line)
 
     def clear_faults(self) -> None:
@@ -106,28 +108,18 @@ class DeviceUnderTest:
 
     @property
     def _control_port(self) -> str:
-        assert self._control is not None, "faults are offered only with a control port"
+        assert self._control is not None, "the case needs a control port"
         return self._control
 
     def _capabilities(self) -> frozenset[str]:
-        found = set()
-        driver = load_driver(self.config.driver)
-        protocol = getattr(driver, "wire_protocol", None)
-        if protocol in CHECKED_PROTOCOLS:
-            found.add("checked replies")
-        if protocol == "ndi-polaris" and self.config.endpoint is not None:
-            found.add("polaris bytes")
-            if parse_endpoint(self.config.endpoint).scheme == "serial":
-                found.add("serial line")
+        met = set()
         if self._control is not None:
-            found.add("live faults")
+            met.add(LIVE_FAULTS)
         if self.clock.paced:
-            found.add("host time")
+            met.add(HOST_TIME)
         if self._can_be_disturbed():
-            found.add("line faults")
-        if getattr(self.make(), "definition_blocks", None):
-            found.add("tool definition")
-        return frozenset(found)
+            met.add(LINE_FAULTS)
+        return frozenset(need.name for need in met)
 
     def _can_be_disturbed(self) -> bool:
         if self.config.endpoint is None:

@@ -34,3 +34,10 @@ class NotConfirmed(RefusedError):
         "Stand beside the arm with the emergency stop in hand, and give your name when asked, or by "
         "--confirmed-by where nobody can be asked."
     )
+
+
+class NoSimulator(ConfigurationError):
+    """`--sim` is asked for a driver whose wire protocol has no simulator."""
+
+    code = "CNF-006"
+    action = "Name the device with --endpoint or --config."

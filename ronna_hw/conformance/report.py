@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from ronna_hw.conformance.case import NEEDS, Case, Nonconformity, NotShown, Outcome, Suite
+from ronna_hw.conformance.case import Case, Nonconformity, NotShown, Outcome, Suite
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import RonnaError
@@ -98,9 +98,10 @@ def run_suite(
 def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
     """Run one case, or say why not. Never raises; a session that a case left in FAULT is ended."""
     began_s = time.monotonic()
+    needs = sorted(case.needs, key=lambda need: need.name)
     outcome, reason = Outcome.PASS, ""
-    if missing := sorted(case.needs - dut.offers):
-        outcome, reason = Outcome.SKIP, "; ".join(NEEDS[need] for need in missing)
+    if missing := [need.reason for need in needs if need.name not in dut.offers]:
+        outcome, reason = Outcome.SKIP, "; ".join(missing)
     else:
         try:
             case.run(dut)
@@ -113,5 +114,5 @@ def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
         if outcome is Outcome.FAIL:
             dut.release()
     elapsed_s = round(time.monotonic() - began_s, 3)
-    needs = tuple(sorted(case.needs))
-    return CaseResult(case.number, case.statement, needs, outcome, " ".join(reason.split()), elapsed_s)
+    names = tuple(need.name for need in needs)
+    return CaseResult(case.number, case.statement, names, outcome, " ".join(reason.split()), elapsed_s)

@@ -24,16 +24,12 @@ from ronna_hw.conformance.any_device import (
     refuses_unknown_options,
     tells_who_answers,
 )
-from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.case import MOTION, NotShown, Suite, check, refused
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.kuka.driver_cases import KUKA_DRIVER
-from ronna_hw.conformance.kuka.eki_cases import KUKA_EKI
-from ronna_hw.conformance.kuka.stream_cases import KUKA_STREAM
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
-from ronna_hw.host.free_port import free_udp_port
 from ronna_hw.registry import make_device
 
 HOLDING_S = 0.2  # theatre time over which an arm with zero corrections is watched
@@ -51,11 +47,6 @@ CONNECT_LIMIT_S = 3.0
 SUITE = Suite(
     "robot",
     driver="kuka_rsi",
-    simulator=(
-        "kuka",
-        *("--rsi", f"udp://127.0.0.1:{free_udp_port()}"),  # a client binds it, so the suite chooses it
-        *("--eki", "tcp://127.0.0.1:0", "--eki-project", "tcp://127.0.0.1:0"),
-    ),
     motions=(
         f"its last axis by {degrees(SMALL_TURN_RAD):g} deg, or {degrees(STOPPED_TURN_RAD):g} if a stop "
         f"fails, and its hand by {SMALL_LINE_MM:g} mm, at {SLOW:g} of the working speed, and back"
@@ -185,7 +176,7 @@ def stop_and_start_again(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
 
 
-@SUITE.case("R11", "a small joint move ends where it was told to, and leads back", needs=("motion",))
+@SUITE.case("R11", "a small joint move ends where it was told to, and leads back", needs=(MOTION,))
 def small_joint_move(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
@@ -196,7 +187,7 @@ def small_joint_move(dut: DeviceUnderTest) -> None:
         check(not reading.moving, "an arm at rest")
 
 
-@SUITE.case("R12", "a small straight line ends where it was told to, and leads back", needs=("motion",))
+@SUITE.case("R12", "a small straight line ends where it was told to, and leads back", needs=(MOTION,))
 def small_line(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     model = model_of(arm)
@@ -210,7 +201,7 @@ def small_line(dut: DeviceUnderTest) -> None:
     check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
 
 
-@SUITE.case("R13", "a target outside the joint ranges is refused before motion", needs=("motion",))
+@SUITE.case("R13", "a target outside the joint ranges is refused before motion", needs=(MOTION,))
 def target_out_of_range(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     model = model_of(arm)
@@ -222,7 +213,7 @@ def target_out_of_range(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
 
 
-@SUITE.case("R14", "a hold brings the moving arm to rest on its way; resume moves nothing", needs=("motion",))
+@SUITE.case("R14", "a hold brings the moving arm to rest on its way; resume moves nothing", needs=(MOTION,))
 def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
@@ -239,7 +230,7 @@ def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     arm.move_joints(start, speed_fraction=SLOW)
 
 
-@SUITE.case("R15", "a protective stop is latched, and recover leaves it without motion", needs=("motion",))
+@SUITE.case("R15", "a protective stop is latched, and recover leaves it without motion", needs=(MOTION,))
 def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
@@ -312,6 +303,3 @@ def _stopped_on_the_way(
     finally:
         mover.join()
     return ends
-
-
-SUITE.cases.extend((*KUKA_STREAM.cases, *KUKA_EKI.cases, *KUKA_DRIVER.cases))

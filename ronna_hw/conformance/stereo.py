@@ -11,10 +11,6 @@ import numpy as np
 from ronna_hw.conformance.any_device import closes, finds_nobody, offers, refuses_early, tells_who_answers
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.gige.control_cases import CONTROL
-from ronna_hw.conformance.gige.feature_cases import FEATURES
-from ronna_hw.conformance.gige.register_cases import GIGE_CAMERA
-from ronna_hw.conformance.gige.stream_cases import STREAM
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 from ronna_hw.devices.stereo import StereoPair
@@ -29,7 +25,7 @@ NOBODY = "gev://127.0.0.251"
 EXPOSURES_US = (0.0, 1e9)  # no camera does that
 GAIN_RAW = 64
 
-SUITE = Suite("stereo", driver="basler_stereo", simulator=("basler",))
+SUITE = Suite("stereo", driver="basler_stereo")
 
 
 def pairs_of(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
@@ -204,7 +200,3 @@ def _part(area: AreaOfInterest) -> AreaOfInterest:
     width, height = step(area.width // 2), step(area.height // 2)
     x, y = step((area.width - width) // 2), step((area.height - height) // 2)
     return AreaOfInterest(area.offset_x + x, area.offset_y + y, width, height)
-
-
-for _part_of_protocol in (GIGE_CAMERA, CONTROL, FEATURES, STREAM):
-    SUITE.cases.extend(_part_of_protocol.cases)

@@ -17,9 +17,8 @@ from ronna_hw.conformance.any_device import (
     refuses_unknown_options,
     tells_who_answers,
 )
-from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.case import CHECKED_REPLIES, LINE_FAULTS, NotShown, Suite, check, refused
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.polaris.cases import POLARIS_UNIT
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
 from ronna_hw.devices.tracker import OpticalTracker
@@ -35,7 +34,7 @@ CARRY_POSE = frozenset({Validity.OK, Validity.PARTIAL})
 WITHOUT_POSE = frozenset({Validity.MISSING, Validity.CORRUPT})
 RECOVERY_READS = 12  # lost readings after which a line that is whole again must give frames
 
-SUITE = Suite("tracker", driver="ndi_polaris", simulator=("polaris",))
+SUITE = Suite("tracker", driver="ndi_polaris")
 
 
 def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
@@ -197,7 +196,7 @@ def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
     refuses_unknown_options(dut)
 
 
-@SUITE.case("T18", "a reading from a silent line ends at its time limit", needs=("line faults",))
+@SUITE.case("T18", "a reading from a silent line ends at its time limit", needs=(LINE_FAULTS,))
 def silence_ends_a_reading(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
         tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
@@ -208,7 +207,7 @@ def silence_ends_a_reading(dut: DeviceUnderTest) -> None:
         dut.release()
 
 
-@SUITE.case("T19", "closing on a silent line is bounded and raises nothing", needs=("line faults",))
+@SUITE.case("T19", "closing on a silent line is bounded and raises nothing", needs=(LINE_FAULTS,))
 def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
         tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
@@ -218,7 +217,7 @@ def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
         check(tracker.state is Lifecycle.CLOSED, "state closed", tracker.state)
 
 
-@SUITE.case("T20", "a late reply costs one reading and is never taken for the next", needs=("line faults",))
+@SUITE.case("T20", "a late reply costs one reading and is never taken for the next", needs=(LINE_FAULTS,))
 def late_reply(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
         tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
@@ -234,7 +233,7 @@ def late_reply(dut: DeviceUnderTest) -> None:
         dut.release()
 
 
-@SUITE.case("T21", "a broken connection is a latched fault that recover leaves", needs=("line faults",))
+@SUITE.case("T21", "a broken connection is a latched fault that recover leaves", needs=(LINE_FAULTS,))
 def broken_connection(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
         tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
@@ -254,7 +253,7 @@ def broken_connection(dut: DeviceUnderTest) -> None:
 @SUITE.case(
     "T22",
     "a reply with one wrong bit or a lost byte is never a reading",
-    needs=("line faults", "checked replies"),
+    needs=(LINE_FAULTS, CHECKED_REPLIES),
 )
 def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
@@ -268,6 +267,3 @@ def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
                 check(after.device_clock >= before.device_clock, "a later frame", after)
             tracker.read_frame(2.0)
         dut.release()
-
-
-SUITE.cases.extend(POLARIS_UNIT.cases)

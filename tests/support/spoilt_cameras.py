@@ -14,8 +14,8 @@ import pytest
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.gige.protocol import PROTOCOL
 from ronna_hw.conformance.report import CaseResult, run_case
-from ronna_hw.conformance.stereo import SUITE
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus, GvcpCommand
 from sim.basler.camera.device import Camera
 from sim.basler.control.bootstrap import XML_ADDRESS
@@ -49,7 +49,7 @@ class Stand:
         config = DeviceConfig(driver="basler_stereo", endpoints=self.pair.endpoints)
         dut = DeviceUnderTest("stereo", config, HostClock())
         try:
-            return run_case(next(case for case in SUITE.cases if case.number == number), dut)
+            return run_case(next(case for case in PROTOCOL.cases if case.number == number), dut)
         finally:
             dut.release()
 

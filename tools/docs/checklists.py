@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from ronna_hw.conformance import robot, stereo, tracker
 from ronna_hw.conformance.case import Suite
-from ronna_hw.conformance.checklist import Checklist
-from ronna_hw.conformance.gige.checklist import GIGE_CHECKLIST
-from ronna_hw.conformance.kuka.checklist import KUKA_CHECKLIST
-from ronna_hw.conformance.polaris.checklist import POLARIS_CHECKLIST
+from ronna_hw.conformance.protocol import composed, load_protocol
 
 POLARIS_HEAD = """# Checklist of the Polaris protocol
 
@@ -42,13 +39,16 @@ TABLE = """
 def checklist_pages() -> dict[str, str]:
     """File name -> content of the page of every checklist."""
     return {
-        "camera-checklist.md": _page(GIGE_HEAD, GIGE_CHECKLIST, stereo.SUITE),
-        "polaris-checklist.md": _page(POLARIS_HEAD, POLARIS_CHECKLIST, tracker.SUITE),
-        "robot-checklist.md": _page(KUKA_HEAD, KUKA_CHECKLIST, robot.SUITE),
+        "camera-checklist.md": _page(GIGE_HEAD, stereo.SUITE, "gige-vision"),
+        "polaris-checklist.md": _page(POLARIS_HEAD, tracker.SUITE, "ndi-polaris"),
+        "robot-checklist.md": _page(KUKA_HEAD, robot.SUITE, "kuka-rsi-eki"),
     }
 
 
-def _page(head: str, checklist: Checklist, suite: Suite) -> str:
+def _page(head: str, generic: Suite, wire_protocol: str) -> str:
+    protocol = load_protocol(wire_protocol)
+    suite, checklist = composed(generic, protocol), protocol.checklist
+    assert checklist is not None, f"{wire_protocol} has a checklist"
     rows = [
         f"| {line} | {checklist.lines[line]} | {', '.join(cases) or '-'} | {checklist.remark(line)} |"
         for line, cases in checklist.cases_by_line(case.number for case in suite.cases).items()

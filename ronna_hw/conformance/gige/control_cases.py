@@ -6,7 +6,7 @@ import socket
 import struct
 import time
 
-from ronna_hw.conformance.case import NotShown, Suite, check
+from ronna_hw.conformance.case import HOST_TIME, CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.gige.link import GigeLink, cameras, controlled
 from ronna_hw.conformance.gige.stream import GigeStream, started
@@ -30,8 +30,8 @@ BUSY_S = 0.4
 POLL_S = 0.02
 RELEASE_LIMIT_S = HEARTBEAT_MINIMUM_MS / 1000.0 + 2.0
 
-CONTROL = Suite("gige control", driver="basler_stereo", simulator=())
-case = CONTROL.case
+CASES = CaseList()
+case = CASES.case
 
 
 @case("G01", "cameras answer a discovery that is sent to everybody, each from its own address")
@@ -82,7 +82,7 @@ def exclusive_access(dut: DeviceUnderTest) -> None:
                 camera.write(Bootstrap.CCP, CCP_OPEN)
 
 
-@case("G14", "every command of the controller is a sign of life", needs=("host time",))
+@case("G14", "every command of the controller is a sign of life", needs=(HOST_TIME,))
 def every_command_is_life(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with controlled(camera):
@@ -96,7 +96,7 @@ def every_command_is_life(dut: DeviceUnderTest) -> None:
 @case(
     "G15",
     "a controller that falls silent loses control after its heartbeat time-out, and its stream ends",
-    needs=("host time",),
+    needs=(HOST_TIME,),
 )
 def silence_ends_control(dut: DeviceUnderTest) -> None:
     limit_s = HEARTBEAT_MINIMUM_MS / 1000.0
@@ -123,7 +123,7 @@ def silence_ends_control(dut: DeviceUnderTest) -> None:
             after.features.execute("UserSetLoad")
 
 
-@case("G40", "a client that is gone never keeps the next one out", needs=("host time",))
+@case("G40", "a client that is gone never keeps the next one out", needs=(HOST_TIME,))
 def a_dead_client_is_forgotten(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with GigeLink(camera.address) as gone:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
-from ronna_hw.conformance.case import Suite, check
+from ronna_hw.conformance.case import CaseList, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.gige.link import cameras
 from ronna_hw.conformance.gige.stream import GigeStream, controlled_stream, leader_of, started
@@ -22,8 +22,8 @@ LONG_EXPOSURE_US = 100_000.0
 RATE_SLACK = 0.02
 REFUSALS = (GevStatus.ACCESS_DENIED, GevStatus.BUSY)
 
-FEATURES = Suite("gige features", driver="basler_stereo", simulator=())
-case = FEATURES.case
+CASES = CaseList()
+case = CASES.case
 
 
 def streams(dut: DeviceUnderTest) -> Iterator[GigeStream]:

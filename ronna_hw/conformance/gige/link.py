@@ -13,10 +13,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.case import check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.registry import load_driver
 from ronna_hw.wire.gige_vision import (
     CCP_CONTROL,
     CCP_OPEN,
@@ -30,7 +29,6 @@ from ronna_hw.wire.gige_vision import (
 ANSWER_LIMIT_S = 0.5
 TRIES = 3  # a datagram may be lost
 SILENCE_S = 0.15  # how long no answer must come to say that there is none
-GIGE_VISION = "gige-vision"  # `wire_protocol` of a driver that speaks it
 
 
 @dataclass(frozen=True)
@@ -143,18 +141,11 @@ class GigeLink:
         return None
 
 
-def camera_addresses(dut: DeviceUnderTest) -> list[str]:
-    """The addresses of the cameras; left undecided when they do not speak GigE Vision."""
-    if getattr(load_driver(dut.config.driver), "wire_protocol", None) != GIGE_VISION:
-        raise NotShown("the device does not speak GigE Vision, or the driver does not say so")
-    return [parse_endpoint(text).require("gev").host for text in dut.config.endpoints.values()]
-
-
 def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
     """A link to each camera in turn, with no session of the driver beside it."""
     dut.release()
-    for address in camera_addresses(dut):
-        with GigeLink(address) as link:
+    for text in dut.config.endpoints.values():
+        with GigeLink(parse_endpoint(text).require("gev").host) as link:
             yield link
 
 

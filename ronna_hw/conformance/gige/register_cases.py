@@ -7,12 +7,14 @@ leaves it without a controller.
 from __future__ import annotations
 
 import struct
+from typing import Protocol, runtime_checkable
 
-from ronna_hw.conformance.case import NotShown, Suite, check
+from ronna_hw.conformance.case import CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.gige.features import GigeFeatures
-from ronna_hw.conformance.gige.link import GigeLink, camera_addresses, cameras, controlled
+from ronna_hw.conformance.gige.link import GigeLink, cameras, controlled
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.stereo import StereoPair
 from ronna_hw.wire.gige_vision import (
     CCP_CONTROL,
     DISCOVERY_BYTES,
@@ -30,8 +32,18 @@ UNKNOWN_COMMAND = 0x0F00
 ABSENT_ADDRESS = 0xFFFF_FF00
 PAIRS = 5
 
-GIGE_CAMERA = Suite("gige camera", driver="basler_stereo", simulator=())
-case = GIGE_CAMERA.case
+CASES = CaseList()
+case = CASES.case
+
+
+@runtime_checkable
+class TellsBlockIds(StereoPair, Protocol):
+    """A pair that shows the block ids of its last images."""
+
+    @property
+    def block_ids(self) -> tuple[int | None, int | None]:
+        """Left and right; None for an image that did not come."""
+        ...
 
 
 @case("G02", "a discovery answer is the bootstrap memory, with the request id of the command")
@@ -146,9 +158,8 @@ def description_is_xml(dut: DeviceUnderTest) -> None:
 
 @case("G27", "block ids begin at 1 and step by 1")
 def block_ids_step_by_one(dut: DeviceUnderTest) -> None:
-    camera_addresses(dut)
     pair = dut.at(Lifecycle.CONFIGURED)
-    if not hasattr(pair, "block_ids"):
+    if not isinstance(pair, TellsBlockIds):
         raise NotShown("the driver does not tell block ids")
     pair.activate()
     for number in range(1, PAIRS + 1):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from ronna_hw.conformance.case import NotShown, Suite, check
+from ronna_hw.conformance.case import CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.gige.feature_cases import streams
 from ronna_hw.conformance.gige.link import cameras
@@ -44,8 +44,8 @@ LONG_EXPOSURE_US = 250_000.0  # longer than so many commands take
 LATE_S = 1.5  # how long an image of such an exposure is waited for
 DEVICE_KEY, GROUP_KEY, GROUP_MASK = 0x1234_5678, 3, 2
 
-STREAM = Suite("gige stream", driver="basler_stereo", simulator=())
-case = STREAM.case
+CASES = CaseList()
+case = CASES.case
 
 
 def frames(stream: GigeStream, count: int) -> list[list[Packet]]:

@@ -14,18 +14,27 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.case import (
+    DESTRUCTIVE,
+    HOST_TIME,
+    LIVE_FAULTS,
+    MOTION,
+    CaseList,
+    check,
+    refused,
+)
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.kuka.rsi_client import AXES, KUKA, eki_line
+from ronna_hw.conformance.kuka.rsi_client import AXES, eki_line
 from ronna_hw.conformance.kuka.tap import Heard, PiecewiseLine, RsiTap, wait_for
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RefusedError, RonnaError
-from ronna_hw.host.free_port import free_udp_port
-from ronna_hw.registry import load_driver, make_device
+from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.registry import make_device
 from ronna_hw.wire.kuka_context import load_context
 
+TAPPED_PORT = 1  # of the loopback endpoints of this process; the simulated controller sends to 0
 CYCLES = 100
 WINDOWS = 3  # of so many cycles
 HELD = 5  # telegrams that arrive at once after a stall
@@ -50,20 +59,18 @@ NOT_READY = (
 _IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 _TYPE = re.compile(rb'<Sen Type="([^"]*)">')
 
-KUKA_DRIVER = Suite("kuka driver", driver="kuka_rsi", simulator=())
-case = KUKA_DRIVER.case
+CASES = CaseList()
+case = CASES.case
 
 
 @contextmanager
 def tapped(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
     """A driver whose RSI passes through a tap, and perhaps its other endpoints through other lines."""
     config = dut.config
-    if getattr(load_driver(config.driver), "wire_protocol", None) != KUKA:
-        raise NotShown("the driver does not say that it speaks RSI and EKI of KUKA")
     dut.release()
-    port = free_udp_port()
-    changed = {**config.endpoints, **endpoints, "rsi": f"udp://127.0.0.1:{port}"}
-    with RsiTap(parse_endpoint(config.endpoints["rsi"]), ("127.0.0.1", port)) as tap:
+    inside = own_udp_endpoint(TAPPED_PORT)
+    changed = {**config.endpoints, **endpoints, "rsi": inside}
+    with RsiTap(parse_endpoint(config.endpoints["rsi"]), parse_endpoint(inside)) as tap:
         arm: Any = make_device(dut.name, config.model_copy(update={"endpoints": changed}), dut.clock)
         try:
             yield arm, tap
@@ -142,7 +149,7 @@ def first_correction_is_zero(dut: DeviceUnderTest) -> None:
             arm.deactivate()
 
 
-@case("L29b", "no correction steps further than a controller takes", needs=("motion",))
+@case("L29b", "no correction steps further than a controller takes", needs=(MOTION,))
 def steps_are_small(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
@@ -162,7 +169,7 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
             check(abs(b - a) <= limit, f"{axis} to step at most {limit:.4f} deg", f"{abs(b - a):.4f}")
 
 
-@case("L30", "silence of the controller is noticed in time, and latched", needs=("destructive", "host time"))
+@case("L30", "silence of the controller is noticed in time, and latched", needs=(DESTRUCTIVE, HOST_TIME))
 def silence_is_noticed(dut: DeviceUnderTest) -> None:
     dut.release()
     with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
@@ -181,7 +188,7 @@ def silence_is_noticed(dut: DeviceUnderTest) -> None:
 @case(
     "L30b",
     "a motion that silence has ended does not go on when telegrams come again",
-    needs=("motion", "destructive", "host time"),
+    needs=(MOTION, DESTRUCTIVE, HOST_TIME),
 )
 def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
@@ -258,7 +265,7 @@ def conversation_is_lost(dut: DeviceUnderTest) -> None:
 @case(
     "L44",
     "no program is started outside EXT, nor with emergency stop, open guard or a message",
-    needs=("live faults",),
+    needs=(LIVE_FAULTS,),
 )
 def starts_only_when_ready(dut: DeviceUnderTest) -> None:
     for fault, attribute, value in NOT_READY:

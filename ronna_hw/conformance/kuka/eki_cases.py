@@ -10,7 +10,7 @@ import re
 import time
 from xml.etree.ElementTree import Element
 
-from ronna_hw.conformance.case import Suite, check
+from ronna_hw.conformance.case import LIVE_FAULTS, MOTION, CaseList, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.kuka.eki_client import EkiLine, command
 from ronna_hw.conformance.kuka.rsi_client import HOLD, RsiLine, eki_line, stream
@@ -52,8 +52,8 @@ STATUS_ATTRIBUTES = [
 ]
 INIT_ATTRIBUTES = ("VER", "NumAxes", "NumExternalAxes", "Model", "RobVer")
 
-KUKA_EKI = Suite("kuka eki", driver="kuka_rsi", simulator=())
-case = KUKA_EKI.case
+CASES = CaseList()
+case = CASES.case
 
 
 def request(kind: int) -> bytes:
@@ -127,7 +127,7 @@ def status_once(dut: DeviceUnderTest) -> None:
         check(told <= 1, "at most one unasked status", told)
 
 
-@case("K39b", "a change is told to the SDK's client unasked, and once", needs=("live faults",))
+@case("K39b", "a change is told to the SDK's client unasked, and once", needs=(LIVE_FAULTS,))
 def status_on_change(dut: DeviceUnderTest) -> None:
     with eki_line(dut, SDK) as line:
         line.send(request(CONNECT))
@@ -153,7 +153,7 @@ def conversation_is_lost(dut: DeviceUnderTest) -> None:
 @case(
     "K42",
     "emergency stop, guard, mode and drives are told within a period of the state, and end RSI's motion",
-    needs=("motion", "live faults"),
+    needs=(MOTION, LIVE_FAULTS),
 )
 def stops_are_told(dut: DeviceUnderTest) -> None:
     for sign, (fault, attribute, value) in zip(itertools.cycle((1, -1)), STOPS, strict=False):

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.model import ArmVariant, arm_model, radians6
 from ronna_hw.arm.pose import Pose
-from ronna_hw.conformance.case import NotShown, Suite, check
+from ronna_hw.conformance.case import DESTRUCTIVE, HOST_TIME, LIVE_FAULTS, MOTION, CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.kuka.rsi_client import (
     AXES,
@@ -43,8 +43,8 @@ _EMPTY = r'<\w+(?: \w+="[^"<>]*")+/>'
 _WHOLE = re.compile(rf'<Rob Type="KUKA">(?:{_EMPTY}|{_TEXT})*<IPOC>\d+</IPOC></Rob>'.encode())
 _NUMBER = re.compile(rb'"-?\d+\.(\d+)"')
 
-KUKA_STREAM = Suite("kuka stream", driver="kuka_rsi", simulator=())
-case = KUKA_STREAM.case
+CASES = CaseList()
+case = CASES.case
 
 
 def layout_is_that_of_a_kr_c4(raw: bytes) -> bool:
@@ -65,7 +65,7 @@ def controller_speaks_first(dut: DeviceUnderTest) -> None:
         eki.ask("RSI_STOP")
 
 
-@case("K02", "telegrams come every cycle: the median period is within 1 % over 1,000", needs=("host time",))
+@case("K02", "telegrams come every cycle: the median period is within 1 % over 1,000", needs=(HOST_TIME,))
 def period_is_kept(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         telegrams = line.cycles(PERIODS + 1)
@@ -171,7 +171,7 @@ def late_reply_shifts_nothing(dut: DeviceUnderTest) -> None:
     check(after.late - before.late < FEW, "one late reply, not one each cycle", after.late - before.late)
 
 
-@case("K16", "HOLDON 1 keeps the correction while replies are missing", needs=("motion",))
+@case("K16", "HOLDON 1 keeps the correction while replies are missing", needs=(MOTION,))
 def correction_is_held(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         if any(element.holdon != 1 for element in line.context.receive if element.tag.startswith("AK")):
@@ -185,9 +185,7 @@ def correction_is_held(dut: DeviceUnderTest) -> None:
         check(abs(angle - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", angle)
 
 
-@case(
-    "K17", "replies that fail to come are counted in D; at the Timeout the run ends", needs=("destructive",)
-)
+@case("K17", "replies that fail to come are counted in D; at the Timeout the run ends", needs=(DESTRUCTIVE,))
 def timeout_ends_the_run(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         line.cycles(FEW)
@@ -200,7 +198,7 @@ def timeout_ends_the_run(dut: DeviceUnderTest) -> None:
         check(state.get("Err") != "0", "a message", state.get("Err"))
 
 
-@case("K20", "ABSOLUTE: the arm goes to its start plus the correction, and back with zero", needs=("motion",))
+@case("K20", "ABSOLUTE: the arm goes to its start plus the correction, and back with zero", needs=(MOTION,))
 def correction_is_absolute(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         if line.context.program.corrections != "absolute":
@@ -224,7 +222,7 @@ def starts_where_it_stands(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_DEG, "the same axes", f"{moved:.5f} deg apart")
 
 
-@case("K24", "a step that no arm can follow is a fault, not a jump", needs=("live faults",))
+@case("K24", "a step that no arm can follow is a fault, not a jump", needs=(LIVE_FAULTS,))
 def step_too_large(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         base = line.cycles(FEW)[-1].values("AIPos")

@@ -19,6 +19,7 @@ from ronna_hw.endpoints import Endpoint
 
 MOST_BYTES = 65536
 LOOK_EVERY_S = 0.02
+LOOPBACK = "127.0.0.1"
 
 
 @dataclass
@@ -30,14 +31,14 @@ class Heard:
 
 
 class RsiTap:
-    """Listens where the controller sends, and passes on to `driver` (host, port)."""
+    """Listens where the controller sends, and passes on to where the driver listens."""
 
-    def __init__(self, controller_sends_to: Endpoint, driver: tuple[str, int]) -> None:
-        self._driver = driver
+    def __init__(self, controller_sends_to: Endpoint, driver: Endpoint) -> None:
+        self._driver = (driver.host, driver.port)
         self._outside = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._outside.bind((controller_sends_to.host, controller_sends_to.port))
         self._inside = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._inside.bind(("127.0.0.1", 0))
+        self._inside.bind((LOOPBACK, 0))
         self._controller: tuple[str, int] | None = None
         self._held: list[bytes] = []
         self._holding = self._ended = False

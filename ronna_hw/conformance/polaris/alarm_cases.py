@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from ronna_hw.conformance.case import check, refused
+from ronna_hw.conformance.case import CaseList, check, refused
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.driver_cases import PATIENT_S, TAPPED, reading_command, tapped
-from ronna_hw.conformance.polaris.suite import case
 from ronna_hw.conformance.polaris.tap import with_system_status
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, StateError
 from ronna_hw.wire.polaris import PARAMETER_NEW_ALERTS, Alert, SystemStatus
+
+CASES = CaseList()
+case = CASES.case
 
 
 @case("D42", "on system status 0100 the driver reads the alerts; a bump is a latched fault", needs=TAPPED)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-from ronna_hw.conformance.case import NotShown, check, refused
+from ronna_hw.conformance.case import LINE_FAULTS, CaseList, NotShown, check, refused
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.bx_reply import (
     OPTION_OUT_OF_VOLUME,
@@ -21,16 +21,23 @@ from ronna_hw.conformance.polaris.bx_reply import (
 )
 from ronna_hw.conformance.polaris.definitions import markers_of
 from ronna_hw.conformance.polaris.link import idle_unit, plain_unit
-from ronna_hw.conformance.polaris.suite import NEEDS, SERIAL, WITH_TOOL, case, definition
-from ronna_hw.conformance.polaris.tap import PolarisTap, body_of, text_reply, with_body
+from ronna_hw.conformance.polaris.suite import (
+    NEEDS,
+    SERIAL,
+    TOOL_DEFINITION,
+    WITH_TOOL,
+    TellsBaud,
+    definition,
+)
+from ronna_hw.conformance.polaris.tap import PolarisTap, body_of, polaris_tap, text_reply, with_body
 from ronna_hw.conformance.polaris.volumes import SPECTRA_SHAPE, volume_in_use
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import ConfigurationError, LinkTimeout, ProtocolError, RonnaError
 from ronna_hw.wire.polaris import DEFAULT_BAUD, PARAMETER_ILLUMINATOR_RATE
 
-TAPPED = (*NEEDS, "line faults")
-TAPPED_TOOL = (*TAPPED, "tool definition")
+TAPPED = (*NEEDS, LINE_FAULTS)
+TAPPED_TOOL = (*TAPPED, TOOL_DEFINITION)
 SLOW_REPLY_S = 1.0  # the unit itself may take 2 s and more
 PATIENT_S = 5.0
 ARRIVAL_S = 0.1  # for bytes that nobody asked for to reach the driver
@@ -41,6 +48,9 @@ STALE_TEXT = text_reply("OKAY")
 READING_OPTIONS = OPTION_OUT_OF_VOLUME | OPTION_STRAYS | 0x0001
 DISTURBED_BYTES = {"start": 0, "length": 2, "header CRC": 4, "body": 20, "body CRC": -1}
 
+CASES = CaseList()
+case = CASES.case
+
 
 def reading_command(tap: PolarisTap) -> str:
     """BX or TX: what this driver reads frames by."""
@@ -50,7 +60,7 @@ def reading_command(tap: PolarisTap) -> str:
 @contextlib.contextmanager
 def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, Any]]:
     """(tap, tracker): a driver that has read a frame through a line that listens."""
-    with dut.polaris_tap() as tap:
+    with polaris_tap(dut) as tap:
         changed = {**dut.config.options, **options} if options else None
         tracker = dut.make(endpoint=tap.endpoint, options=changed)
         dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)
@@ -107,7 +117,7 @@ def retries_are_harmless(dut: DeviceUnderTest) -> None:
         name = reading_command(tap)
         tap.change(name, lambda reply: reply[:-1])
         tracker.read_frame(PATIENT_S)
-    with dut.polaris_tap() as tap:
+    with polaris_tap(dut) as tap:
         tracker = dut.brought_to(Lifecycle.CONNECTED, dut.make(endpoint=tap.endpoint))
         tap.change("PHRQ", lambda _reply: b"")
         with contextlib.suppress(RonnaError):
@@ -124,7 +134,7 @@ def errors_are_typed(dut: DeviceUnderTest) -> None:
     steps = {"PHRQ": "ERROR2D", "PINIT": "ERROR13", "PENA": "ERROR28", "TSTART": "ERROR12"}
     codes: set[str] = set()
     for name, text in steps.items():
-        with dut.polaris_tap() as tap:
+        with polaris_tap(dut) as tap:
             tracker = dut.make(endpoint=tap.endpoint)
             tap.answer(name, text)
             error = refused(partial(dut.brought_to, Lifecycle.ACTIVE, tracker), RonnaError, text)
@@ -137,7 +147,7 @@ def errors_are_typed(dut: DeviceUnderTest) -> None:
 
 @case("D16", "WARNINGhh is success, and is reported", needs=TAPPED_TOOL)
 def warnings_are_success(dut: DeviceUnderTest) -> None:
-    with dut.polaris_tap() as tap:
+    with polaris_tap(dut) as tap:
         tracker = dut.make(endpoint=tap.endpoint)
         tap.answer("PINIT", "WARNING05")
         dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)
@@ -231,10 +241,10 @@ def illuminators_are_set(dut: DeviceUnderTest) -> None:
 def rate_is_raised(dut: DeviceUnderTest) -> None:
     tracker = dut.at(Lifecycle.ACTIVE)
     tracker.read_frame(PATIENT_S)  # at the rate that it has gone to
-    baud = getattr(tracker, "baud", None)
+    baud = tracker.baud if isinstance(tracker, TellsBaud) else None
     dut.release()
     if baud is None:
-        raise NotShown("the driver does not say its rate")
+        raise NotShown("the driver does not tell its baud rate")
     check(baud > DEFAULT_BAUD, f"more than {DEFAULT_BAUD} baud", baud)
 
 

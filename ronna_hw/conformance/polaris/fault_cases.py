@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 
-from ronna_hw.conformance.case import Nonconformity, check
+from ronna_hw.conformance.case import LIVE_FAULTS, CaseList, Nonconformity, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.bx_reply import Seen, placed
 from ronna_hw.conformance.polaris.definitions import markers_of
 from ronna_hw.conformance.polaris.link import RESET_LIMIT_S, PolarisLink, idle_unit, with_crc
-from ronna_hw.conformance.polaris.suite import WITH_TOOL, case, definition, seen
+from ronna_hw.conformance.polaris.suite import WITH_TOOL, definition, seen
 from ronna_hw.conformance.polaris.volumes import volume_in_use
 from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import (
@@ -32,7 +32,7 @@ from ronna_hw.wire.polaris import (
     ToolInformation,
 )
 
-NEEDS = (*WITH_TOOL, "live faults")
+NEEDS = (*WITH_TOOL, LIVE_FAULTS)
 SHOWN_WITHIN_S = 5.0  # host time; a fault acts from the next frame on
 LOOK_EVERY_S = 0.02
 OUTSIDE_MM = 130.0
@@ -43,6 +43,9 @@ DELAY_S = 0.3
 GARBLED_COMMANDS = 10
 TRACKS_NO_MORE = ("ERROR0C", REPLY_RESET, "ERROR10")  # stopped, or reset: no paper tells
 SOCKET = 1  # for a wired tool
+
+CASES = CaseList()
+case = CASES.case
 
 
 @contextmanager

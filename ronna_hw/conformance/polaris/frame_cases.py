@@ -7,12 +7,12 @@ import re
 import struct
 import time
 
-from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.case import HOST_TIME, CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.bx_reply import TOOL_INFORMATION_BYTES
 from ronna_hw.conformance.polaris.definitions import looking_away
 from ronna_hw.conformance.polaris.link import PolarisLink, idle_unit
-from ronna_hw.conformance.polaris.suite import LOOKS, NEEDS, WITH_TOOL, case, definition, seen
+from ronna_hw.conformance.polaris.suite import LOOKS, NEEDS, WITH_TOOL, definition, seen
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, HandleStatus, PortStatus
 
 FRAME_RATE_SPAN_S = 0.5
@@ -31,6 +31,9 @@ TX_POSE = re.compile(r"(?:[+-][0-9]{5}){4}(?:[+-][0-9]{6}){3}[+-][0-9]{5}")
 TX_INFORMATION_CHARACTERS = 22
 LOADED_STATUS = PortStatus.OCCUPIED | PortStatus.INITIALISED | PortStatus.ENABLED
 UNKNOWN_COMMANDS = ("ERROR01", "ERROR33")
+
+CASES = CaseList()
+case = CASES.case
 
 
 @case("P24", "while tracking, TSTART and the set-up of handles are answered ERROR0C", needs=WITH_TOOL)
@@ -64,7 +67,7 @@ def frame_number_restarts(dut: DeviceUnderTest) -> None:
             unit.okay("TSTOP:")
 
 
-@case("P27", "the frame number advances at 60 per second", needs=(*WITH_TOOL, "host time"))
+@case("P27", "the frame number advances at 60 per second", needs=(*WITH_TOOL, HOST_TIME))
 def frame_rate(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:

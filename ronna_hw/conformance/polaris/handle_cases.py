@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from ronna_hw.conformance.case import check
+from ronna_hw.conformance.case import CaseList, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.definitions import PUBLISHED_PART, published
 from ronna_hw.conformance.polaris.link import PolarisLink, idle_unit
-from ronna_hw.conformance.polaris.suite import NEEDS, WITH_TOOL, case, definition
+from ronna_hw.conformance.polaris.suite import NEEDS, WITH_TOOL, definition
 from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
 
 NOT_A_WHOLE_BLOCK = (0x02, 0x03, 0x07)
 NO_SUCH_ADDRESS = (0x23, 0x36, 0x37, 0x07)  # no paper says which
+
+CASES = CaseList()
+case = CASES.case
 
 
 @case("P17", "PHRQ gives distinct handles that are not zero, PHF frees them", needs=NEEDS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.case import DESTRUCTIVE, CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.link import (
     FAST_ARGUMENT,
@@ -14,7 +14,7 @@ from ronna_hw.conformance.polaris.link import (
     is_error,
     with_crc,
 )
-from ronna_hw.conformance.polaris.suite import NEEDS, SERIAL, case
+from ronna_hw.conformance.polaris.suite import NEEDS, SERIAL
 from ronna_hw.wire.polaris import DEFAULT_BAUD, REPLY_RESET
 
 QUICK_INIT_S = 0.15  # slower, and a client that probes for 200 ms sends a break
@@ -22,8 +22,11 @@ INIT_LIMIT_S = 4.0  # the unit's own
 INITS = 5
 RESET_SETTLING_S = 0.2
 
+CASES = CaseList()
+case = CASES.case
 
-@case("P01", "after a break the unit says RESET at 9600 baud, 8N1", needs=(*SERIAL, "destructive"))
+
+@case("P01", "after a break the unit says RESET at 9600 baud, 8N1", needs=(*SERIAL, DESTRUCTIVE))
 def break_resets(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         try:
@@ -38,7 +41,7 @@ def break_resets(dut: DeviceUnderTest) -> None:
         unit.okay("INIT:")
 
 
-@case("P01b", "RESET 0 works like a break: the unit says RESET and wants INIT", needs=(*NEEDS, "destructive"))
+@case("P01b", "RESET 0 works like a break: the unit says RESET and wants INIT", needs=(*NEEDS, DESTRUCTIVE))
 def reset_command(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         unit.send("RESET:0")
@@ -103,7 +106,7 @@ def rate_changes_after_the_answer(dut: DeviceUnderTest) -> None:
 @case(
     "P09",
     "before INIT, commands about tools and tracking are answered ERROR10",
-    needs=(*NEEDS, "destructive"),
+    needs=(*NEEDS, DESTRUCTIVE),
 )
 def set_up_before_init(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:

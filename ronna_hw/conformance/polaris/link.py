@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from ronna_hw.conformance.case import check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import (
     BX_CRC_BYTES,
     BX_HEADER_BYTES,
@@ -227,8 +227,7 @@ def is_error(text: str) -> bool:
 def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
     """The unit under test as its last client left it, by plain bytes."""
     dut.release()
-    assert dut.config.endpoint is not None, "polaris bytes are offered only for one endpoint"
-    line = _open(parse_endpoint(dut.config.endpoint))
+    line = _open(dut.endpoint)
     try:
         link = PolarisLink(line)
         link.rest()

@@ -1,30 +1,53 @@
-"""The suite of cases about a unit that speaks the NDI Polaris protocol, and what they share.
+"""What the cases about a Polaris unit and its driver share: needs, the tool they load, one frame by BX.
 
-The number of a case is P (what the unit does) or D (what its driver does) and a line of the protocol's
-checklist; a letter tells several cases of one line apart. Every case leaves the unit initialised, idle and
-without tools.
+A case's number is P (the unit) or D (its driver) and a line of the checklist, with a letter where a line has
+several cases. Every case leaves the unit initialised, idle and without tools.
 """
 
 from __future__ import annotations
 
-from ronna_hw.conformance.case import Suite
+from typing import Protocol, runtime_checkable
+
+from ronna_hw.conformance.case import Need
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.bx_reply import Seen, read_body
 from ronna_hw.conformance.polaris.link import PolarisLink
 
-POLARIS_UNIT = Suite("polaris unit", driver="ndi_polaris", simulator=())
-case = POLARIS_UNIT.case
+POLARIS_BYTES = Need("polaris bytes", "the tracker has no single endpoint to which bytes could be sent")
+TOOL_DEFINITION = Need("tool definition", "no tool definition is configured")
+SERIAL_LINE = Need("serial line", "the endpoint is not a serial line: it has neither baud rate nor break")
 
-NEEDS = ("polaris bytes",)
-WITH_TOOL = (*NEEDS, "tool definition")
-SERIAL = (*NEEDS, "serial line")
-LOOKS = 20  # frames looked at where one alone proves little
+NEEDS = (POLARIS_BYTES,)
+WITH_TOOL = (*NEEDS, TOOL_DEFINITION)
+SERIAL = (*NEEDS, SERIAL_LINE)
+LOOKS = 20  # frames to look at where one proves little
+
+
+@runtime_checkable
+class HoldsDefinitions(Protocol):
+    """A tracker that shows which tool definitions it loads."""
+
+    @property
+    def definition_blocks(self) -> dict[str, bytes]:
+        """Tool name -> content of its definition file."""
+        ...
+
+
+@runtime_checkable
+class TellsBaud(Protocol):
+    """A tracker that shows the rate of its serial line."""
+
+    @property
+    def baud(self) -> int | None:
+        """Present rate; None when the line is not serial."""
+        ...
 
 
 def definition(dut: DeviceUnderTest) -> bytes:
-    """The first tool definition that the driver would send."""
-    blocks: dict[str, bytes] = dut.make().definition_blocks
-    return next(iter(blocks.values()))
+    """The first tool definition that the driver would load."""
+    tracker = dut.make()
+    assert isinstance(tracker, HoldsDefinitions), "the case needs a tool definition"
+    return next(iter(tracker.definition_blocks.values()))
 
 
 def seen(unit: PolarisLink, options: int = 0x0001) -> Seen:

@@ -9,6 +9,7 @@ import struct
 import threading
 from collections.abc import Callable
 
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BX_CRC_BYTES, BX_HEADER_BYTES, BX_START, CR, crc16
@@ -70,6 +71,12 @@ class PolarisTap(DisturbedLine):
             self._changes.remove(wanted)
         _, change, delay_s = wanted
         return [(delay_s, change(self._reply))]
+
+
+def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
+    """A tap between the driver and the unit; give its endpoint to `make`."""
+    dut.release()
+    return PolarisTap(dut.endpoint)
 
 
 def text_reply(text: str) -> bytes:

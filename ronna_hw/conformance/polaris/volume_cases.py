@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.case import LIVE_FAULTS, CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.bx_reply import Vector3, placed
 from ronna_hw.conformance.polaris.definitions import markers_of, shifted
 from ronna_hw.conformance.polaris.link import PolarisLink, idle_unit
-from ronna_hw.conformance.polaris.suite import LOOKS, NEEDS, WITH_TOOL, case, definition, seen
+from ronna_hw.conformance.polaris.suite import LOOKS, NEEDS, WITH_TOOL, definition, seen
 from ronna_hw.conformance.polaris.volumes import (
     SPECTRA_SHAPE,
     SPECTRA_VOLUMES,
@@ -24,6 +24,9 @@ EDGE_MM = 3.0  # nearer to a face than this, noise decides
 MORE_STRAYS = 4
 PHANTOMS_MM = 60
 READ_ONLY = "Features.Firmware.Version=0"
+
+CASES = CaseList()
+case = CASES.case
 
 
 @case("P35", "without option 0800 a tool out of the volume is MISSING, with status bit 0040", needs=WITH_TOOL)
@@ -58,7 +61,7 @@ def strays_need_illuminators(dut: DeviceUnderTest) -> None:
         raise NotShown("no stray marker is in sight")
 
 
-@case("P36b", "strays inside and outside at once have the right flags", needs=(*WITH_TOOL, "live faults"))
+@case("P36b", "strays inside and outside at once have the right flags", needs=(*WITH_TOOL, LIVE_FAULTS))
 def strays_in_and_out(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:

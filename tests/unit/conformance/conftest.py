@@ -12,6 +12,7 @@ from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance import device_under_test
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.protocol import ProtocolCases
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import ConnectError
@@ -67,12 +68,14 @@ def make_dut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., DeviceUnderTest]:
     """The device under test for a driver class, which need not be installed."""
 
     def make(
-        driver: Any, *, endpoint: str = "host:", allowed: frozenset[str] = frozenset()
+        driver: Any,
+        *,
+        endpoint: str = "host:",
+        allowed: frozenset[str] = frozenset(),
+        protocol: ProtocolCases | None = None,
     ) -> DeviceUnderTest:
-        monkeypatch.setattr(device_under_test, "load_driver", lambda name: driver)
         monkeypatch.setattr(device_under_test, "make_device", driver)
-        return DeviceUnderTest(
-            "tracker", DeviceConfig(driver="test", endpoint=endpoint), QuickClock(), allowed
-        )
+        config = DeviceConfig(driver="test", endpoint=endpoint)
+        return DeviceUnderTest("tracker", config, QuickClock(), allowed, protocol=protocol)
 
     return make

@@ -8,17 +8,24 @@ from pathlib import Path
 import pytest
 
 from ronna_hw.conformance import robot, stereo, tracker
-from ronna_hw.conformance.case import Suite
+from ronna_hw.conformance.case import DESTRUCTIVE, Suite
 from ronna_hw.conformance.checklist import Checklist
 from ronna_hw.conformance.gige.checklist import GIGE_CHECKLIST
+from ronna_hw.conformance.gige.protocol import PROTOCOL as GIGE
 from ronna_hw.conformance.kuka.checklist import KUKA_CHECKLIST
+from ronna_hw.conformance.kuka.protocol import PROTOCOL as KUKA
 from ronna_hw.conformance.polaris.checklist import POLARIS_CHECKLIST
+from ronna_hw.conformance.polaris.protocol import PROTOCOL as POLARIS
+from ronna_hw.conformance.protocol import composed
 
 ROOT = Path(__file__).parents[3]
+TRACKER = composed(tracker.SUITE, POLARIS)
+ROBOT = composed(robot.SUITE, KUKA)
+STEREO = composed(stereo.SUITE, GIGE)
 CHECKLISTS = [
-    pytest.param(POLARIS_CHECKLIST, tracker.SUITE, 50, id="polaris"),
-    pytest.param(KUKA_CHECKLIST, robot.SUITE, 44, id="kuka"),
-    pytest.param(GIGE_CHECKLIST, stereo.SUITE, 40, id="gige"),
+    pytest.param(POLARIS_CHECKLIST, TRACKER, 50, id="polaris"),
+    pytest.param(KUKA_CHECKLIST, ROBOT, 44, id="kuka"),
+    pytest.param(GIGE_CHECKLIST, STEREO, 40, id="gige"),
 ]
 of_each_checklist = pytest.mark.parametrize(("checklist", "suite", "lines"), CHECKLISTS)
 
@@ -52,11 +59,6 @@ def test_what_is_also_looked_at_exists(checklist: Checklist, suite: Suite, lines
 
 
 @of_each_checklist
-def test_no_number_is_given_twice(checklist: Checklist, suite: Suite, lines: int) -> None:
-    assert len(numbers_of(suite)) == len(set(numbers_of(suite)))
-
-
-@of_each_checklist
 def test_the_places_named_exist(checklist: Checklist, suite: Suite, lines: int) -> None:
     for text in (*checklist.elsewhere.values(), *checklist.remarks.values()):
         for place in re.findall(r"(?:tests|benchmarks)/[\w/.]+\w", text):
@@ -65,7 +67,7 @@ def test_the_places_named_exist(checklist: Checklist, suite: Suite, lines: int) 
 
 @pytest.mark.parametrize(
     ("checklist", "suite", "of_device"),
-    [(POLARIS_CHECKLIST, tracker.SUITE, "P"), (KUKA_CHECKLIST, robot.SUITE, "K")],
+    [(POLARIS_CHECKLIST, TRACKER, "P"), (KUKA_CHECKLIST, ROBOT, "K")],
     ids=["polaris", "kuka"],
 )
 def test_a_case_about_device_or_driver_stands_under_a_line_about_it(
@@ -77,5 +79,5 @@ def test_a_case_about_device_or_driver_stands_under_a_line_about_it(
 
 
 def test_what_resets_the_tracker_is_not_run_unless_it_is_allowed() -> None:
-    resets = {case.number for case in tracker.SUITE.cases if "destructive" in case.needs}
+    resets = {case.number for case in TRACKER.cases if DESTRUCTIVE in case.needs}
     assert resets == {"P01", "P01b", "P09"}

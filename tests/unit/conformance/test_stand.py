@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from ronna_hw.conformance.case import Suite
-from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen
-from ronna_hw.conformance.stand import Choice, load_suite, stand
+from ronna_hw.conformance.choice import Choice, resolve
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
+from ronna_hw.conformance.protocol import ProtocolCases
+from ronna_hw.conformance.stand import stand
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.endpoints import BadEndpoint
 from ronna_hw.errors import EXIT_USAGE
@@ -43,9 +47,8 @@ def theatre(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def suite() -> Suite:
-    return load_suite("tracker")
+def stand_for(kind: str, choice: Choice) -> AbstractContextManager[DeviceUnderTest]:
+    return stand(resolve(kind, choice))
 
 
 @pytest.mark.parametrize(
@@ -58,27 +61,27 @@ def suite() -> Suite:
     ],
 )
 def test_exactly_one_thing_must_be_named(
-    suite: Suite, theatre: Path, sim: bool, file: bool, endpoints: tuple[str, ...]
+    theatre: Path, sim: bool, file: bool, endpoints: tuple[str, ...]
 ) -> None:
     with (
         pytest.raises(NoDeviceChosen) as caught,
-        stand(suite, Choice(sim=sim, config=theatre if file else None, endpoints=endpoints)),
+        stand_for("tracker", Choice(sim=sim, config=theatre if file else None, endpoints=endpoints)),
     ):
         pass
     assert caught.value.exit_code == EXIT_USAGE
     assert caught.value.code == "CNF-001"
 
 
-def test_an_unknown_permission_is_refused(suite: Suite) -> None:
+def test_an_unknown_permission_is_refused() -> None:
     with (
         pytest.raises(NoDeviceChosen, match="fire"),
-        stand(suite, Choice(endpoints=NOBODY, allow=("fire",))),
+        stand_for("tracker", Choice(endpoints=NOBODY, allow=("fire",))),
     ):
         pass
 
 
-def test_the_device_of_a_theatre_file_keeps_its_options(suite: Suite, theatre: Path) -> None:
-    with stand(suite, Choice(config=theatre)) as dut:
+def test_the_device_of_a_theatre_file_keeps_its_options(theatre: Path) -> None:
+    with stand_for("tracker", Choice(config=theatre)) as dut:
         assert dut.name == "tracker"
         assert dut.config.endpoint == "tcp://127.0.0.1:8765"
         assert dut.make().tools == ("M",)
@@ -95,55 +98,66 @@ def test_the_device_of_a_theatre_file_keeps_its_options(suite: Suite, theatre: P
 def test_a_device_that_the_file_does_not_hold_is_told(theatre: Path) -> None:
     with (
         pytest.raises(DeviceNotInFile) as caught,
-        stand(Suite("stereo", "basler_stereo", ()), Choice(config=theatre)),
+        stand_for("stereo", Choice(config=theatre)),
     ):
         pass
     assert caught.value.code == "CNF-002"
     for device in (None, "middle"):
         with (
             pytest.raises(DeviceNotInFile, match="left, right"),
-            stand(Suite("robot", "kuka_rsi", ()), Choice(config=theatre, device=device)),
+            stand_for("robot", Choice(config=theatre, device=device)),
         ):
             pass
 
 
-def test_an_endpoint_alone_means_the_usual_driver_with_its_usual_options(suite: Suite) -> None:
-    with stand(suite, Choice(endpoints=("serial:///dev/ttyUSB0",), allow=("destructive",))) as dut:
+def test_an_endpoint_alone_means_the_usual_driver_with_its_usual_options() -> None:
+    with stand_for("tracker", Choice(endpoints=("serial:///dev/ttyUSB0",), allow=("destructive",))) as dut:
         assert dut.config.driver == "ndi_polaris"
         assert dut.make().tools == ("robot_frame",)
         assert "destructive" in dut.offers
 
 
-def test_bad_endpoints_and_drivers_are_told(suite: Suite) -> None:
-    with pytest.raises(BadEndpoint), stand(suite, Choice(endpoints=("8765",))):
+def test_bad_endpoints_and_drivers_are_told() -> None:
+    with pytest.raises(BadEndpoint), stand_for("tracker", Choice(endpoints=("8765",))):
         pass
     with (
         pytest.raises(UnknownDriver),
-        stand(suite, Choice(endpoints=NOBODY, driver="no_such_driver")),
+        stand_for("tracker", Choice(endpoints=NOBODY, driver="no_such_driver")),
     ):
         pass
     two = (*NOBODY, "tcp://127.0.0.1:2")
-    with pytest.raises(NoDeviceChosen), stand(suite, Choice(endpoints=two)):
+    with pytest.raises(NoDeviceChosen), stand_for("tracker", Choice(endpoints=two)):
         pass
 
 
 def test_named_endpoints_reach_the_driver_by_their_names() -> None:
     named = ("rsi=udp://127.0.0.1:1", "eki_project=tcp://127.0.0.1:2")
-    with stand(load_suite("robot"), Choice(endpoints=named)) as dut:
+    with stand_for("robot", Choice(endpoints=named)) as dut:
         assert dut.config.endpoints == {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:2"}
 
 
-def test_an_equals_sign_in_an_address_is_no_name(suite: Suite) -> None:
-    with stand(suite, Choice(endpoints=("serial:///dev/a=b",))) as dut:
+def test_an_equals_sign_in_an_address_is_no_name() -> None:
+    with stand_for("tracker", Choice(endpoints=("serial:///dev/a=b",))) as dut:
         assert dut.config.endpoint == "serial:///dev/a=b"
 
 
 def test_a_simulator_that_does_not_start_is_told() -> None:
-    with (
-        pytest.raises(ChildNotReady),
-        stand(Suite("tracker", "ndi_polaris", ("no-such-device",)), Choice(sim=True)),
-    ):
+    target = resolve("tracker", Choice(sim=True))
+    broken = replace(target.protocol, simulator=lambda: ("no-such-device",))
+    with pytest.raises(ChildNotReady), stand(replace(target, protocol=broken)):
         pass
+
+
+def test_a_driver_whose_protocol_has_no_simulator_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ronna_hw.conformance.choice.protocol_of", lambda driver: ProtocolCases())
+    with pytest.raises(NoSimulator) as caught:
+        resolve("tracker", Choice(sim=True))
+    assert caught.value.code == "CNF-006"
+
+
+def test_the_suite_ends_with_the_cases_of_the_drivers_wire_protocol() -> None:
+    letters = [case.number[0] for case in resolve("robot", Choice(sim=True)).suite.cases]
+    assert "".join(letter for letter, _ in itertools.groupby(letters)) == "RKL"
 
 
 @contextmanager
@@ -164,33 +178,33 @@ def control_port(answer: bytes) -> Iterator[tuple[str, list[bytes]]]:
         thread.join(10.0)
 
 
-def test_a_control_port_offers_live_faults(suite: Suite) -> None:
+def test_a_control_port_offers_live_faults() -> None:
     with (
         control_port(b'{"ok": true}\n') as (control, heard),
-        stand(suite, Choice(endpoints=NOBODY, control=control)) as dut,
+        stand_for("tracker", Choice(endpoints=NOBODY, control=control)) as dut,
     ):
         assert "live faults" in dut.offers
         dut.fault("now: tracker bump")
     assert heard == [b'{"do": "fault", "line": "now: tracker bump"}\n']
 
 
-def test_without_a_control_port_nothing_is_made_to_fail(suite: Suite) -> None:
-    with stand(suite, Choice(endpoints=NOBODY)) as dut:
+def test_without_a_control_port_nothing_is_made_to_fail() -> None:
+    with stand_for("tracker", Choice(endpoints=NOBODY)) as dut:
         assert "live faults" not in dut.offers
 
 
-def test_a_fault_that_the_control_port_refuses_is_told(suite: Suite) -> None:
+def test_a_fault_that_the_control_port_refuses_is_told() -> None:
     with (
         control_port(b'{"ok": false, "reason": "SIM-003: no such fault"}\n') as (control, _),
-        stand(suite, Choice(endpoints=NOBODY, control=control)) as dut,
+        stand_for("tracker", Choice(endpoints=NOBODY, control=control)) as dut,
         pytest.raises(ControlRequestRefused, match="no such fault"),
     ):
         dut.fault("now: tracker nonsense")
 
 
-def test_a_control_port_where_nobody_is_is_told(suite: Suite) -> None:
+def test_a_control_port_where_nobody_is_is_told() -> None:
     with (
-        stand(suite, Choice(endpoints=NOBODY, control=NOBODY[0])) as dut,
+        stand_for("tracker", Choice(endpoints=NOBODY, control=NOBODY[0])) as dut,
         pytest.raises(ControlPortSilent, match="no answer"),
     ):
         dut.clear_faults()

@@ -28,8 +28,6 @@ def make_dut(monkeypatch: pytest.MonkeyPatch) -> MakeDut:
 
     def make(**members: Any) -> DeviceUnderTest:
         driver = type("Spoilt", (IdealPair,), {"rig": Rig(), **members})
-        monkeypatch.setattr(device_under_test, "load_driver", lambda name: driver)
-        monkeypatch.setattr("ronna_hw.conformance.gige.link.load_driver", lambda name: driver)
         for module in (device_under_test, stereo):
             monkeypatch.setattr(module, "make_device", driver)
         config = DeviceConfig(driver="test", endpoints={"left": LEFT, "right": RIGHT})
@@ -42,12 +40,8 @@ def outcomes(dut: DeviceUnderTest) -> dict[str, Outcome]:
     return {case.number: run_case(case, dut).outcome for case in stereo.SUITE.cases}
 
 
-def test_a_good_pair_of_another_protocol_passes_everything_that_applies(make_dut: MakeDut) -> None:
-    found = outcomes(make_dut())
-    assert {number for number, outcome in found.items() if outcome is Outcome.PASS} == {
-        f"S{number:02d}" for number in range(1, 15)
-    }
-    assert {outcome for number, outcome in found.items() if number[0] == "G"} == {Outcome.SKIP}
+def test_a_good_pair_passes_every_case(make_dut: MakeDut) -> None:
+    assert set(outcomes(make_dut()).values()) == {Outcome.PASS}
 
 
 def nothing(self: IdealPair, *arguments: Any) -> None:
@@ -147,7 +141,5 @@ def test_each_mistake_is_found_by_its_case(make_dut: MakeDut, mistake: str) -> N
     assert run_case(case, make_dut(**members)).outcome is Outcome.FAIL
 
 
-def test_every_case_of_any_pair_has_its_mistake() -> None:
-    assert {number for number, _ in MISTAKES.values()} == {
-        case.number for case in stereo.SUITE.cases if case.number[0] == "S"
-    }
+def test_every_case_has_its_mistake() -> None:
+    assert {number for number, _ in MISTAKES.values()} == {case.number for case in stereo.SUITE.cases}

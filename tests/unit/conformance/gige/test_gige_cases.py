@@ -9,7 +9,7 @@ import spoilt_cameras as spoil
 from spoilt_cameras import Mistake, Patch, Stand
 
 from ronna_hw.conformance.case import Outcome
-from ronna_hw.conformance.stereo import SUITE
+from ronna_hw.conformance.gige.protocol import PROTOCOL
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 from sim.basler.control.bootstrap import XML_ADDRESS
 from sim.basler.control.feature_registers import address_of
@@ -147,9 +147,7 @@ def test_cameras_that_do_not_hear_what_is_said_to_everybody_are_found_out(
 
 
 def test_every_case_about_the_wire_has_its_mistake() -> None:
-    assert {number for number, _ in MISTAKES.values()} | {"G01"} == {
-        case.number for case in SUITE.cases if case.number[0] == "G"
-    }
+    assert {number for number, _ in MISTAKES.values()} | {"G01"} == {case.number for case in PROTOCOL.cases}
 
 
 def test_a_packed_description_is_read_as_well(make_stand: Callable[[], Stand], monkeypatch: Patch) -> None:

@@ -1,0 +1,130 @@
+"""Cases run when their needs are met, fail by Nonconformity or error, and are told in the report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from ronna_hw.conformance import case as conformance_case
+from ronna_hw.conformance.case import (
+    HOST_TIME,
+    MOTION,
+    Case,
+    CaseList,
+    Need,
+    NotShown,
+    Outcome,
+    Run,
+    Suite,
+    check,
+    refused,
+)
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.errors import NoSuchCase
+from ronna_hw.conformance.protocol import ProtocolCases, composed
+from ronna_hw.conformance.report import run_case, run_suite
+from ronna_hw.errors import ConnectError
+
+MakeDut = Callable[..., DeviceUnderTest]
+NEEDS = [need for need in vars(conformance_case).values() if isinstance(need, Need)]
+
+
+def does_nothing(_dut: DeviceUnderTest) -> None:
+    return
+
+
+def raises(error: Exception) -> Run:
+    def run(_dut: DeviceUnderTest) -> None:
+        raise error
+
+    return run
+
+
+def suite_of(**runs: Run) -> Suite:
+    cases = [Case(number, f"statement of {number}", (), run) for number, run in runs.items()]
+    return Suite("tracker", "none", cases=cases)
+
+
+def test_an_exception_that_is_not_ours_is_a_failure(make_dut: MakeDut, good_tracker: Any) -> None:
+    result = run_case(Case("X", "breaks", (), raises(KeyError("x"))), make_dut(good_tracker))
+    assert result.outcome is Outcome.FAIL
+    assert "KeyError" in result.reason
+
+
+@pytest.mark.parametrize(
+    "need", [need for need in NEEDS if need is not HOST_TIME], ids=lambda need: need.name
+)
+def test_a_case_is_skipped_with_the_reason_for_its_unmet_need(
+    make_dut: MakeDut, good_tracker: Any, need: Need
+) -> None:
+    result = run_case(Case("X", "does harm", (need,), raises(AssertionError())), make_dut(good_tracker))
+    assert (result.outcome, result.reason) == (Outcome.SKIP, need.reason)
+
+
+def test_what_is_allowed_is_run(make_dut: MakeDut, good_tracker: Any) -> None:
+    dut = make_dut(good_tracker, allowed=frozenset({"motion"}))
+    assert run_case(Case("X", "moves", (MOTION,), does_nothing), dut).outcome is Outcome.PASS
+
+
+def test_a_protocol_meets_needs_of_its_own(make_dut: MakeDut, good_tracker: Any) -> None:
+    frobnication = Need("frobnication", "the device does not frobnicate")
+    case = Case("F01", "frobnicates", (frobnication,), does_nothing)
+    protocol = ProtocolCases((case,), offers=lambda dut: frozenset({frobnication.name}))
+    assert run_case(case, make_dut(good_tracker)).reason == frobnication.reason
+    assert run_case(case, make_dut(good_tracker, protocol=protocol)).outcome is Outcome.PASS
+
+
+def test_the_report_counts_and_is_sealed_by_a_hash(make_dut: MakeDut, good_tracker: Any) -> None:
+    shares: list[float] = []
+    suite = suite_of(A1=does_nothing, A2=raises(NotShown("too dark")), A3=does_nothing)
+    report = run_suite(suite, make_dut(good_tracker), shares.append)
+    document = report.as_document()
+    assert report.passed
+    assert document["summary"] == {"pass": 2, "fail": 0, "skip": 1}
+    assert document["identity"]["model"] == "Good"
+    assert len(document["sha256"]) == 64
+    assert json.loads(json.dumps(document)) == document
+    assert shares[-1] == 1.0
+
+
+def test_a_device_that_cannot_be_connected_ends_the_run(make_dut: MakeDut, good_tracker: Any) -> None:
+    with pytest.raises(ConnectError):
+        run_suite(suite_of(A1=does_nothing), make_dut(good_tracker, endpoint="tcp://127.0.0.1:1"))
+
+
+def test_a_run_in_which_nothing_passed_has_not_passed(make_dut: MakeDut, good_tracker: Any) -> None:
+    assert not run_suite(suite_of(), make_dut(good_tracker)).passed
+
+
+def test_case_numbers_are_unique_in_a_list_and_in_a_composed_suite() -> None:
+    cases = CaseList()
+    cases.case("A1", "one")(does_nothing)
+    with pytest.raises(ValueError, match="two cases"):
+        cases.case("A1", "one again")
+    with pytest.raises(ValueError, match="A1"):
+        composed(suite_of(A1=does_nothing), ProtocolCases(tuple(cases.cases)))
+
+
+def test_a_part_of_a_suite_is_chosen_by_the_prefix_of_its_numbers() -> None:
+    suite = suite_of(
+        T01=does_nothing, T10=does_nothing, P01=does_nothing, P01b=does_nothing, P10=does_nothing
+    )
+    assert suite.only([]) is suite
+    assert [case.number for case in suite.only(["T01", "P0"]).cases] == ["T01", "P01", "P01b"]
+    with pytest.raises(NoSuchCase) as caught:
+        suite.only(["Z"])
+    assert caught.value.code == "CNF-003"
+
+
+def test_a_check_says_what_was_expected_and_found() -> None:
+    with pytest.raises(AssertionError, match="expected 1, found 2"):
+        check(False, "1", 2)
+    check(True, "1", 2)
+    assert isinstance(refused(lambda: int("x"), ValueError, "a word"), ValueError)
+    with pytest.raises(AssertionError, match="carried out"):
+        refused(lambda: 1, ValueError, "a number")
+    with pytest.raises(AssertionError, match="found KeyError"):
+        refused(lambda: {}[1], ValueError, "a key")
