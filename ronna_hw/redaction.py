@@ -97,7 +97,9 @@ def error_text(error: BaseException) -> str:
 
 
 def redacted_arguments(arguments: Sequence[str]) -> list[str]:
-    """Command-line arguments with option names, numbers and endpoints kept, everything else taken out."""
+    """Command-line arguments: subcommand, options, numbers and endpoints are kept, all else is taken out."""
+    if arguments and re.fullmatch(r"[a-z-]+", arguments[0]):
+        return [arguments[0], *map(_argument, arguments[1:])]
     return [_argument(one) for one in arguments]
 
 

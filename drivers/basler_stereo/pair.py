@@ -133,8 +133,9 @@ class BaslerStereoPair:
         """
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
         self._cameras, self._identities = self._open(time.monotonic() + timeout_s)
-        self._guard.enter(Lifecycle.CONNECTED)
-        return pair_identity(*self._identities)
+        identity = pair_identity(*self._identities)
+        self._guard.enter(Lifecycle.CONNECTED, addresses=self._addresses, identity=identity)
+        return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
         """Take control of both and bring them to a known state: software trigger, full frame, packet size.
@@ -145,7 +146,7 @@ class BaslerStereoPair:
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._configure_cameras(time.monotonic() + timeout_s)
-        self._guard.enter(Lifecycle.CONFIGURED)
+        self._guard.enter(Lifecycle.CONFIGURED, areas=self.areas, notices=self.notices)
 
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start both streams; the cameras then wait for triggers."""
@@ -158,8 +159,9 @@ class BaslerStereoPair:
         """Stop both streams; control is kept."""
         self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
         deadline_s = time.monotonic() + timeout_s
+        counters = self.counters
         self._watched(lambda: self._streams.end(deadline_s), deadline_s)
-        self._guard.enter(Lifecycle.CONFIGURED)
+        self._guard.enter(Lifecycle.CONFIGURED, streams=counters)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
         """Choose the part of each sensor to read; raises GEV-011 with both cameras as they were.
@@ -254,9 +256,10 @@ class BaslerStereoPair:
                         raise camera.lost
                 try:
                     return work()
-                except NoReply:
+                except NoReply as silence:
                     if time.monotonic() >= deadline_s:
                         raise
+                    self._guard.log.warning("a camera is silent: waiting for it", cause=silence)
                     self._streams.await_answers(deadline_s)
         except _FAULTS as fault:
             self._guard.latch(fault)

@@ -124,7 +124,7 @@ class KukaRsiArm:
         """
         self._guard.require("connect", (Lifecycle.DISCONNECTED,))
         identity = self._connections.find_controller(timeout_s, self._watch)
-        self._guard.enter(Lifecycle.CONNECTED)
+        self._guard.enter(Lifecycle.CONNECTED, identity=identity)
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
@@ -151,7 +151,7 @@ class KukaRsiArm:
         if not self._connections.verified:
             raise Unverified(f"{self._name}: the controller does not say what it runs")
         self._start(timeout_s)
-        self._guard.enter(Lifecycle.ACTIVE)
+        self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
 
     def activate_unverified(self, confirmed_by: str, timeout_s: float = 30.0) -> None:
         """As `activate`, for a controller that does not say what it runs: it shows by a micro-move.
@@ -185,7 +185,15 @@ class KukaRsiArm:
         except RonnaError as error:
             self._watch.latch(error)
             raise
-        self._guard.enter(Lifecycle.CONFIGURED)
+        ended = self._connections.link.state
+        self._guard.enter(
+            Lifecycle.CONFIGURED,
+            cycles=ended.cycles,
+            late=ended.late,
+            lost=ended.lost,
+            rejected=ended.rejected,
+            foreign=ended.foreign,
+        )
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED: ends what runs, acknowledges the controller's messages, reads everything anew.

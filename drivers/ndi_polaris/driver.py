@@ -159,7 +159,7 @@ class PolarisTracker:
         """
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
         self._identity = self._open(self._monotonic() + timeout_s)
-        self._guard.enter(Lifecycle.CONNECTED)
+        self._guard.enter(Lifecycle.CONNECTED, endpoint=str(self._endpoint), identity=self._identity)
         return self._identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
@@ -170,7 +170,9 @@ class PolarisTracker:
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._guarded(self._set_up, self._monotonic() + timeout_s)
-        self._guard.enter(Lifecycle.CONFIGURED)
+        self._guard.enter(
+            Lifecycle.CONFIGURED, baud=self.baud, tools=self.tools, volume=self._volume, notices=self.notices
+        )
 
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start tracking; the unit's frame number begins at 0."""
@@ -182,7 +184,7 @@ class PolarisTracker:
         """Stop tracking; the tools stay loaded."""
         self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
         self._guarded(self._run.stop, self._monotonic() + timeout_s)
-        self._guard.enter(Lifecycle.CONFIGURED)
+        self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         """The next frame: one request to the unit, one more only when its reply was disturbed.

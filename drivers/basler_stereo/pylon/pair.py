@@ -104,8 +104,9 @@ class PylonStereoPair:
         """Find both cameras and check models and serial numbers. Raises GEV-001 to GEV-004."""
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
         identities = self._open()
-        self._guard.enter(Lifecycle.CONNECTED)
-        return pair_identity(*identities)
+        identity = pair_identity(*identities)
+        self._guard.enter(Lifecycle.CONNECTED, identity=identity)
+        return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
         """Take control of both and bring them to a known state; raises GEV-005, GEV-010, GEV-011."""

@@ -79,7 +79,7 @@ def test_an_error_is_quoted_only_when_it_is_about_a_device(error: Exception, sai
     assert error_text(error) == said
 
 
-def test_arguments_keep_options_numbers_and_endpoints() -> None:
+def test_arguments_keep_subcommand_options_numbers_and_endpoints() -> None:
     given = ["localize", "/scans/DOE", "--expected", "5", "--pick=DOE.csv", "--x=-1.5", "tcp://127.0.0.1:1"]
-    kept = [REDACTED, REDACTED, "--expected", "5", f"--pick={REDACTED}", "--x=-1.5", "tcp://127.0.0.1:1"]
+    kept = ["localize", REDACTED, "--expected", "5", f"--pick={REDACTED}", "--x=-1.5", "tcp://127.0.0.1:1"]
     assert redacted_arguments(given) == kept
