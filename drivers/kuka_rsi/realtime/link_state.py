@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
 from ronna_hw.arm.planning import MotionPlan
 from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.host.shared_layout import IPV4_HOST, one_of
 
 
 class CommandKind(IntEnum):
@@ -101,33 +102,33 @@ class Command(NamedTuple):
 class LinkState(NamedTuple):
     """What the real-time process says of itself, once per cycle. Angles in rad."""
 
-    cycles: int
-    IPOC: int
-    received_ns: int
-    phase: Phase
-    fault: Fault
-    result: Result
-    degraded: bool
-    moving: bool
-    settled: bool
-    real_time: bool
-    locked: bool
-    command_number: int
-    stop_number: int  # the last stop order seen
-    late: int  # the controller's count
-    lost: int  # telegrams that never came, by the gap in IPOC
-    rejected: int
-    dropped: int  # older ones that were queued behind a stall
-    foreign: int  # from somebody else than the controller
-    foreign_host: str  # the last of those, "" for none
-    measured_rad: JointVector
-    commanded_rad: JointVector
-    base_rad: JointVector
-    violation_kind: str
-    violation_axis: int
-    violation_value: float
-    violation_limit: float
-    errno: int
+    cycles: Annotated[int, "Q"]
+    IPOC: Annotated[int, "Q"]
+    received_ns: Annotated[int, "q"]
+    phase: Annotated[Phase, "B"]
+    fault: Annotated[Fault, "B"]
+    result: Annotated[Result, "B"]
+    degraded: Annotated[bool, "?"]
+    moving: Annotated[bool, "?"]
+    settled: Annotated[bool, "?"]
+    real_time: Annotated[bool, "?"]
+    locked: Annotated[bool, "?"]
+    command_number: Annotated[int, "Q"]
+    stop_number: Annotated[int, "Q"]  # the last stop order seen
+    late: Annotated[int, "Q"]  # the controller's count
+    lost: Annotated[int, "Q"]  # telegrams that never came, by the gap in IPOC
+    rejected: Annotated[int, "Q"]
+    dropped: Annotated[int, "Q"]  # older ones that were queued behind a stall
+    foreign: Annotated[int, "Q"]  # from somebody else than the controller
+    foreign_host: Annotated[str, IPV4_HOST]  # the last of those, "" for none
+    measured_rad: Annotated[JointVector, "6d"]
+    commanded_rad: Annotated[JointVector, "6d"]
+    base_rad: Annotated[JointVector, "6d"]
+    violation_kind: Annotated[str, one_of(VIOLATIONS)]
+    violation_axis: Annotated[int, "I"]
+    violation_value: Annotated[float, "d"]
+    violation_limit: Annotated[float, "d"]
+    errno: Annotated[int, "i"]
 
 
 _ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -165,10 +166,10 @@ NO_STATE = LinkState(
 class Record(NamedTuple):
     """One cycle in the recorder."""
 
-    cycle: int
-    IPOC: int
-    received_ns: int
-    turnaround_us: float
-    measured_rad: JointVector
-    sent_rad: JointVector
-    choice: int
+    cycle: Annotated[int, "Q"]
+    IPOC: Annotated[int, "Q"]
+    received_ns: Annotated[int, "q"]
+    turnaround_us: Annotated[float, "d"]
+    measured_rad: Annotated[JointVector, "6d"]
+    sent_rad: Annotated[JointVector, "6d"]
+    choice: Annotated[int, "B"]

@@ -1,100 +1,100 @@
 """Shared memory between the driver and its real-time process: orders in, state out, last cycles kept.
 
-The memory is anonymous and passed by an inherited file descriptor, so nothing is left behind whoever dies.
-Small orders are single aligned words. Blocks carry a checksum: a reader that meets a half-written one sees
-that and tries again; nobody ever waits for the other side.
+The memory is anonymous and passed by an inherited file descriptor, so nothing is left behind whichever side
+dies. Every place in it has one writer; half-written rows are noticed by their checksum.
 """
 
 from __future__ import annotations
 
 import mmap
 import os
-import struct
-import zlib
-from socket import inet_aton, inet_ntoa
+from typing import Annotated, NamedTuple
 
 from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
-    VIOLATIONS,
     Command,
     CommandKind,
-    Fault,
     LinkState,
     Orders,
-    Phase,
     Record,
-    Result,
     StopOrder,
 )
 from ronna_hw.arm.errors import SurroundingsTooLarge
 from ronna_hw.arm.planning import MotionPlan
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, Rotation9
 from ronna_hw.arm.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.host.memory_map import MemoryMap
 
-MAGIC = b"RONNARSI"
-SIZE = 65536
-READ_TRIES = 100  # a writer is in the block for about 2 us
-
-# Orders: single words, each written by one side only.
-HEARTBEAT_AT = 64
-STOP_AT = 72  # stop number * 8 + StopOrder
-COMMAND_AT = 80  # number of the command in the command block
-ALIVE_AT = 88  # host monotonic time of the real-time process' last look, ns: written by that process
-_ORDERS = struct.Struct("<QQQ")
-_WORD = struct.Struct("<Q")
-
-COMMAND_BLOCK_AT = 256
-_COMMAND = struct.Struct(f"<QQBBB6d6d3d3d9d3d{2 * MOST_STEPS}d")
-STATE_BLOCK_AT = 1024
-_STATE = struct.Struct("<QQq 8B QQ QQQQQ4s 6d6d6d BB2d i")
 HISTOGRAM_BINS = 64
-HISTOGRAM_AT = 2048  # of turnarounds
-JITTER_AT = HISTOGRAM_AT + 8 * HISTOGRAM_BINS
-NOBODY = "0.0.0.0"  # no host
-RECORDER_AT = 4096
 RECORDER_CYCLES = 256
-_RECORD = struct.Struct("<QQqd6d6dB7x")
-
-_CHECKSUM = struct.Struct("<I")
-SURROUNDINGS_AT = 40960
-_COUNTED = struct.Struct("<QI")  # which surroundings, and how long the line is that follows
-COUNTED_SIZE = _CHECKSUM.size + _COUNTED.size
-LONGEST_SURROUNDINGS = SIZE - SURROUNDINGS_AT - COUNTED_SIZE - _CHECKSUM.size
-LARGEST_BYTE = 255
+LONGEST_SURROUNDINGS_BYTES = 24_000
+READ_TRIES = 100  # a writer is in the block for about 2 us
+STOP_KIND_BITS = 3
+STOP_KIND_MASK = (1 << STOP_KIND_BITS) - 1
+NO_JOINTS: JointVector = (0.0,) * 6  # of a command that moves nothing
 NO_STEP = SpeedStep(0.0, 0.0)
 
 
+class CommandRow(NamedTuple):
+    """A `Command` in plain numbers; `surroundings_number` tells when they have to be read anew."""
+
+    number: Annotated[int, "Q"]
+    stop_number: Annotated[int, "Q"]
+    surroundings_number: Annotated[int, "Q"]
+    kind: Annotated[CommandKind, "B"]
+    has_target: Annotated[bool, "?"]
+    speed_steps_used: Annotated[int, "B"]
+    start_rad: Annotated[JointVector, "6d"]
+    target_rad: Annotated[JointVector, "6d"]
+    limits: Annotated[tuple[float, ...], "3d"]
+    target_position_mm: Annotated[Vector3, "3d"]
+    target_rotation: Annotated[Rotation9, "9d"]
+    tool_in_flange_mm: Annotated[Vector3, "3d"]
+    speed_steps: Annotated[tuple[float, ...], f"{2 * MOST_STEPS}d"]
+
+
+_MAP = MemoryMap(b"RONNARSI")
+_HEARTBEAT = _MAP.word()
+_STOP = _MAP.word()  # stop number and StopOrder
+_COMMAND_NUMBER = _MAP.word()  # of the command in the row
+_ALIVE_NS = _MAP.word()  # host monotonic time at which the real-time process last looked round
+_COMMAND = _MAP.checked(CommandRow)
+_STATE = _MAP.checked(LinkState)
+_TURNAROUNDS = _MAP.counters(HISTOGRAM_BINS)
+_JITTER = _MAP.counters(HISTOGRAM_BINS)
+_RECORDER = _MAP.rows(Record, RECORDER_CYCLES)
+_SURROUNDINGS = _MAP.checked_bytes(LONGEST_SURROUNDINGS_BYTES)
+
+
 class MailboxTorn(RuntimeError):
-    """A block could not be read whole; the other side is writing all the time, or is not one of ours."""
+    """A row was never whole: the other side writes all the time, or the memory is not one of ours."""
 
 
 class Mailbox:
     """Either side's view of the memory."""
 
     def __init__(self, fd: int) -> None:
-        self._memory = mmap.mmap(fd, SIZE)
-        whole = memoryview(self._memory)
-        self._histogram = whole[HISTOGRAM_AT:JITTER_AT].cast("Q")
-        self._jitter = whole[JITTER_AT : JITTER_AT + 8 * HISTOGRAM_BINS].cast("Q")
-        whole.release()
+        self._memory = mmap.mmap(fd, _MAP.size_bytes)
+        self._histogram = _TURNAROUNDS.view(self._memory)
+        self._jitter = _JITTER.view(self._memory)
         self._surroundings = Surroundings()  # the last written or read
         self._surroundings_number = 0
 
     @staticmethod
     def initialise(fd: int) -> None:
         """Give fresh anonymous memory its size, its mark and a first state."""
-        os.ftruncate(fd, SIZE)
-        os.pwrite(fd, MAGIC, 0)
+        os.ftruncate(fd, _MAP.size_bytes)
+        os.pwrite(fd, _MAP.mark, 0)
         mailbox = Mailbox(fd)
         mailbox.write_state(NO_STATE)
-        mailbox._write_surroundings(Surroundings())
         mailbox.close()
 
     @property
     def is_ours(self) -> bool:
         """Whether the memory carries our mark."""
-        return self._memory[: len(MAGIC)] == MAGIC
+        return _MAP.is_marked(self._memory)
 
     def close(self) -> None:
         """Let go of the memory."""
@@ -105,85 +105,51 @@ class Mailbox:
     # The driver's side writes ...
 
     def beat(self, count: int) -> None:
-        _WORD.pack_into(self._memory, HEARTBEAT_AT, count)
+        _HEARTBEAT.write(self._memory, count)
 
     def order_stop(self, number: int, kind: StopOrder) -> None:
-        _WORD.pack_into(self._memory, STOP_AT, number * 8 + kind)
+        _STOP.write(self._memory, number << STOP_KIND_BITS | kind)
 
     def write_command(self, command: Command) -> None:
-        plan = command.plan
-        target = plan.target if plan else None
-        pose = target or Pose()
-        zeros = (0.0,) * 6
-        steps = plan.speed_steps if plan else ()
-        payload = _COMMAND.pack(
-            command.number,
-            command.stop_number,
-            command.kind,
-            target is not None,
-            len(steps),
-            *(plan.start_rad if plan else zeros),
-            *(plan.target_rad if plan else zeros),
-            *(plan.limits if plan else zeros[:3]),
-            *pose.position_mm,
-            *pose.rotation,
-            *(plan.tool_in_flange_mm if plan else zeros[:3]),
-            *(value for step in (*steps, *(NO_STEP,) * (MOST_STEPS - len(steps))) for value in step),
-        )
         if command.surroundings is not self._surroundings:
             self._write_surroundings(command.surroundings)
-        self._write_block(COMMAND_BLOCK_AT, payload)
-        _WORD.pack_into(self._memory, COMMAND_AT, command.number)
+        _COMMAND.write(self._memory, _row_of(command, self._surroundings_number))
+        _COMMAND_NUMBER.write(self._memory, command.number)
 
     def _write_surroundings(self, surroundings: Surroundings) -> None:
         line = surroundings.to_json().encode()
-        if len(line) > LONGEST_SURROUNDINGS:
+        if len(line) > LONGEST_SURROUNDINGS_BYTES:
             raise SurroundingsTooLarge(
                 "the arm's surroundings do not fit into its mailbox",
-                limit=f"{LONGEST_SURROUNDINGS} bytes",
+                limit=f"{LONGEST_SURROUNDINGS_BYTES} bytes",
                 got=f"{len(line)} bytes",
             )
         self._surroundings = surroundings
         self._surroundings_number += 1
-        self._write_block(SURROUNDINGS_AT, _COUNTED.pack(self._surroundings_number, len(line)))
-        self._write_block(SURROUNDINGS_AT + COUNTED_SIZE, line)
+        _SURROUNDINGS.write(self._memory, line)
 
     # ... and the real-time process reads.
 
     def orders(self) -> Orders:
-        return Orders(*_ORDERS.unpack_from(self._memory, HEARTBEAT_AT))
+        memory = self._memory
+        return Orders(_HEARTBEAT.read(memory), _STOP.read(memory), _COMMAND_NUMBER.read(memory))
 
     def stop_word(self) -> int:
         """The one order that changes the very next reply."""
-        word: int = _WORD.unpack_from(self._memory, STOP_AT)[0]
-        return word
+        return _STOP.read(self._memory)
 
     def read_command(self) -> Command | None:
-        """The command block, or None while it is being written."""
-        payload = self._read_block(COMMAND_BLOCK_AT, _COMMAND.size)
-        if payload is None:
+        """The last command; None while it is being written."""
+        row = _COMMAND.read(self._memory)
+        if row is None or not self._read_surroundings(row.surroundings_number):
             return None
-        number, stop_number, kind, has_pose, steps, *v = _COMMAND.unpack(payload)
-        plan = None
-        if kind == CommandKind.MOVE:
-            if not self._read_surroundings():
-                return None
-            pose = Pose((v[15], v[16], v[17]), tuple(v[18:27])) if has_pose else None
-            slower = tuple(SpeedStep(v[30 + 2 * k], v[31 + 2 * k]) for k in range(steps))
-            plan = MotionPlan(
-                tuple(v[0:6]), tuple(v[6:12]), PathLimits(*v[12:15]), pose, (v[27], v[28], v[29]), slower
-            )
-        return Command(number, CommandKind(kind), plan, stop_number, self._surroundings)
+        return Command(row.number, row.kind, _plan_of(row), row.stop_number, self._surroundings)
 
-    def _read_surroundings(self) -> bool:
+    def _read_surroundings(self, number: int) -> bool:
         """Take over new surroundings; False while they are being written."""
-        counted = self._read_block(SURROUNDINGS_AT, _COUNTED.size)
-        if counted is None:
-            return False
-        number, size = _COUNTED.unpack(counted)
         if number == self._surroundings_number:
             return True
-        line = self._read_block(SURROUNDINGS_AT + COUNTED_SIZE, size)
+        line = _SURROUNDINGS.read(self._memory)
         if line is None:
             return False
         self._surroundings = Surroundings.from_json(line.decode())
@@ -193,39 +159,10 @@ class Mailbox:
     # The real-time process writes ...
 
     def write_state(self, state: LinkState) -> None:
-        payload = _STATE.pack(
-            state.cycles,
-            state.IPOC,
-            state.received_ns,
-            state.phase,
-            state.fault,
-            state.result,
-            state.degraded,
-            state.moving,
-            state.settled,
-            state.real_time,
-            state.locked,
-            state.command_number,
-            state.stop_number,
-            state.late,
-            state.lost,
-            state.rejected,
-            state.dropped,
-            state.foreign,
-            inet_aton(state.foreign_host or NOBODY),
-            *state.measured_rad,
-            *state.commanded_rad,
-            *state.base_rad,
-            VIOLATIONS.index(state.violation_kind),
-            min(state.violation_axis, LARGEST_BYTE),
-            state.violation_value,
-            state.violation_limit,
-            state.errno,
-        )
-        self._write_block(STATE_BLOCK_AT, payload)
+        _STATE.write(self._memory, state)
 
     def say_alive(self, now_ns: int) -> None:
-        _WORD.pack_into(self._memory, ALIVE_AT, now_ns)
+        _ALIVE_NS.write(self._memory, now_ns)
 
     def count_turnaround(self, bin_number: int) -> None:
         self._histogram[bin_number] += 1
@@ -238,57 +175,21 @@ class Mailbox:
             self._histogram[k] = self._jitter[k] = 0
 
     def record(self, record: Record) -> None:
-        slot = RECORDER_AT + (record.cycle % RECORDER_CYCLES) * _RECORD.size
-        _RECORD.pack_into(
-            self._memory, slot, *record[:4], *record.measured_rad, *record.sent_rad, record.choice
-        )
+        _RECORDER.write(self._memory, record, record.cycle % RECORDER_CYCLES)
 
     # ... and the driver reads.
 
     def read_state(self) -> LinkState:
         """The state of the last cycle; raises MailboxTorn when no whole one can be had."""
-        payload = None
         for _ in range(READ_TRIES):
-            payload = self._read_block(STATE_BLOCK_AT, _STATE.size)
-            if payload is not None:
-                break
-        if payload is None:
-            raise MailboxTorn("the state block is never whole")
-        v = _STATE.unpack(payload)
-        return LinkState(
-            v[0],
-            v[1],
-            v[2],
-            Phase(v[3]),
-            Fault(v[4]),
-            Result(v[5]),
-            bool(v[6]),
-            bool(v[7]),
-            bool(v[8]),
-            bool(v[9]),
-            bool(v[10]),
-            v[11],
-            v[12],
-            v[13],
-            v[14],
-            v[15],
-            v[16],
-            v[17],
-            inet_ntoa(v[18]) if any(v[18]) else "",
-            v[19:25],
-            v[25:31],
-            v[31:37],
-            VIOLATIONS[v[37]],
-            v[38],
-            v[39],
-            v[40],
-            v[41],
-        )
+            state = _STATE.read(self._memory)
+            if state is not None:
+                return state
+        raise MailboxTorn("the state row is never whole")
 
     def said_alive_ns(self) -> int:
-        """When the real-time process last looked around, host monotonic; 0 before its first look."""
-        said: int = _WORD.unpack_from(self._memory, ALIVE_AT)[0]
-        return said
+        """When the real-time process last looked round, host monotonic; 0 before the first time."""
+        return _ALIVE_NS.read(self._memory)
 
     def histogram(self) -> tuple[int, ...]:
         return tuple(self._histogram)
@@ -297,22 +198,41 @@ class Mailbox:
         return tuple(self._jitter)
 
     def records(self) -> tuple[Record, ...]:
-        """The recorded cycles, oldest first. Whole only while the recorder stands still."""
-        found = []
-        for k in range(RECORDER_CYCLES):
-            v = _RECORD.unpack_from(self._memory, RECORDER_AT + k * _RECORD.size)
-            if v[0]:
-                found.append(Record(v[0], v[1], v[2], v[3], v[4:10], v[10:16], v[16]))
-        return tuple(sorted(found))
+        """The recorded cycles, oldest first. Consistent only while nothing is being recorded."""
+        kept = (_RECORDER.read(self._memory, k) for k in range(RECORDER_CYCLES))
+        return tuple(sorted(record for record in kept if record.cycle))
 
-    def _write_block(self, at: int, payload: bytes) -> None:
-        # The checksum goes first and last would do as well: either way a torn block does not match it.
-        end = at + _CHECKSUM.size + len(payload)
-        self._memory[at:end] = _CHECKSUM.pack(zlib.crc32(payload)) + payload
 
-    def _read_block(self, at: int, size: int) -> bytes | None:
-        block = self._memory[at : at + _CHECKSUM.size + size]
-        payload = block[_CHECKSUM.size :]
-        if zlib.crc32(payload) != _CHECKSUM.unpack_from(block)[0]:
-            return None
-        return payload
+def _row_of(command: Command, surroundings_number: int) -> CommandRow:
+    plan = command.plan or MotionPlan(NO_JOINTS, NO_JOINTS, PathLimits(0.0, 0.0, 0.0))
+    target = plan.target or Pose()
+    steps = (*plan.speed_steps, *(NO_STEP,) * (MOST_STEPS - len(plan.speed_steps)))
+    return CommandRow(
+        number=command.number,
+        stop_number=command.stop_number,
+        surroundings_number=surroundings_number,
+        kind=command.kind,
+        has_target=plan.target is not None,
+        speed_steps_used=len(plan.speed_steps),
+        start_rad=plan.start_rad,
+        target_rad=plan.target_rad,
+        limits=plan.limits,
+        target_position_mm=target.position_mm,
+        target_rotation=target.rotation,
+        tool_in_flange_mm=plan.tool_in_flange_mm,
+        speed_steps=tuple(value for step in steps for value in step),
+    )
+
+
+def _plan_of(row: CommandRow) -> MotionPlan | None:
+    if row.kind is not CommandKind.MOVE:
+        return None
+    values = row.speed_steps
+    return MotionPlan(
+        row.start_rad,
+        row.target_rad,
+        PathLimits(*row.limits),
+        Pose(row.target_position_mm, row.target_rotation) if row.has_target else None,
+        row.tool_in_flange_mm,
+        tuple(SpeedStep(values[2 * k], values[2 * k + 1]) for k in range(row.speed_steps_used)),
+    )

@@ -11,7 +11,7 @@ from drivers.kuka_rsi.errors import MotionTripped
 from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Command, CommandKind, Fault
-from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS, Mailbox
+from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox
 from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
 from ronna_hw.arm.capsule import Capsule
 from ronna_hw.arm.errors import NotClear, Singular, SurroundingsTooLarge, Unreachable
@@ -158,6 +158,6 @@ def test_speed_steps_and_surroundings_reach_the_other_side(mailboxes: Any) -> No
 def test_more_bodies_than_fit_are_told(mailboxes: Any) -> None:
     plan = plan_joint_move(MODEL, START, ASIDE, working_limits(MODEL))
     ball = Obstacle("x" * 100, Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0))
-    many = Surroundings(obstacles=(ball,) * (LONGEST_SURROUNDINGS // 100))
+    many = Surroundings(obstacles=(ball,) * (LONGEST_SURROUNDINGS_BYTES // 100))
     with pytest.raises(SurroundingsTooLarge, match="ARM-008"):
         mailboxes[0].write_command(Command(1, CommandKind.MOVE, plan, 0, many))

@@ -99,8 +99,9 @@ def test_stop_and_heartbeat_are_single_words(mailbox: Mailbox) -> None:
 
 
 def test_a_torn_block_is_never_taken_for_a_state(mailbox: Mailbox) -> None:
-    mailbox.write_state(NO_STATE._replace(cycles=1))
-    mailbox._memory[1024 + 20] ^= 0xFF
+    mailbox.write_state(NO_STATE._replace(cycles=0xABCDEF))
+    torn = mailbox._memory.find((0xABCDEF).to_bytes(8, "little"))
+    mailbox._memory[torn] ^= 0xFF
     with pytest.raises(MailboxTorn):
         mailbox.read_state()
 

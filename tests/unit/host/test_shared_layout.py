@@ -1,0 +1,106 @@
+"""Rows in shared memory: what is written is read, and what is half-written is noticed."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Annotated, NamedTuple
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ronna_hw.host.memory_map import MemoryMap
+from ronna_hw.host.shared_layout import IPV4_HOST, RowCodec, one_of, text
+
+SIDES = ("left", "right")
+
+
+class Phase(IntEnum):
+    IDLE = 0
+    RUNNING = 1
+
+
+class Sample(NamedTuple):
+    number: Annotated[int, "Q"]
+    phase: Annotated[Phase, "B"]
+    ready: Annotated[bool, "?"]
+    position_mm: Annotated[tuple[float, ...], "3d"]
+    side: Annotated[str, one_of(SIDES)]
+    host: Annotated[str, IPV4_HOST]
+    name: Annotated[str, text(16)]
+
+
+samples = st.builds(
+    Sample,
+    number=st.integers(0, 2**64 - 1),
+    phase=st.sampled_from(Phase),
+    ready=st.booleans(),
+    position_mm=st.tuples(*[st.floats(allow_nan=False)] * 3),
+    side=st.sampled_from(SIDES),
+    host=st.sampled_from(["", "192.168.10.30"]),
+    name=st.text(alphabet="abcäß:_", max_size=8),
+)
+
+
+@given(samples)
+def test_a_row_is_read_as_it_was_written(sample: Sample) -> None:
+    codec = RowCodec(Sample)
+    read = codec.unpack(codec.pack(sample))
+    assert read == sample
+    assert isinstance(read.phase, Phase)
+
+
+def test_a_field_without_a_struct_code_is_named() -> None:
+    class Forgotten(NamedTuple):
+        number: int
+
+    with pytest.raises(TypeError, match=r"Forgotten\.number"):
+        RowCodec(Forgotten)
+
+
+def test_places_of_one_map_do_not_touch_each_other() -> None:
+    places = MemoryMap(b"TESTMARK")
+    word, counters, rows = places.word(), places.counters(3), places.rows(Sample, 2)
+    content, row, last = places.checked_bytes(5), places.checked(Sample), places.word("I")
+    memory = bytearray(places.size_bytes)
+    first = Sample(1, Phase.RUNNING, True, (1.0, 2.0, 3.0), "right", "", "one")
+    second = first._replace(number=2, name="two")
+    word.write(memory, 2**64 - 1)
+    with counters.view(memory) as view:
+        view[0] = view[2] = 2**64 - 1
+    rows.write(memory, first, 0)
+    rows.write(memory, second, 1)
+    content.write(memory, b"12345")
+    row.write(memory, second)
+    last.write(memory, 7)
+    with counters.view(memory) as view:
+        assert list(view) == [2**64 - 1, 0, 2**64 - 1]
+    assert (word.read(memory), last.read(memory)) == (2**64 - 1, 7)
+    assert (rows.read(memory, 0), rows.read(memory, 1), row.read(memory)) == (first, second, second)
+    assert content.read(memory) == b"12345"
+
+
+def test_a_half_written_row_is_not_read() -> None:
+    places = MemoryMap(b"TESTMARK")
+    row, content = places.checked(Sample), places.checked_bytes(16)
+    memory = bytearray(places.size_bytes)
+    assert row.read(memory) is None
+    row.write(memory, Sample(1, Phase.IDLE, False, (0.0, 0.0, 0.0), "left", "", ""))
+    content.write(memory, b"surroundings")
+    for offset in range(len(places.mark) + 8, places.size_bytes - 8, 8):
+        torn = bytearray(memory)
+        torn[offset] ^= 0xFF
+        assert row.read(torn) is None or content.read(torn) is None
+
+
+def test_more_bytes_than_fit_are_refused() -> None:
+    places = MemoryMap(b"TESTMARK")
+    content = places.checked_bytes(4)
+    with pytest.raises(ValueError, match="5 bytes do not fit into 4"):
+        content.write(bytearray(places.size_bytes), b"12345")
+
+
+def test_memory_of_another_program_has_another_mark() -> None:
+    places = MemoryMap(b"TESTMARK")
+    assert places.is_marked(b"TESTMARK....")
+    assert not places.is_marked(b"RONNARSI....")
