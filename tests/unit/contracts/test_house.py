@@ -45,7 +45,6 @@ def test_the_lock_names_no_package_index() -> None:
     [
         ("sim.polaris.line.server", ("scipy", "cv2", "pydicom")),
         ("sim.kuka.controller.cycle_loop", ("scipy", "cv2", "pydicom")),
-        ("drivers.kuka_rsi.realtime.process", ("scipy", "cv2", "pydicom", "pydantic")),
         ("procedures.cli.procedure", ("numpy", "scipy", "cv2", "pydantic", "pydicom", "matplotlib")),
     ],
 )

@@ -123,8 +123,8 @@ def test_a_trip_names_the_two_bodies_and_the_distance() -> None:
     error = _fault(CLEARANCE, pair, 4.2, 5.0)
     assert isinstance(error, MotionTripped)
     assert "clearance of hand and drip stand" in str(error)
-    assert (error.limit, error.last) == ("5.0 mm", "4.2 mm")
-    assert _fault(ZONE_SPEED, pair, 80.0, 60.0).last == "80.0 mm/s"
+    assert (error.limit, error.got) == ("5.0 mm", "4.2 mm")
+    assert _fault(ZONE_SPEED, pair, 80.0, 60.0).got == "80.0 mm/s"
     assert "its bodies" in str(_fault(CLEARANCE, 255, 4.2, 5.0))
 
 
