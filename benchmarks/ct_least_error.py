@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from sim.phantom import blur
+from sim.phantom.scanner import blur
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]

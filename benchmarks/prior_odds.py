@@ -19,8 +19,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from procedures.registration.correspondence_search import CorrespondenceSearch
 from procedures.registration.hypotheses import PAIR_ODDS, WIDE_SET_ODDS, Evidence
-from procedures.registration.pairing_search import PairingSearch
 from procedures.studies.correspondence import FALSE, OUTLIERS, UNSUCCESSFUL, verdict
 from procedures.studies.heads import (
     IMAGE_SIGMA_MM,
@@ -80,7 +80,9 @@ def _outcomes(seen: Readings, noise: NoiseReading) -> Counter[tuple[Setting, str
         right = frozenset((i, j) for i, j in pairs)
         for setting in SETTINGS:
             evidence = Evidence(variance_mm2, *setting)
-            found = PairingSearch(seen.image_mm[run], seen.physical_mm[run], evidence, None, None).answer()
+            found = CorrespondenceSearch(
+                seen.image_mm[run], seen.physical_mm[run], evidence, None, None
+            ).answer()
             outcomes[setting, verdict(found.status, found.pairs, right)] += 1
     return outcomes
 

@@ -27,7 +27,7 @@ from benchmarks.sphere_campaign import (
 from benchmarks.stereo_cell import without_arm_errors
 from benchmarks.stereo_pictures import SERVO_MM, Case, Pair, Picture, Studio
 from procedures.relocalization import AreaImage, locate_sphere, measure_sphere
-from procedures.relocalization.judgement import RELIABLE_RIM
+from procedures.relocalization.outline_quality import RELIABLE_RIM
 
 Array = NDArray[np.float64]
 

@@ -1,12 +1,12 @@
 """DICOM volumes and the localization of spheres in them. Pure numerics: no engine, no devices."""
 
+from procedures.imaging.dicom.patient_identity import PatientIdentity, read_identity
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Candidate, Localization, Marker
-from procedures.imaging.patient_identity import PatientIdentity, read_identity
 from procedures.imaging.pick_files import read_picks
 from procedures.imaging.picks import localize_picks
 from procedures.imaging.series import read_series
-from procedures.imaging.thesis_localization import ThesisFit, localize_as_thesis
+from procedures.imaging.thesis.localization import ThesisFit, localize_as_thesis
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 __all__ = [

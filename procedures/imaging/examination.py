@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.blurred_ball import BlurredBall, fit_blurred_ball
-from procedures.imaging.combination import CombinedCentre, combine
 from procedures.imaging.detection import Peak
 from procedures.imaging.markers import (
     CUT_BY_FIELD,
@@ -20,8 +18,10 @@ from procedures.imaging.markers import (
     Candidate,
     Marker,
 )
-from procedures.imaging.radial_edge import RadialEdge, fit_radial_edge, ray_directions
 from procedures.imaging.region import cut_region
+from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_blurred_ball
+from procedures.imaging.sphere_centre.combination import CombinedCentre, combine
+from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge, ray_directions
 from procedures.imaging.volume import Volume
 
 Array = NDArray[np.float64]

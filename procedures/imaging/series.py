@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.slice_headers import Progress, read_headers
-from procedures.imaging.slice_pixels import read_pixels_into
-from procedures.imaging.slice_stack import accuracy_warnings, stack_slices
+from procedures.imaging.dicom.slice_headers import Progress, read_headers
+from procedures.imaging.dicom.slice_pixels import read_pixels_into
+from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
 from procedures.imaging.volume import Volume
 
 HEADER_SHARE = 0.4  # of the reading time

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from procedures.registration.clouds import CloudFit, register_clouds
+    from procedures.registration.cloud_registration import CloudFit, register_clouds
     from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
     from procedures.registration.error_theory import (
         FreGate,
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
         fre_gate,
         fre_limit_mm,
     )
-    from procedures.registration.fit import (
-        Finding,
+    from procedures.registration.matching import match
+    from procedures.registration.point_registration import (
+        Caveat,
         Registration,
         TargetError,
         drop_one_explanations,
         register,
     )
-    from procedures.registration.matching import match
     from procedures.registration.similarity_matrix import match_by_similarity
     from procedures.registration.template import match_by_template
     from procedures.registration.verification import (
@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "Caveat",
     "CloudFit",
     "CtToRoom",
-    "Finding",
     "FreGate",
     "Hypothesis",
     "Match",
@@ -68,7 +68,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "clouds": ("CloudFit", "register_clouds"),
+    "cloud_registration": ("CloudFit", "register_clouds"),
     "error_theory": (
         "FreGate",
         "expected_fre_mm",
@@ -77,7 +77,7 @@ _HOMES = {
         "fre_gate",
         "fre_limit_mm",
     ),
-    "fit": ("Finding", "Registration", "TargetError", "drop_one_explanations", "register"),
+    "point_registration": ("Caveat", "Registration", "TargetError", "drop_one_explanations", "register"),
     "correspondence": ("Hypothesis", "Match", "MatchStatus", "Prior"),
     "matching": ("match",),
     "similarity_matrix": ("match_by_similarity",),

@@ -17,7 +17,7 @@ from scipy.special import chdtri, fdtri
 
 from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.weighted import pose_jacobian
+from procedures.registration.weighted_rigid_fit import pose_jacobian
 
 Array = NDArray[np.float64]
 

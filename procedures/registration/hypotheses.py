@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from procedures.registration.consistency import bits
+from procedures.registration.consistency_graph import bits
 from procedures.registration.correspondence import Hypothesis
-from procedures.registration.rigid import as_transform, fit_rigid, mirrored_sum_mm2, residuals
+from procedures.registration.rigid_fit import as_transform, fit_rigid, mirrored_sum_mm2, residuals
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import Match, MatchStatus, Prior
+from procedures.registration.correspondence_search import CorrespondenceSearch
 from procedures.registration.errors import BadParameter, BadPoints
 from procedures.registration.hypotheses import Evidence
-from procedures.registration.pairing_search import PairingSearch
 from procedures.registration.points import FEWEST_PAIRS, REAL_KINDS, checked_points
 
 MOST_POINTS = 40  # a head carries up to ten; the graph grows with the square of both counts
@@ -45,7 +45,7 @@ def match(
     evidence = evidence_of(sigma_image_mm, sigma_physical_mm)
     _check_expected(expected)
     checked_prior = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
-    search = PairingSearch(image, physical, evidence, expected, checked_prior)
+    search = CorrespondenceSearch(image, physical, evidence, expected, checked_prior)
     fewest, seen = expected or FEWEST_PAIRS, min(len(image), len(physical))
     counts = f"{len(image)} image and {len(physical)} physical points, {fewest} needed"
     if seen < FEWEST_PAIRS:

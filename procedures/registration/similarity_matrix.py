@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import BadParameter
 from procedures.registration.points import FEWEST_PAIRS, checked_points
-from procedures.registration.rigid import as_transform, fit_rigid
+from procedures.registration.rigid_fit import as_transform, fit_rigid
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

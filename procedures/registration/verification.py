@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.errors import BadPoints
-from procedures.registration.fit import Registration
+from procedures.registration.point_registration import Registration
 from procedures.registration.points import checked_points
 
 Array = NDArray[np.float64]

@@ -12,10 +12,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization.circle_start import Circle
+from procedures.relocalization.circle_search import Circle
 from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle, fit_ellipse
-from procedures.relocalization.judgement import judged
-from procedures.relocalization.rim import (
+from procedures.relocalization.opencv_edges import GreyImage
+from procedures.relocalization.outline_quality import judged
+from procedures.relocalization.rim_edges import (
     RimEdges,
     fit_blurred_steps,
     rim_points,
@@ -23,7 +24,6 @@ from procedures.relocalization.rim import (
     steepest_falls,
 )
 from procedures.relocalization.sphere_image import SphereImage
-from procedures.relocalization.vision import GreyImage
 
 COARSE_RAYS = 180
 FINE_RAYS = 300

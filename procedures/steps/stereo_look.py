@@ -14,8 +14,8 @@ from procedures.relocalization.errors import (
     RaysDoNotMeet,
     WrongSize,
 )
-from procedures.relocalization.pairing import AreaImage, locate_sphere
 from procedures.relocalization.sphere_image import SphereImage
+from procedures.relocalization.sphere_in_pair import AreaImage, locate_sphere
 from procedures.relocalization.triangulation import StereoPoint
 from ronna_hw.calibration import CameraCalibration
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity

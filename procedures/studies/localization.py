@@ -26,7 +26,7 @@ from procedures.imaging import (
 )
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.markers import ESTIMATORS_DISAGREE
-from procedures.registration.fit import register
+from procedures.registration.point_registration import register
 from procedures.studies.errors import NotForJudging
 from procedures.studies.phantom_scans import PhantomScan, phantom_scan
 from procedures.studies.unit import Sums, Unit, blocks, generator

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, tre_principal_axes_mm
-from procedures.registration.fit import register
+from procedures.registration.point_registration import register
 from procedures.studies.heads import PATIENTS, any_pose, sites_mm
 from procedures.studies.plots import curves
 from procedures.studies.table import Cell, Table

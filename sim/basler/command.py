@@ -22,7 +22,7 @@ def basler(
     """Two GigE Vision cameras that see the scene; runs until it is ended."""
     from ipaddress import IPv4Address
 
-    from sim.basler.memory import keep_freed_memory
+    from sim.basler.kept_memory import keep_freed_memory
     from sim.basler.pair import CameraPair
     from sim.theatre.process import announce, end_with_parent, open_world
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.records import write_whole
-from sim.phantom.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
 from sim.phantom.scan import Scan, plain_scan
-from sim.phantom.slice_painter import SlicePainter
+from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
+from sim.phantom.scanner.slice_painter import SlicePainter
 from sim.theatre.scene.model import Scene
 
 SERIES_FOLDER = "ct"

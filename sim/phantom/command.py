@@ -47,7 +47,7 @@ def phantom(
     """
     from sim.errors import BadScene
     from sim.phantom.case import write_case
-    from sim.phantom.family_scan import family_scan, protocol_named
+    from sim.phantom.families.drawn_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
     from sim.theatre.process import end_with_parent, load_scene
 

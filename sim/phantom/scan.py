@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from sim.phantom.anatomy import Anatomy, draw_anatomy
-from sim.phantom.grid import CtGrid, place_grid
+from sim.phantom.head.anatomy import Anatomy, draw_anatomy
+from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.theatre.scene.model import Scene
 
 FREE, XFRAME = "free", "xframe"

@@ -20,7 +20,7 @@ from procedures.registration.error_theory import (
     tre_principal_axes_mm,
 )
 from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
-from procedures.registration.rigid import fit_rigid, residuals
+from procedures.registration.rigid_fit import fit_rigid, residuals
 
 FLE_MM = 0.3
 RUNS = 20_000

@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from procedures.registration import MatchStatus, match
-from procedures.registration.rigid import fit_rigid, residuals
+from procedures.registration.rigid_fit import fit_rigid, residuals
 
 SIGMAS = {"sigma_image_mm": 0.17, "sigma_physical_mm": 0.56}
 OUTLIERS = range(5)

@@ -11,10 +11,10 @@ import pytest
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene
 from sim.phantom.case import write_case
-from sim.phantom.families import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Purpose
-from sim.phantom.family_scan import family_scan
+from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Purpose
+from sim.phantom.families.drawn_scan import family_scan
+from sim.phantom.head.shapes import Ball, Point, Rod
 from sim.phantom.scan import XFRAME, Scan
-from sim.phantom.shapes import Ball, Point, Rod
 from sim.theatre.scene.model import CtProtocol
 
 COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from sim.errors import BadScene
-from sim.phantom import blur
-from sim.phantom.anatomy import draw_anatomy
-from sim.phantom.grid import place_grid
-from sim.phantom.layers import AIR_HU, LAYERS, HeadLayers
-from sim.phantom.painting import paint
-from sim.phantom.shapes import Ball, Cable, Ellipsoid, Rod, Trough
+from sim.phantom.head.anatomy import draw_anatomy
+from sim.phantom.head.layers import AIR_HU, LAYERS, HeadLayers
+from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Trough
+from sim.phantom.scanner import blur
+from sim.phantom.scanner.grid import place_grid
+from sim.phantom.scanner.painting import paint
 from sim.theatre.scene.model import CtProtocol, Scene
 from sim.theatre.scene.named_scenes import built_in_scene
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.phantom.anatomy import METAL_HU, Anatomy, draw_anatomy
-from sim.phantom.grid import CtGrid, place_grid
-from sim.phantom.slice_painter import SlicePainter
+from sim.phantom.head.anatomy import METAL_HU, Anatomy, draw_anatomy
+from sim.phantom.scanner.grid import CtGrid, place_grid
+from sim.phantom.scanner.slice_painter import SlicePainter
 from sim.theatre.scene.model import Scene
 
 

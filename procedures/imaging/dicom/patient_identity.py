@@ -1,0 +1,43 @@
+"""Whose series is it? Read only for who asks: volumes, markers, logs and reports hold no identity."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from procedures.imaging.dicom.attributes import text
+from procedures.imaging.dicom.slice_headers import read_images
+
+_TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
+
+
+@dataclass(frozen=True, repr=False)  # no log shows it by accident
+class PatientIdentity:
+    """What a series says about its patient, as it says it; empty where it says nothing."""
+
+    name: str
+    identifier: str
+    birth_date: str  # YYYYMMDD
+    sex: str
+
+    def as_dict(self) -> dict[str, str]:
+        """For JSON."""
+        return asdict(self)
+
+    def describe(self) -> str:
+        """One line for a person."""
+        told = [self.name or "no name", f"identifier {self.identifier or '(none)'}"]
+        if self.birth_date:
+            told.append(f"born {self.birth_date}")
+        if self.sex:
+            told.append(f"sex {self.sex}")
+        return ", ".join(told)
+
+
+def read_identity(directory: Path) -> PatientIdentity:
+    """The patient whom the first slice in `directory` names; reading the series checks that all name one.
+
+    Raises CT-001, CT-002, CT-005, CT-012.
+    """
+    path, header = read_images(Path(directory), _TAGS)[0]
+    return PatientIdentity(*(text(path, header, keyword) for keyword in _TAGS))

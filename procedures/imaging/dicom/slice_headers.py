@@ -1,0 +1,255 @@
+"""Headers of the slices in a folder, checked to be one CT series."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.imaging.dicom.attributes import (
+    numbers,
+    optional_number,
+    read_dicom,
+    required_text,
+    text,
+    value,
+)
+from procedures.imaging.errors import (
+    AttributeMissing,
+    FileDamaged,
+    FramesMixed,
+    RescaleUnusable,
+    ScoutView,
+    SeriesEmpty,
+    SeriesMixed,
+    SeriesNotFound,
+    WrongModality,
+)
+
+if TYPE_CHECKING:
+    from pydicom.dataset import FileDataset
+
+Progress = Callable[[float], None]
+
+PREAMBLE_BYTES = 128  # DICOM part 10: 128 free bytes, then the letters DICM
+MAGIC = b"DICM"
+DICOM_SUFFIXES = frozenset({".dcm", ".dicom", ".ima", ".img"})
+
+_DIRECTORY_STORAGE = "1.2.840.10008.1.3.10"
+_CT_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.2"
+_ENHANCED_CT_STORAGES = frozenset({"1.2.840.10008.5.1.4.1.1.2.1", "1.2.840.10008.5.1.4.1.1.2.2"})
+
+_STANDARD_ROOT = "1.2.840"  # classes of the standard; those of makers begin otherwise
+_PRIVATE_DOTS = 5  # fewer: the identifier itself is cut off
+
+_SCOUT_WORDS = frozenset(
+    {"LOCALIZER", "SCOUT", "TOPOGRAM"}
+)  # the first is the standard's (PS3.3 C.8.2.1.1.1)
+_DERIVED = "DERIVED"
+_LOSSY = "01"
+_HOUNSFIELD = frozenset({"", "HU"})
+_UNSPECIFIED = frozenset({"US", "HU_MOD"})  # perhaps HU: the reader is warned
+SLOPE_LIMITS = (0.0625, 10.0)  # 16 bits hold 4096 HU; steps no coarser than half the noise of a good scan
+INTERCEPT_LIMIT = 65536.0  # 16 bits, whichever sign
+
+_IMAGE_TAGS = ("SOPClassUID", "Rows", "Columns")  # by these an image is told from other objects
+_TAGS = (
+    "ImageType",
+    "LossyImageCompression",
+    "Modality",
+    "SeriesInstanceUID",
+    "FrameOfReferenceUID",
+    "PatientPosition",
+    "ImagePositionPatient",
+    "ImageOrientationPatient",
+    "PixelSpacing",
+    "SliceThickness",
+    "GantryDetectorTilt",
+    "RescaleSlope",
+    "RescaleIntercept",
+    "RescaleType",
+    "PatientID",  # compared, and forgotten
+)
+
+
+@dataclass(frozen=True)
+class SliceHeader:
+    """What one file says about its slice. Lengths mm, directions and positions LPS."""
+
+    path: Path
+    series_instance_uid: str
+    frame_of_reference_uid: str
+    patient_position: str
+    position_mm: tuple[float, ...]
+    orientation: tuple[float, ...]
+    row_spacing_mm: float
+    column_spacing_mm: float
+    thickness_mm: float | None
+    tilt_deg: float
+    rows: int
+    columns: int
+    slope: float
+    intercept: float
+    oddities: tuple[str, ...] = ()  # of its origin: what should make the reader doubt it
+
+
+def read_headers(directory: Path, progress: Progress | None = None) -> tuple[SliceHeader, ...]:
+    """Headers of all CT slices directly in `directory`, in order of file name.
+
+    Files that are not DICOM and DICOM objects without an image are left out. Raises CT-001 to CT-006 and
+    CT-012, CT-020, CT-021; the message names the file, the series or the frame at fault.
+    """
+    images = read_images(directory, _TAGS, progress)
+    _refuse_scouts(images)
+    _refuse_several(
+        SeriesMixed, "series", (text(path, header, "SeriesInstanceUID") for path, header in images)
+    )
+    _refuse_several_patients(images)
+    _refuse_other_modality(images)
+    slices = tuple(_slice_header(path, header) for path, header in images)
+    _refuse_several(FramesMixed, "frames of reference", (one.frame_of_reference_uid for one in slices))
+    return slices
+
+
+def read_images(
+    directory: Path, tags: tuple[str, ...], progress: Progress | None = None
+) -> list[tuple[Path, FileDataset]]:
+    """Those attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
+    images = []
+    files = _files_in(directory)
+    for number, path in enumerate(files):
+        header = read_dicom(path, only=_IMAGE_TAGS + tags) if _is_dicom(path) else None
+        if header is not None and _is_image(path, header):
+            images.append((path, header))
+        if progress is not None:
+            progress((number + 1) / len(files))
+    if not images:
+        raise SeriesEmpty(f"no DICOM image in {directory}")
+    return images
+
+
+def _files_in(directory: Path) -> list[Path]:
+    if not directory.is_dir():
+        reason = "is not a folder" if directory.exists() else "does not exist"
+        raise SeriesNotFound(f"{directory} {reason}")
+    return sorted(path for path in directory.iterdir() if path.is_file() and not path.name.startswith("."))
+
+
+def _is_dicom(path: Path) -> bool:
+    with path.open("rb") as stream:
+        start = stream.read(PREAMBLE_BYTES + len(MAGIC))
+    if start[PREAMBLE_BYTES:] == MAGIC:
+        return True
+    cut_short = len(start) < PREAMBLE_BYTES + len(MAGIC) and not any(start)
+    if path.suffix.lower() in DICOM_SUFFIXES or (not path.suffix and cut_short):
+        raise FileDamaged(f"{path.name} is truncated or not DICOM: the letters DICM are missing")
+    return False
+
+
+def _is_image(path: Path, header: FileDataset) -> bool:
+    from pydicom import config
+    from pydicom.uid import UID
+
+    stated = value(path, header.file_meta, "MediaStorageSOPClassUID") or text(path, header, "SOPClassUID")
+    kind = UID(str(stated), validation_mode=config.IGNORE)
+    if kind == _DIRECTORY_STORAGE:
+        return False
+    if "Rows" in header and "Columns" in header:
+        return True
+    standard_object = kind.name != str(kind) and kind != _CT_IMAGE_STORAGE
+    private_object = not kind.startswith(_STANDARD_ROOT) and kind.count(".") >= _PRIVATE_DOTS
+    if not (standard_object or private_object):
+        raise FileDamaged(f"{path.name} is truncated: its header ends early")
+    return False
+
+
+def _refuse_several(error: type[SeriesMixed | FramesMixed], noun: str, values: Iterable[str]) -> None:
+    distinct = sorted(set(values))
+    if len(distinct) > 1:
+        raise error(
+            f"the folder holds {len(distinct)} {noun}: {', '.join(uid or '(none)' for uid in distinct)}"
+        )
+
+
+def _refuse_several_patients(images: list[tuple[Path, FileDataset]]) -> None:
+    count = len({text(path, header, "PatientID") for path, header in images} - {""})
+    if count > 1:  # who they are is not for messages
+        raise SeriesMixed(f"the slices name {count} patients under one series")
+
+
+def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
+    for path, header in images:
+        modality = text(path, header, "Modality")
+        if modality != "CT":
+            raise WrongModality(f"{path.name} has modality {modality or '(none)'}", expected="CT")
+        if text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
+            raise WrongModality(f"{path.name} is a multi-frame (enhanced) CT", expected="one slice per file")
+
+
+def _refuse_scouts(images: list[tuple[Path, FileDataset]]) -> None:
+    for path, header in images:
+        if scout := _SCOUT_WORDS.intersection(_image_type(path, header)):
+            raise ScoutView(f"{path.name} has image type {min(scout)}", expected="slices")
+
+
+def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
+    spacing = numbers(path, header, "PixelSpacing", 2)
+    rows, columns = int(header.Rows), int(header.Columns)
+    if min(spacing) <= 0 or min(rows, columns) < 1:
+        raise AttributeMissing(f"{path.name}: pixel spacing {spacing} mm, {rows} rows, {columns} columns")
+    slope, intercept = _rescale(path, header)
+    thickness = optional_number(path, header, "SliceThickness")
+    return SliceHeader(
+        path=path,
+        series_instance_uid=required_text(path, header, "SeriesInstanceUID"),
+        frame_of_reference_uid=required_text(path, header, "FrameOfReferenceUID"),
+        patient_position=text(path, header, "PatientPosition"),
+        position_mm=numbers(path, header, "ImagePositionPatient", 3),
+        orientation=numbers(path, header, "ImageOrientationPatient", 6),
+        row_spacing_mm=spacing[0],
+        column_spacing_mm=spacing[1],
+        thickness_mm=thickness,
+        tilt_deg=optional_number(path, header, "GantryDetectorTilt") or 0.0,
+        rows=rows,
+        columns=columns,
+        slope=slope,
+        intercept=intercept,
+        oddities=_oddities(path, header),
+    )
+
+
+def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
+    """Slope and intercept that can be those of a CT; raises CT-012, CT-020."""
+    slope = numbers(path, header, "RescaleSlope", 1)[0]
+    intercept = numbers(path, header, "RescaleIntercept", 1)[0]
+    low, high = SLOPE_LIMITS
+    if not low <= slope <= high:
+        raise RescaleUnusable(
+            f"{path.name}: RescaleSlope is {slope:g}", limit=f"{low:g} to {high:g} HU per stored step"
+        )
+    if abs(intercept) > INTERCEPT_LIMIT:
+        raise RescaleUnusable(
+            f"{path.name}: RescaleIntercept is {intercept:g}", limit=f"{INTERCEPT_LIMIT:g} HU, whichever sign"
+        )
+    kind = text(path, header, "RescaleType").upper()
+    if kind not in _HOUNSFIELD | _UNSPECIFIED:
+        raise RescaleUnusable(f"{path.name}: RescaleType is {kind}", expected="HU")
+    return slope, intercept
+
+
+def _oddities(path: Path, header: FileDataset) -> tuple[str, ...]:
+    told = []
+    if _image_type(path, header)[:1] == (_DERIVED,):
+        told.append("derived images: another program resampled or filtered what the scanner made")
+    if text(path, header, "LossyImageCompression") == _LOSSY:
+        told.append("images that were compressed with loss: edges are not where the scanner saw them")
+    if text(path, header, "RescaleType").upper() in _UNSPECIFIED:
+        told.append("intensities of an unspecified unit: they are taken for Hounsfield units")
+    return tuple(told)
+
+
+def _image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
+    stated = value(path, header, "ImageType") or ()
+    words = (stated,) if isinstance(stated, str) else stated
+    return tuple(str(word).strip().upper() for word in words)

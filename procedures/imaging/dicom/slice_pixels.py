@@ -1,0 +1,104 @@
+"""Pixels of one slice as HU, fast for uncompressed files."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging.dicom.attributes import read_dicom
+from procedures.imaging.dicom.slice_headers import SliceHeader
+from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
+
+if TYPE_CHECKING:
+    from pydicom.dataset import FileDataset
+    from pydicom.uid import UID
+
+HU_LIMITS = (-32768, 32767)
+
+_LITTLE_ENDIAN_UNCOMPRESSED = frozenset(
+    {"1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.1.99"}  # the last is deflated as a whole
+)
+
+
+def read_pixels_into(target: NDArray[np.int16], header: SliceHeader) -> None:
+    """Fill `target` (rows, columns) with the HU of one slice.
+
+    Raises CT-005 (truncated), CT-013 (compressed beyond our means), CT-014 (not a CT slice).
+    """
+    data = read_dicom(header.path)
+    name = header.path.name
+    if int(data.get("SamplesPerPixel", 1)) != 1 or int(data.get("NumberOfFrames") or 1) != 1:
+        raise PixelsUnusable(f"{name} has colour or several frames")
+    if data.get("PhotometricInterpretation", "MONOCHROME2") != "MONOCHROME2":
+        raise PixelsUnusable(f"{name} has photometric interpretation {data.PhotometricInterpretation}")
+    if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
+        raise PixelsUnusable(f"{name} has pixels with a decimal point", expected="whole numbers")
+    if "PixelData" not in data:
+        raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
+    syntax = str(data.file_meta.get("TransferSyntaxUID", ""))
+    if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and data.get("BitsAllocated") == 16:
+        stored = _stored_16_bit(data, name, target.shape)
+    else:
+        stored = _stored_by_library(data, name, target.shape)
+    _rescale_into(target, stored, header)
+
+
+def _stored_16_bit(data: FileDataset, name: str, shape: tuple[int, ...]) -> NDArray[np.integer]:
+    signed = bool(data.get("PixelRepresentation", 0))
+    pixels: bytes = data.PixelData
+    needed = 2 * shape[0] * shape[1]
+    if len(pixels) < needed:
+        raise FileDamaged(f"{name} is truncated", expected=f"{needed} bytes of pixels", got=f"{len(pixels)}")
+    stored = np.frombuffer(pixels, dtype="<i2" if signed else "<u2", count=needed // 2).reshape(shape)
+    bits = int(data.get("BitsStored", 16))
+    high = int(data.get("HighBit", bits - 1))
+    if not 1 <= bits <= high + 1 <= 16:
+        raise PixelsUnusable(f"{name} stores {bits} bits up to bit {high}")
+    if bits == 16:
+        return stored
+    # bits above the highest are not part of the value; shifting back extends the sign
+    return (stored << (15 - high)) >> (16 - bits)
+
+
+def _stored_by_library(data: FileDataset, name: str, shape: tuple[int, ...]) -> NDArray[np.integer]:
+    from pydicom import config
+    from pydicom.uid import UID
+
+    stated = str(data.file_meta.get("TransferSyntaxUID", ""))
+    syntax = UID(stated, validation_mode=config.IGNORE)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            stored = np.asarray(data.pixel_array)
+    except Exception as problem:
+        if not _can_decode(syntax):
+            raise CompressionUnknown(f"{name} is compressed with {syntax.name}") from problem
+        raise FileDamaged(f"{name}: its pixel data cannot be decoded ({problem})") from problem
+    if stored.shape != shape or stored.dtype.kind not in "iu":
+        raise PixelsUnusable(f"{name} decodes to shape {stored.shape} of {stored.dtype}")
+    return stored
+
+
+def _can_decode(syntax: UID) -> bool:
+    from pydicom.pixels.decoders.base import get_decoder
+
+    try:
+        return bool(get_decoder(syntax).is_available)
+    except NotImplementedError:
+        return False
+
+
+def _rescale_into(target: NDArray[np.int16], stored: NDArray[np.integer], header: SliceHeader) -> None:
+    offset = round(header.intercept)
+    if header.slope == 1 and header.intercept == offset:
+        low, high = int(stored.min()) + offset, int(stored.max()) + offset
+        if low >= HU_LIMITS[0] and high <= HU_LIMITS[1] and abs(offset) <= HU_LIMITS[1]:
+            # wraps modulo 2^16 on the way, yet ends right because the result fits
+            np.add(stored.astype(np.int16, copy=False), np.int16(offset), out=target)
+            return
+    values = stored * header.slope + header.intercept
+    np.clip(np.rint(values), *HU_LIMITS, out=values)
+    target[...] = values

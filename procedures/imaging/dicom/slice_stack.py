@@ -1,0 +1,177 @@
+"""Do the slices make a straight, even stack? Order and geometry of a series, from positions alone.
+
+Slice thickness and instance numbers are never used for the geometry: positions and orientations are
+(DICOM PS3.3 C.7.6.2.1.1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging.dicom.slice_headers import SliceHeader
+from procedures.imaging.errors import (
+    GantryTilted,
+    OrientationUnusable,
+    SeriesTooShort,
+    SliceDuplicated,
+    SlicesDiffer,
+    SpacingUneven,
+)
+from procedures.imaging.volume import VoxelGeometry
+
+Array = NDArray[np.float64]
+
+MIN_SLICES = 3  # fewer cannot show that the spacing is even
+UNIT_TOLERANCE = 1e-3  # direction cosines are often written with few decimals
+SAME_DIRECTION_TOLERANCE = 1e-4
+SAME_PLACE_MM = 0.01  # closer slices are copies
+POSITION_TOLERANCE_MM = 0.05  # positions are often written with few decimals
+SHEAR_LIMIT = 5e-4  # sideways drift per mm of stack: 0.1 mm over a head of 200 mm
+TILT_LIMIT_DEG = 0.1  # what the scanner states about its gantry
+COARSE_SLICE_MM = 2.0  # above this the accuracy of localization suffers
+COARSE_PIXEL_MM = 1.0
+_ROUNDING_MM = 1e-3
+
+
+def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ...], VoxelGeometry]:
+    """Slices sorted along their normal, and the geometry of the volume they make.
+
+    Raises CT-007 (tilt), CT-008 (orientation), CT-009 (copies), CT-010 (gaps), CT-011 (sizes), CT-015.
+    """
+    if len(slices) < MIN_SLICES:
+        raise SeriesTooShort(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES}")
+    _refuse_different_sizes(slices)
+    row_direction, column_direction = _common_directions(slices)
+    normal = np.cross(row_direction, column_direction)
+    positions = np.array([one.position_mm for one in slices])
+    order = np.argsort(positions @ normal, kind="stable")
+    ordered = tuple(slices[index] for index in order)
+    positions = positions[order]
+    spacing_mm = _even_spacing(ordered, positions @ normal)
+    _refuse_shear(ordered, positions, normal)
+    first = ordered[0]
+    geometry = VoxelGeometry(
+        shape=(len(ordered), first.rows, first.columns),
+        origin_mm=positions[0],
+        # the row index grows along the columns of the image, the column index along its rows
+        axes=np.column_stack([normal, column_direction, row_direction]),
+        spacing_mm=np.array([spacing_mm, first.row_spacing_mm, first.column_spacing_mm]),
+    )
+    return ordered, geometry
+
+
+def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) -> tuple[str, ...]:
+    """Sentences about what will limit the accuracy of localization, none for a good protocol."""
+    sentences = []
+    spacing_mm = float(geometry.spacing_mm[0])
+    thickness_mm = max((one.thickness_mm or 0.0 for one in slices), default=0.0)
+    coarsest_mm = max(spacing_mm, thickness_mm)
+    if coarsest_mm > COARSE_SLICE_MM + _ROUNDING_MM:
+        sentences.append(
+            f"slices of {coarsest_mm:.2f} mm are thicker than {COARSE_SLICE_MM:g} mm: "
+            "the centres will be less accurate"
+        )
+    if 0 < thickness_mm < spacing_mm - POSITION_TOLERANCE_MM:
+        sentences.append(
+            f"slices of {thickness_mm:.2f} mm every {spacing_mm:.2f} mm: the scan leaves gaps between slices"
+        )
+    if geometry.spacing_mm[1:].max() > COARSE_PIXEL_MM + _ROUNDING_MM:
+        sentences.append(
+            f"pixels of {geometry.spacing_mm[1:].max():.2f} mm are larger than {COARSE_PIXEL_MM:g} mm: "
+            "the centres will be less accurate"
+        )
+    sentences += sorted({oddity for one in slices for oddity in one.oddities})
+    return tuple(sentences)
+
+
+def _refuse_different_sizes(slices: tuple[SliceHeader, ...]) -> None:
+    first = slices[0]
+    for other in slices[1:]:
+        if (other.rows, other.columns) != (first.rows, first.columns):
+            raise SlicesDiffer(
+                f"{first.path.name} has {first.rows} x {first.columns} pixels, "
+                f"{other.path.name} has {other.rows} x {other.columns}"
+            )
+        spacings = (other.row_spacing_mm, other.column_spacing_mm)
+        if not np.allclose(spacings, (first.row_spacing_mm, first.column_spacing_mm), rtol=1e-5, atol=0):
+            raise SlicesDiffer(
+                f"{first.path.name} has pixels of {first.row_spacing_mm:g} x {first.column_spacing_mm:g} mm, "
+                f"{other.path.name} of {spacings[0]:g} x {spacings[1]:g} mm"
+            )
+
+
+def _common_directions(slices: tuple[SliceHeader, ...]) -> tuple[Array, Array]:
+    orientations = np.array([one.orientation for one in slices]).reshape(-1, 2, 3)
+    lengths = np.linalg.norm(orientations, axis=2)
+    skew = np.abs(np.sum(orientations[:, 0] * orientations[:, 1], axis=1))
+    bad = (np.abs(lengths - 1).max(axis=1) > UNIT_TOLERANCE) | (skew > UNIT_TOLERANCE)
+    if bad.any():
+        name = slices[int(np.argmax(bad))].path.name
+        raise OrientationUnusable(f"{name}: the image orientation is not two perpendicular unit vectors")
+    spread = np.abs(orientations - np.median(orientations, axis=0)).max(axis=(1, 2))
+    if spread.max() > SAME_DIRECTION_TOLERANCE:
+        name = slices[int(np.argmax(spread))].path.name
+        raise OrientationUnusable(f"{name} is oriented differently from the other slices")
+    row, column = orientations.mean(axis=0)
+    row = row / np.linalg.norm(row)
+    column = column - row * float(row @ column)
+    return row, column / np.linalg.norm(column)
+
+
+def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
+    steps_mm = np.diff(along_mm)
+    closest = int(np.argmin(steps_mm))
+    if steps_mm[closest] < SAME_PLACE_MM:
+        raise SliceDuplicated(
+            f"{slices[closest].path.name} and {slices[closest + 1].path.name} lie at the same place",
+            got=f"{steps_mm[closest]:.4f} mm apart",
+        )
+    usual_mm = float(np.median(steps_mm))
+    widest = int(np.argmax(steps_mm))
+    missing = round(float(steps_mm[widest]) / usual_mm) - 1
+    if missing >= 1:
+        raise SpacingUneven(
+            f"{missing} slice{'s' if missing > 1 else ''} missing between "
+            f"{slices[widest].path.name} and {slices[widest + 1].path.name}",
+            expected=f"a slice every {usual_mm:.3f} mm",
+            got=f"{steps_mm[widest]:.3f} mm",
+        )
+    count = np.arange(len(along_mm))
+    spacing_mm, start_mm = np.polyfit(count, along_mm, 1)
+    deviation_mm = np.abs(along_mm - (start_mm + spacing_mm * count))
+    worst = int(np.argmax(deviation_mm))
+    if deviation_mm[worst] > POSITION_TOLERANCE_MM:
+        raise SpacingUneven(
+            f"{slices[worst].path.name} is off the even spacing of {spacing_mm:.3f} mm",
+            limit=f"{POSITION_TOLERANCE_MM} mm",
+            got=f"{deviation_mm[worst]:.3f} mm",
+        )
+    return float(spacing_mm)
+
+
+def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: Array) -> None:
+    stated_deg = max((one.tilt_deg for one in slices), key=abs)
+    if abs(stated_deg) > TILT_LIMIT_DEG:
+        raise GantryTilted(
+            f"the scanner states a gantry tilt of {stated_deg:g} degrees", limit=f"{TILT_LIMIT_DEG} degrees"
+        )
+    offsets = positions_mm - positions_mm[0]
+    along_mm = offsets @ normal
+    sideways = offsets - np.outer(along_mm, normal)
+    drift = sideways[-1] / along_mm[-1]
+    size = float(np.linalg.norm(drift))
+    if size > SHEAR_LIMIT and np.linalg.norm(sideways[-1]) > POSITION_TOLERANCE_MM:
+        raise GantryTilted(
+            "the slices are not stacked along their normal",
+            limit=f"{np.degrees(SHEAR_LIMIT):.2f} degrees",
+            got=f"{np.degrees(np.arctan(size)):.2f} degrees",
+        )
+    deviation_mm = np.linalg.norm(sideways - np.outer(along_mm, drift), axis=1)
+    worst = int(np.argmax(deviation_mm))
+    if deviation_mm[worst] > POSITION_TOLERANCE_MM:
+        raise SpacingUneven(
+            f"{slices[worst].path.name} is shifted sideways against the other slices",
+            limit=f"{POSITION_TOLERANCE_MM} mm",
+            got=f"{deviation_mm[worst]:.3f} mm",
+        )

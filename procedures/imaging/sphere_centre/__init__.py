@@ -1,0 +1,1 @@
+"""Estimators of one sphere's centre: its edge along rays, a blurred ball in the voxels, and both combined."""

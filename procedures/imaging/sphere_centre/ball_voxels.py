@@ -1,0 +1,119 @@
+"""The voxels that a blurred ball is fitted to, and the robust fit to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from procedures.imaging.region import Region
+from procedures.imaging.sphere_centre.ball_model import BALL, SLOPE, SXY, SZ, intensities, polynomial
+from procedures.imaging.sphere_centre.robust_fit import (
+    cauchy_growth,
+    cauchy_weights,
+    flat_growth,
+    flat_weights,
+    minimise,
+    scale,
+)
+from procedures.imaging.sphere_centre.streak_background import FITTED_DEGREES
+
+Array = NDArray[np.float64]
+
+BLUR_LIMITS_MM = (0.15, 2.0)
+MIN_VOXELS = 200
+OUTLIER = 5.0  # deviations: noise alone reaches it in one sphere of a hundred
+OUTLIER_REACH_MM = 1.2  # and at least a voxel: the blur of something else is felt so far
+
+
+@dataclass(frozen=True, eq=False)
+class BallVoxels:
+    """The voxels that take part: indices and grid mm (n, 3), HU (n,), terms of the background (n, m)."""
+
+    where: NDArray[np.int64]
+    points_mm: Array
+    values: Array
+    places: Array  # (n, 3) in radii from their middle
+    background: Array
+    spacing_mm: Array
+    farthest_mm: float  # from the start: further away is another object
+    covered: bool = False  # much of the surface borders on something else, whose traces may be anywhere
+
+    @classmethod
+    def of(
+        cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
+    ) -> Self:
+        """The usable voxels of a region around a ball of about that radius."""
+        where = np.argwhere(usable)
+        points_mm = (where + region.start) * region.spacing_mm
+        places = (points_mm - points_mm.mean(axis=0)) / radius_mm
+        background = polynomial(places, FITTED_DEGREES)
+        values = region.values[usable]
+        return cls(where, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm, covered)
+
+    def robust_fit(self, ball: Array) -> Array | None:
+        """All unknowns from those of the ball alone; None when nothing settles nearby.
+
+        First with a sloping background, which settles from further away, then with the bent one.
+        """
+        sloping = np.zeros(SLOPE.stop)
+        sloping[:BALL] = ball
+        settled = self._minimum(sloping, ball)
+        if settled is None:
+            return None
+        bent = np.zeros(BALL + self.background.shape[1])
+        bent[: SLOPE.stop] = settled
+        return self._minimum(bent, ball)
+
+    def _minimum(self, start: Array, ball: Array) -> Array | None:
+        background = self.background[:, : len(start) - BALL]
+        settled = minimise(
+            lambda unknowns: intensities(self.points_mm, unknowns, background),
+            self.values,
+            start,
+            _with_possible_blur,
+        )
+        if settled is None or np.linalg.norm(settled[:3] - ball[:3]) > self.farthest_mm:
+            return None
+        return settled
+
+    def without_outliers(self, unknowns: Array) -> BallVoxels:
+        """Without what does not belong to the fitted ball, such as its post, and what its blur reaches."""
+        modelled, _ = intensities(self.points_mm, unknowns, self.background)
+        residuals = self.values - modelled
+        strange = np.abs(residuals) > OUTLIER * scale(residuals)
+        if not strange.any():
+            return self
+        scaled = self.points_mm / np.maximum(OUTLIER_REACH_MM, self.spacing_mm)
+        distance, _ = cKDTree(scaled[strange]).query(scaled, distance_upper_bound=1.0 + 1e-6)
+        clear = ~np.isfinite(distance)
+        if clear.sum() < MIN_VOXELS:
+            return self
+        return replace(
+            self,
+            where=self.where[clear],
+            points_mm=self.points_mm[clear],
+            values=self.values[clear],
+            places=self.places[clear],
+            background=self.background[clear],
+        )
+
+    def at(self, unknowns: Array) -> tuple[Array, Array, Array, float]:
+        """Derivatives (n, m), pull w·r (n,) of the residuals, weights (n,), and the noise in HU."""
+        modelled, derivatives = intensities(self.points_mm, unknowns, self.background)
+        residuals = self.values - modelled
+        noise_hu = scale(residuals)
+        weights = (cauchy_weights if self.covered else flat_weights)(residuals, noise_hu)
+        return derivatives, weights * residuals, weights, noise_hu
+
+    def growth(self, weights: Array) -> float:
+        """How fast the pull grows with the residual, over its weight, on average."""
+        return (cauchy_growth if self.covered else flat_growth)(weights)
+
+
+def _with_possible_blur(unknowns: Array) -> Array:
+    unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
+    return unknowns

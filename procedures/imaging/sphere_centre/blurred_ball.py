@@ -1,0 +1,105 @@
+"""Second estimator of a sphere's centre: a blurred ball fitted to the voxels themselves.
+
+Unknown are the centre, both intensities, both blurs, the radius and the background. Voxels near metal are
+left out. A robust fit, which outliers (post, skin) cannot pull, finds what does not belong to the ball; from
+the rest a fit that knows its noise and its streaks takes all they hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from procedures.imaging.region import Region
+from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS, SXY, SZ
+from procedures.imaging.sphere_centre.ball_voxels import MIN_VOXELS, BallVoxels
+from procedures.imaging.sphere_centre.whitened_ball import fit_whitened
+
+Array = NDArray[np.float64]
+
+METAL_HU = 900.0
+METAL_REACH_MM = 2.2  # blur of metal is felt this far
+FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere take part
+HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; deeper the blur brings nothing of it
+HIDDEN_REACH = 0.14  # rad, a ray stands for its surroundings; neighbours are 0.18 apart
+START_BLUR_MM = 0.42  # sigma of a usual reconstruction kernel
+
+
+@dataclass(frozen=True, eq=False)
+class BlurredBall:
+    """A fitted ball. Centre and covariance in grid mm (slice, row, column), intensities in HU."""
+
+    centre_mm: Array
+    covariance_mm2: Array
+    radius_mm: float
+    noise_hu: float
+    blur_mm: tuple[float, float]  # sigma across slices, in the plane
+    metal_share: float  # of the sphere's surface, too near metal to be used
+    streak_hu: float  # usual size of the terms by which streaks bend the background, at the surface
+    contrast_hu: float
+
+
+def fit_blurred_ball(
+    region: Region,
+    start_mm: Array,
+    radius_mm: float,
+    inside_hu: float,
+    outside_hu: float,
+    *,
+    hidden_ways: Array | None = None,
+) -> BlurredBall | None:
+    """Fit from a centre within about 0.3 mm; None when too few voxels are usable or nothing converges.
+
+    `hidden_ways` (n, 3): directions from the centre in which the surface borders on something else than the
+    outside; voxels near and beyond the surface there are left out.
+    """
+    z, y, x = region.axes_mm()
+    distance = np.sqrt((z - start_mm[0]) ** 2 + (y - start_mm[1]) ** 2 + (x - start_mm[2]) ** 2)
+    clean = _far_from_metal(region)
+    usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
+    covered = hidden_ways is not None and len(hidden_ways) > 0
+    if hidden_ways is not None and covered:
+        usable &= ~_hidden(region, start_mm, hidden_ways, distance > radius_mm - HIDDEN_DEPTH_MM)
+    if usable.sum() < MIN_VOXELS:
+        return None
+    at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
+    metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
+    slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
+    start = np.array([*start_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
+    voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
+    settled = voxels.robust_fit(start)
+    fitted = None if settled is None else fit_whitened(voxels.without_outliers(settled), settled)
+    if fitted is None:
+        return None
+    return BlurredBall(
+        centre_mm=fitted.unknowns[:3],
+        covariance_mm2=fitted.covariance_mm2,
+        radius_mm=float(fitted.unknowns[RADIUS]),
+        noise_hu=fitted.noise_hu,
+        blur_mm=(float(fitted.unknowns[SZ]), float(fitted.unknowns[SXY])),
+        metal_share=metal_share,
+        streak_hu=fitted.streak_hu,
+        contrast_hu=float(fitted.unknowns[IN] - fitted.unknowns[OUT]),
+    )
+
+
+def _far_from_metal(region: Region) -> NDArray[np.bool_]:
+    metal = region.values > METAL_HU  # NaN compares false
+    if not metal.any():
+        return np.ones(metal.shape, dtype=bool)
+    return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
+
+
+def _hidden(region: Region, centre_mm: Array, ways: Array, outer: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Outer voxels that lie in one of these directions."""
+    where = np.argwhere(outer)
+    offsets = (where + region.start) * region.spacing_mm - centre_mm
+    offsets /= np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-6)
+    distance, _ = cKDTree(ways).query(offsets, distance_upper_bound=HIDDEN_REACH)
+    hidden = np.zeros(outer.shape, dtype=bool)
+    hidden[tuple(where[np.isfinite(distance)].T)] = True
+    return hidden

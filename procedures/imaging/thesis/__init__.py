@@ -1,0 +1,1 @@
+"""The thesis' localizer, to be measured beside ours on the same data. Not for patients."""

@@ -1,0 +1,153 @@
+"""Registration of clouds whose points have no partners: principal axes for a start, then closest points.
+
+For surfaces and dense scans; fiducials are paired by `match`, which says how sure it is. Nearest neighbours
+come from SciPy's k-d tree, every step is the rigid fit of the fiducials. Closest points: Besl and McKay 1992,
+trimmed to an overlap as in Chetverikov 2005.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from procedures.registration.correspondence import turn_rad
+from procedures.registration.errors import (
+    BadParameter,
+    CollinearPoints,
+    NotConverged,
+    SymmetricCloud,
+    TooFewPoints,
+    UnsoundRegistration,
+)
+from procedures.registration.points import FEWEST_PAIRS, checked_points
+from procedures.registration.rigid_fit import as_transform, fit_rigid
+
+Array = NDArray[np.float64]
+
+LINE_RATIO = 1e-3  # of the first two standard deviations: below it a cloud is a line
+DISTINCT_AXES = 1.05  # ratio of neighbouring standard deviations, below which an axis has no direction
+CLEARLY_BETTER = 1.25  # the best orientation's residual against that of any other
+SAME_TURN_RAD = np.radians(5.0)  # nearer orientations are one
+ROUNDING_MM = 1e-6  # a residual below it is none
+SETTLED_MM = 1e-7  # change of the residual that ends the steps
+MOST_STEPS = 200
+
+
+@dataclass(frozen=True)
+class CloudFit:
+    """`transform` physical <- image; `residual_mm` is the rms distance to the nearest physical points.
+
+    The residual says how alike the clouds are, not how exact the registration is.
+    """
+
+    transform: RigidTransform
+    residual_mm: float
+    steps: int
+
+
+def register_clouds(
+    image_mm: ArrayLike, physical_mm: ArrayLike, *, start: RigidTransform | None = None, overlap: float = 1.0
+) -> CloudFit:
+    """Register clouds (n, 3) and (m, 3) in mm, order and counts free.
+
+    `start` is an approximate transform physical <- image; without it the principal axes give four, and the
+    clouds must show the same part. `overlap` is the share of the image points that have a counterpart.
+    Raises REG-001, 002, 003, 006, 007; without a start also REG-009 when only a mirror image fits, REG-011
+    when the shape fits in several orientations.
+    """
+    image, physical = _checked(image_mm, "image"), _checked(physical_mm, "physical")
+    if not 0.0 < overlap <= 1.0 or round(overlap * len(image)) < FEWEST_PAIRS:
+        raise BadParameter(
+            "the overlap must leave three points", limit="above 0, at most 1", got=f"{overlap}"
+        )
+    tree = cKDTree(physical)
+    if start is not None:
+        matrix = np.asarray(start.as_matrix())
+        if matrix.shape != (4, 4):
+            raise BadParameter("the start must be one transform physical <- image")
+        return _as_fit(_closest_points(image, physical, tree, matrix, overlap))
+    fits = [_closest_points(image, physical, tree, one, overlap) for one in _axis_starts(image, physical)]
+    best = min(fits, key=lambda fit: fit.residual_mm)
+    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+    mirrored = image @ mirror[:3, :3]
+    reflected = [
+        _closest_points(mirrored, physical, tree, one, overlap) for one in _axis_starts(mirrored, physical)
+    ]
+    nearest_mm = min(fit.residual_mm for fit in reflected)
+    if best.residual_mm > CLEARLY_BETTER * nearest_mm + ROUNDING_MM:
+        raise UnsoundRegistration(
+            "the clouds fit better as a mirror image",
+            got=f"{nearest_mm:.3g} mm, else {best.residual_mm:.3g} mm",
+        )
+    for fit in fits:
+        differs = turn_rad(best.matrix[:3, :3], fit.matrix[:3, :3]) > SAME_TURN_RAD
+        if differs and fit.residual_mm < CLEARLY_BETTER * best.residual_mm + ROUNDING_MM:
+            raise SymmetricCloud(
+                "two orientations fit alike", got=f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm"
+            )
+    return _as_fit(best)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    matrix: Array
+    residual_mm: float
+    steps: int
+
+
+def _as_fit(fit: _Fit) -> CloudFit:
+    return CloudFit(as_transform(fit.matrix[:3, :3], fit.matrix[:3, 3]), fit.residual_mm, fit.steps)
+
+
+def _closest_points(image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float) -> _Fit:
+    """Pair each image point with the nearest physical one, fit, and again until nothing changes."""
+    matrix, before_mm = start, np.inf
+    kept = round(overlap * len(image))
+    for step in range(1, MOST_STEPS + 1):
+        distance, nearest = tree.query(image @ matrix[:3, :3].T + matrix[:3, 3])
+        used = np.argsort(distance, kind="stable")[:kept]
+        residual_mm = float(np.sqrt(np.square(distance[used]).mean()))
+        if before_mm - residual_mm < SETTLED_MM:
+            return _Fit(matrix, residual_mm, step)
+        before_mm = residual_mm
+        fit = fit_rigid(image[used], physical[nearest[used]])
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = fit.rotation, fit.translation_mm
+    raise NotConverged("the closest points did not settle", limit=f"{MOST_STEPS} steps")
+
+
+def _axis_starts(image: Array, physical: Array) -> list[Array]:
+    """The four proper rotations that lay the principal axes of one cloud on those of the other."""
+    image_axes, physical_axes = _axes(image, "image"), _axes(physical, "physical")
+    starts = []
+    for first, second in product((1.0, -1.0), repeat=2):
+        sign = first * second * np.linalg.det(image_axes) * np.linalg.det(physical_axes)
+        rotation = physical_axes @ np.diag([first, second, sign]) @ image_axes.T
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation
+        matrix[:3, 3] = physical.mean(axis=0) - rotation @ image.mean(axis=0)
+        starts.append(matrix)
+    return starts
+
+
+def _axes(points: Array, name: str) -> Array:
+    """Principal axes as columns, longest first. Raises REG-011 when two are as long as each other."""
+    _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    if np.any(spread[:-1] < DISTINCT_AXES * spread[1:]):
+        raise SymmetricCloud(f"two principal axes of the {name} cloud are equally long")
+    return np.asarray(axes.T)
+
+
+def _checked(points_mm: ArrayLike, name: str) -> Array:
+    points = checked_points(points_mm, name)
+    if len(points) < FEWEST_PAIRS:
+        raise TooFewPoints(f"{len(points)} {name} point(s) given", expected=f"at least {FEWEST_PAIRS}")
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] <= LINE_RATIO * spread[0]:
+        raise CollinearPoints(f"the {name} cloud is a line")
+    return points

@@ -1,0 +1,246 @@
+"""Register paired points: the transform, what is left over, and what that means at a target."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.registration.error_theory import (
+    DEFAULT_CONFIDENCE,
+    FreGate,
+    chi_square_limit,
+    degrees_of_freedom,
+    error_limit_mm,
+    fle_from_fre_mm,
+    fre_gate,
+    pose_covariance,
+    require_size,
+    target_covariance_mm2,
+    tre_principal_axes_mm,
+)
+from procedures.registration.errors import BadParameter, CollinearPoints, UnsoundRegistration
+from procedures.registration.points import FEWEST_PAIRS, checked_covariances, checked_pairs, checked_targets
+from procedures.registration.rigid_fit import fit_rigid
+from procedures.registration.weighted_rigid_fit import fit_weighted
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+COLLINEAR_REFUSED = 1e-3  # second over first singular value of the cross-covariance
+COLLINEAR_WARNED = 0.05
+THICKNESS_COUNTED = 1e-3  # third over first singular value: below it a set counts as planar
+ILL_POSED_MARGIN = (
+    0.05  # third over second singular value so near 1 that a mirrored set has no clear rotation
+)
+
+
+class Caveat(StrEnum):
+    """What a registration says against itself; none of these can be seen in its FRE."""
+
+    NEARLY_COLLINEAR = "nearly collinear"
+    MIRRORED = "a mirror image fits better than any rotation"
+    ILL_POSED = "mirrored, and two principal axes are equal: the rotation is arbitrary"
+
+
+@dataclass(frozen=True)
+class TargetError:
+    """Predicted error at targets.
+
+    `rms_mm` (m,), the radius `limit_mm` (m,) that holds the error with probability `confidence`, the
+    covariance (m, 3, 3) in the physical frame, and by which formula.
+    """
+
+    rms_mm: Array
+    limit_mm: Array
+    confidence: float
+    covariance_mm2: Array
+    formula: str
+
+
+@dataclass(frozen=True)
+class Registration:
+    """A rigid registration physical <- image with its residuals and its predicted error.
+
+    `residuals_mm` (n, 3) is measured minus mapped, in the physical frame. `leave_one_out_mm` holds, per
+    pair, the distance between its measured place and the place the other pairs predict; None where the
+    others do not determine a transform. `chi_square` is the residual sum weighted by the covariances
+    (None without). `fre_mm` is a residual, never an accuracy.
+    """
+
+    transform: RigidTransform
+    fre_mm: float
+    residuals_mm: Array
+    leave_one_out_mm: tuple[float | None, ...]
+    image_mm: Array
+    physical_mm: Array
+    covariance_mm2: Array | None
+    chi_square: float | None
+    caveats: tuple[Caveat, ...]
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs that were used."""
+        return len(self.image_mm)
+
+    @property
+    def fle_mm(self) -> float:
+        """3-D rms localization error of both spaces: as the covariances say, else from FRE by eq. 36."""
+        if self.covariance_mm2 is not None:
+            return math.sqrt(float(np.trace(self.covariance_mm2, axis1=1, axis2=2).mean()))
+        return fle_from_fre_mm(self.fre_mm, self.pairs)
+
+    def between(self, target: Frame, source: Frame) -> Transform:
+        """The transform with its frames named, for example `between(Frame.ROBOT, Frame.CT)`."""
+        return Transform(target, source, self.transform)
+
+    def require_sound(self) -> None:
+        """Raises REG-009 when the fit is mirrored or ill-posed; such a transform must not be used."""
+        bad = [caveat for caveat in self.caveats if caveat is not Caveat.NEARLY_COLLINEAR]
+        if bad:
+            raise UnsoundRegistration(f"the registration is not sound: {', '.join(bad)}")
+
+    def gate(self, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
+        """Chi-square gate on the residual: for a known FLE (mm), or by default for the stated covariances.
+
+        An FLE estimated from the same FRE cannot judge it: raises REG-007 when neither is given.
+        """
+        if fle_mm is not None:
+            return fre_gate(self.fre_mm, fle_mm, self.pairs, confidence)
+        if self.chi_square is None:
+            raise BadParameter("the gate needs a known FLE or covariances")
+        limit = chi_square_limit(degrees_of_freedom(self.pairs), confidence)
+        return FreGate(self.fre_mm, self.chi_square, limit, confidence)
+
+    def predict_tre_mm(self, points: ArrayLike, *, fle_mm: float | None = None) -> Array:
+        """Predicted rms error (m,) mm at image points (m, 3) or (3,) mm; see `predict_tre`."""
+        return self.predict_tre(points, fle_mm=fle_mm).rms_mm
+
+    def predict_tre(
+        self, points: ArrayLike, *, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE
+    ) -> TargetError:
+        """Predicted error at image points (m, 3) or (3,) in mm, with its confidence.
+
+        With covariances: their propagation through the weighted fit. Without: eq. 39 with `fle_mm` (3-D rms
+        of both spaces together), or with the FLE that eq. 36 estimates from FRE; the limit then also carries
+        the uncertainty of that estimate. Raises REG-001, REG-007.
+        """
+        targets = np.asarray(self.transform.apply(checked_targets(points)), dtype=float)
+        fiducials = np.asarray(self.transform.apply(self.image_mm), dtype=float)
+        if fle_mm is None and self.covariance_mm2 is not None:
+            pose = pose_covariance(fiducials, self.covariance_mm2, weighted=True)
+            covariance = target_covariance_mm2(targets, fiducials, pose)
+            rms = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+            return TargetError(
+                rms, error_limit_mm(covariance, confidence), confidence, covariance, "covariance propagation"
+            )
+        if fle_mm is not None:
+            require_size("FLE", fle_mm)
+        size_mm = fle_from_fre_mm(self.fre_mm, self.pairs) if fle_mm is None else fle_mm
+        isotropic = np.broadcast_to(np.eye(3) * size_mm**2 / 3.0, (self.pairs, 3, 3))
+        pose = pose_covariance(fiducials, isotropic, weighted=False)
+        covariance = target_covariance_mm2(targets, fiducials, pose)
+        freedom = degrees_of_freedom(self.pairs) if fle_mm is None else None
+        return TargetError(
+            tre_principal_axes_mm(targets, fiducials, size_mm),
+            error_limit_mm(covariance, confidence, freedom),
+            confidence,
+            covariance,
+            "eq. 39, FLE given" if fle_mm is not None else "eq. 39, FLE from FRE by eq. 36",
+        )
+
+
+def register(
+    image_mm: ArrayLike, physical_mm: ArrayLike, *, covariance_mm2: ArrayLike | None = None
+) -> Registration:
+    """Rigid registration physical <- image of paired points (n, 3) in mm, n >= 3.
+
+    `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame; with it the fit is
+    weighted. Raises REG-001 to REG-006 (all also ValueError): shape, NaN or unequal counts, fewer than
+    three, collinear, duplicates nearer than 2 mm, bad covariance, no convergence.
+    """
+    image, physical = checked_pairs(image_mm, physical_mm)
+    covariance = None if covariance_mm2 is None else checked_covariances(covariance_mm2, len(image))
+    rotation, translation, caveats = _fit(image, physical, covariance)
+    transform = RigidTransform.from_components(translation, Rotation.from_matrix(rotation))
+    left_over = physical - np.asarray(transform.apply(image), dtype=float)
+    return Registration(
+        transform=transform,
+        fre_mm=math.sqrt(float(np.square(left_over).sum(axis=1).mean())),
+        residuals_mm=left_over,
+        leave_one_out_mm=_leave_one_out(image, physical, covariance),
+        image_mm=image,
+        physical_mm=physical,
+        covariance_mm2=covariance,
+        chi_square=None
+        if covariance is None
+        else float(np.einsum("ni,nij,nj->", left_over, np.linalg.inv(covariance), left_over)),
+        caveats=caveats,
+    )
+
+
+def drop_one_explanations(
+    registration: Registration, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE
+) -> tuple[int, ...]:
+    """Pairs whose removal alone brings the residual under the chi-square gate, best first.
+
+    For a registration that failed the gate: one such pair points at a fiducial that moved. FLE in mm, 3-D
+    rms of both spaces together; by default the covariances judge. Empty when no single removal explains
+    it, or when only three pairs are there.
+    """
+    found: list[tuple[float, int]] = []
+    for index in range(registration.pairs if registration.pairs > FEWEST_PAIRS else 0):
+        keep = np.arange(registration.pairs) != index
+        image, physical = registration.image_mm[keep], registration.physical_mm[keep]
+        covariance = registration.covariance_mm2
+        try:
+            rest = register(image, physical, covariance_mm2=None if covariance is None else covariance[keep])
+        except CollinearPoints:
+            continue
+        if rest.gate(fle_mm, confidence).passed:
+            found.append((rest.fre_mm, index))
+    return tuple(index for _, index in sorted(found))
+
+
+def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array, Array, tuple[Caveat, ...]]:
+    fit = fit_rigid(image, physical)
+    largest, middle, smallest = (float(value) for value in fit.spread_mm2)
+    if middle <= COLLINEAR_REFUSED * largest:
+        ratio = middle / largest if largest > 0.0 else 0.0
+        raise CollinearPoints(
+            "the points lie on a line", limit=f"ratio {COLLINEAR_REFUSED:g}", got=f"{ratio:.2g}"
+        )
+    caveats = []
+    if middle < COLLINEAR_WARNED * largest:
+        caveats.append(Caveat.NEARLY_COLLINEAR)
+    if bool(fit.mirrored) and smallest > THICKNESS_COUNTED * largest:
+        caveats.append(Caveat.MIRRORED)
+        if middle - smallest < ILL_POSED_MARGIN * middle:
+            caveats.append(Caveat.ILL_POSED)
+    rotation, translation = fit.rotation, fit.translation_mm
+    if covariance is not None:
+        rotation, translation = fit_weighted(image, physical, covariance, rotation, translation)
+    return rotation, translation, tuple(caveats)
+
+
+def _leave_one_out(image: Array, physical: Array, covariance: Array | None) -> tuple[float | None, ...]:
+    """Distance of each pair's measured place from the place that the other pairs predict, mm."""
+    distances: list[float | None] = []
+    for index in range(len(image)):
+        keep = np.arange(len(image)) != index
+        if np.count_nonzero(keep) < FEWEST_PAIRS:
+            distances.append(None)
+            continue
+        try:
+            rotation, translation, _ = _fit(
+                image[keep], physical[keep], None if covariance is None else covariance[keep]
+            )
+        except CollinearPoints:
+            distances.append(None)
+            continue
+        distances.append(float(np.linalg.norm(physical[index] - rotation @ image[index] - translation)))
+    return tuple(distances)

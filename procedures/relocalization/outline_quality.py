@@ -1,0 +1,106 @@
+"""Is a fitted outline a sphere's, how good is its centre, and may it be trusted?
+
+Where a stain dims the film up to the rim, the outline is still seen: such rays do not carry the ellipse, but
+those that fall off on it count as rim in view.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.relocalization.ellipse import Ellipse, EllipseFit
+from procedures.relocalization.opencv_edges import GreyImage
+from procedures.relocalization.rim_edges import RimEdges, sample_profiles, steepest_falls
+from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+
+# Rim below a stain: the fall from the dimmed film to the background, within a window too narrow for the
+# stain's own edge to matter. Blood and liquid leave 0.2 to 0.4 of the light (U).
+DIM_STEP_SHARE = 0.15
+DIM_NOISE_FACTOR = 6.0  # a fall of noise alone is smaller
+DIM_REACH_BLURS, DIM_REACH_PX = 3.0, 2.0
+DIM_OFF_RIM_PX = 0.7  # the stain's inner edge pulls the steepest place by about half a pixel
+
+LEAST_RIM = 0.25  # below this it is not a sphere at all
+RELIABLE_RIM = 0.625  # of the rim in view; 38 % lost must never pass
+CARRYING_RIM = 0.5  # of the rim must carry the ellipse, without what a stain dims
+RELIABLE_AXIS_RATIO = 0.99  # a sphere in the corner of the sensor has 0.996: then two things are one outline
+SPHERE_AXIS_RATIO = 0.75
+RELIABLE_SCATTER_PX = 0.6
+RELIABLE_CONTRAST_TO_NOISE = 6.0
+FILLED_SHARE = 0.6  # of the inside that must be brighter than half the step
+FILLED_AREA = (0.02, 0.8)  # where it is sampled, as a share of the area from the centre
+FILLED_RINGS, FILLED_RAYS = 12, 36
+# Neighbouring rays share grain, uneven light and the edges of stains, so they say less than independent ones.
+# With this factor covariances are honest in drawn pictures; films and lights of the hardware are unknown (U).
+SHARED_ERRORS = 2.3
+
+
+def judged(
+    image: GreyImage, fit: EllipseFit, edges: RimEdges, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
+) -> SphereImage | None:
+    """The outline with its quality; `rim` are the rays that carry it, `bright` those and their neighbours."""
+    step, noise, blur = (
+        float(np.median(values[rim])) for values in (edges.step_grey, edges.misfit_grey, edges.blur_px)
+    )
+    major, minor = fit.ellipse.axes_px
+    least_grey = max(DIM_STEP_SHARE * step, DIM_NOISE_FACTOR * noise)
+    dim = _dimmed(image, fit.ellipse, len(bright), blur, least_grey)
+    rim_fraction, carrying = float(np.mean(bright | dim)), float(np.mean(bright))
+    if rim_fraction < LEAST_RIM or minor / major < SPHERE_AXIS_RATIO:
+        return None
+    if _filled_share(image, fit.ellipse, edges, rim) < FILLED_SHARE:
+        return None
+    contrast_to_noise = step / max(noise, 1e-6)
+    doubts = {
+        "too much of the rim is hidden": rim_fraction < RELIABLE_RIM,
+        "too much of the rim is stained": carrying < CARRYING_RIM,
+        "the outline is not round": minor / major < RELIABLE_AXIS_RATIO,
+        "the rim is too rough": fit.sigma_px > RELIABLE_SCATTER_PX,
+        "the sphere is too faint": contrast_to_noise < RELIABLE_CONTRAST_TO_NOISE,
+    }
+    doubt = next((words for words, holds in doubts.items() if holds), "")
+    quality = (
+        rim_fraction
+        / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
+        / (1.0 + (RELIABLE_CONTRAST_TO_NOISE / contrast_to_noise) ** 2)
+    )
+    covariance = SHARED_ERRORS * fit.centre_covariance_px2
+    return SphereImage(
+        centre_px=fit.ellipse.centre_px,
+        axes_px=(major, minor),
+        quality=min(1.0, max(0.0, quality)),
+        status=SphereStatus.UNRELIABLE if doubt else SphereStatus.OK,
+        covariance_px2=(
+            (float(covariance[0, 0]), float(covariance[0, 1])),
+            (float(covariance[1, 0]), float(covariance[1, 1])),
+        ),
+        rim_fraction=rim_fraction,
+        scatter_px=fit.sigma_px,
+        blur_px=blur,
+        doubt=doubt,
+    )
+
+
+def _dimmed(
+    image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float
+) -> NDArray[np.bool_]:
+    """Rays (n,) on which the light falls on the ellipse itself, however dim the film is there."""
+    reach = DIM_REACH_BLURS * blur_px + DIM_REACH_PX
+    falls = steepest_falls(sample_profiles(image, ellipse, rays, reach))
+    on_rim = np.abs(falls.offset_px) < DIM_OFF_RIM_PX
+    return np.asarray(falls.found & on_rim & (falls.step_grey > least_grey))
+
+
+def _filled_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDArray[np.bool_]) -> float:
+    """Share of the inside that is brighter than half way between the grey levels of the rim."""
+    radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # so the same area to each sample
+    angle: NDArray[np.float64] = np.arange(FILLED_RAYS, dtype=float) * (2.0 * np.pi / FILLED_RAYS)
+    reach = radius * ellipse.radius_at(angle)
+    x = np.rint(ellipse.centre_px[0] + reach * np.cos(angle)).astype(int)
+    y = np.rint(ellipse.centre_px[1] + reach * np.sin(angle)).astype(int)
+    seen = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
+    if not seen.any():
+        return 0.0
+    half_way = float(np.median((edges.dark_grey + 0.5 * edges.step_grey)[rim]))
+    return float(np.mean(image[y[seen], x[seen]] > half_way))

@@ -1,0 +1,286 @@
+"""Draw one scan of a family: head, markers, what lies around them, and the field."""
+
+from __future__ import annotations
+
+from math import pi, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import BadScene
+from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Family, Headrest
+from sim.phantom.families.field_edge import grid_ending_at_spheres
+from sim.phantom.head import obstacles
+from sim.phantom.head.anatomy import (
+    CABLE_BEHIND_MM,
+    CABLE_GAP_MM,
+    Anatomy,
+    Marker,
+    bare_marker,
+    jaw_teeth,
+    marker_on_post,
+    shifted,
+    side_cable,
+    sinuses,
+    trough,
+    ventricles,
+)
+from sim.phantom.head.frame_markers import frame_fiducials, frame_markers, frame_shapes
+from sim.phantom.head.obstacles import Obstacles, skin_point
+from sim.phantom.head.shapes import ellipsoid_depth
+from sim.phantom.head.streaks import Streak
+from sim.phantom.scan import FREE, XFRAME, Scan
+from sim.phantom.scanner.grid import place_grid
+from sim.theatre.noise import noise
+from sim.theatre.rigid import rotation_towards
+from sim.theatre.scene.head import CAP_AXIS_CT, CENTRE_CT_MM
+from sim.theatre.scene.model import CtProtocol, Fiducial, Head, Scene, Target
+from sim.theatre.scene.named_scenes import built_in_scene
+
+Vector = NDArray[np.float64]
+
+MARKERS = 7
+LARGEST_MARKERS = 8
+CAP_HALF_ANGLE_RAD = radians(60.0)
+CLEARANCE_MM = 26.0  # between markers, and from them to other things on the head
+SHORT_CLEARANCE_MM = 18.0  # to electrodes and bolts
+CABLE_ROOM_MM = 22.0  # it swings by 6 mm, and a pair is 14 mm long
+LEAD_ROOM_MM = 8.0  # from a sphere's centre to a lead
+TARGET_DEPTH_MM = 50.0
+ATTEMPTS = 4000
+STREAK_BELOW_MM = 9.75  # from the sphere's centre down its post
+STREAK_HEIGHT_MM = 3.0
+
+
+def family_scan(
+    name: str, protocol: str, *, seed: int = 0, markers: int | None = None, fiducials: str = FREE
+) -> Scan:
+    """Draw a scan; raises SIM-001 for unknown names or when the markers do not fit."""
+    if name not in FAMILIES:
+        raise BadScene(f"there is no family {name!r}", expected=", ".join(FAMILIES))
+    if fiducials == XFRAME and markers is not None:
+        raise BadScene("the x-shaped frame has four spheres; leave the number of markers out")
+    family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
+    head, placed = _draw_head(family, seed, markers or MARKERS, fiducials, generator)
+    scene = _scene(family, protocol, seed, head, fiducials)
+    covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
+    around, distractors = _obstacles(family, head, placed, covering_mm, generator)
+    built = frame_markers if fiducials == XFRAME else _standing
+    if family.bare:
+        built = _floating
+    anatomy = _anatomy(family, head, built(head, generator), around, fiducials, generator)
+    grid, marks = place_grid(head, scene.ct), _marks(head, covering_mm)
+    if family.edge:
+        grid, shares = grid_ending_at_spheres(grid, head, generator)
+        for number, share in shares.items():
+            marks.setdefault(number, {})["surface_in_field"] = share
+    truth = {
+        "family": name,
+        "purpose": family.purpose.value,
+        "protocol": protocol,
+        "distractors_mm": [list(point) for point in distractors],
+    }
+    return Scan(scene, grid, anatomy, fiducials, truth, marks)
+
+
+def protocol_named(name: str) -> CtProtocol:
+    """A protocol by name; raises SIM-001."""
+    if name not in PROTOCOLS:
+        raise BadScene(f"there is no protocol {name!r}", expected=", ".join(PROTOCOLS))
+    return PROTOCOLS[name]
+
+
+def _scene(family: Family, protocol: str, seed: int, head: Head, fiducials: str) -> Scene:
+    words = [family.name, protocol] + ([fiducials] if fiducials != FREE else [])
+    room = built_in_scene("default", seed=seed)
+    return room.model_copy(update={"name": "-".join(words), "head": head, "ct": protocol_named(protocol)})
+
+
+def _draw_head(
+    family: Family, seed: int, count: int, fiducials: str, generator: np.random.Generator
+) -> tuple[Head, Vector]:
+    """A head with its markers, and the markers' centres (n, 3)."""
+    sizes = (family.half_width_mm, family.half_depth_mm, family.half_height_mm)
+    width, depth, height = (float(generator.uniform(*size)) for size in sizes)
+    along = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
+    bare = built_in_scene("default", seed=seed).head.model_copy(
+        update={"centre_ct_mm": CENTRE_CT_MM, "semi_axes_mm": (width, depth, height)}
+    )
+    entry, normal = skin_point(bare, along)
+    target = Target(
+        identifier="T1",
+        entry_ct_mm=_three(entry),
+        target_ct_mm=_three(entry - TARGET_DEPTH_MM * normal),
+    )
+    found = (
+        frame_fiducials(bare, generator)
+        if fiducials == XFRAME
+        else _free_fiducials(family, bare, count, generator)
+    )
+    head = bare.model_copy(update={"fiducials": found, "targets": (target,)})
+    return head, np.array([fiducial.centre_ct_mm for fiducial in found])
+
+
+def _free_fiducials(
+    family: Family, head: Head, count: int, generator: np.random.Generator
+) -> tuple[Fiducial, ...]:
+    least = max(2 * family.pairs, 1)
+    if not least <= count <= LARGEST_MARKERS:
+        raise BadScene(f"a head of this family carries {least} to {LARGEST_MARKERS} markers")
+    alone = count - family.pairs
+    centres: list[Vector] = []
+    posts: list[Vector] = []
+    for _ in range(ATTEMPTS):
+        skin, normal = skin_point(head, _cap_direction(generator))
+        centre = skin + normal * generator.uniform(*family.standoff_mm)
+        room = CLEARANCE_MM + (PAIR_DISTANCE_MM if family.pairs else 0.0)
+        if _clear_of_cable(centre, head) and all(np.linalg.norm(centre - other) > room for other in centres):
+            centres.append(centre)
+            posts.append(normal)
+        if len(centres) == alone:
+            break
+    else:
+        raise BadScene(f"{count} markers do not fit on the head")
+    for number in range(family.pairs):
+        side = np.cross(posts[number], generator.standard_normal(3))
+        centres.append(centres[number] + PAIR_DISTANCE_MM * side / np.linalg.norm(side))
+        posts.append(posts[number])
+    return tuple(
+        Fiducial(number=k + 1, centre_ct_mm=_three(centre), post_ct=_three(post))
+        for k, (centre, post) in enumerate(zip(centres, posts, strict=True))
+    )
+
+
+def _clear_of_spheres(bodies: Obstacles, centres: Vector) -> bool:
+    x, y, z = centres.T.astype(np.float32)
+    return all(float(shape.depth(x, y, z).max()) < -LEAD_ROOM_MM for shape in bodies.shapes)
+
+
+def _clear_of_cable(centre: Vector, head: Head) -> bool:
+    x, y, _ = head.centre_ct_mm
+    cable = np.array([x + head.semi_axes_mm[0] + CABLE_GAP_MM, y + CABLE_BEHIND_MM])
+    return bool(np.linalg.norm(centre[:2] - cable) > CABLE_ROOM_MM)
+
+
+def _standing(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
+    return tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
+
+
+def _floating(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
+    return tuple(bare_marker(fiducial, generator) for fiducial in head.fiducials)
+
+
+def _obstacles(
+    family: Family, head: Head, placed: Vector, covering_mm: float, generator: np.random.Generator
+) -> tuple[Obstacles, list[tuple[float, float, float]]]:
+    """Everything that is not the head itself, and where the distractors are."""
+    around = Obstacles()
+    if covering_mm > 0.0:
+        around += obstacles.bandage(head, covering_mm, float(generator.uniform(*family.bandage_hu)))
+    if family.headrest is Headrest.CUSHION:
+        around += obstacles.cushion(head)
+    if family.pins:
+        around += obstacles.clamp(head, family.pins, generator)
+    taken = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in placed]
+    for number in range(family.electrodes + family.bolts):
+        fixed = obstacles.electrode if number < family.electrodes else obstacles.bolt
+        for _ in range(ATTEMPTS):
+            direction = _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator)
+            if _clear_of_spheres(fixed(head, direction), placed):
+                break
+        around += fixed(head, direction)
+        taken.append(skin_point(head, direction)[0])
+    taken = list(placed)
+    distractors = []
+    for number in range(2 * family.distractors):
+        # far enough for the longest cylinder
+        direction = _free_direction(head, taken, 1.4 * CLEARANCE_MM, 25.0, generator, cap_rad=pi / 2)
+        shape, middle = obstacles.distractor(head, direction, bool(number % 2), generator)
+        around += Obstacles((shape,))
+        distractors.append(middle)
+        taken.append(np.array(middle))
+    return around, distractors
+
+
+def _anatomy(
+    family: Family,
+    head: Head,
+    markers: tuple[Marker, ...],
+    around: Obstacles,
+    fiducials: str,
+    generator: np.random.Generator,
+) -> Anatomy:
+    low, high = family.fillings
+    teeth, fillings = jaw_teeth(head, generator, int(generator.integers(low, high + 1)))
+    inside = (*ventricles(head), *sinuses(head), *teeth, *fillings)
+    cable = side_cable(head) if family.cable else ()
+    frame = frame_shapes(head, generator) if fiducials == XFRAME else ()
+    return Anatomy(
+        headrest=trough(head) if family.headrest is Headrest.TROUGH else (),
+        surroundings=(*cable, *inside, *around.shapes, *frame),
+        markers=markers,
+        fillings=fillings,
+        streaks=around.streaks + _post_streaks(family, markers, generator),
+    )
+
+
+def _post_streaks(
+    family: Family, markers: tuple[Marker, ...], generator: np.random.Generator
+) -> tuple[Streak, ...]:
+    kind = family.post_streaks
+    if kind is None:
+        return ()
+    return tuple(
+        Streak(
+            shifted(marker.fiducial.centre_ct_mm, marker.fiducial.post_ct, -STREAK_BELOW_MM),
+            float(generator.uniform(*kind.hu)),
+            float(generator.uniform(*kind.fall_mm)),
+            int(generator.choice(kind.lobes)),
+            float(generator.uniform(0.0, 2.0 * pi)),
+            STREAK_HEIGHT_MM,
+        )
+        for marker in markers
+    )
+
+
+def _marks(head: Head, covering_mm: float) -> dict[int, dict[str, float]]:
+    """How deep a bandage buries each sphere, as a share of its height."""
+    if covering_mm <= 0.0:
+        return {}
+    marks = {}
+    for fiducial in head.fiducials:
+        x, y, z = (np.array([value], dtype=np.float32) for value in fiducial.centre_ct_mm)
+        above_mm = -float(ellipsoid_depth(x, y, z, head.centre_ct_mm, head.semi_axes_mm)[0])
+        buried_mm = covering_mm - above_mm + fiducial.radius_mm
+        share = min(max(buried_mm / (2.0 * fiducial.radius_mm), 0.0), 1.0)
+        marks[fiducial.number] = {"buried_share": round(share, 3)}
+    return marks
+
+
+def _cap_direction(generator: np.random.Generator, half_angle_rad: float = CAP_HALF_ANGLE_RAD) -> Vector:
+    cosine, turn = generator.uniform(np.cos(half_angle_rad), 1.0), generator.uniform(0.0, 2 * pi)
+    sine = (1.0 - cosine**2) ** 0.5
+    frame = rotation_towards(np.array(CAP_AXIS_CT), (1.0, 0.0, 0.0))
+    return np.asarray(frame @ np.array([sine * np.cos(turn), sine * np.sin(turn), cosine]))
+
+
+def _free_direction(
+    head: Head,
+    taken: list[Vector],
+    clearance_mm: float,
+    standoff_mm: float,
+    generator: np.random.Generator,
+    cap_rad: float = CAP_HALF_ANGLE_RAD,
+) -> Vector:
+    for _ in range(ATTEMPTS):
+        direction = _cap_direction(generator, cap_rad)
+        skin, normal = skin_point(head, direction)
+        place = skin + standoff_mm * normal
+        if all(np.linalg.norm(place - other) > clearance_mm for other in taken):
+            return direction
+    raise BadScene("there is no room left on the head")
+
+
+def _three(vector: Vector) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), 6) for value in vector)
+    return x, y, z

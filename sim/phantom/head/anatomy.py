@@ -1,0 +1,218 @@
+"""What else a head CT shows: ventricles, sinuses, teeth with fillings, headrest, a cable, and the markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, radians, sin
+
+import numpy as np
+
+from sim.errors import BadScene
+from sim.phantom.head.layers import AIR_HU, SCALP_MM
+from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough
+from sim.phantom.head.streaks import Streak
+from sim.theatre.noise import noise
+from sim.theatre.scene.model import Fiducial, Head, Scene
+
+CSF_HU = 8.0
+ENAMEL_HU = 2100.0
+JAW_HU = 900.0
+METAL_HU = 8000.0  # saturates whatever the scanner can store
+FOAM_HU = -930.0
+SHELL_HU = 120.0
+SHEATH_HU = 280.0
+
+TEETH = 14
+FILLINGS = 5
+TEETH_ARC_RAD = radians(75.0)
+TEETH_BELOW_CENTRE = 0.66  # of the head's semi-axis towards the feet
+TEETH_ARC_MM = (23.0, 27.0)  # half width and depth of the dental arch
+TEETH_FRONT = 0.27  # of the semi-axis to the front: middle of the arch
+TOOTH_MM = (2.9, 2.9, 5.5)
+FILLING_RADIUS_MM = 1.7
+
+JAW_RADIUS_MM = 4.0
+
+FOAM_GAP_MM = 3.0
+FOAM_MM = 10.0
+SHELL_MM = 3.0
+HEADREST_HALF_ARC_RAD = radians(55.0)
+CABLE_GAP_MM = 20.0
+CABLE_BEHIND_MM = 35.0
+CABLE_SWING_MM = (6.0, 4.0)
+CABLE_WAVE_MM = 130.0
+SHEATH_RADIUS_MM = 3.0
+WIRE_RADIUS_MM = 0.9
+
+SPHERE_HU = (100.0, 150.0)
+FILM_MM = 0.1
+FILM_HU = 600.0
+POST_DEPTH_MM = 1.5  # the post enters the sphere by as much
+POST_RADIUS_MM = 2.0
+METAL_POSTS = 0.75  # share of posts that are metal, the others are polymer
+POST_METAL_HU = 3500.0
+POST_POLYMER_HU = 180.0
+FLANGE_RADIUS_MM = 4.0
+FLANGE_MM = 1.5
+SCREW_IN_BONE_MM = 5.0
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A sphere on its post, as painted; `post` names the material."""
+
+    fiducial: Fiducial
+    hu: float
+    post: str
+    shapes: tuple[Shape, ...]
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """Everything to paint over the head's layers, in this order, and where metal makes streaks."""
+
+    headrest: tuple[Shape, ...]  # alike in all slices
+    surroundings: tuple[Shape, ...]
+    markers: tuple[Marker, ...]
+    fillings: tuple[Ball, ...]
+    streaks: tuple[Streak, ...] = ()  # of other metal than fillings
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """All bodies, in the order of painting."""
+        return (
+            *self.headrest,
+            *self.surroundings,
+            *(shape for marker in self.markers for shape in marker.shapes),
+        )
+
+
+def draw_anatomy(scene: Scene) -> Anatomy:
+    """The anatomy of a scene; details are drawn from its seed. Raises SIM-001 for a post beside the head."""
+    generator = noise(scene.seed, "ct anatomy", 0)
+    head = scene.head
+    teeth, fillings = jaw_teeth(head, generator)
+    surroundings = (*side_cable(head), *ventricles(head), *sinuses(head), *teeth, *fillings)
+    markers = tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
+    return Anatomy(trough(head), surroundings, markers, fillings)
+
+
+def marker_on_post(fiducial: Fiducial, head: Head, generator: np.random.Generator) -> Marker:
+    """A sphere on a screw in the skull, with a flange on the skin."""
+    to_skin = distance_to_skin(fiducial, head)
+    to_tip = to_skin + SCALP_MM + SCREW_IN_BONE_MM
+    return marker_on_foot(fiducial, to_skin - FLANGE_MM, to_tip, generator)
+
+
+def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> Marker:
+    """A sphere that nothing holds, without film."""
+    sphere_hu = float(generator.uniform(*SPHERE_HU))
+    return Marker(fiducial, sphere_hu, "none", (Ball(sphere_hu, fiducial.centre_ct_mm, fiducial.radius_mm),))
+
+
+def marker_on_foot(
+    fiducial: Fiducial, flange_mm: float, tip_mm: float, generator: np.random.Generator
+) -> Marker:
+    """A sphere whose post ends `tip_mm` below its centre, with a flange from `flange_mm` down."""
+    sphere_hu = float(generator.uniform(*SPHERE_HU))
+    metal = bool(generator.uniform() < METAL_POSTS)
+    post_hu = POST_METAL_HU if metal else POST_POLYMER_HU
+    centre, radius = fiducial.centre_ct_mm, fiducial.radius_mm
+    inward = scaled(fiducial.post_ct, -1.0)
+    top = radius - POST_DEPTH_MM
+    shapes = (
+        Ball(FILM_HU, centre, radius + FILM_MM),
+        Ball(sphere_hu, centre, radius),
+        Rod(post_hu, shifted(centre, inward, top), inward, tip_mm - top, POST_RADIUS_MM),
+        Rod(post_hu, shifted(centre, inward, flange_mm), inward, FLANGE_MM, FLANGE_RADIUS_MM),
+    )
+    return Marker(fiducial, sphere_hu, "metal" if metal else "polymer", shapes)
+
+
+def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
+    """From the sphere's centre along its post to the skin, mm."""
+    axes = np.array(head.semi_axes_mm)
+    start = (np.array(fiducial.centre_ct_mm) - head.centre_ct_mm) / axes
+    along = -np.array(fiducial.post_ct) / axes
+    a, b, c = along @ along, start @ along, start @ start - 1.0
+    root = b * b - a * c
+    if c <= 0.0 or b >= 0.0 or root < 0.0:
+        raise BadScene(f"the post of fiducial {fiducial.number} does not stand on the head")
+    return float((-b - np.sqrt(root)) / a)
+
+
+def trough(head: Head) -> tuple[Shape, ...]:
+    """A trough of foam with a thin shell, under the back of the head."""
+    inner = max(head.semi_axes_mm[:2]) + FOAM_GAP_MM
+    outer = inner + FOAM_MM
+    centre, cosine = head.centre_ct_mm, cos(HEADREST_HALF_ARC_RAD)
+    return (
+        Trough(FOAM_HU, centre, inner, outer, cosine),
+        Trough(SHELL_HU, centre, outer, outer + SHELL_MM, cosine),
+    )
+
+
+def side_cable(head: Head) -> tuple[Shape, ...]:
+    """A sheathed wire beside the head."""
+    centre = shifted(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
+    centre = shifted(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
+    return tuple(
+        Cable(hu, centre, radius, CABLE_SWING_MM, CABLE_WAVE_MM)
+        for hu, radius in ((SHEATH_HU, SHEATH_RADIUS_MM), (METAL_HU, WIRE_RADIUS_MM))
+    )
+
+
+def ventricles(head: Head) -> tuple[Shape, ...]:
+    return tuple(
+        Ellipsoid(CSF_HU, placed(head, (side * 0.14, 0.0, 0.08)), (5.0, 26.0, 9.0)) for side in (-1, 1)
+    )
+
+
+def sinuses(head: Head) -> tuple[Shape, ...]:
+    """Air in the forehead, the cheeks and behind the nose."""
+    frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
+    cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
+    places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
+    return tuple(Ellipsoid(AIR_HU, placed(head, place), size) for place, size in places)
+
+
+def jaw_teeth(
+    head: Head, generator: np.random.Generator, count: int = FILLINGS
+) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
+    """An arch of teeth in a jaw; some of them have metal fillings."""
+    middle = placed(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
+    width, depth = TEETH_ARC_MM
+    angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)
+    crowns = [
+        shifted(shifted(middle, (1.0, 0.0, 0.0), width * sin(angle)), (0.0, -1.0, 0.0), depth * cos(angle))
+        for angle in angles
+    ]
+    jaw = tuple(
+        Ball(JAW_HU, shifted(crown, (0.0, 0.0, -1.0), TOOTH_MM[2]), JAW_RADIUS_MM) for crown in crowns
+    )
+    teeth = tuple(Ellipsoid(ENAMEL_HU, crown, TOOTH_MM) for crown in crowns)
+    filled = sorted(generator.choice(TEETH, size=count, replace=False).tolist())
+    fillings = tuple(
+        Ball(METAL_HU, shifted(crowns[k], (0.0, 0.0, 1.0), TOOTH_MM[2] / 2), FILLING_RADIUS_MM)
+        for k in filled
+    )
+    return (*jaw, *teeth), fillings
+
+
+def placed(head: Head, relative: Point) -> Point:
+    """A point given in the head's semi-axes from its centre."""
+    x, y, z = (
+        centre + axis * part
+        for centre, axis, part in zip(head.centre_ct_mm, head.semi_axes_mm, relative, strict=True)
+    )
+    return x, y, z
+
+
+def shifted(point: Point, along: Point, distance: float) -> Point:
+    x, y, z = (value + distance * part for value, part in zip(point, along, strict=True))
+    return x, y, z
+
+
+def scaled(vector: Point, factor: float) -> Point:
+    x, y, z = (factor * value for value in vector)
+    return x, y, z

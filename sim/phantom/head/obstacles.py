@@ -1,0 +1,138 @@
+"""What lies around the head in the families: cushion, clamp, electrodes, bolts, bandage, distractors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.phantom.head.anatomy import FOAM_HU, METAL_HU, SHELL_HU, shifted
+from sim.phantom.head.shapes import Ball, EllipsoidShell, Point, Rod, Shape, Slab
+from sim.phantom.head.streaks import Streak
+from sim.theatre.scene.model import Head
+
+Vector = NDArray[np.float64]
+
+BOARD_MM, CUSHION_MM, CUSHION_GAP_MM = 8.0, 40.0, 2.0
+CUSHION_HALF_WIDTH_MM = 100.0
+
+PIN_RADIUS_MM, PIN_MM, PIN_IN_SKULL_MM = 2.0, 35.0, 9.0
+HOLDER_RADIUS_MM, HOLDER_MM, HOLDER_HU = 9.0, 30.0, 260.0  # carbon fibre
+PIN_STREAK_HU, PIN_STREAK_FALL_MM, PIN_STREAK_LOBES = 250.0, 5.0, 6
+PIN_AZIMUTHS_RAD = (0.15 * pi, -0.15 * pi, 0.95 * pi)  # from the patient's left towards the back
+PIN_HEIGHT = 0.35  # of the head's semi-axis, below its centre
+
+CUP_RADIUS_MM, CUP_MM, CUP_HU = 5.0, 2.0, 3500.0
+LEAD_RADIUS_MM, LEAD_MM = 0.6, 60.0
+BOLT_RADIUS_MM, BOLT_MM, BOLT_IN_SKULL_MM = 1.4, 30.0, 10.0
+
+DISTRACTOR_HU = (100.0, 150.0)  # that of the markers
+DISTRACTOR_BALL_MM, DISTRACTOR_CYLINDER_MM = 16.0, 12.0  # diameters
+CYLINDER_LENGTH_MM = (24.0, 40.0)
+DISTRACTOR_STANDOFF_MM = (22.0, 32.0)
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Bodies and the streaks of those that are metal."""
+
+    shapes: tuple[Shape, ...] = ()
+    streaks: tuple[Streak, ...] = ()
+
+    def __add__(self, other: Obstacles) -> Obstacles:
+        return Obstacles(self.shapes + other.shapes, self.streaks + other.streaks)
+
+
+def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
+    """Point of the skin in a direction from the head's centre, CT frame, and the outward normal there."""
+    axes = np.array(head.semi_axes_mm)
+    point = direction / np.linalg.norm(direction / axes)
+    normal = point / axes**2
+    return point + np.array(head.centre_ct_mm), normal / np.linalg.norm(normal)
+
+
+def cushion(head: Head) -> Obstacles:
+    """A flat block of foam on a board, under the back of the head."""
+    back = head.centre_ct_mm[1] + head.semi_axes_mm[1] + CUSHION_GAP_MM
+    x = head.centre_ct_mm[0]
+    foam = Slab(FOAM_HU, (x - CUSHION_HALF_WIDTH_MM, back), (x + CUSHION_HALF_WIDTH_MM, back + CUSHION_MM))
+    board = Slab(
+        SHELL_HU,
+        (x - CUSHION_HALF_WIDTH_MM, back + CUSHION_MM),
+        (x + CUSHION_HALF_WIDTH_MM, back + CUSHION_MM + BOARD_MM),
+    )
+    return Obstacles((foam, board))
+
+
+def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
+    """Pins pressed into the skull, in their holders."""
+    shapes: list[Shape] = []
+    streaks = []
+    for azimuth in PIN_AZIMUTHS_RAD[:count]:
+        turn = azimuth + generator.uniform(-0.2, 0.2)
+        skin, normal = skin_point(head, np.array([np.cos(turn), np.sin(turn), -PIN_HEIGHT]))
+        outward = _three(normal)
+        tip = shifted(_three(skin), outward, -PIN_IN_SKULL_MM)
+        shapes.append(Rod(METAL_HU, tip, outward, PIN_MM, PIN_RADIUS_MM))
+        holder = shifted(tip, outward, PIN_MM)
+        shapes.append(Rod(HOLDER_HU, holder, outward, HOLDER_MM, HOLDER_RADIUS_MM))
+        middle = shifted(tip, outward, PIN_MM / 2)
+        phase = float(generator.uniform(0.0, 2 * pi))
+        streaks.append(
+            Streak(middle, PIN_STREAK_HU, PIN_STREAK_FALL_MM, PIN_STREAK_LOBES, phase, PIN_RADIUS_MM)
+        )
+    return Obstacles(tuple(shapes), tuple(streaks))
+
+
+def electrode(head: Head, direction: Vector) -> Obstacles:
+    """A metal cup on the skin with its lead, which runs towards the feet."""
+    skin, normal = skin_point(head, direction)
+    outward = _three(normal)
+    downwards = np.array([0.0, 0.0, -1.0]) + 0.4 * normal  # clear of the skin
+    downwards /= np.linalg.norm(downwards)
+    start = shifted(_three(skin), outward, CUP_MM)
+    return Obstacles(
+        (
+            Rod(CUP_HU, _three(skin), outward, CUP_MM, CUP_RADIUS_MM),
+            Rod(METAL_HU, start, _three(downwards), LEAD_MM, LEAD_RADIUS_MM),
+        )
+    )
+
+
+def bolt(head: Head, direction: Vector) -> Obstacles:
+    """The bolt of a depth electrode."""
+    skin, normal = skin_point(head, direction)
+    outward = _three(normal)
+    start = shifted(_three(skin), outward, -BOLT_IN_SKULL_MM)
+    return Obstacles((Rod(CUP_HU, start, outward, BOLT_IN_SKULL_MM + BOLT_MM, BOLT_RADIUS_MM),))
+
+
+def bandage(head: Head, thickness_mm: float, hu: float) -> Obstacles:
+    """A layer around the whole head."""
+    return Obstacles((EllipsoidShell(hu, head.centre_ct_mm, head.semi_axes_mm, thickness_mm),))
+
+
+def distractor(
+    head: Head, direction: Vector, cylinder: bool, generator: np.random.Generator
+) -> tuple[Shape, Point]:
+    """A ball or a cylinder of polymer beside the head, and its middle."""
+    skin, normal = skin_point(head, direction)
+    middle = _three(skin + normal * generator.uniform(*DISTRACTOR_STANDOFF_MM))
+    hu = float(generator.uniform(*DISTRACTOR_HU))
+    if not cylinder:
+        return Ball(hu, middle, DISTRACTOR_BALL_MM / 2), middle
+    # not steeper than half a right angle, so that it does not run into the head
+    along = generator.standard_normal(3)
+    along -= (along @ normal) * normal
+    along = along / np.linalg.norm(along) + generator.uniform(-0.5, 0.5) * normal
+    along /= np.linalg.norm(along)
+    length = float(generator.uniform(*CYLINDER_LENGTH_MM))
+    start = shifted(middle, _three(along), -length / 2)
+    return Rod(hu, start, _three(along), length, DISTRACTOR_CYLINDER_MM / 2), middle
+
+
+def _three(vector: Vector) -> Point:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z

@@ -1,0 +1,1 @@
+"""How it is scanned: voxel grid, blur, noise, and the DICOM series."""

@@ -1,0 +1,116 @@
+"""Writes slices as a DICOM CT series. The same scene gives the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.phantom.head.shapes import Values
+from sim.phantom.scanner.grid import CtGrid
+from sim.theatre.scene.model import Scene
+
+if TYPE_CHECKING:
+    from pydicom.dataset import FileDataset
+
+INTERCEPT_HU = -1024
+LARGEST_STORED = 4095  # 12 bits
+PATIENT_POSITION = "HFS"
+SCAN_DATE = "20180601"  # any fixed day: the date must not change the bytes
+UID_PREFIX = "2.25."  # UIDs made of a 128-bit number
+UID_BITS = 128
+COORDINATE_DIGITS = 4
+FILE_PATTERN = "slice-*.dcm"
+
+
+class DicomSeries:
+    """One series in a folder. UIDs are a hash of the whole scene."""
+
+    def __init__(self, scene: Scene, grid: CtGrid, folder: Path) -> None:
+        self._scene = scene
+        self._grid = grid
+        self._folder = folder
+        self._content = hashlib.sha256(scene.model_dump_json(by_alias=True).encode()).digest()
+        self.series_instance_uid = self._uid("series")
+        self._study_uid = self._uid("study")
+        self._frame_uid = self._uid("frame of reference")
+
+    def prepare(self) -> None:
+        """Make the folder, and remove what an earlier series of this kind left in it."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        for leftover in self._folder.glob(FILE_PATTERN):
+            leftover.unlink()
+
+    def write(self, number: int, stored: NDArray[np.uint16]) -> None:
+        """Write one slice of stored values; call it from one thread."""
+        from pydicom.filewriter import dcmwrite
+        from pydicom.uid import UID
+
+        data = self._header
+        instance = self._uid(f"slice {number}")
+        data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = UID(instance)
+        data.InstanceNumber = number + 1
+        x, y, z = self._grid.origin_mm
+        position = (x, y, z + number * self._grid.slice_mm)
+        data.ImagePositionPatient = [_decimal(value) for value in position]
+        data.SliceLocation = _decimal(position[2])
+        data.PixelData = stored.tobytes()
+        dcmwrite(self._folder / f"slice-{number + 1:04d}.dcm", data, enforce_file_format=True)
+
+    @cached_property
+    def _header(self) -> FileDataset:
+        """What all slices share."""
+        from pydicom.dataset import FileDataset, FileMetaDataset
+        from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+
+        grid, protocol = self._grid, self._scene.ct
+        meta = FileMetaDataset()
+        meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        meta.MediaStorageSOPClassUID = CTImageStorage
+        data = FileDataset("", {}, file_meta=meta, preamble=bytes(128))
+        data.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
+        data.SOPClassUID = CTImageStorage
+        data.StudyDate = data.SeriesDate = data.AcquisitionDate = data.ContentDate = SCAN_DATE
+        data.StudyTime = data.ContentTime = "120000"
+        data.AccessionNumber = data.ReferringPhysicianName = ""
+        data.Modality = "CT"
+        data.Manufacturer = "ronna-sim phantom"
+        data.StudyDescription = data.SeriesDescription = "Head phantom with fiducial spheres"
+        data.PatientName, data.PatientID = "Phantom^Head", f"{self._scene.name}-{self._scene.seed}"[:64]
+        data.PatientBirthDate = data.PatientSex = ""
+        data.BodyPartExamined = "HEAD"
+        data.KVP = "120"
+        data.SliceThickness = _decimal(grid.slice_mm)
+        data.GantryDetectorTilt = "0"
+        data.ConvolutionKernel = "STANDARD"
+        data.PatientPosition = PATIENT_POSITION
+        data.StudyInstanceUID, data.SeriesInstanceUID = self._study_uid, self.series_instance_uid
+        data.StudyID, data.SeriesNumber = "1", 1
+        data.ImageOrientationPatient = ["1", "0", "0", "0", "1", "0"]
+        data.FrameOfReferenceUID, data.PositionReferenceIndicator = self._frame_uid, ""
+        data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
+        data.Rows, data.Columns = protocol.rows, protocol.columns
+        data.PixelSpacing = [_decimal(grid.pixel_mm)] * 2
+        data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 12, 11, 0
+        data.RescaleIntercept, data.RescaleSlope, data.RescaleType = str(INTERCEPT_HU), "1", "HU"
+        data.WindowCenter, data.WindowWidth = "40", "400"
+        return data
+
+    def _uid(self, what: str) -> str:
+        digest = hashlib.sha256(self._content + what.encode()).digest()
+        return UID_PREFIX + str(int.from_bytes(digest[: UID_BITS // 8], "big"))
+
+
+def stored_values(hu: Values) -> NDArray[np.uint16]:
+    """HU as 12 bits; what lies beyond saturates, as on a scanner."""
+    return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, LARGEST_STORED).astype("<u2")
+
+
+def _decimal(value: float) -> str:
+    """A DICOM decimal string: at most 16 characters."""
+    text = f"{value:.{COORDINATE_DIGITS}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("", "-0") else text

@@ -1,0 +1,28 @@
+"""Paints bodies over an image, only where they are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim.phantom.head.shapes import Shape, Values
+
+
+def paint(image: Values, axes: tuple[Values, Values, Values], shape: Shape, edge_mm: float) -> None:
+    """Paint a body into `image` (z, y, x), whose samples lie at `axes` = (x, y, z), each ascending.
+
+    Over the width `edge_mm` around its surface the body goes over into what was there before.
+    """
+    low, high = shape.bounds()
+    margin = np.float32(0.5 * edge_mm)
+    parts = []
+    for axis, lowest, highest in zip(axes, low, high, strict=True):
+        first = int(np.searchsorted(axis, lowest - margin))
+        last = int(np.searchsorted(axis, highest + margin))
+        if first >= last:
+            return
+        parts.append(slice(first, last))
+    x, y, z = (axis[part] for axis, part in zip(axes, parts, strict=True))
+    depth = shape.depth(x[None, None, :], y[None, :, None], z[:, None, None])
+    cover = np.clip(depth * np.float32(1.0 / edge_mm) + np.float32(0.5), np.float32(0.0), np.float32(1.0))
+    region = image[parts[2], parts[1], parts[0]]
+    region += (np.float32(shape.hu) - region) * cover

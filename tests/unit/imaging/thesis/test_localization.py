@@ -1,0 +1,71 @@
+"""The thesis' pipeline finds spheres as the thesis says: to a tenth of a millimetre or two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from procedures.imaging import ThesisFit, Volume, VoxelGeometry, errors, localize_as_thesis
+from procedures.imaging.thesis.clusters import Cluster
+from procedures.imaging.thesis.fits import fit_lines, fit_sphere
+
+CENTRES = np.array([[30.2, 19.7, 17.4], [31.1, 20.3, 50.6]])
+
+
+@pytest.fixture(scope="module")
+def volume(make_scan: Callable[..., Any]) -> Volume:
+    """Two markers, a cylinder as thick as they, and a larger ball."""
+    scan = make_scan(shape=(60, 80, 200))
+    for centre in CENTRES:
+        scan.marker(centre, np.array([0.3, 1.0, 0.2]), skin=False)
+    scan.rod(np.array([15.0, 20.0, 73.0]), np.array([1.0, 0.0, 0.0]), 40.0, 6.0, 150.0)
+    scan.ball(np.array([30.0, 20.0, 90.0]), radius_mm=8.0)
+    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
+    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+
+
+@pytest.mark.parametrize("fit", ThesisFit)
+def test_both_fits_find_the_markers_and_nothing_else(volume: Volume, fit: ThesisFit) -> None:
+    result = localize_as_thesis(volume, fit, expected=2)
+    distance = np.linalg.norm(result.centres_mm[:, None] - CENTRES[None], axis=2)
+    assert distance.min(axis=0).max() < 0.3
+    assert all("covariance_assumed" in marker.flags for marker in result.markers)
+    np.testing.assert_array_equal(localize_as_thesis(volume, fit).centres_mm, result.centres_mm)
+
+
+def test_the_covariance_is_the_error_that_the_thesis_reports(volume: Volume) -> None:
+    marker = localize_as_thesis(volume, ThesisFit.SPHERE).markers[0]
+    assert np.sqrt(marker.covariance_mm2.trace()) == pytest.approx(0.1617)
+
+
+def test_an_empty_scan_and_impossible_requests_are_refused(make_scan: Callable[..., Any]) -> None:
+    scan = make_scan()
+    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
+    empty = Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+    with pytest.raises(errors.MarkerCountWrong, match="no marker found"):
+        localize_as_thesis(empty, ThesisFit.LINE)
+    with pytest.raises(errors.LocalizationMisused):
+        localize_as_thesis(empty, ThesisFit.LINE, diameter_mm=1.0)
+
+
+def exact_cluster(axis: int, centre: np.ndarray, outlying: int = 0) -> Cluster:
+    """Cuts of a sphere of 5.75 mm, the first few of them far off."""
+    heights = np.arange(-4.0, 4.5)
+    centres = np.tile(centre, (len(heights), 1))
+    centres[:, axis] += heights
+    centres[:outlying, (axis + 1) % 3] += 3.0
+    return Cluster(centres, np.sqrt(5.75**2 - heights**2), axis, centre)
+
+
+def test_lines_and_sphere_are_exact_on_exact_circles_and_ransac_leaves_outliers_out() -> None:
+    centre = np.array([3.0, -7.0, 11.0])
+    for outlying in (0, 2):
+        pair = exact_cluster(0, centre, outlying), exact_cluster(2, centre)
+        np.testing.assert_allclose(fit_lines(*pair), centre, atol=1e-9)
+        found, radius, share = fit_sphere(*pair)
+        np.testing.assert_allclose(found, centre, atol=0.02 if outlying else 1e-9)
+        assert radius == pytest.approx(5.75, abs=0.02)
+        assert share > 0.8

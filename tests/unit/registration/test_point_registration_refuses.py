@@ -1,0 +1,98 @@
+"""Malformed input gives a one-line error that is ours and a ValueError."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from procedures.registration import register
+from procedures.registration.errors import (
+    BadCovariance,
+    BadPoints,
+    CollinearPoints,
+    DuplicatePoints,
+    NotConverged,
+    TooFewPoints,
+)
+from procedures.registration.weighted_rigid_fit import fit_weighted
+from ronna_hw.errors import RonnaError
+
+GOOD = np.array([[0, 0, 0], [80, 0, 0], [0, 90, 0], [10, 20, 70]], dtype=float)
+LINE = np.outer([0.0, 30.0, 70.0, 100.0], [1.0, 2.0, 3.0])
+UNIT = np.tile(np.eye(3), (4, 1, 1))
+
+
+def with_value(row: int, value: float) -> np.ndarray:
+    points = GOOD.copy()
+    points[row, 1] = value
+    return points
+
+
+@pytest.mark.parametrize(
+    ("image", "physical", "error"),
+    [
+        (with_value(1, np.nan), GOOD, BadPoints),
+        (GOOD, with_value(2, np.inf), BadPoints),
+        (GOOD, with_value(2, 1e9), BadPoints),
+        (GOOD[:, :2], GOOD, BadPoints),
+        (GOOD.ravel(), GOOD, BadPoints),
+        (GOOD, GOOD[None], BadPoints),
+        (GOOD, GOOD[:3], BadPoints),
+        ([[1, 2], [3]], GOOD, BadPoints),
+        ("points", GOOD, BadPoints),
+        (None, GOOD, BadPoints),
+        ([], [], TooFewPoints),
+        (GOOD[:2], GOOD[:2], TooFewPoints),
+        (LINE, LINE, CollinearPoints),
+        (GOOD, LINE, CollinearPoints),
+        (np.vstack([GOOD, GOOD[:1] + 1.0]), np.vstack([GOOD, GOOD[:1] + 50.0]), DuplicatePoints),
+        (np.vstack([GOOD, GOOD[:1] + 50.0]), np.vstack([GOOD, GOOD[:1]]), DuplicatePoints),
+        (np.zeros((4, 3)), np.zeros((4, 3)), DuplicatePoints),
+    ],
+)
+def test_bad_points_are_refused(image, physical, error):
+    with pytest.raises(error) as caught:
+        register(image, physical)
+    assert isinstance(caught.value, ValueError)
+    assert isinstance(caught.value, RonnaError)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(caught.value.code)
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        np.eye(3),
+        UNIT[:3],
+        UNIT * np.nan,
+        UNIT * 0.0,
+        -UNIT,
+        UNIT + np.triu(np.ones((3, 3)), 1),
+        UNIT * np.diag([1.0, 1.0, -0.5]),
+        "isotropic",
+    ],
+)
+def test_bad_covariances_are_refused(covariance):
+    with pytest.raises(BadCovariance, match="REG-005") as caught:
+        register(GOOD, GOOD, covariance_mm2=covariance)
+    assert isinstance(caught.value, ValueError)
+
+
+def test_targets_are_checked_like_fiducials():
+    with pytest.raises(BadPoints, match="REG-001"):
+        register(GOOD, GOOD).predict_tre_mm([[0.0, np.nan, 0.0]])
+
+
+def test_a_weighted_fit_that_cannot_settle_says_so(monkeypatch):
+    monkeypatch.setattr("procedures.registration.weighted_rigid_fit.MOST_STEPS", 1)
+    with pytest.raises(NotConverged, match="REG-006"):
+        fit_weighted(GOOD, GOOD @ np.diag([1.0, 1.1, 0.9]) + 5.0, UNIT, np.eye(3), np.zeros(3))
+
+
+@pytest.mark.parametrize("kind", [complex, object, bool, str])
+def test_numbers_that_are_not_real_are_refused_by_their_type(kind):
+    for image, physical in ((GOOD.astype(kind), GOOD), (GOOD, GOOD.astype(kind))):
+        with pytest.raises(BadPoints, match=r"REG-001.*not real numbers"):
+            register(image, physical)
+    with pytest.raises(BadCovariance, match=r"REG-005.*not real numbers"):
+        register(GOOD, GOOD, covariance_mm2=UNIT.astype(kind))
