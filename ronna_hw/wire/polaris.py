@@ -267,7 +267,7 @@ PARAMETER_TIMEOUT_PREFIX: Final = "Info.Timeout."
 FRAME_RATE_HZ: Final = 60.0  # the frame number counts at this rate whatever the illuminator rate is
 ILLUMINATOR_RATES_HZ: Final = MappingProxyType({0: 20, 1: 30, 2: 60})
 
-# Answer to SFLIST 03: one digit count, then per volume `SFLIST_VOLUME_CHARACTERS` and LF.
+# Answer to SFLIST 03: one digit count, then per volume so many characters, LF the last of them.
 SFLIST_VOLUMES: Final = "03"
 SFLIST_VOLUME_CHARACTERS: Final = 74
 SFLIST_DIMENSIONS: Final = 10  # D1..D10, each sign and 6 digits

@@ -62,13 +62,11 @@ class ToldVolume:
 def told_volumes(unit: PolarisLink) -> tuple[ToldVolume, ...]:
     """The volumes by SFLIST 03, each record of the exact length."""
     text = unit.ask("SFLIST:03")
-    records = text[1:].split("\n")
-    if not records[-1]:
-        records.pop()
+    records = text[1:].splitlines(keepends=True)
     check(text[:1].isdigit() and int(text[:1]) == len(records), "as many volumes as announced", text[:1])
     volumes = []
     for record in records:
-        check(len(record) == SFLIST_VOLUME_CHARACTERS, "74 characters", len(record))
+        check(len(record) == SFLIST_VOLUME_CHARACTERS, "74 characters with the line feed", len(record))
         match = _RECORD.fullmatch(record)
         check(match is not None, "a shape and ten numbers", record)
         assert match is not None

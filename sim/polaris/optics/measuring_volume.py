@@ -14,16 +14,16 @@ from ronna_hw.wire.polaris import LF, SFLIST_DIMENSION_SCALE
 
 SLOPE_SCALE = 100_000  # slopes are given per 1000 mm, in hundredths
 NO_CAP = 999_999
+WAVELENGTHS = "24"  # as real Spectras send it; how its two digits are to be read is not public
 
 
 @dataclass(frozen=True)
 class Volume:
-    """One volume: shape code, the ten numbers D1..D10, wavelength codes."""
+    """One volume: its shape code and the ten numbers D1..D10."""
 
     name: str
     shape: str
     dimensions: tuple[int, int, int, int, int, int, int, int, int, int]
-    wavelengths: str
 
     def holds(self, x_mm: float, y_mm: float, z_mm: float) -> bool:
         """True for a marker inside."""
@@ -54,27 +54,24 @@ class Volume:
         return min(x_half_mm, x_cap / SFLIST_DIMENSION_SCALE), min(y_half_mm, y_cap / SFLIST_DIMENSION_SCALE)
 
     def feature_line(self) -> str:
-        """The 74 characters of this volume in the feature list, and the line feed."""
+        """The 74 characters of this volume in the feature list; the last is a line feed."""
         numbers = "".join(f"{value:+07d}" for value in self.dimensions)
-        return f"{self.shape}{numbers}{len(self.wavelengths)}{self.wavelengths}{LF}"
+        return f"{self.shape}{numbers}{WAVELENGTHS}{LF}"
 
 
 PYRAMID = Volume(
     name="Pyramid",
     shape="5",
     dimensions=(-240000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, NO_CAP),
-    wavelengths="40",
 )
 EXTENDED_PYRAMID = Volume(
     name="Extended Pyramid",
     shape="5",
     dimensions=(-300000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, 73500),
-    wavelengths="40",
 )
 # About 491 x 392 mm at 557 mm and 938 x 887 mm at 1336 mm; the ten numbers themselves are not public.
 VICRA_VOLUME = Volume(
     name="Vicra",
     shape="7",
     dimensions=(-133600, -55700, -55700, 24550, 19600, 28690, 28690, 31772, NO_CAP, NO_CAP),
-    wavelengths="40",
 )

@@ -6,8 +6,8 @@ from drivers.ndi_polaris.errors import MalformedReply
 from drivers.ndi_polaris.unit.measuring_volume import parse_volumes
 
 ANSWER = (
-    "25-240000-153200-095000+057200+039800+056946+024303+029773+999999+99999924   \n"
-    "5-300000-153200-095000+057200+039800+056946+024303+029773+999999+07350024   \n"
+    "25-240000-153200-095000+057200+039800+056946+024303+029773+999999+99999924\n"
+    "5-300000-153200-095000+057200+039800+056946+024303+029773+999999+07350024\n"
 )
 
 # half extents (x, y) at depth z, from the published table
@@ -57,3 +57,7 @@ def test_a_shape_without_a_known_formula_says_so() -> None:
 def test_an_answer_of_another_form_is_refused(text: str) -> None:
     with pytest.raises(MalformedReply):
         parse_volumes(text)
+
+
+def test_a_record_that_is_padded_before_its_line_feed_is_read_as_well() -> None:
+    assert parse_volumes(ANSWER.replace("\n", "   \n")) == parse_volumes(ANSWER)

@@ -62,12 +62,13 @@ def test_settings_hold_still_while_tracking(bench: Bench) -> None:
     assert bench.send("GET Param.User.String0") == "Param.User.String0=note"
 
 
-def test_the_feature_list_tells_both_volumes(bench: Bench) -> None:
-    first, second, rest = bench.send("SFLIST 03").split("\n")
-    pyramid = "5-240000-153200-095000+057200+039800+056946+024303+029773+999999+999999"
-    assert first[:72] == "2" + pyramid
-    assert second[:71] == pyramid.replace("-240000", "-300000")[:-7] + "+073500"
-    assert (len(first), len(second), rest) == (75, 74, "")
+def test_volume_k_of_the_feature_list_begins_at_1_plus_74_k_as_plus_reads_it(bench: Bench) -> None:
+    reply = bench.send("SFLIST 03")
+    assert [reply[0], reply[1:75], reply[75:]] == [
+        "2",
+        "5-240000-153200-095000+057200+039800+056946+024303+029773+999999+99999924\n",
+        "5-300000-153200-095000+057200+039800+056946+024303+029773+999999+07350024\n",
+    ]
 
 
 def test_an_alert_withholds_transforms_until_it_is_read(bench: Bench, pointer: TrackerTool) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from sim.polaris.tools.definition import write_definition
 from sim.polaris.unit.model import VICRA
 from sim.theatre.scene.model import TrackerTool
 from sim.theatre.scene.named_scenes import built_in_scene
@@ -145,12 +146,29 @@ def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], poin
     bench = make_bench(built_in_scene("bench-near"), model=VICRA)
     bench.send("INIT ")
     for _ in bench.world.scene.tracker.places:
+        handle = bench.enable(pointer)
+        bench.send("TSTART 80")
+        tool, strays = bench.send("TX 1001").split("\n")
+        assert tool.startswith(f"01{handle:02X}+")
+        assert strays.startswith("030")
+        bench.send("TSTOP ")
+        bench.send(f"PDIS {handle:02X}")  # its place stays taken
+
+
+def test_it_tracks_six_tools_and_refuses_to_enable_a_seventh(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    bench = make_bench(built_in_scene("bench-near"), model=VICRA)
+    bench.send("INIT ")
+    for _ in range(6):
         bench.enable(pointer)
+    seventh = bench.load(write_definition(pointer))
+    bench.send(f"PINIT {seventh:02X}")
+    assert bench.send(f"PENA {seventh:02X}D") == "ERROR28"
+    assert bench.send("PENA 01S") == "OKAY"  # enabled already
+    assert value(bench, "Features.Tools.Enabled Tools") == "6"
     bench.send("TSTART 80")
-    answer = bench.send("TX 1001")
-    assert answer.startswith("08")
-    assert "MISSING" not in answer
-    assert answer.split("\n")[-1].startswith("030")
+    assert bench.send("TX 0001").startswith("06")
 
 
 def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
