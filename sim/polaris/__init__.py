@@ -1,5 +1,5 @@
-"""The simulated NDI Polaris Spectra or Vicra: its own process, the unit's bytes, the theatre's scene.
+"""The simulated NDI Polaris Spectra or Vicra: a process of its own that speaks the unit's protocol.
 
-What no public source settles is a named parameter in `parameters.py`; what is not simulated stands in
-docs/explanation/not-simulated.md.
+Behaviour that no public source settles is a named parameter in `unit/behaviour.py`; what is not simulated is
+listed in docs/explanation/not-simulated.md.
 """

@@ -12,7 +12,7 @@ SERIAL_PTY = "serial-pty"
 
 
 class ProfileName(StrEnum):
-    """The kinds of unit."""
+    """Models that can be simulated."""
 
     SPECTRA = "spectra"
     VICRA = "vicra"
@@ -22,24 +22,24 @@ def polaris(
     endpoint: Annotated[
         str, typer.Option(help="serial-pty for a pseudo-terminal, or tcp://host:port.")
     ] = SERIAL_PTY,
-    profile: Annotated[ProfileName, typer.Option(help="Kind of unit.")] = ProfileName.SPECTRA,
+    profile: Annotated[ProfileName, typer.Option(help="Model of the unit.")] = ProfileName.SPECTRA,
     scene: Annotated[str, typer.Option(help="bench, bench-near, default, mini, or a file.")] = "bench",
-    throttle: Annotated[bool, typer.Option(help="Keep a serial line to its baud rate.")] = False,
+    throttle: Annotated[bool, typer.Option(help="Send at the baud rate of the serial line.")] = False,
     wired: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="Definition of a wired tool that is plugged in; repeatable."),
+        typer.Option(metavar="FILE", help="Tool definition of a wired tool to plug in; repeatable."),
     ] = None,
     setting: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
     ] = None,
     list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="Tell all that --set can change, and end.")
+        bool, typer.Option("--list-parameters", help="List the parameters that --set takes, and exit.")
     ] = False,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
-    """Simulate an NDI Polaris Spectra or Vicra, for any client; runs until it is ended."""
+    """Simulate an NDI Polaris Spectra or Vicra, for any client, until terminated."""
     import gc
 
     from sim.polaris.line.interpreter import CommandInterpreter
@@ -60,13 +60,13 @@ def polaris(
     kind = UNIT_MODELS[profile.value]
     tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     if scene == "bench" and profile is ProfileName.VICRA:
-        scene = "bench-near"  # the other one lies behind its volume
+        scene = "bench-near"  # the other bench is beyond its volume
     room, control = open_world(world, scene, faults)
     interpreter = CommandInterpreter(Unit(room, kind, behaviour, tools))
     end = EndSignal()
     server = Server(interpreter, end)
     end_with_parent(end.give)
-    # What lives now lives to the end: looking through it would hold up a reply by more than a frame.
+    # What exists now lives until exit: collecting it would delay a reply by more than a frame.
     gc.collect()
     gc.freeze()
     if address is None:

@@ -1,1 +1,1 @@
-"""The line to the host: bytes, frames, commands, and what a bad line does to them."""
+"""The line to the host: transport, framing, command dispatch and line faults."""

@@ -1,4 +1,4 @@
-"""The byte stream to a host. A reply is written without blocking for long."""
+"""The byte stream to a host; writing never blocks for long."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from typing import Protocol
 from sim.polaris.line.line_settings import LineSettings
 
 RECEIVE_BYTES = 4096
-Ready = Sequence[tuple[int, int]]  # files and events, as poll tells them
-SEND_PATIENCE_S = 5.0  # a host that reads nothing for so long is gone
+Ready = Sequence[tuple[int, int]]  # (file descriptor, events) as `poll` returns them
+SEND_PATIENCE_S = 5.0  # a host that has read nothing for this long is gone
 
 
 class Channel(Protocol):
-    """A stream to one host."""
+    """A byte stream to one host."""
 
     def files(self) -> tuple[int, ...]:
         """File descriptors to wait on."""
         ...
 
     def receive(self, ready: Ready) -> bytes | None:
-        """What has arrived on the files that are ready, possibly nothing; None when the host is gone."""
+        """Bytes from the descriptors that are ready, possibly none; None when the host is gone."""
         ...
 
     def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
-        """Wait as long as so many bytes take on a line of these settings."""
+        """Wait for the time that many bytes take on a line with these settings."""
         ...
 
     def send(self, data: bytes, line: LineSettings) -> None:
@@ -52,12 +52,12 @@ class Connection:
             return None
 
     def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
-        """Nothing: a network has no rate."""
+        """A network has no baud rate: no wait."""
 
     def send(self, data: bytes, line: LineSettings) -> None:
         try:
             self._peer.sendall(data)
-        except OSError:  # half a reply is worth nothing: the next receive tells that the host is gone
+        except OSError:  # half a reply is useless: make the next receive report the host as gone
             with contextlib.suppress(OSError):
                 self._peer.shutdown(socket.SHUT_RDWR)
 

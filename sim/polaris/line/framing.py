@@ -1,4 +1,4 @@
-"""Bytes to requests and answers to bytes, as the unit does it.
+"""Framing: bytes to requests, replies to bytes.
 
 A request comes as `NAME:args` + CRC, as `NAME args`, or as the bare name; all end in CR.
 """
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BX_START, CR, crc16
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 
-STALE_S = 1.0  # a command that stands half-sent for so long is what a vanished client left behind
-STRAY_LINE_FEED = b"\n"  # of clients that end a line with CR LF
+STALE_S = 1.0  # half a command this old was left by a client that vanished
+STRAY_LINE_FEED = b"\n"  # from clients that end a line with CR LF
 
 _form = re.compile(rb"[: ]")
 _hexadecimal = re.compile(rb"[0-9A-Fa-f]{4}")
@@ -30,11 +30,11 @@ class Request:
 
 
 class Overlong(bytes):
-    """The beginning of a line that is longer than any command."""
+    """The start of a line that is longer than any command."""
 
 
 class LineBuffer:
-    """Collects bytes into lines, however they arrive."""
+    """Assembles lines from bytes, however they arrive."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -82,12 +82,12 @@ def parse_request(line: bytes) -> Request:
 
 
 def ascii_reply(text: str) -> bytes:
-    """An answer as text: CRC in four upper-case digits, CR."""
+    """An ASCII reply: text, CRC in four upper-case digits, CR."""
     content = text.encode("latin-1")
     return b"%b%04X\r" % (content, crc16(content))
 
 
 def binary_reply(body: bytes) -> bytes:
-    """An answer as bytes: start sequence, length, their CRC, body, its CRC, and nothing after it."""
+    """A binary reply: start sequence, length, header CRC, body, body CRC, nothing after it."""
     header = _header.pack(BX_START, len(body))
     return header + _u16.pack(crc16(header)) + body + _u16.pack(crc16(body))

@@ -1,4 +1,4 @@
-"""What Linux tells of the far end of a pseudo-terminal: its settings, its flushes, who has it open."""
+"""The host's end of a pseudo-terminal as Linux reports it: line settings, flushes, who has it open."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ EVENTS_BYTES = 4096
 
 
 def packet_mode(master: int) -> None:
-    """From now on each read begins with a byte: 0 before data, otherwise what was flushed or stopped."""
+    """Prefix every read with a control byte: 0 for data, otherwise what was flushed or stopped."""
     fcntl.ioctl(master, termios.TIOCPKT, struct.pack("i", 1))
 
 
 class HostLine:
-    """The line settings that the host gave its end, as far as a pseudo-terminal keeps them."""
+    """The line settings of the host's end, as far as a pseudo-terminal keeps them."""
 
     def __init__(self, master: int) -> None:
         self._master = master
@@ -34,7 +34,7 @@ class HostLine:
         self._agreed = False
 
     def agrees(self, line: LineSettings) -> bool:
-        """True unless host and unit certainly misunderstand each other."""
+        """False only when host and unit certainly cannot understand each other."""
         content = fcntl.ioctl(self._master, TCGETS2, bytes(_termios2.size))
         if self._judged is None or self._judged[1] is not line or self._judged[0] != content:
             self._judged = (content, line)
@@ -46,7 +46,7 @@ class HostLine:
 
 
 class HostSideWatch:
-    """Counts who has the far end open, by the kernel's notes. The unit's own hold is not counted."""
+    """Counts the openers of the host's end by inotify; the unit's own descriptor does not count."""
 
     def __init__(self, path: str) -> None:
         library = ctypes.CDLL(None, use_errno=True)
@@ -57,7 +57,7 @@ class HostSideWatch:
         self._holders = 0
 
     def events(self) -> tuple[bool, bool]:
-        """Whether the line was opened, and whether the last host closed it, since the last call."""
+        """(opened, last host left) since the previous call."""
         try:
             content = os.read(self.file, EVENTS_BYTES)
         except BlockingIOError:

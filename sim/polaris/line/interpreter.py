@@ -1,4 +1,4 @@
-"""Command lines to answers.
+"""Command lines to replies.
 
 Checks run in a fixed order: length and CRC of the line, known name, initialised, mode, then the command's
 own checks of its arguments and of the handle. A command that fails a check has no effect.
@@ -18,26 +18,26 @@ from sim.polaris.unit.unit import Unit
 from sim.polaris.unit.unit_faults import Power, UnitFaults
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
-LOOK_S = 0.1  # between two looks at what happens without a command
+LOOK_S = 0.1  # between two checks for what happens without a command
 
 
 class CommandInterpreter:
-    """The conversation of a unit with its hosts. It outlives each of them, as the unit does."""
+    """Carries out the command lines of all hosts, one after another; its state outlives each of them."""
 
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
-        self.reply_line = unit.line  # of the last answer: COMM is answered with the old settings
+        self.reply_line = unit.line  # settings of the last reply: COMM is answered with the old ones
         self._modes = modes_of_commands(unit.behaviour)
-        self._replies: dict[bytes, bytes] = {}  # to requests for the frame `_replies_frame`
+        self._replies: dict[bytes, bytes] = {}  # by request, for frame `_replies_frame`
         self._replies_frame = -1
         self._watch_dog_ns = 0
         self._heard_ns = 0
         self._faults = UnitFaults(unit)
-        self._break_s: float | None = None  # host time at which what looked like a break was one
-        self._starts_s: float | None = None  # host time at which a unit that starts again says RESET
+        self._break_s: float | None = None  # host time at which a suspected break is confirmed by silence
+        self._starts_s: float | None = None  # host time at which a restarting unit sends RESET
 
     def answer(self, line: bytes) -> bytes:
-        """The bytes that the unit sends back for one command line (without its CR)."""
+        """The reply to one command line (without its CR)."""
         if self._watch_dog_ns:
             self._watch()
             self._heard_ns = self.unit.clock.now_ns()
@@ -47,7 +47,7 @@ class CommandInterpreter:
         if kept is not None and self.unit.frames.number() == self._replies_frame:
             return kept
         if self._starts_s is not None:
-            return b""  # a unit that starts hears nothing
+            return b""  # a unit that is starting is deaf
         self.reply_line = self.unit.line
         try:
             answer = self._carry_out(line)
@@ -57,36 +57,36 @@ class CommandInterpreter:
 
     @property
     def line(self) -> LineSettings:
-        """The settings with which the unit listens now."""
+        """The line settings at which the unit listens now."""
         return self.unit.line
 
     def restart(self, after_s: float | None = None) -> None:
-        """A break, or the power came back: settings as saved; RESET is said a while later."""
+        """Break or power-up: saved settings now, RESET `after_s` later."""
         self.unit.reset()
         self._forget()
         self._watch_dog_ns = 0
         self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
 
     def suspect_break(self) -> None:
-        """The host did what it does before a break. It was one if silence follows."""
+        """The host flushed both directions, as before a break: it is one if silence follows."""
         self._break_s = time.monotonic() + self.unit.behaviour.break_silence_s
 
     def deny_break(self) -> None:
-        """The host spoke on."""
+        """The host went on talking: there was no break."""
         self._break_s = None
 
     def host_left(self) -> None:
-        """The last host closed the line."""
+        """Called when the last host has closed the line."""
         if self.unit.behaviour.line_after_close == "default":
             self.unit.restore_line()
 
     def due_s(self) -> float:
-        """Host time at which to ask `unasked` again: something may have happened by then."""
+        """Host time at which `unasked` should be called again."""
         moments_s = (time.monotonic() + LOOK_S, self._break_s, self._starts_s)
         return min(moment_s for moment_s in moments_s if moment_s is not None)
 
     def unasked(self) -> bytes:
-        """What the unit says of itself now: RESET, once it has started again."""
+        """What the unit sends unasked: RESET, once it has restarted."""
         if self._watch_dog_ns:
             self._watch()
         if self._faults.concerned:
@@ -124,7 +124,7 @@ class CommandInterpreter:
         return answer
 
     def _keep(self, line: bytes, reply: bytes) -> None:
-        """The same request for the same frame gets the same answer: no need to measure or encode again."""
+        """Cache a reply: the same request for the same frame gets the same bytes."""
         number = self.unit.frames.last
         if number != self._replies_frame:
             self._replies.clear()
@@ -139,12 +139,12 @@ class CommandInterpreter:
         self._heard_ns = self.unit.clock.now_ns()
 
     def _watch(self) -> None:
-        """The watch dog bites when the host has been silent for too long."""
+        """Trip the watchdog when the host has been silent for too long."""
         if self.unit.clock.now_ns() - self._heard_ns > self._watch_dog_ns:
             self._bite()
 
     def _bite(self) -> None:
-        """What the watch dog does."""
+        """Stop tracking or reset the unit, as configured."""
         self._forget()
         if self.unit.behaviour.watch_dog == "reset":
             self.restart()
@@ -152,7 +152,7 @@ class CommandInterpreter:
             self.unit.stop_tracking()
 
     def _works(self) -> bool:
-        """Let faults act; False while the unit is dead."""
+        """Apply faults; False while the unit has no power."""
         self._forget()
         power = self._faults.power()
         if power is Power.GONE:

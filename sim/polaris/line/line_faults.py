@@ -1,6 +1,6 @@
-"""What a bad line does to commands and replies. A host must live with all of it.
+"""Line faults: noise, lost and doubled bytes, delays in either direction.
 
-Which command and which bit are hit follows from the seed and the number of the command, so a run repeats.
+Which command and which bit are hit is a function of seed and command number, so a run repeats.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from sim.theatre.noise import noise
 
 DEVICE = "tracker line"
 WHOLE_PERCENT = 100.0
-USUAL_LIMIT_S = 2.0  # of a host for a command that it does not know the limit of
+USUAL_LIMIT_S = 2.0  # of a host, for a command whose time limit it does not know
 BITS = 8
 
 
 class LineFaults:
-    """The line between a host and the unit. Costs one question while there are no faults."""
+    """Faults of the line between host and unit. Costs one look-up while there are none."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
         self._board = unit.faults
-        self._count = 0  # commands that came while there were faults
+        self._count = 0  # commands received while there were faults
 
     def heard(self, line: bytes) -> bytes:
-        """The command line as it reaches the unit."""
+        """A command line as it reaches the unit."""
         if self._board.empty:
             return line
         self._count += 1
@@ -36,10 +36,10 @@ class LineFaults:
         return _flipped(line, generator) if line and self._strikes("garble_commands", generator) else line
 
     def said(self, line: bytes, reply: bytes) -> bytes:
-        """The reply as it reaches the host, possibly late; empty when it never does."""
+        """A reply as it reaches the host, possibly late; empty when it is lost."""
         if self._board.empty:
             return reply
-        if not reply:  # the unit is dead
+        if not reply:  # the unit has no power
             self._host_waits(line)
             return reply
         generator = noise(self._unit.seed, DEVICE, self._count, lane=1)
@@ -62,15 +62,15 @@ class LineFaults:
         return reply
 
     def _host_waits(self, line: bytes) -> None:
-        """Nothing, or not enough, comes back. In a theatre without a pace of its own the time passes that a
-        host waits for the reply: so a fault of some seconds ends.
+        """Lose the reply, or part of it. An unpaced theatre advances by the host's time limit, so that a
+        fault of some seconds comes to its end.
         """
         if not self._unit.clock.paced:
             name = line.replace(b":", b" ").partition(b" ")[0].decode("latin-1")
             self._unit.take_time(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))
 
     def _wait(self, duration_s: float) -> None:
-        """A host's patience is not counted in theatre time: let both pass."""
+        """Let host time and theatre time pass: a host's time limits run on its own clock."""
         time.sleep(duration_s)
         if not self._unit.clock.paced:
             self._unit.take_time(duration_s)
@@ -81,7 +81,7 @@ class LineFaults:
 
 
 def _flipped(data: bytes, generator: np.random.Generator) -> bytes:
-    """The bytes with one bit wrong; not so that a line ends early."""
+    """The bytes with one bit flipped, never into or out of a CR."""
     damaged = bytearray(data)
     place = int(generator.integers(len(data)))
     bit = int(generator.integers(BITS))

@@ -9,7 +9,7 @@ from ronna_hw.wire import polaris as wire
 
 @dataclass(frozen=True)
 class LineSettings:
-    """How bytes travel. A TCP connection has none of this and ignores it."""
+    """Settings of a serial line; a TCP connection ignores them."""
 
     baud: int
     data_bits: int = 8
@@ -19,7 +19,7 @@ class LineSettings:
 
     @classmethod
     def from_argument(cls, argument: str) -> LineSettings:
-        """The settings that an argument of COMM asks for; raises KeyError for a code that does not exist."""
+        """Settings from the argument of COMM; raises KeyError for an unknown code."""
         baud, data, parity, stop, handshake = tuple(argument)
         return cls(
             wire.COMM_BAUD_CODES[baud],
@@ -31,7 +31,7 @@ class LineSettings:
 
     @property
     def seconds_per_byte(self) -> float:
-        """Time on the line of one byte: start bit, data, parity, stop bits."""
+        """Transfer time of one byte: start bit, data, parity, stop bits."""
         return (1 + self.data_bits + (self.parity != "none") + self.stop_bits) / self.baud
 
 

@@ -1,10 +1,9 @@
 """A serial line as a pseudo-terminal.
 
-The unit keeps the far end open, so that hosts may come, go, and be killed. What a real line would show
-comes from three sources: the far end's settings can be read here (rate, stop bits, odd parity; data bits and
-even parity are not kept by the kernel); packet mode tells what a host flushes, and flushing both directions
-before a silence stands for a break, which no pseudo-terminal carries; and the kernel notes who opens and
-closes the far end.
+The unit keeps the host's end open, so that hosts may come, go and be killed. What a real line would show
+has three substitutes: the settings of the host's end can be read here (rate, stop bits, odd parity; the
+kernel keeps neither data bits nor even parity); packet mode reports flushes, and flushing both directions
+followed by silence stands for a break, which no pseudo-terminal carries; inotify reports opening and closing.
 """
 
 from __future__ import annotations
@@ -23,15 +22,13 @@ from sim.polaris.line.host_side import HostLine, HostSideWatch, packet_mode
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.line_settings import LineSettings
 
-FULL_PATIENCE_S = 0.5  # a serial line waits for nobody: what the host does not take in this time is lost
-THROTTLE_STEP_S = 0.01  # a throttled reply trickles in steps as long as this
-SLOW_ANSWER_S = 0.02  # a host may lose its patience meanwhile
-UNNOTICED_S = (
-    0.005  # waking up late costs a throttled line nothing: a unit takes some ms for its answer anyway
-)
-FLUSH_GAP_S = 0.005  # a flush of both directions may be told in two pieces
+FULL_PATIENCE_S = 0.5  # a serial line does not wait: what the host has not read by then is lost
+THROTTLE_STEP_S = 0.01  # a throttled reply is sent in steps of this length
+SLOW_ANSWER_S = 0.02  # beyond this the host may have sent a break meanwhile
+UNNOTICED_S = 0.005  # waking up late by this much is no delay: a real unit takes some ms to reply
+FLUSH_GAP_S = 0.005  # a flush of both directions may be reported in two parts
 SEVEN_BITS = bytes(byte & 0x7F for byte in range(256))
-UNREADABLE = bytes((byte * 0x9D + 0x37) & 0xFF | 0x80 for byte in range(256))  # what another rate makes of it
+UNREADABLE = bytes((byte * 0x9D + 0x37) & 0xFF | 0x80 for byte in range(256))  # as read at a wrong baud rate
 _TERMIOS_INPUT_SPEED, _TERMIOS_OUTPUT_SPEED = 4, 5
 
 
@@ -56,18 +53,18 @@ class PseudoTerminal:
         packet_mode(self._master)
         os.set_blocking(self._master, False)
         self._controls = select.poll()
-        # In packet mode POLLPRI says that something was flushed.
+        # In packet mode POLLPRI reports a flush.
         self._controls.register(self._master, select.POLLIN | select.POLLPRI)
         self._spoken_to = False  # since the line was opened
         self._opened_s = self._heard_s = 0.0
-        self._arrived_s = 0.0  # when the last byte of a command came over a throttled line
+        self._arrived_s = 0.0  # when the last byte of a command arrived on a throttled line
         self._flushed_input_s = 0.0
         if self._behaviour.power_up_reset:
-            self._write(ascii_reply(REPLY_RESET))  # whoever opens the line and does not flush it reads this
+            self._write(ascii_reply(REPLY_RESET))  # read by whoever opens the line without flushing it
 
     @property
     def endpoint(self) -> str:
-        """Where hosts open the line."""
+        """The address that hosts open."""
         return f"serial://{self._path}"
 
     def files(self) -> tuple[int, ...]:
@@ -119,7 +116,7 @@ class PseudoTerminal:
             self._write(piece)
 
     def close(self) -> None:
-        """Give the line up."""
+        """Close both ends."""
         self._watch.close()
         os.close(self._master)
         os.close(self._far_end)
@@ -136,15 +133,16 @@ class PseudoTerminal:
         return not self._behaviour.enforces_line or self._host.agrees(line)
 
     def _broken_meanwhile(self) -> bool:
-        """Whether the host seems to have sent a break while the unit was at work on its command."""
+        """True when the host seems to have sent a break while its command was carried out."""
         suspected = False
         while (events := self._controls.poll(0)) and events[0][1] & select.POLLPRI:
             suspected = self._controlled(os.read(self._master, 1)[0]) or suspected
-        return suspected and not events  # who has said more since did not send a break
+        return suspected and not events  # a host that has sent more since did not send a break
 
     def _controlled(self, control: int) -> bool:
-        """The host flushed something: its input only before an ordinary command. True when it was both
-        directions, as before a break.
+        """Handle a flush by the host: input only before a command, both directions before a break.
+
+        True for a suspected break.
         """
         now_s = time.monotonic()
         input_too = control & termios.TIOCPKT_FLUSHREAD or now_s - self._flushed_input_s < FLUSH_GAP_S

@@ -1,4 +1,4 @@
-"""Serves the unit to hosts, one at a time, until it is told to end."""
+"""Serves one host at a time until the process is asked to end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.line_faults import LineFaults
 from sim.polaris.line.pseudo_terminal import PseudoTerminal
 
-WAITING_HOSTS = 4  # further hosts wait until the one before them hangs up
+WAITING_HOSTS = 4  # hosts that may queue for the connection
 
 
 class EndSignal:
@@ -26,7 +26,7 @@ class EndSignal:
         self.given = False
 
     def give(self) -> None:
-        """Tell the server to end."""
+        """Ask the server to end."""
         self.given = True
         os.write(self._writer, b"\0")
 
@@ -35,7 +35,7 @@ class EndSignal:
 
 
 class Server:
-    """Carries the bytes between hosts and a session."""
+    """Carries bytes between hosts and the command interpreter."""
 
     def __init__(self, interpreter: CommandInterpreter, end: EndSignal) -> None:
         self._interpreter = interpreter
@@ -46,11 +46,11 @@ class Server:
         self._converse(line)
 
     def serve_network(self, listener: socket.socket) -> None:
-        """Serve connections, one after another; the unit's state outlives them."""
+        """Serve connections one after another; the unit's state outlives them."""
         waiting = self._poll(listener.fileno())
         while (ready := self._wait(waiting)) is not None:
             if not ready:
-                self._interpreter.unasked()  # nobody hears it
+                self._interpreter.unasked()  # no host is connected
                 continue
             connection = Connection(listener.accept()[0])
             try:
@@ -85,19 +85,19 @@ class Server:
         return poll
 
     def _wait(self, poll: select.poll) -> Ready | None:
-        """Wait for a host, or until the unit has something to say; None when told to end."""
+        """Wait for a host or until the unit has something to send; None when asked to end."""
         wait_ms = max(0.0, self._interpreter.due_s() - time.monotonic()) * 1000.0
         ready = poll.poll(wait_ms)
         return None if self._end.given else ready
 
 
 def network_address(text: str) -> Endpoint:
-    """Where to listen; port 0 asks for any free one. Raises CFG-002 for anything but tcp://host:port."""
+    """Parse the address to listen on; port 0 means any free one. Raises CFG-002 unless tcp://host:port."""
     return parse_endpoint(text, listening=True).require("tcp")
 
 
 def listen(address: Endpoint) -> socket.socket:
-    """Open the network address; raises SIM-004 when it cannot be had."""
+    """Listen on the address; raises SIM-004 when it is taken."""
     try:
         return socket.create_server((address.host, address.port), backlog=WAITING_HOSTS)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Which face of a tool the unit tracks: the one that looks at it most, and no other until that is clear."""
+"""Which face of a tool is tracked: the one turned most towards the sensor, with hysteresis."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim.polaris.tools.definition import ToolDefinition
 Vectors = NDArray[np.float64]
 
 LEAST_TO_FIT = 3
-HYSTERESIS_DEG = 2.0  # another face must look at the unit by so much more than the present one
+HYSTERESIS_DEG = 2.0  # by which another face must be turned towards the sensor more than the tracked one
 ONLY_FACE = 1
 ALL_FACES = 0xFF
 
@@ -36,7 +36,7 @@ def best_face(
     previous: int = 0,
     allowed: int = ALL_FACES,
 ) -> FittedFace | None:
-    """The face to track; None when none shows enough markers for a fit.
+    """The face to track; None when no face has enough visible markers for a fit.
 
     `seen` are the numbers of the markers in `measured_mm` (n, 3), in the same order, `previous` is the face
     of the last frame, `allowed` has one bit per face that may be tracked, the lowest for face 1.
@@ -67,7 +67,7 @@ def _fit(definition: ToolDefinition, face: int, seen: list[int], measured_mm: Ve
 
 
 def _turned_away_deg(definition: ToolDefinition, fitted: FittedFace) -> float:
-    """Angle between the normal of a face and the way to the sensor, which is the origin."""
+    """Angle between the normal of a face and the direction to the sensor (the origin)."""
     members = [marker for marker, face in enumerate(definition.faces) if face == fitted.face]
     normal = fitted.fit.rotation @ definition.normals[members].mean(axis=0)
     towards = -(fitted.fit.rotation @ definition.markers_mm[members].mean(axis=0) + fitted.fit.translation_mm)

@@ -1,4 +1,4 @@
-"""One frame of the unit: every enabled tool and every stray marker, from the noise of single markers.
+"""One frame: every enabled tool and every stray, measured marker by marker.
 
 The noise of a frame is a function of the scene's seed and of the frames since the start of tracking, so
 asking again for the same frame, or not asking for others, changes nothing.
@@ -29,7 +29,7 @@ Vectors = NDArray[np.float64]
 DEVICE = "tracker"
 # Independent noise within one frame.
 TOOL_LANE, STRAY_LANE, FRAME_LANE, ORDER_LANE, PHANTOM_LANE, REFLECTION_LANE = range(6)
-SUNLIGHT_REFLECTIONS = 6  # glints that the sun adds; no source, an estimate
+SUNLIGHT_REFLECTIONS = 6  # reflections added by sunlight; an estimate without a source
 WITHHELD = SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE | SystemStatus.HARDWARE_FAILURE
 
 
@@ -43,16 +43,16 @@ class Stray:
 
 @dataclass(frozen=True)
 class Frame:
-    """All that one reply can tell. `tools` pairs each enabled port's handle with what was found."""
+    """Everything one reply can report. `tools` pairs each enabled port's handle with what was found."""
 
     number: int
-    tools: tuple[tuple[Port, Tracked | None], ...]  # None: this handle has nothing that could be seen
+    tools: tuple[tuple[Port, Tracked | None], ...]  # None: this handle has nothing that can be seen
     strays: tuple[Stray, ...]
     system_status: SystemStatus
 
 
 class Measurer:
-    """Measures the scene of a world, with the eyes of a unit that has these volumes."""
+    """Measures the scene of a world as a unit with these volumes does."""
 
     def __init__(self, world: World, volumes: tuple[Volume, ...]) -> None:
         truth = world.scene.tracker
@@ -65,20 +65,20 @@ class Measurer:
         self._disturbances = Disturbances(FaultBoard(world, DEVICE))
         self._usual_reflections = truth.reflections
         self._first_volume = volumes[0]
-        self._faces: dict[int, int] = {}  # by handle: the face that was tracked in the frame before
+        self._faces: dict[int, int] = {}  # by handle: the face tracked in the previous frame
 
     def hangs_on_mount(self, port: Port) -> bool:
         """True when the tool of this port is the reference frame M on the mount."""
         return port.definition is not None and self._scene.hangs_on_mount(port.definition)
 
     def forget_tools(self) -> None:
-        """Tools were loaded, freed or enabled: nothing kept about them holds."""
+        """Drop what is cached: tools were loaded, freed or enabled."""
         self._visibility.forget()
         self._faces.clear()
 
     @property
     def light(self) -> SystemStatus:
-        """What the light in the room adds to the system status."""
+        """Bits of the system status that ambient light sets."""
         too_much = self._disturbances.now().sunlight
         return SystemStatus.TOO_MUCH_INFRARED if too_much else SystemStatus(0)
 
@@ -134,7 +134,7 @@ class Measurer:
         volume: Volume,
     ) -> tuple[Stray, ...]:
         points = self._points(arranged.fixed, since_start, STRAY_LANE) + unclaimed
-        if arranged.frame is not None:  # its spheres are there whether or not anybody tracks it
+        if arranged.frame is not None:  # its spheres are in view whether or not the tool is tracked
             points += self._points(arranged.frame, since_start, FRAME_LANE)
         points += self._points(arranged.phantoms, since_start, PHANTOM_LANE)
         glints = self._usual_reflections + disturbance.reflections
@@ -143,12 +143,12 @@ class Measurer:
             places = reflecting_places(self._seed, glints, self._first_volume)
             points += _triples(reflections(places, noise(self._seed, DEVICE, since_start, REFLECTION_LANE)))
         points = points[:MAXIMUM_STRAYS]
-        # The order carries no identity: it changes with every frame.
+        # Strays have no identity: their order changes with every frame.
         order = noise(self._seed, DEVICE, since_start, ORDER_LANE).permutation(len(points)).tolist()
         return tuple(Stray(points[k], volume.holds(*points[k])) for k in order)
 
     def _points(self, group: Group, since_start: int, lane: int) -> list[tuple[float, float, float]]:
-        """One measurement of those markers of a group that are seen."""
+        """One measurement of the visible markers of a group."""
         if not group.seen:
             return []
         generator = noise(self._seed, DEVICE, since_start, lane)

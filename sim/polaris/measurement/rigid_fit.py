@@ -1,4 +1,4 @@
-"""Fits a tool's definition to its measured markers, as the unit does for every frame."""
+"""Least-squares rigid fit of a tool definition to its measured markers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Vectors = NDArray[np.float64]
 
 
 class RigidFit(NamedTuple):
-    """Pose measured <- body: rotation (3, 3), translation (3,), and the distance (n,) of each marker."""
+    """Pose tracker <- tool: rotation (3, 3), translation (3,), and the residual (n,) of each marker."""
 
     rotation: Vectors
     translation_mm: Vectors
@@ -19,7 +19,7 @@ class RigidFit(NamedTuple):
 
 
 def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
-    """The least-squares fit of markers (n, 3) to where they were measured (n, 3), n >= 3, paired.
+    """Fit markers (n, 3) to their measured positions (n, 3), n >= 3, paired.
 
     Orthogonal Procrustes by SVD (Arun 1987) with Umeyama's sign, so that a mirror image is never returned.
     """
@@ -37,6 +37,6 @@ def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
 
 
 def _determinant(matrix: list[list[float]]) -> float:
-    """Of a (3, 3) matrix; ten times as fast as the general one."""
+    """Determinant of a (3, 3) matrix; ten times as fast as `numpy.linalg.det`."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)

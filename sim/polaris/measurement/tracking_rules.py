@@ -1,9 +1,8 @@
 """From the measured markers of one tool to its pose, or to the reason why there is none.
 
-The order is the unit's: fit with at least three markers, drop markers beyond the maximum angle, drop those
-out of the volume, drop those beyond the maximum 3D error, judge the spread of the rest; after each step
-enough of them must be left. What a reply may tell of a tool outside the volume depends on the request, so
-that rule alone is applied later, by `as_asked`.
+In the unit's order: fit at least three markers, drop those beyond the maximum angle, out of the volume, and
+beyond the maximum 3D error, then test the spread of the rest; enough markers must be left after each step.
+What a reply may report of a tool outside the volume depends on the request: `as_asked` applies that rule.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from sim.theatre.rigid import quaternion_from_rotation
 
 Vectors = NDArray[np.float64]
 
-DROPPED_OUT_OF_VOLUME = 4  # marker digits of newer firmware; older papers do not tell
+DROPPED_OUT_OF_VOLUME = 4  # marker digits of newer firmware; undocumented for older
 USED_OUT_OF_VOLUME = 5
 FACE_BITS = 4  # position of the face number in the tool information
 FACE_MASK = 0x07 << FACE_BITS
-INFRARED_COPY = 0x04  # of the interference bit, in the tool information; its position is not public
+INFRARED_COPY = 0x04  # copy of the interference bit in the tool information; its position is not public
 OUTSIDE = PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME
 
 
@@ -41,26 +40,26 @@ class ToolPose:
 
 @dataclass(frozen=True)
 class Tracked:
-    """What the unit found out about one tool in one frame, wherever it is."""
+    """The result for one tool in one frame, inside the volume or not."""
 
     pose: ToolPose | None
-    volume_status: PortStatus  # what the frame adds to the status of its handle
+    volume_status: PortStatus  # bits that the frame adds to the port status
     information: int
     marker_digits: tuple[int, ...]  # one per marker of the definition
     face: int = ONLY_FACE
-    seen: tuple[int, ...] = ()  # numbers of the markers that were measured
-    measured_mm: tuple[tuple[float, float, float], ...] = ()  # where, in the same order
-    inside: tuple[bool, ...] = ()  # likewise, within the volume
+    seen: tuple[int, ...] = ()  # numbers of the measured markers
+    measured_mm: tuple[tuple[float, float, float], ...] = ()  # their positions, in the same order
+    inside: tuple[bool, ...] = ()  # whether each is inside the volume
 
     @property
     def markers_mm(self) -> tuple[tuple[float, float, float] | None, ...]:
-        """For each marker of the definition where it was measured."""
+        """Measured position of each marker of the definition; None when it was not seen."""
         places = dict(zip(self.seen, self.measured_mm, strict=True))
         return tuple(places.get(number) for number in range(len(self.marker_digits)))
 
     @property
     def markers_inside(self) -> tuple[bool, ...]:
-        """For each marker of the definition whether it was measured within the volume."""
+        """Whether each marker of the definition was measured inside the volume."""
         within = dict(zip(self.seen, self.inside, strict=True))
         return tuple(within.get(number, False) for number in range(len(self.marker_digits)))
 
@@ -81,8 +80,10 @@ def track(
 
 
 def as_asked(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:
-    """What a reply tells. `outside`: it asks for tools out of the volume; `partially_outside`: the unit
-    reports a tool without being asked when some markers, but fewer than the minimum, are inside.
+    """The tool as a reply reports it.
+
+    `outside`: tools out of the volume were asked for. `partially_outside`: the unit reports a tool unasked
+    when some markers, but fewer than the minimum, are inside.
     """
     hidden = PortStatus.OUT_OF_VOLUME if partially_outside else OUTSIDE
     if outside or not tracked.volume_status & hidden:
@@ -95,7 +96,7 @@ def as_asked(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tra
 
 
 class _Judge:
-    """Applies the rules to one tool in one frame, and notes the digit of each marker."""
+    """Applies the rules to one tool in one frame and records the digit of each marker."""
 
     def __init__(
         self, definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]
@@ -140,7 +141,7 @@ class _Judge:
         return self._told(_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
 
     def _kept(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
-        """The numbers that pass a rule; the markers of the others get the digit of that rule."""
+        """The markers that pass a rule; the others get the digit of that rule."""
         for k in numbers:
             if not keep[k]:
                 self._digits[markers[k]] = int(digit)
@@ -153,7 +154,7 @@ class _Judge:
 
 
 def _facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> list[bool]:
-    """Which markers turn their face towards the sensor (the origin) within the angle."""
+    """Which markers face the sensor (the origin) within the maximum angle."""
     towards = -(normals * markers_mm).sum(axis=1)
     limit = cos(radians(maximum_angle_deg)) * np.sqrt((markers_mm * markers_mm).sum(axis=1))
     facing: list[bool] = (towards >= limit).tolist()
@@ -161,7 +162,7 @@ def _facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> 
 
 
 def _status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
-    """Out of the volume: every marker outside. Partially out: too few inside, because others are outside."""
+    """Out of volume: every marker outside. Partially out: too few inside because others are outside."""
     count = sum(inside)
     if count == len(inside) or count >= definition.minimum_markers:
         return PortStatus(0)
@@ -169,8 +170,9 @@ def _status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
 
 
 def _spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
-    """Whether the used markers reach far enough along each of their main axes. No paper tells the measure;
-    here it is the distance between the outermost ones.
+    """Whether the used markers spread far enough along each of their principal axes.
+
+    NDI's measure is not public; here it is the distance between the outermost markers.
     """
     if not any(definition.minimum_spread_mm):
         return True

@@ -1,4 +1,4 @@
-"""What can be measured as long as nothing moves: every marker, who sees it, and the phantoms between them."""
+"""Visible markers, cached while nothing moves: tools, other spheres and phantoms."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from sim.theatre.world import ArmState
 
 Vectors = NDArray[np.float64]
 
-SUNLIGHT_NOISE = 2.0  # by which ambient infrared light worsens the noise; no source, an estimate
+SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
 
 
 @dataclass(frozen=True)
 class Group:
-    """Markers that are measured together: how they are seen, and the rows that both sensors see."""
+    """Markers of one tool: how they are measured, and the rows that both sensors see."""
 
     sight: Sight
     seen: list[int]
@@ -33,16 +33,16 @@ class Group:
 
 @dataclass(frozen=True)
 class VisibleMarkers:
-    """Everything in the room. `tools` by handle: None for a handle without markers or not in the room."""
+    """All markers in view. `tools` by handle: None for a handle without markers or not in the room."""
 
     tools: dict[int, Group | None]
-    frame: Group | None  # the reference frame M, when no handle has its definition
+    frame: Group | None  # reference frame M while no handle holds its definition
     fixed: Group
     phantoms: Group
 
 
 class MarkerVisibility:
-    """Makes the arrangement anew when something moved, and keeps it until then."""
+    """Computes the visible markers when something has moved, and caches them until then."""
 
     def __init__(self, scene: TrueScene, optics: Optics, seed: int, volume: Volume, line_mm: float) -> None:
         self._scene = scene
@@ -54,19 +54,19 @@ class MarkerVisibility:
         self._kept: VisibleMarkers | None = None
 
     def forget(self) -> None:
-        """The handles changed: nothing that is kept holds."""
+        """Drop the cache: the handles changed."""
         self._kept = None
 
     def now(self, ports: tuple[Port, ...], disturbance: Disturbance) -> VisibleMarkers:
-        """The arrangement for these enabled ports."""
+        """The visible markers for these enabled ports."""
         arm, mounted = self._scene.arm(), self._scene.mounted_tool()
         key = (None if arm is None else arm.robot_from_flange.tobytes(), mounted, disturbance)
         if self._kept is None or key != self._key:
-            self._kept = self._arranged(ports, disturbance, arm, mounted)
+            self._kept = self._computed(ports, disturbance, arm, mounted)
             self._key = key
         return self._kept
 
-    def _arranged(
+    def _computed(
         self, ports: tuple[Port, ...], disturbance: Disturbance, arm: ArmState | None, mounted: int
     ) -> VisibleMarkers:
         scene = self._scene

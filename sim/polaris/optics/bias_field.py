@@ -1,8 +1,8 @@
-"""The unit's systematic error: a fixed smooth field, the same on every day.
+"""The unit's systematic error: a fixed smooth field of the volume.
 
-A sum of plane waves drawn from the seed, times a power of the depth. Two numbers are adjusted, its size and
-that power, so that its length has the stated root mean square over each of two volumes. This is what makers
-call the accuracy of the volume: the error of a marker at rest, the mean of many readings.
+A sum of plane waves drawn from the seed, times a power of the depth. Amplitude and power are chosen so that
+the field has the stated rms length over each of two volumes. This is what data sheets call volumetric
+accuracy: the mean error of many readings of a marker at rest.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ Vectors = NDArray[np.float64]
 
 WAVES = 8
 WAVELENGTH_MM = (1500.0, 3000.0)  # longer than any tool: neighbouring markers share their bias
-DEPTH_RATIO = 2.0  # of the z component to the others
-GRID_POINTS = 15  # per axis, over which the field is brought to its size
+DEPTH_RATIO = 2.0  # of the z component to x and y
+GRID_POINTS = 15  # per axis, over which the field is scaled
 POWER_RANGE = (-6.0, 6.0)
 POWER_STEPS = 20  # of the bisection
 
@@ -55,7 +55,7 @@ class BiasField:
 
 
 class _Sizes:
-    """The rms length over a volume of a field that is multiplied by a power of the depth."""
+    """Rms length over a volume of a field times a power of the depth."""
 
     def __init__(self, field: Vectors, depths: Vectors) -> None:
         self._squares = (field * field).sum(axis=1)
@@ -66,7 +66,7 @@ class _Sizes:
 
 
 def _fitting_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
-    """The power of the depth for which the field has that ratio of its sizes; the ratio grows with it."""
+    """The power of the depth that gives this ratio of the two rms lengths; the ratio grows with it."""
     low, high = POWER_RANGE
     for _ in range(POWER_STEPS):
         middle = (low + high) / 2.0
@@ -78,7 +78,7 @@ def _fitting_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
 
 
 def _grid(volume: Volume) -> Vectors:
-    """Points of the volume (n, 3), evenly spread."""
+    """Points (n, 3) evenly spread over the volume."""
     near, far = volume.depths_mm
     x, y = volume.half_widths_mm(far)
     middles = (np.arange(GRID_POINTS) + 0.5) / GRID_POINTS

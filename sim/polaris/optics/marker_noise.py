@@ -1,4 +1,4 @@
-"""How well the unit sees a single marker: noise that grows with depth, and a fixed smooth bias field.
+"""Measurement of a single marker: noise that grows with depth, plus a fixed smooth bias.
 
 Tracker frame, mm. A stereo base of half a metre measures depth three to four times worse than the other
 two axes, and both worsen with the square of the distance.
@@ -19,26 +19,26 @@ from sim.theatre.scene.model import TrackerTruth
 Vectors = NDArray[np.float64]
 
 HALF_BASE_MM = 250.0  # the two sensors sit on y, left and right of the origin
-# What both sensors can image at all; no paper tells, it only must hold every volume.
+# Field of view of both sensors: not public; it only has to contain every volume.
 FIELD_DEPTHS_MM = (300.0, 4000.0)
 FIELD_SLOPES = (tan(radians(27.0)), tan(radians(32.0)))  # of |x| and |y|
 
 
 @dataclass(frozen=True)
 class Sight:
-    """What the unit measures of points on average, and the standard deviation; both (n, 3)."""
+    """Mean and standard deviation of the measurement of n points; both (n, 3)."""
 
     mean_mm: Vectors
     sigma_mm: Vectors
 
     def measured(self, standard_normal: Vectors) -> Vectors:
-        """One measurement (n, 3), made of standard normal numbers (n, 3)."""
+        """One measurement (n, 3) from standard normal numbers (n, 3)."""
         points: Vectors = self.mean_mm + self.sigma_mm * standard_normal
         return points
 
 
 class Optics:
-    """The unit's eyes. The noise of the scene is that of the middle of the unit's first volume."""
+    """The pair of sensors. The scene's noise is that at the middle of the unit's first volume."""
 
     def __init__(self, truth: TrackerTruth, seed: int, volumes: tuple[Volume, ...]) -> None:
         self._sigma_mm = np.array([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm])
@@ -47,18 +47,18 @@ class Optics:
         self.bias_field = BiasField(seed, tuple(zip(volumes[: len(stated)], stated, strict=False)))
 
     def sight(self, points_mm: Vectors) -> Sight:
-        """What the unit sees of markers at `points_mm` (n, 3)."""
+        """Mean and noise of markers at `points_mm` (n, 3)."""
         growth = (points_mm[:, 2:] / self._middle_mm) ** 2
         return Sight(points_mm + self.bias_field.at(points_mm), growth * self._sigma_mm)
 
 
 def eyes_mm() -> Vectors:
-    """Where the left and the right sensor are (2, 3)."""
+    """Positions of the left and the right sensor (2, 3)."""
     return np.array([[0.0, -HALF_BASE_MM, 0.0], [0.0, HALF_BASE_MM, 0.0]])
 
 
 def in_field(points_mm: Vectors) -> NDArray[np.bool_]:
-    """Which of the points (n, 3) both sensors could image."""
+    """Which of the points (n, 3) are in the field of view of both sensors."""
     x, y, z = points_mm.T
     nearest, farthest = FIELD_DEPTHS_MM
     slope_x, slope_y = FIELD_SLOPES

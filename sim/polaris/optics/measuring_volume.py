@@ -1,6 +1,6 @@
-"""The volumes in which the unit measures, and how it tells clients about them.
+"""The measuring volumes of the units and their records in the feature list.
 
-Tracker frame: origin at the sensor, z backwards, so everything measured has a negative z. A volume is a
+Tracker frame: origin at the sensor, z backwards, so that everything in view has negative z. A volume is a
 pyramid with a knee; the ten numbers are those of the feature list (SFLIST 03), in its own units: lengths
 in 1/100 mm, slopes in 1/100 000.
 """
@@ -26,7 +26,7 @@ class Volume:
     dimensions: tuple[int, int, int, int, int, int, int, int, int, int]
 
     def holds(self, x_mm: float, y_mm: float, z_mm: float) -> bool:
-        """True for a marker inside."""
+        """True when the point is inside."""
         near_mm, far_mm = self.depths_mm
         if not near_mm <= -z_mm <= far_mm:
             return False

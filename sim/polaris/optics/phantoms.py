@@ -1,7 +1,7 @@
-"""Phantom markers: where a ray of one sensor meets the ray of another marker in the other sensor.
+"""Phantom markers: intersections of the rays of different markers.
 
-Two markers that lie in one plane with both sensors (an epipolar plane) cannot be told apart by the stereo
-match: besides the two true ones it finds up to two points where nothing is.
+Stereo matching cannot tell two markers in one epipolar plane apart: besides the true positions it finds up to
+two more.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ Flags = NDArray[np.bool_]
 
 
 def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_mm: float) -> Vectors:
-    """The phantoms (m, 3) of markers at `points_mm` (n, 3), of which `seen` (2, n) tells who sees which.
+    """The phantoms (m, 3) of markers at `points_mm` (n, 3); `seen` (2, n) per sensor and marker.
 
-    Rays that pass each other within `line_separation_mm` count as meeting, in the middle between both.
+    Rays closer than `line_separation_mm` intersect, midway between them.
     """
     left, right = np.nonzero(seen[0])[0], np.nonzero(seen[1])[0]
     if line_separation_mm <= 0.0 or len(left) < 1 or len(right) < 1:
@@ -28,7 +28,7 @@ def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_
     first, second = first[different], second[different]
     a, b = points_mm[first] - eyes_mm[0], points_mm[second] - eyes_mm[1]
     base = eyes_mm[0] - eyes_mm[1]
-    # Shares of both rays at their nearest approach; rays that are nearly parallel meet nowhere in the field.
+    # Ray parameters at closest approach; nearly parallel rays do not intersect within the field of view.
     aa, bb, ab = ((u * v).sum(axis=1) for u, v in ((a, a), (b, b), (a, b)))
     ad, bd = a @ base, b @ base
     determinant = aa * bb - ab * ab

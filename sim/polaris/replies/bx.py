@@ -1,6 +1,6 @@
 """The body of BX: one frame as bytes, little endian.
 
-Options are those of `ronna_hw.wire.polaris.ReplyOption`; it tells what TX tells of the same frame.
+Options as in `ronna_hw.wire.polaris.ReplyOption`; the content is that of TX for the same frame.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _u16 = struct.Struct("<H")
 
 
 def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> bytes:
-    """The body of the answer to BX."""
+    """The body of the reply to BX."""
     parts = [bytes([len(frame.tools)])]
     for port, tracked in frame.tools:
         if port.enabled and port.occupied:
@@ -76,6 +76,6 @@ def _strays(strays: tuple[Stray, ...], options: ReplyOption, behaviour: UnitBeha
 
 
 def _bits(flags: Sequence[bool], behaviour: UnitBehaviour) -> bytes:
-    """Eight flags to each byte."""
+    """Flags as bits, eight to a byte."""
     content = sum(1 << k for k, flag in enumerate(flags) if flag).to_bytes(-(-len(flags) // 8), "little")
     return content if behaviour.first_stray_is_low_bit else content.translate(MIRRORED)

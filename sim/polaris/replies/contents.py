@@ -1,4 +1,4 @@
-"""What of a frame a reply tells, whether as text or as bytes."""
+"""Which parts of a frame a reply contains, as text or as bytes."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from sim.polaris.measurement.tracking_rules import Tracked, as_asked
 from sim.polaris.tools.ports import Port
 from sim.polaris.unit.behaviour import UnitBehaviour
 
-MARKER_DIGITS = 20  # option 0002 always tells as many
+MARKER_DIGITS = 20  # option 0002 always sends this many
 Point = tuple[float, float, float]
 
 
 def reported_tool(tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour) -> Tracked | None:
-    """A tool without what the request and the unit leave out outside the volume."""
+    """The tool as reported: outside the volume, request and unit decide what is left out."""
     if tracked is None or not tracked.volume_status:
         return tracked
     outside = bool(options & ReplyOption.OUT_OF_VOLUME)
@@ -21,24 +21,24 @@ def reported_tool(tracked: Tracked | None, options: ReplyOption, behaviour: Unit
 
 
 def port_status(port: Port, tracked: Tracked | None) -> int:
-    """Status of a handle in TX and BX."""
+    """Port status of a handle in TX and BX."""
     return int(port.status | (tracked.volume_status if tracked is not None else PortStatus(0)))
 
 
 def information(tracked: Tracked | None) -> int:
-    """The byte of tool information."""
+    """The tool information byte."""
     return int(ToolInformation.TOO_FEW_MARKERS) if tracked is None else tracked.information
 
 
 def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
-    """One digit for each marker."""
+    """One digit per marker."""
     digits = "" if tracked is None else "".join(map(str, tracked.marker_digits))
     digits = digits.ljust(MARKER_DIGITS, "0")
     return digits if first_first else digits[::-1]
 
 
 def seen_markers(tracked: Tracked | None) -> list[tuple[Point, bool]]:
-    """The markers of a tool that were measured, and whether they are within the volume."""
+    """(position, inside the volume) of each measured marker of a tool."""
     if tracked is None:
         return []
     pairs = zip(tracked.markers_mm, tracked.markers_inside, strict=True)
@@ -46,7 +46,7 @@ def seen_markers(tracked: Tracked | None) -> list[tuple[Point, bool]]:
 
 
 def reported_strays(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Stray, ...]:
-    """Count and bits cover all strays, positions only those inside unless 0800 asks for all."""
+    """The strays whose positions are sent: those inside the volume, all with option 0800."""
     if options & ReplyOption.OUT_OF_VOLUME:
         return strays
     return tuple(stray for stray in strays if stray.inside)

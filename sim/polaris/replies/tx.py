@@ -27,7 +27,7 @@ FRAME_NUMBER_MASK = 0xFFFFFFFF
 
 
 def text_reply(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> str:
-    """The answer to TX, without its CRC."""
+    """The reply to TX, without its CRC."""
     parts = [f"{len(frame.tools):02X}"]
     for port, tracked in frame.tools:
         parts.append(f"{port.handle:02X}")
@@ -90,7 +90,7 @@ def _strays(strays: tuple[Stray, ...], options: ReplyOption, behaviour: UnitBeha
 
 
 def _bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
-    """As many hex digits as the flags need, as one number or, otherwise, four flags to each digit in turn."""
+    """The flags as hex digits: one number with flag 0 highest, or four flags to a digit in turn."""
     digits = -(-len(flags) // HEX_DIGIT_BITS)
     if not digits:
         return ""

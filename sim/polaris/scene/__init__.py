@@ -1,1 +1,1 @@
-"""What stands before the tracker: true marker positions, the arm, and what faults do to them."""
+"""The scene in front of the tracker: true marker positions, occlusion, and faults that act on them."""

@@ -1,6 +1,6 @@
-"""The arm as a few capsules: what of it stands in the tracker's line of sight.
+"""The arm as a few capsules that block the tracker's line of sight.
 
-Roughly the hull of a KR 6 R900 and of what hangs on its flange. The joints are those of the nominal arm,
+Roughly the hull of a KR 6 R900 and of what its flange carries. The joints are those of the nominal arm,
 which is millimetres away from the true one.
 """
 
@@ -30,7 +30,7 @@ SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints between which upper arm and forearm r
 def arm_capsules(
     scene: Scene, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix
 ) -> tuple[Capsule, ...]:
-    """The hull of the arm where it is now, with what hangs on it, in the tracker frame."""
+    """The arm and what it carries as capsules, in the tracker frame."""
 
     def limb(start: ArrayLike, end: ArrayLike, radius_mm: float) -> Capsule:
         return Capsule(apply(tracker_from_robot, start), apply(tracker_from_robot, end), radius_mm)
@@ -58,7 +58,7 @@ def arm_capsules(
 
 
 def _joints_mm(scene: Scene, arm: ArmState) -> list[Vector]:
-    """Where the six joints are, robot frame."""
+    """Positions of the six joints in the robot frame."""
     pose = np.eye(4)
     places = []
     for joint, angle in zip(description(scene.arm.variant).joints, arm.joints_rad, strict=True):

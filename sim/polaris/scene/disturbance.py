@@ -1,4 +1,4 @@
-"""What the faults that act now do to the markers and to the light in the room."""
+"""Effects of the active faults on markers and ambient light."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Disturbance:
-    """All at once, so that it can be compared with that of the frame before. Tools by name or part number."""
+    """All effects as one value, comparable between frames. Tools by name or part number."""
 
     hidden_fiducials: frozenset[int] = frozenset()
     hidden_tools: frozenset[str] = frozenset()
@@ -30,13 +30,13 @@ NONE = Disturbance()
 
 
 class Disturbances:
-    """Asks the tracker's fault board, and gathers its answers."""
+    """Collects the effects from the tracker's fault board."""
 
     def __init__(self, board: FaultBoard) -> None:
         self._board = board
 
     def now(self) -> Disturbance:
-        """What acts at this moment; `NONE` at the price of one question while there is no fault at all."""
+        """The effects at this moment; `NONE` after one look-up while there is no fault."""
         board = self._board
         if board.empty:
             return NONE

@@ -1,4 +1,4 @@
-"""Strays that no scene places: further spheres that a fault brings in, and reflections that come and go."""
+"""Strays beyond those of the scene: spheres added by a fault, and flickering reflections."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from sim.theatre.noise import noise
 
 Vectors = NDArray[np.float64]
 
-INNER_SHARE = 0.7  # of the volume's depth and width, in which they lie
+INNER_SHARE = 0.7  # share of the volume's depth and width in which they lie
 REFLECTION_PRESENCE = 0.3  # share of the frames in which a glint is bright enough
-REFLECTION_SPREAD_MM = 3.0  # it wanders over the surface that reflects
+REFLECTION_SPREAD_MM = 3.0  # a reflection wanders over its surface
 SPHERES, REFLECTIONS = "tracker extra spheres", "tracker reflections"
 
 
 @lru_cache(maxsize=8)
 def extra_strays(seed: int, count: int, volume: Volume) -> Vectors:
-    """Places (n, 3) of further spheres; the first ones stay where they are when there are more."""
+    """Positions (n, 3) of further spheres; the first ones do not depend on the number."""
     return _places(seed, SPHERES, count, volume)
 
 
 @lru_cache(maxsize=8)
 def reflecting_places(seed: int, count: int, volume: Volume) -> Vectors:
-    """Places (n, 3) where something shines."""
+    """Positions (n, 3) of reflecting surfaces."""
     return _places(seed, REFLECTIONS, count, volume)
 
 

@@ -1,7 +1,7 @@
-"""What stands between a marker and a sensor: the head as an ellipsoid, the arm as capsules.
+"""Occlusion: the head as an ellipsoid and the arm as capsules between marker and sensor.
 
-Tracker frame, mm. A marker that sits inside a body's hull is mounted on that body and stands out of it, so
-that body never hides it.
+Tracker frame, mm. A marker inside a body's hull is mounted on that body and stands out of it: that body
+never hides it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ Flags = NDArray[np.bool_]
 
 
 class Body(Protocol):
-    """Something that light does not pass."""
+    """An opaque body."""
 
     def hides(self, eye_mm: Vectors, points_mm: Vectors) -> Flags:
-        """Which of the points (n, 3) an eye (3,) cannot see for this body."""
+        """Which of the points (n, 3) this body hides from an eye (3,)."""
         ...
 
 
@@ -37,7 +37,7 @@ class Ellipsoid:
         eye = apply(self.unit_from_tracker, eye_mm)
         points = apply(self.unit_from_tracker, points_mm)
         ways = points - eye
-        # the place on each segment that is nearest to the centre
+        # the point of each segment nearest to the centre
         share = np.clip(-(ways @ eye) / (ways * ways).sum(axis=1), 0.0, 1.0)
         nearest = eye + share[:, None] * ways
         blocked = (nearest * nearest).sum(axis=1) < 1.0
@@ -48,7 +48,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class Capsule:
-    """A limb of the arm: everything within `radius_mm` of the segment from `start_mm` to `end_mm`."""
+    """A link of the arm: everything within `radius_mm` of the segment from `start_mm` to `end_mm`."""
 
     start_mm: Vectors
     end_mm: Vectors
@@ -62,7 +62,7 @@ class Capsule:
 
 
 def head_ellipsoid(head: Head, tracker_from_robot: Matrix) -> Ellipsoid:
-    """The head of a scene as the tracker sees it."""
+    """The head of a scene in the tracker frame."""
     ct_from_tracker = inverse(tracker_from_robot @ matrix_of(head.robot_from_ct))
     unit_from_ct = np.diag([*(1.0 / np.array(head.semi_axes_mm)), 1.0])
     unit_from_ct[:3, 3] = -np.array(head.centre_ct_mm) / head.semi_axes_mm
@@ -80,7 +80,7 @@ def visible(eyes_mm: Vectors, points_mm: Vectors, bodies: tuple[Body, ...]) -> F
 
 
 def _distances(start: Vectors, end: Vectors, eyes: Vectors, points: Vectors) -> Vectors:
-    """Least distance (n,) of the segment start-end from each segment eye-point (Ericson 2005, 5.1.9)."""
+    """Distance (n,) between segment start-end and each segment eye-point (Ericson 2005, 5.1.9)."""
     along, ways, offsets = end - start, points - eyes, start - eyes
     a = float(along @ along) or 1.0
     e = np.maximum((ways * ways).sum(axis=-1), np.finfo(float).tiny)

@@ -1,4 +1,4 @@
-"""Where the markers truly are, in the tracker frame, and what faults do to them."""
+"""True marker positions in the tracker frame, with the effects of faults."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Vectors = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrueTool:
-    """A tool in the room: what it is called, where its markers (n, 3) are, and which of them are covered."""
+    """A tool in the room: its names, marker positions (n, 3), and which markers are covered."""
 
     names: frozenset[str]
     markers_mm: Vectors
@@ -29,7 +29,7 @@ class TrueTool:
 
 
 class TrueScene:
-    """The room without noise. What never moves is computed once; the arm is looked up for each frame."""
+    """The scene without noise. What never moves is computed once; the arm is read for each frame."""
 
     def __init__(self, world: World) -> None:
         scene = world.scene
@@ -51,16 +51,16 @@ class TrueScene:
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
     def arm(self) -> ArmState | None:
-        """Where the arm is; None without an arm."""
+        """State of the arm; None without one."""
         arm = self._world.arm()
         return arm if arm.robot_from_flange[:3].any() else None
 
     def mounted_tool(self) -> int:
-        """Number of what hangs on the mount."""
+        """Number of the mounted tool."""
         return self._world.mounted_tool()
 
     def bodies(self, arm: ArmState | None, mounted_tool: int) -> tuple[Body, ...]:
-        """What may stand in the way of light: the head, where there is one, and the arm."""
+        """Opaque bodies: the head, where there is one, and the arm."""
         head = self._head if self.fiducial_numbers else ()
         if arm is None:
             return head
@@ -84,7 +84,7 @@ class TrueScene:
         return _disturbed(names, self._places[place], markers, disturbance)
 
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
-        """The reference frame M on the mount, loaded or not."""
+        """The reference frame M on the mount, whether loaded or not."""
         tool = self.frame_on_mount
         pose = self._tracker_from_robot @ arm.robot_from_flange @ self._tool_from_marker
         names = frozenset({tool.name, tool.part_number})
@@ -94,7 +94,7 @@ class TrueScene:
 def _disturbed(
     names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance
 ) -> TrueTool:
-    """The tool as the faults that name it leave it."""
+    """The tool with the faults that name it applied."""
     for name, push_mm in disturbance.bent:
         if name in names:
             outwards = markers_mm[-1] - markers_mm.mean(axis=0)
