@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from procedures.cli.scene_choice import SceneChoice
-from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.errors import PathProblem
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,11 @@ def check_request(request: CaseRequest) -> None:
             path = (request.case or Path()) / part
             if not path.exists():
                 raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
-    if request.faults is not None and not request.faults.is_file():
-        raise UsageMistake(f"there is no fault script {request.faults}", action="Give the path of a file.")
+    if request.faults is not None:
+        from procedures.cli.fault_script import check_fault_script
+        from procedures.steps.catalogue import STEPS
+
+        check_fault_script(request.faults, STEPS)
 
 
 def new_run_folder(request: CaseRequest) -> Path:

@@ -172,7 +172,7 @@ def test_a_camera_address_that_is_none(commands: Commands) -> None:
     [
         (b"at 0 s: \xff for 1 s", "UTF-8"),
         (b"at 0 s: tracker occlude marker 99 for 1 s", "marker 99"),
-        (b"at 0 s: tracker occlude marker 99 for 1 s\nwhen step == tea: robot drop 5 % for 1 s", "'tea'"),
+        (b"at 0 s: tracker occlude marker 1 for 1 s\nwhen step == tea:T9: robot drop 5 % for 1 s", "'T9'"),
     ],
 )
 def test_a_fault_script_that_cannot_happen(

@@ -14,11 +14,9 @@ from sim.theatre.faults.language import (
     parse_faults,
     read_faults,
 )
-from sim.theatre.faults.steps import STEPS
 
 __all__ = [
     "FAULT_KINDS",
-    "STEPS",
     "TRIGGERS",
     "Fault",
     "FaultBoard",

@@ -23,7 +23,6 @@ from sim.theatre.faults.camera import CAMERA_FAULTS
 from sim.theatre.faults.fault import Fault
 from sim.theatre.faults.kinds import FaultKind
 from sim.theatre.faults.robot import ROBOT_FAULTS
-from sim.theatre.faults.steps import STEPS
 from sim.theatre.faults.tracker import TRACKER_FAULTS
 from sim.theatre.scene.model import Scene
 
@@ -99,14 +98,12 @@ def read_faults(path: Path, scene: Scene) -> str:
 
 
 def check_faults(faults: Iterable[Fault], scene: Scene) -> None:
-    """Raise SIM-003 with every fault that names a step, target, marker or tool that is not there."""
+    """Raise SIM-003 with every fault that names a target, marker or tool that the scene does not have."""
     _refuse([f"line {fault.line}: {mistake}" for fault in faults for mistake in _mistakes(fault, scene)])
 
 
 def _mistakes(fault: Fault, scene: Scene) -> Iterator[str]:
-    step, _, target = (fault.step or "").partition(":")
-    if step and step not in STEPS:
-        yield f"there is no step {step!r}, only {', '.join(STEPS)}"
+    _, _, target = (fault.step or "").partition(":")
     targets = [item.identifier for item in scene.head.targets]
     if target and target not in targets:
         yield f"there is no target {target!r}, only {', '.join(targets)}"

@@ -1,0 +1,44 @@
+"""Step names in a fault script are checked by the command line; the theatre knows no list of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from procedures.cli.fault_script import check_fault_script
+from ronna_hw.command_line.errors import UsageMistake
+
+STEPS = ("registration", "at_target")
+
+
+def _script(folder: Path, text: str) -> Path:
+    path = folder / "faults.txt"
+    path.write_text(text)
+    return path
+
+
+def test_known_steps_pass_with_and_without_a_target(tmp_path: Path) -> None:
+    check_fault_script(
+        _script(
+            tmp_path,
+            "at 1 s: robot drop 5 % for 1 s\n"
+            "when step == registration: robot drop 5 % for 1 s  # when step == tea\n"
+            "  when step==at_target:T1: camera drop 1 %\n",
+        ),
+        STEPS,
+    )
+
+
+def test_every_unknown_step_is_named_with_its_line_and_the_known_ones(tmp_path: Path) -> None:
+    text = "when step == tea: robot drop 5 %\n\nwhen step == at_targets:T1: robot drop 5 %\n"
+    with pytest.raises(UsageMistake) as caught:
+        check_fault_script(_script(tmp_path, text), STEPS)
+    message = str(caught.value)
+    assert "line 1: there is no step 'tea'; line 3: there is no step 'at_targets'" in message
+    assert "expected one of registration, at_target" in message
+
+
+def test_a_missing_script_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageMistake, match="there is no fault script"):
+        check_fault_script(tmp_path / "none.txt", STEPS)
