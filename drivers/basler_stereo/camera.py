@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from drivers.basler_stereo.control import gvcp
-from drivers.basler_stereo.control.broadcast_discovery import discover_cameras, listed
+from drivers.basler_stereo.control.broadcast_discovery import cameras_near
 from drivers.basler_stereo.control.channel import Command, ControlChannel, register_write
 from drivers.basler_stereo.control.heartbeat import Heartbeat
 from drivers.basler_stereo.control.identity import CameraIdentity, identify
@@ -105,7 +105,7 @@ class Camera:
             return identify(self._control, deadline_s)
         except NoCamera as error:
             peer = str(self._control.link.getpeername()[0])
-            raise NoCamera(error.what, expected=error.expected, got=listed(discover_cameras(peer))) from error
+            raise NoCamera(error.what, expected=error.expected, got=cameras_near(peer)) from error
 
     def configure(self, reception: ReceiverProcess, deadline_s: float) -> None:
         """Take control, read the description, bring everything to a known state, find the packet size.

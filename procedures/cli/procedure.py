@@ -216,7 +216,7 @@ def doctor_command(
     else holds the port, and what that means. A camera's address: what answers on each network, who controls
     the camera, which packet size passes. Exit codes: 0 all answer, 4 a device, line or camera does not.
     """
-    from procedures.cli.doctor import examine, show
+    from procedures.cli.doctor.report import examine, show
     from ronna_hw.command_line.console import progress_bar
 
     with progress_bar("asking the devices") as progress:

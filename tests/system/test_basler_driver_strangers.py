@@ -28,6 +28,7 @@ from drivers.basler_stereo.images import camera_image
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.devices.readings import AreaOfInterest, Validity
+from ronna_hw.host.network_interfaces import interface_of
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, PixelFormat
 
 FAKE_CAMERA = shutil.which("arv-fake-gv-camera-0.8")
@@ -101,7 +102,9 @@ def grab(camera: Camera):
 def test_a_strangers_camera_answers_when_everybody_is_asked():
     with fake_camera():
         deadline_s = soon()
-        while SERIAL not in (found := {each.serial: each for each in discover_cameras(ADDRESS)}):
+        while SERIAL not in (
+            found := {each.serial: each for each in discover_cameras(interface_of(ADDRESS))}
+        ):
             assert time.monotonic() < deadline_s, "the fake camera did not start, or hears nobody"
     assert (found[SERIAL].vendor, found[SERIAL].model) == ("Aravis", "Fake")
 

@@ -21,6 +21,7 @@ from drivers.basler_stereo.errors import (
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.network_interfaces import interface_of
 
 SILENT_SIDE_S = 5.0  # waited for in vain; the other side needs its time on a busy computer
 
@@ -211,7 +212,7 @@ def test_two_cameras_off_the_network_are_not_found(cameras):
 
 
 def test_both_cameras_are_found_by_asking_everybody(cameras):
-    found = {each.address: each.serial for each in discover_cameras("127.0.0.1")}
+    found = {each.address: each.serial for each in discover_cameras(interface_of("127.0.0.1"))}
     assert {address: found.get(address) for address in cameras.addresses} == dict(
         zip(cameras.addresses, ("21904411", "21904412"), strict=True)
     )

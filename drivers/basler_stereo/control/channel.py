@@ -42,6 +42,7 @@ class ControlChannel:
         self._lock = threading.RLock()
         self._id_lock = threading.Lock()
         self._request_id = 0
+        self.port_closed = False  # a host is at the address, and nothing listens on its GVCP port
 
     @property
     def address(self) -> str:
@@ -143,6 +144,7 @@ class ControlChannel:
             except TimeoutError:
                 return None
             except ConnectionRefusedError:  # the host at that address says that nobody listens
+                self.port_closed = True
                 time.sleep(max(0.0, min(REFUSED_PAUSE_S, until_s - self._monotonic())))
                 return None
             answer = gvcp.decode(datagram)

@@ -36,7 +36,7 @@ def inquire(link: CommandLink, deadline_s: float) -> Inquiry:
     heard = b""
     for _ in range(TRIES):
         inquiry = _inquire_once(link, deadline_s)
-        heard += inquiry.heard
+        heard = inquiry.heard or heard
         if inquiry.answered or not inquiry.heard:
             return Inquiry(heard, inquiry.reply)
     return Inquiry(heard)

@@ -1,0 +1,65 @@
+"""Finds out why a camera does not answer: looks at each address, then connects as a procedure would."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
+from drivers.basler_stereo.pair import BaslerStereoPair
+from drivers.basler_stereo.probe.camera_state import look_at_camera
+from drivers.basler_stereo.probe.diagnosis import Expected, camera_finding, discovery_finding
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.probing import Finding, Progress, connect_and_leave
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.host.network_interfaces import Interface, interface_of
+
+CAMERAS_SHARE = 0.5  # of the whole probe; the rest is connecting
+
+
+class BaslerProbe:
+    """The probe of this driver; its `look_at` also serves bare endpoints."""
+
+    endpoint_schemes = frozenset({"gev"})
+
+    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
+        findings = self._cameras(_expected(config), lambda share: progress(CAMERAS_SHARE * share))
+        advice = next((finding.advice for finding in findings if not finding.well), "")
+        return (*findings, connect_and_leave(name, config, BaslerStereoPair, advice))
+
+    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Finding]:
+        return self._cameras([Expected(endpoint) for endpoint in endpoints], progress)
+
+    def _cameras(self, cameras: Sequence[Expected], progress: Progress) -> Sequence[Finding]:
+        """Broadcast discovery on the cameras' own networks, then each address."""
+        networks = {network: discover_cameras(network) for network in dict.fromkeys(_networks(cameras))}
+        found = [each for replied in networks.values() for each in replied]
+        findings = [discovery_finding(network, replied) for network, replied in networks.items() if replied]
+        for number, camera in enumerate(cameras, start=1):
+            findings.append(camera_finding(look_at_camera(camera.endpoint), found, camera))
+            progress(number / len(cameras))
+        return findings
+
+
+def _networks(cameras: Sequence[Expected]) -> Iterator[Interface]:
+    for camera in cameras:
+        if (network := interface_of(camera.endpoint.host)) is not None:
+            yield network
+
+
+def _expected(config: DeviceConfig) -> list[Expected]:
+    """The cameras of a theatre file; wrong options and endpoints are left to the driver's own message."""
+    model = _text(config, "expected_model")
+    sides = {side: parse_endpoint(text) for side, text in config.endpoints.items()}
+    return [
+        Expected(endpoint, _text(config, f"{side}_serial"), model)
+        for side, endpoint in sides.items()
+        if endpoint.scheme == "gev"
+    ]
+
+
+def _text(config: DeviceConfig, option: str) -> str | None:
+    value = config.options.get(option)
+    return value if isinstance(value, str) else None
+
+
+probe = BaslerProbe()

@@ -1,0 +1,160 @@
+"""What the state of a camera's address means: what was seen, the likely cause, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+from drivers.basler_stereo.control.identity import CameraIdentity
+from drivers.basler_stereo.probe.camera_state import Access, CameraState, Controller
+from ronna_hw.devices.probing import Finding
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.network_interfaces import Interface
+
+JUMBO_BYTES = 8000  # below, both cameras at full rate keep a computer busy
+LISTED_CAMERAS = 4
+SECTION = "cameras"
+
+
+class Expected(NamedTuple):
+    """A camera's address, and which camera it should be, where that is known."""
+
+    endpoint: Endpoint
+    serial: str | None = None
+    model: str | None = None
+
+
+class Diagnosis(NamedTuple):
+    """One line for a person."""
+
+    well: bool
+    seen: str
+    advice: str = ""
+
+
+def camera_finding(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Finding:
+    """The camera for the doctor, in numbers as well. `found` replied to broadcast discovery."""
+    well, seen, advice = diagnose(camera, found, expected)
+    document: dict[str, Any] = {
+        "endpoint": str(camera.endpoint),
+        "well": well,
+        "access": camera.access.value,
+        "interface": asdict(camera.interface) if camera.interface else None,
+        "camera": _identity(camera.identity) if camera.identity else None,
+        "control": _control(camera.controller) if camera.controller else None,
+        "packet_bytes": camera.packet_bytes,
+        "seen": seen,
+        "cause": advice,
+    }
+    return Finding(f"camera {camera.endpoint}", well, seen, advice, SECTION, document)
+
+
+def discovery_finding(interface: Interface, found: Sequence[CameraIdentity]) -> Finding:
+    """The cameras on one network."""
+    listed = ", ".join(f"{each.model} {each.serial} at {each.address}" for each in found)
+    return Finding(f"cameras on {interface.name}", True, listed)
+
+
+def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnosis:
+    """Say what was seen, and what that means."""
+    identity, controller = camera.identity, camera.controller
+    if identity is None or controller is None:
+        return _unanswered(camera, found)
+    seen = "; ".join(_seen(camera, identity, controller))
+    if expected.model and identity.model != expected.model:
+        advice = f"Expected a {expected.model}, got a {identity.model}: check address and cable."
+    elif expected.serial and identity.serial != expected.serial:
+        advice = _wrong_serial(expected.serial, found)
+    elif controller.taken:
+        advice = _taken(controller)
+    elif camera.packet_bytes is None:
+        advice = "It refused control although no application has it: switch it off and on."
+    elif not camera.packet_bytes:
+        advice = "No test packet arrived: a firewall drops UDP from the camera, or it sends none."
+    else:
+        jumbo = camera.packet_bytes >= JUMBO_BYTES
+        return Diagnosis(True, seen, "" if jumbo else _small_packets(camera.interface))
+    return Diagnosis(False, seen, advice)
+
+
+def _identity(identity: CameraIdentity) -> dict[str, str]:
+    return {
+        "address": identity.address,
+        "vendor": identity.vendor,
+        "model": identity.model,
+        "serial": identity.serial,
+        "name": identity.user_name,
+        "firmware": identity.version,
+    }
+
+
+def _control(controller: Controller) -> dict[str, Any]:
+    return {
+        "taken": controller.taken,
+        "address": controller.address,
+        "port": controller.port,
+        "holder": asdict(controller.process) if controller.process else None,
+        "here": controller.here,
+    }
+
+
+def _seen(camera: CameraState, identity: CameraIdentity, controller: Controller) -> Iterator[str]:
+    yield f"{identity.vendor} {identity.model} {identity.serial}".strip()
+    if camera.interface is not None:
+        yield f"via {camera.interface.name} ({camera.interface.address}, MTU {camera.interface.mtu_bytes})"
+    yield f"controlled by {_who(controller)}" if controller.taken else "no application in control"
+    if camera.packet_bytes:
+        yield f"packets of {camera.packet_bytes} bytes arrive"
+
+
+def _who(controller: Controller) -> str:
+    if controller.process is not None:
+        return str(controller.process)
+    if controller.port:
+        return f"{controller.address}:{controller.port}"
+    return "an application that the camera does not name"
+
+
+def _taken(controller: Controller) -> str:
+    if controller.process is not None:
+        return "End that program; a camera releases one that died within its heartbeat time-out."
+    if controller.here:
+        return "That program has ended, or belongs to another user: wait for the heartbeat time-out, or ask."
+    return "Close the program on the other computer; if it died, wait for its heartbeat time-out."
+
+
+def _wrong_serial(serial: str, found: Sequence[CameraIdentity]) -> str:
+    if other := next((each for each in found if each.serial == serial), None):
+        return f"Camera {serial} is at {other.address}: swap cables, or endpoints in the theatre file."
+    return f"Expected camera {serial}, which did not reply. After replacing a camera, recalibrate the head."
+
+
+def _small_packets(interface: Interface | None) -> str:
+    where = f"{interface.name} has an MTU of {interface.mtu_bytes}" if interface else "The path is narrow"
+    return f"{where}: for full frames at full rate allow jumbo frames on the card and every switch."
+
+
+def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Diagnosis:
+    interface = camera.interface
+    if camera.access is Access.NO_ROUTE:
+        advice = "Give this computer an address in the camera's subnet."
+        return Diagnosis(False, f"no route: {camera.reason}", advice)
+    via = f" via {interface.name} ({interface.address})" if interface else ""
+    elsewhere = _elsewhere(camera, found)
+    if camera.access is Access.REFUSED:
+        advice = elsewhere or "A computer is at this address, not a camera: check the address."
+        return Diagnosis(False, f"refused{via}: nothing listens on the GigE Vision port", advice)
+    if interface is not None and not interface.reaches(camera.endpoint.host):
+        advice = elsewhere or "No network card here is in its subnet: camera and host must share one."
+    else:
+        advice = elsewhere or "Check power and cable of the camera, and its address in the theatre file."
+    return Diagnosis(False, f"silent{via}", advice)
+
+
+def _elsewhere(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
+    others = [each for each in found if each.address != camera.endpoint.host][:LISTED_CAMERAS]
+    if not others:
+        return ""
+    listed = ", ".join(f"{each.model} {each.serial} at {each.address}" for each in others)
+    return f"These cameras reply: {listed}. Correct the address in the theatre file."

@@ -1,0 +1,55 @@
+"""Finds out why an arm does not answer: whether the port of its stream is free, and what EKI says.
+
+A controller serves one EKI client at a time and needs a moment before the next, so there is only one
+connection, the driver's own.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Sequence
+
+from drivers.kuka_rsi.arm import KukaRsiArm
+from drivers.kuka_rsi.realtime.sockets import bind
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.probing import Finding, Progress, connect_and_leave, endpoints_of
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.port_users import user_of_udp_port
+
+
+def probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
+    """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
+    streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
+    return (*map(stream_port_finding, streams), connect_and_leave(name, config, KukaRsiArm))
+
+
+def stream_port_finding(endpoint: Endpoint) -> Finding:
+    """Whether the driver can listen where the controller is to send: bind as it would, and let go."""
+    subject = f"stream port {endpoint}"
+    try:
+        bind(endpoint.host, endpoint.port).close()
+    except OSError as error:
+        return Finding(subject, False, *_refusal(endpoint, error))
+    return Finding(subject, True, "free for the driver to listen on")
+
+
+def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
+    """(what was seen, what to do)."""
+    if error.errno == errno.EADDRINUSE:
+        if user := user_of_udp_port(endpoint.host, endpoint.port):
+            return f"in use by {user}", "End that program: is it another run of the robot?"
+        return (
+            "in use by a program that this user may not see",
+            f"Find it with: sudo ss -ulnp 'sport = {endpoint.port}'",
+        )
+    if error.errno == errno.EADDRNOTAVAIL:
+        return (
+            f"{endpoint.host} is not an address of this computer",
+            "Give the network card towards the controller the address in the Ethernet file (IP_NUMBER).",
+        )
+    if error.errno == errno.EACCES:
+        return (
+            "permission denied",
+            "Ports below 1024 are reserved: choose another, here and in the Ethernet file.",
+        )
+    return error.strerror or str(error), "Give an IPv4 address of this computer."

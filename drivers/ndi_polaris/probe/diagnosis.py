@@ -1,0 +1,144 @@
+"""What the state of a tracker's line means: what was seen, the likely cause, what to do."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from drivers.ndi_polaris.probe.line import Access, Attempt, LineState, Outcome
+from ronna_hw.devices.probing import Finding
+from ronna_hw.host.serial_ports import permission_advice
+from ronna_hw.wire.polaris import DEFAULT_BAUD
+
+PRINTABLE_SHARE = 0.9
+LEAST_TEXT = 6  # characters before bytes are called text
+SECTION = "lines"
+
+
+class Diagnosis(NamedTuple):
+    """One line for a person."""
+
+    well: bool
+    seen: str
+    advice: str = ""
+
+
+def line_finding(line: LineState) -> Finding:
+    """The line for the doctor, with every attempt in bytes."""
+    well, seen, advice = diagnose(line)
+    answered = line.answered
+    document: dict[str, Any] = {
+        "endpoint": str(line.endpoint),
+        "well": well,
+        "access": line.access.value,
+        "answered_at_baud": answered.baud if answered else None,
+        "answer": answered.reply if answered else None,
+        "last_bytes": line.last_bytes.hex(" "),
+        "attempts": [
+            {"baud": attempt.baud, "outcome": attempt.outcome.value, "bytes": attempt.heard.hex(" ")}
+            for attempt in line.attempts
+        ],
+        "holders": [{"pid": user.pid, "name": user.name} for user in line.users],
+        "seen": seen,
+        "cause": advice,
+    }
+    return Finding(f"line {line.endpoint}", well, seen, advice, SECTION, document)
+
+
+def diagnose(line: LineState) -> Diagnosis:
+    """Say what was seen, and what that means."""
+    if line.access is not Access.OPENED:
+        return _not_opened(line)
+    if (answered := line.answered) is not None:
+        return _answered(answered)
+    if any(attempt.outcome is Outcome.LOST for attempt in line.attempts):
+        return Diagnosis(
+            False,
+            "lost during the inquiry",
+            "Was the adapter unplugged, or the program at the other end stopped?",
+        )
+    noisy = [attempt for attempt in line.attempts if attempt.heard]
+    if not noisy:
+        return _silent(line)
+    if any(attempt.outcome is Outcome.ECHO for attempt in noisy):
+        return Diagnosis(
+            False,
+            f"echoes what we send {_where(noisy[0])}",
+            "A loop-back plug, or a terminal with its echo on: there is no unit.",
+        )
+    seen = "; ".join(f"garbage {_where(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy[-2:])
+    if (text := _as_text(noisy[-1].heard)) is not None:
+        advice = f"It sends text ({text!r}): another device or program is on this line."
+    elif line.endpoint.scheme == "tcp":
+        advice = "Another device or program listens there: check address and port."
+    else:
+        advice = (
+            "Probably another rate, or another device. If it is the tracker: switch it off and on, "
+            f"which resets it to {DEFAULT_BAUD} baud."
+        )
+    return Diagnosis(False, seen, advice)
+
+
+def _not_opened(line: LineState) -> Diagnosis:
+    endpoint = line.endpoint
+    if line.access is Access.MISSING:
+        advice = "Is the adapter plugged in? The ports that exist are listed above."
+        return Diagnosis(False, f"{endpoint.path} does not exist", advice)
+    if line.access is Access.FORBIDDEN:
+        return Diagnosis(False, f"permission denied: {endpoint.path}", permission_advice(endpoint.path))
+    if line.users:
+        users = " and ".join(str(user) for user in line.users)
+        return Diagnosis(False, f"held by another program: {users}", "End that program, or use another port.")
+    if line.access is Access.HELD:
+        return Diagnosis(
+            False,
+            "held by another program, which this user may not see",
+            f"Find it with: sudo fuser -v {endpoint.path}",
+        )
+    if line.access is Access.CLOSED:
+        return Diagnosis(
+            False,
+            "the connection is closed as soon as it is used",
+            "The unit may be serving another client: end that one. Otherwise another program listens there.",
+        )
+    assert line.refusal is not None
+    return Diagnosis(False, line.refusal.reason, line.refusal.advice)
+
+
+def _answered(attempt: Attempt) -> Diagnosis:
+    rate = "" if attempt.baud is None else f" at {attempt.baud}"
+    seen = f"answered{rate}: {attempt.reply} (last bytes {attempt.heard.hex(' ')})"
+    if attempt.baud in (None, DEFAULT_BAUD):
+        return Diagnosis(True, seen)
+    return Diagnosis(
+        True,
+        seen,
+        f"An earlier program left it at this rate. Our driver finds it there; others need {DEFAULT_BAUD}: "
+        "switch the unit off and on for them.",
+    )
+
+
+def _silent(line: LineState) -> Diagnosis:
+    if line.endpoint.scheme == "tcp":
+        return Diagnosis(
+            False,
+            "accepts the connection and sends nothing",
+            "Another program listens there, or the unit serves another client: check address and port.",
+        )
+    tried = [attempt.baud for attempt in line.attempts if attempt.outcome is not Outcome.REFUSED]
+    return Diagnosis(
+        False,
+        f"silent at {', '.join(map(str, tried))} baud",
+        "Is the unit powered, is its cable plugged in, and is this its port? At power-up it sends RESET.",
+    )
+
+
+def _where(attempt: Attempt) -> str:
+    return "over TCP" if attempt.baud is None else f"at {attempt.baud}"
+
+
+def _as_text(heard: bytes) -> str | None:
+    """The bytes as text when they look like it."""
+    printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in heard)
+    if len(heard) < LEAST_TEXT or printable < PRINTABLE_SHARE * len(heard):
+        return None
+    return heard.decode("ascii", "replace").strip()

@@ -1,0 +1,142 @@
+"""What is on a tracker's line, below the driver: which rate is answered, in bytes, and who else has the port.
+
+The inquiry is the driver's own: every unit of the protocol answers it, and it changes nothing. A unit is
+never reset for this, not even by a break; a line that another program has open is left alone.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from dataclasses import dataclass
+from enum import StrEnum
+
+from drivers.ndi_polaris.errors import LinkLost, NotAPolaris, PortUnavailable
+from drivers.ndi_polaris.line.command_link import CommandLink
+from drivers.ndi_polaris.line.discovery import LIKELY_BAUDS
+from drivers.ndi_polaris.line.inquiry import INQUIRY, inquire
+from drivers.ndi_polaris.line.transport import open_transport
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.port_users import PortUser, users_of_serial_port
+from ronna_hw.wire.polaris import COMM_BAUD_CODES, CR
+
+# The driver reaches the rates that are not in its list by a break, which a probe must not send.
+BAUDS = (*LIKELY_BAUDS, *sorted(set(COMM_BAUD_CODES.values()) - set(LIKELY_BAUDS)))
+OPEN_LIMIT_S = 2.0
+INQUIRY_LIMIT_S = 1.0  # of one rate, or of the connection
+KEPT_BYTES = 32
+
+
+class Access(StrEnum):
+    """Whether the line could be opened."""
+
+    OPENED = "opened"
+    MISSING = "missing"
+    FORBIDDEN = "forbidden"
+    HELD = "held"
+    REFUSED = "refused"  # nothing listens
+    UNREACHABLE = "unreachable"
+    CLOSED = "closed"  # accepted, and closed at once
+
+
+class Outcome(StrEnum):
+    """What came of an inquiry at one rate."""
+
+    ANSWERED = "answered"
+    GARBAGE = "garbage"
+    ECHO = "echo"
+    SILENCE = "silence"
+    REFUSED = "rate refused"  # by this computer's adapter
+    LOST = "line lost"
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One rate: `heard` is the end of what came; `reply` the text of a reply with a right CRC."""
+
+    baud: int | None  # None over TCP
+    outcome: Outcome
+    heard: bytes = b""
+    reply: str = ""
+
+
+@dataclass(frozen=True)
+class LineState:
+    """Everything that was seen of one line."""
+
+    endpoint: Endpoint
+    access: Access
+    attempts: tuple[Attempt, ...] = ()
+    users: tuple[PortUser, ...] = ()
+    refusal: PortUnavailable | None = None  # where the line could not be opened
+
+    @property
+    def answered(self) -> Attempt | None:
+        """The attempt that was answered, if any."""
+        return next((attempt for attempt in self.attempts if attempt.outcome is Outcome.ANSWERED), None)
+
+    @property
+    def last_bytes(self) -> bytes:
+        """The end of what was heard last."""
+        return next((attempt.heard for attempt in reversed(self.attempts) if attempt.heard), b"")
+
+
+_ACCESS_BY_ERROR = {
+    errno.EACCES: Access.FORBIDDEN,
+    errno.EAGAIN: Access.HELD,
+    errno.EBUSY: Access.HELD,
+    errno.ECONNREFUSED: Access.REFUSED,
+}
+
+
+def look_at_line(endpoint: Endpoint) -> LineState:
+    """Look at a serial or TCP line; never raises for what a line may do. Raises CFG-002 for others."""
+    if endpoint.require("serial", "tcp").scheme == "serial":
+        if not os.path.exists(endpoint.path):
+            return LineState(endpoint, Access.MISSING)
+        users = users_of_serial_port(endpoint.path)
+        if not os.access(endpoint.path, os.R_OK | os.W_OK):
+            return LineState(endpoint, Access.FORBIDDEN, users=users)
+        if users:
+            return LineState(endpoint, Access.HELD, users=users)
+    try:
+        transport = open_transport(endpoint, OPEN_LIMIT_S)
+    except PortUnavailable as error:
+        access = _ACCESS_BY_ERROR.get(error.number or 0, Access.UNREACHABLE)
+        return LineState(endpoint, access, refusal=error)
+    try:
+        attempts = _attempts(CommandLink(transport))
+    finally:
+        transport.close()
+    closed = endpoint.scheme == "tcp" and attempts[-1].outcome is Outcome.LOST
+    return LineState(endpoint, Access.CLOSED if closed else Access.OPENED, () if closed else attempts)
+
+
+def _attempts(link: CommandLink) -> tuple[Attempt, ...]:
+    attempts: list[Attempt] = []
+    for baud in BAUDS if link.transport.baud is not None else (None,):
+        attempts.append(_at_rate(link, baud))
+        if attempts[-1].outcome in (Outcome.ANSWERED, Outcome.LOST):
+            break
+    return tuple(attempts)
+
+
+def _at_rate(link: CommandLink, baud: int | None) -> Attempt:
+    try:
+        if baud is not None:
+            link.transport.set_baud(baud)
+        heard, reply = inquire(link, time.monotonic() + INQUIRY_LIMIT_S)
+    except PortUnavailable:
+        return Attempt(baud, Outcome.REFUSED)
+    except LinkLost:
+        return Attempt(baud, Outcome.LOST)
+    except NotAPolaris as error:
+        return Attempt(baud, Outcome.GARBAGE, error.wire[-KEPT_BYTES:])
+    if reply is not None:
+        outcome = Outcome.ANSWERED
+    elif INQUIRY.rstrip(CR) in heard:
+        outcome = Outcome.ECHO
+    else:
+        outcome = Outcome.GARBAGE if heard else Outcome.SILENCE
+    return Attempt(baud, outcome, heard[-KEPT_BYTES:], reply or "")

@@ -1,0 +1,247 @@
+"""The probe of the cameras: what answers, who controls it, which packets arrive, and what that means."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import pytest
+from peer_cameras import SERIALS, Peer, free_address
+
+from drivers.basler_stereo import probe as camera_probe
+from drivers.basler_stereo.control.identity import CameraIdentity
+from drivers.basler_stereo.probe import camera_state, probe
+from drivers.basler_stereo.probe.camera_state import Access, CameraState, Controller, look_at_camera
+from drivers.basler_stereo.probe.diagnosis import Expected, camera_finding
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.probing import Finding
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.host.port_users import PortUser
+from ronna_hw.wire.gige_vision import GVCP_PORT
+
+MODEL = "acA2000-50gmNIR"
+LEFT = CameraIdentity("192.168.3.11", "00:30:53:00:00:01", "Basler", MODEL, "21900001", "1.0", "left")
+RIGHT = replace(LEFT, address="192.168.3.12", serial="21900002", user_name="right")
+CARD = Interface("enp3s0", "192.168.3.1", 24, 9000)
+ENDPOINT = Endpoint("gev", host="192.168.3.11")
+EXPECTED = Expected(ENDPOINT, LEFT.serial, MODEL)
+WELL = CameraState(ENDPOINT, Access.ANSWERED, CARD, LEFT, Controller(False), 8192)
+
+
+# --- the diagnosis -----------------------------------------------------------------------------------------
+
+
+def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> None:
+    finding = camera_finding(WELL, (), EXPECTED)
+    assert finding.well
+    assert finding.advice == ""
+    assert "enp3s0 (192.168.3.1, MTU 9000)" in finding.seen
+    assert "no application in control" in finding.seen
+    assert "packets of 8192 bytes arrive" in finding.seen
+
+
+@pytest.mark.parametrize(
+    ("camera", "found", "seen", "advice"),
+    [
+        (CameraState(ENDPOINT, Access.SILENT, CARD), (), "silent via enp3s0", "power and cable"),
+        (CameraState(ENDPOINT, Access.SILENT, CARD), (RIGHT,), "silent", "21900002 at 192.168.3.12"),
+        (
+            CameraState(ENDPOINT, Access.SILENT, replace(CARD, address="10.0.0.5")),
+            (),
+            "silent",
+            "No network card here is in its subnet",
+        ),
+        (CameraState(ENDPOINT, Access.REFUSED, CARD), (), "refused", "not a camera"),
+        (
+            CameraState(ENDPOINT, Access.NO_ROUTE, reason="Network is unreachable"),
+            (),
+            "no route: Network is unreachable",
+            "an address in the camera's subnet",
+        ),
+        (
+            replace(WELL, identity=replace(LEFT, model="acA640-120gm")),
+            (),
+            "acA640-120gm",
+            "Expected a acA2000",
+        ),
+        (replace(WELL, identity=RIGHT), (replace(LEFT, address="192.168.3.12"),), "21900002", "swap cables"),
+        (replace(WELL, identity=RIGHT), (), "21900002", "recalibrate the head"),
+        (
+            replace(WELL, controller=Controller(True, "192.168.3.7", 40001), packet_bytes=None),
+            (),
+            "controlled by 192.168.3.7:40001",
+            "on the other computer",
+        ),
+        (
+            replace(WELL, controller=Controller(True, "192.168.3.1", 40001, PortUser(812, "pylon viewer"))),
+            (),
+            "controlled by pylon viewer (pid 812)",
+            "End that program",
+        ),
+        (
+            replace(WELL, controller=Controller(True, "192.168.3.1", 40001, here=True)),
+            (),
+            "controlled by 192.168.3.1:40001",
+            "has ended, or belongs to another user",
+        ),
+        (
+            replace(WELL, controller=Controller(True)),
+            (),
+            "application that the camera does not name",
+            "heartbeat",
+        ),
+        (replace(WELL, packet_bytes=None), (), "no application in control", "switch it off and on"),
+        (replace(WELL, packet_bytes=0), (), "no application in control", "firewall"),
+    ],
+    ids=[
+        "silent",
+        "silent, another answers",
+        "another subnet",
+        "refused",
+        "no way",
+        "another model",
+        "swapped",
+        "another serial",
+        "controlled from elsewhere",
+        "controlled from here",
+        "controlled from here, unseen",
+        "controlled by somebody",
+        "no control",
+        "no test packets",
+    ],
+)
+def test_what_is_not_well_has_a_cause_in_plain_words(
+    camera: CameraState, found: tuple[CameraIdentity, ...], seen: str, advice: str
+) -> None:
+    finding = camera_finding(camera, found, EXPECTED)
+    assert not finding.well
+    assert seen in finding.seen
+    assert advice in finding.advice
+    assert finding.document is not None
+    assert finding.document["cause"] == finding.advice
+
+
+def test_small_packets_are_well_and_say_what_would_be_better() -> None:
+    finding = camera_finding(
+        replace(WELL, packet_bytes=1500, interface=replace(CARD, mtu_bytes=1500)), (), EXPECTED
+    )
+    assert finding.well
+    assert "packets of 1500 bytes arrive" in finding.seen
+    assert "enp3s0 has an MTU of 1500" in finding.advice
+
+
+# --- the state ---------------------------------------------------------------------------------------------
+
+MakePeer = Callable[..., Peer]
+
+
+@pytest.fixture
+def make_peer() -> Iterator[MakePeer]:
+    made: list[Peer] = []
+
+    def make(*arguments: str) -> Peer:
+        made.append(Peer(*arguments))
+        return made[-1].ready()
+
+    yield make
+    for peer in made:
+        peer.close()
+
+
+def probed(peer: Peer) -> CameraState:
+    return look_at_camera(Endpoint("gev", host=peer.address))
+
+
+def test_a_camera_is_asked_measured_and_given_back(make_peer: MakePeer) -> None:
+    peer = make_peer(SERIALS[0], "--largest-packet", "1500")
+    for _ in range(2):  # the first look leaves nothing behind
+        found = probed(peer)
+        assert found.access is Access.ANSWERED
+        assert found.identity is not None
+        assert (found.identity.address, found.identity.serial, found.identity.model) == (
+            peer.address,
+            SERIALS[0],
+            MODEL,
+        )
+        assert found.interface is not None
+        assert found.interface.loopback
+        assert found.controller == Controller(False)
+        assert found.packet_bytes == 1500
+
+
+def test_a_camera_that_somebody_controls_is_left_alone(make_peer: MakePeer) -> None:
+    peer = make_peer(SERIALS[0])
+    peer.fault("taken")
+    found = probed(peer)
+    assert found.controller == Controller(True)
+    assert found.packet_bytes is None
+
+
+def test_a_camera_without_test_packets_is_told(make_peer: MakePeer) -> None:
+    assert probed(make_peer(SERIALS[0], "--largest-packet", "0")).packet_bytes == 0
+
+
+def test_nobody_and_somebody_silent_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(camera_state, "REPLY_LIMIT_S", 0.2)
+    address = free_address()
+    endpoint = Endpoint("gev", host=address)
+    assert look_at_camera(endpoint).access is Access.REFUSED
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind((address, GVCP_PORT))
+        assert look_at_camera(endpoint).access is Access.SILENT
+
+
+# --- the findings ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Interface]:
+    """The interfaces on which broadcast discovery ran. It finds the right camera; nothing is really sent."""
+    networks: list[Interface] = []
+
+    def discover(interface: Interface) -> tuple[CameraIdentity, ...]:
+        networks.append(interface)
+        return (RIGHT,)
+
+    monkeypatch.setattr(camera_probe, "discover_cameras", discover)
+    monkeypatch.setattr(camera_probe, "look_at_camera", lambda each: CameraState(each, Access.SILENT))
+    return networks
+
+
+def looked_at(*addresses: str) -> list[Finding]:
+    return list(probe.look_at([Endpoint("gev", host=each) for each in addresses], lambda share: None))
+
+
+def test_broadcast_discovery_stays_on_the_network_of_the_given_addresses(asked: list[Interface]) -> None:
+    first, *_ = looked_at(free_address(), free_address())
+    assert [network.loopback for network in asked] == [True]
+    assert first.subject == "cameras on lo"
+    assert "21900002 at 192.168.3.12" in first.seen
+
+
+def test_nothing_is_broadcast_for_an_address_in_no_subnet_of_this_computer(
+    asked: list[Interface],
+) -> None:
+    (finding,) = looked_at("203.0.113.1")
+    assert asked == []
+    assert finding.subject == "camera gev://203.0.113.1"
+
+
+def test_the_cameras_of_a_theatre_file_and_their_cause(make_peer: MakePeer) -> None:
+    left, right = make_peer(SERIALS[0], "--largest-packet", "8192"), free_address()
+    config = DeviceConfig(
+        driver="basler_stereo",
+        endpoints={"left": f"gev://{left.address}", "right": f"gev://{right}"},
+        options={"left_serial": SERIALS[0], "right_serial": SERIALS[1]},
+    )
+    *_, first, second, device = probe("stereo", config, lambda share: None)
+    assert first.document is not None
+    assert second.document is not None
+    assert (first.well, first.section, first.document["packet_bytes"]) == (True, "cameras", 8192)
+    assert first.document["camera"]["serial"] == SERIALS[0]
+    assert (second.well, second.document["access"], second.document["camera"]) == (False, "refused", None)
+    assert device.subject == "device stereo"
+    assert "GEV-001" in device.seen
+    assert device.advice == second.advice

@@ -1,0 +1,19 @@
+"""Who may use a serial port is said with the command that helps."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+from ronna_hw.host.serial_ports import permission_advice, permissions
+
+
+def test_the_group_that_may_use_a_port_is_named(tmp_path: Path) -> None:
+    port = tmp_path / "ttyUSB0"
+    port.touch()
+    port.chmod(stat.S_IRUSR | stat.S_IWUSR | stat.S_IRGRP | stat.S_IWGRP)
+    assert "sudo usermod -aG " in permission_advice(str(port))
+    assert permissions(str(port)).startswith("-rw-rw---- ")
+    port.chmod(stat.S_IRUSR)
+    assert "udev" in permission_advice(str(port))
+    assert "dialout" in permission_advice("/dev/no-such-port")
