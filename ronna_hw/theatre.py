@@ -41,6 +41,7 @@ class Theatre:
         self.clock = clock
         self.arms: Mapping[str, RobotArm] = _Arms(self)
         self._devices: dict[str, Device] = {}
+        self._closed = False
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Self:
@@ -122,6 +123,7 @@ class Theatre:
                     logger(device=device.name).error("cannot be closed", cause=error)
             if isinstance(self.clock, SharedClock):
                 self.clock.close()
+            self._closed = True
 
     def __enter__(self) -> Self:
         return self
@@ -129,15 +131,19 @@ class Theatre:
     def __exit__(self, *_: object) -> None:
         try:
             self.close()
-        except KeyboardInterrupt:  # before `close` could hold it back
-            self.close()
+        except KeyboardInterrupt:
+            if not self._closed:  # it came before `close` could hold it back
+                self.close()
             raise
 
     def _device(self, name: str, interface: Callable[..., D]) -> D:
         device = self._made(name)
         if not isinstance(device, cast("type", interface)):
-            kind = getattr(interface, "__name__", repr(interface))
-            raise WrongKind(f"{name}: driver {self.file.devices[name].driver} offers no {kind}")
+            lacking = [each for each in dir(interface) if each[0] != "_" and not hasattr(device, each)]
+            raise WrongKind(
+                f"{name}: driver {self.file.devices[name].driver} offers no {interface.__name__}",
+                got=f"it lacks {', '.join(lacking)}" if lacking else None,
+            )
         return cast("D", device)
 
     def _made(self, name: str) -> Device:

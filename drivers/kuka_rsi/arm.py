@@ -180,6 +180,7 @@ class KukaRsiArm:
         deadline = time.monotonic() + timeout_s
         if self._connections.link.state.moving:
             self.stop(StopKind.HOLD, timeout_s)
+            self._follower.await_end(stream.rest_of(deadline))
         try:
             stream.end_stream(self._connections.eki, self._connections.link, deadline)
         except RonnaError as error:
@@ -234,6 +235,7 @@ class KukaRsiArm:
             if link is not None and link.alive and link.state.phase in (Phase.RUNNING, Phase.FAULT):
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
+                self._follower.await_end(CLOSING_STOP_S)
                 stream.end_stream(connections.eki, link, time.monotonic() + CLOSING_STOP_S)
         connections.close_eki()  # first: what its reader hears it judges beside the link's own memory
         connections.close_link()

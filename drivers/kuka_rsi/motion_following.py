@@ -39,6 +39,11 @@ class MotionFollower:
         finally:
             self._under_way.release()
 
+    def await_end(self, timeout_s: float) -> None:
+        """Let another thread notice that its motion has been stopped, before the link ends."""
+        if self._under_way.acquire(timeout=max(0.0, timeout_s)):
+            self._under_way.release()
+
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
         """As `LinkClient.wait`; the death of the real-time process is latched as well."""
         try:

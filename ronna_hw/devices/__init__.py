@@ -2,6 +2,7 @@
 
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.new_frames import new_frames
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.devices.stereo import StereoPair
 from ronna_hw.devices.tracker import OpticalTracker
@@ -16,4 +17,5 @@ __all__ = [
     "RobotArm",
     "StereoPair",
     "StopKind",
+    "new_frames",
 ]

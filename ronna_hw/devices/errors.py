@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError, RefusedError, StateError
+from ronna_hw.errors import ConfigurationError, DataError, LinkTimeout, RefusedError, StateError
 
 
 class WrongState(StateError):
@@ -33,6 +33,13 @@ class WrongKind(ConfigurationError):
 
     code = "DEV-008"
     action = "Name a driver of that kind in the device's table, or ask for the interface that it has."
+
+
+class NoNewFrame(LinkTimeout):
+    """The tracker replies, but makes no new measurement within the time limit."""
+
+    code = "DEV-009"
+    action = "Check that the tracker is tracking, and give it more than one frame period."
 
 
 class UnknownTool(ConfigurationError, LookupError):

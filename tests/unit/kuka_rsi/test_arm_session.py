@@ -12,6 +12,7 @@ import pytest
 from driven_arm import MODEL, THERE, largest_step, moving, state_of
 from waiting import eventually
 
+from drivers.kuka_rsi.errors import MotionStopped
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from ronna_hw.arm.errors import OutOfJointRange
 from ronna_hw.arm.kinematics import forward
@@ -97,7 +98,9 @@ def test_a_block_that_is_left_by_an_error_while_the_arm_moves_leaves_it_at_rest(
     motions: list[Any] = []
     with pytest.raises(ZeroDivisionError):
         break_off()
-    motions[0][0].join()
+    thread, caught = motions[0]
+    thread.join()
+    assert [type(error) for error in caught] == [MotionStopped]
     assert state_of(arm) is Lifecycle.CONFIGURED
     assert controller.facts["RSI"] == "0"
     assert largest_step(controller.replies) < 1 / 8

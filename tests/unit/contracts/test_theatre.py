@@ -1,0 +1,213 @@
+"""A theatre of devices that exist only here, found by entry point as any installed driver is."""
+
+from __future__ import annotations
+
+import signal
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import pytest
+from ideal_device import IdealDevice
+
+from ronna_hw import Theatre, open_theatre, registry
+from ronna_hw.clock import Clock, HostClock
+from ronna_hw.config import BadTheatreFile, DeviceConfig, parse_theatre
+from ronna_hw.devices import Device, LastKnown, Lifecycle, RobotArm, StopKind
+from ronna_hw.devices.errors import NotInTheatre, WrongKind
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.errors import ConnectError
+
+FILE = """
+theatre = "lab"
+device.force = { driver = "force", endpoint = "tcp://127.0.0.1:1", options = { scale = 2.0 } }
+robot.left = { driver = "arm", endpoint = "tcp://127.0.0.1:2" }
+robot.right = { driver = "arm", endpoint = "tcp://127.0.0.1:3" }
+"""
+
+
+@runtime_checkable
+class ForceSensor(Device, Protocol):
+    """A kind of device that nothing else here knows."""
+
+    def read_force_N(self, timeout_s: float = 1.0) -> float:
+        """Force along the needle."""
+        ...
+
+
+class Connectable(IdealDevice):
+    """Writes its lifecycle into one common list."""
+
+    happened: list[str]
+    present = True
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        if not self.present:
+            raise ConnectError("no reply")
+        self.guard.enter(Lifecycle.CONNECTED)
+        return Identity("Lab", "F1", "7", "1.0")
+
+    def close(self) -> None:
+        self.happened.append(f"close {self.name}")
+        super().close()
+
+
+class Force(Connectable):
+    """Satisfies `ForceSensor`."""
+
+    reading_N = 1.5
+
+    def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
+        super().__init__(name, config, clock, known={"scale"})
+
+    def read_force_N(self, timeout_s: float = 1.0) -> float:
+        self.guard.require("read_force_N", {Lifecycle.ACTIVE})
+        return self.reading_N * float(self.config.options["scale"])
+
+    def observe(self) -> LastKnown[float]:
+        return self.guard.last_known(self.reading_N)
+
+
+class Arm(Connectable):
+    """Has every name of `RobotArm`, and can be stopped."""
+
+    locals().update({name: lambda *_: None for name in vars(RobotArm) if not name.startswith("_")})
+
+    def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
+        super().__init__(name, config, clock, known=set())
+
+    observe = Connectable.observe
+
+    def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
+        self.happened.append(f"stop {self.name}")
+        self.guard.enter(Lifecycle.HOLD)
+
+
+DRIVERS = {"force": Force, "arm": Arm}
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The drivers as an installed package declares them; returns what happens to their devices."""
+    happened: list[str] = []
+
+    def entry_points(*, group: str) -> list[EntryPoint]:
+        return [EntryPoint(name, f"{__name__}:{kind.__name__}", group) for name, kind in DRIVERS.items()]
+
+    monkeypatch.setattr(registry, "entry_points", entry_points)
+    monkeypatch.setattr(EntryPoint, "load", lambda point: DRIVERS[point.name])
+    monkeypatch.setattr(Connectable, "happened", happened, raising=False)
+    return happened
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "theatre.toml"
+    path.write_text(FILE)
+    return path
+
+
+def test_a_device_of_another_kind_is_declared_found_and_read(path: Path) -> None:
+    with open_theatre(path) as theatre, theatre.device("force", ForceSensor).active() as sensor:
+        assert sensor.name == "device.force"
+        assert sensor.read_force_N() == pytest.approx(3.0)
+
+
+def test_nothing_is_connected_before_it_is_asked_for(path: Path) -> None:
+    theatre = Theatre.from_file(path)
+    assert theatre.arms["left"].state is Lifecycle.DISCONNECTED
+    assert theatre.arms["left"] is theatre.arms["left"]
+    assert sorted(theatre.arms) == ["left", "right"]
+    theatre.connect()
+    theatre.connect()
+    assert {arm.state for arm in theatre.arms.values()} == {Lifecycle.CONFIGURED}
+    theatre.close()
+
+
+def test_what_the_file_lacks_is_an_error_that_says_what_it_has(path: Path) -> None:
+    theatre = Theatre.from_file(path)
+    with pytest.raises(NotInTheatre, match=r"^DEV-007: theatre lab has no tracker: it has robot.left"):
+        _ = theatre.tracker
+    with pytest.raises(NotInTheatre, match=r"no robot\.third.*Add its table"):
+        _ = theatre.arms["third"]
+    assert "third" not in theatre.arms
+    with pytest.raises(NotInTheatre, match=r"no device\.torque"):
+        theatre.device("torque", ForceSensor)
+    with pytest.raises(NotInTheatre, match=r"no tracker, stereo"):
+        theatre.require("tracker", "robot.left", "stereo")
+    with pytest.raises(NotInTheatre, match="no calibration records"):
+        _ = theatre.calibrations
+
+
+def test_a_device_of_the_wrong_kind_is_refused(path: Path) -> None:
+    with pytest.raises(
+        WrongKind, match=r"DEV-008: device\.force: driver force offers no RobotArm: it lacks .*stop"
+    ):
+        Theatre.from_file(path).device("force", RobotArm)
+
+
+def _leave_while_the_arms_are_active(path: Path, error: type[BaseException]) -> None:
+    with open_theatre(path) as theatre:
+        for arm in theatre.arms.values():
+            arm.activate()
+        raise error
+
+
+def test_every_arm_is_stopped_before_anything_is_closed(path: Path, installed: list[str]) -> None:
+    with pytest.raises(ZeroDivisionError):
+        _leave_while_the_arms_are_active(path, ZeroDivisionError)
+    assert sorted(installed[:2]) == ["stop robot.left", "stop robot.right"]
+    assert installed[2:] == ["close robot.left", "close robot.right", "close device.force"]
+
+
+def test_an_error_while_one_device_is_closed_keeps_no_other_open(
+    path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(arm: Arm, *_: Any) -> None:
+        raise OSError("gone")
+
+    monkeypatch.setattr(Arm, "close", fail)
+    monkeypatch.setattr(Arm, "stop", fail)
+    with open_theatre(path) as theatre:
+        theatre.arms["left"].activate()
+    assert installed == ["close device.force"]
+
+
+def test_a_second_interruption_does_not_keep_devices_open(
+    path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Arm, "stop", lambda *_: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        _leave_while_the_arms_are_active(path, KeyboardInterrupt)
+    assert installed == ["close robot.left", "close robot.right", "close device.force"]
+
+
+def test_a_device_that_is_not_there_is_the_drivers_own_error_and_the_rest_is_closed(
+    path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Force, "present", False)
+    with pytest.raises(ConnectError, match="no reply"), open_theatre(path):
+        pass
+    assert installed == ["close robot.left", "close robot.right", "close device.force"]
+
+
+@pytest.mark.parametrize("cut", range(1, len(FILE) - 1, 7))
+def test_a_half_written_file_is_refused_or_lacks_what_was_not_written(path: Path, cut: int) -> None:
+    path.write_text(FILE[:cut])
+    try:
+        theatre = Theatre.from_file(path)
+    except BadTheatreFile:
+        return
+    assert len(theatre.file.devices) < 3
+
+
+def test_devices_carry_the_names_of_their_tables_and_the_folder_of_the_file(path: Path) -> None:
+    devices = Theatre.from_file(path).file.devices
+    assert sorted(devices) == ["device.force", "robot.left", "robot.right"]
+    assert {config.folder for config in devices.values()} == {path.parent}
+
+
+def test_a_theatre_can_be_made_of_parsed_content() -> None:
+    content = {"theatre": "lab", "device": {"force": {"driver": "force", "endpoint": "tcp://127.0.0.1:1"}}}
+    theatre = Theatre(parse_theatre(content), HostClock())
+    assert theatre.device("force", Force).state is Lifecycle.DISCONNECTED
