@@ -10,7 +10,7 @@ from typing import Any
 
 from procedures.cli.doctor.computer import computer_findings
 from ronna_hw.command_line.console import Progress, print_json, print_table
-from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.config import DeviceConfig, read_theatre_file
 from ronna_hw.devices.probing import Finding
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
@@ -47,7 +47,7 @@ def examine(
     """
     looks = [*_looks_at_endpoints(endpoints)]
     if config is not None:
-        looks += [partial(_probe, name, device) for name, device in _devices(read_theatre_file(config))]
+        looks += [partial(_probe, name, device) for name, device in read_theatre_file(config).devices.items()]
     computer = tuple(computer_findings())
     found: list[Finding] = []
     for number, look in enumerate(looks):
@@ -97,15 +97,6 @@ def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[Look]:
         asked.setdefault(drivers[0], []).append(endpoint)
     for driver, endpoints in asked.items():
         yield partial(probes[driver].look_at, endpoints)
-
-
-def _devices(theatre: TheatreFile) -> Iterator[tuple[str, DeviceConfig]]:
-    for name, device in theatre.robot.items():
-        yield f"robot.{name}", device
-    if theatre.tracker is not None:
-        yield "tracker", theatre.tracker
-    if theatre.stereo is not None:
-        yield "stereo", theatre.stereo
 
 
 def _probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:

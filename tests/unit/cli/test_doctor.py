@@ -47,8 +47,8 @@ def theatre(tmp_path: Path) -> Path:
     path = tmp_path / "theatre.toml"
     path.write_text(
         'schema = 1\ntheatre = "lab"\n'
-        '[robot.master]\ndriver = "broken"\nendpoint = "tcp://127.0.0.1:1"\n'
-        '[tracker]\ndriver = "lines"\nendpoint = "tcp://127.0.0.1:2"\n'
+        '[tracker]\ndriver = "broken"\nendpoint = "tcp://127.0.0.1:1"\n'
+        '[device.force]\ndriver = "lines"\nendpoint = "tcp://127.0.0.1:2"\n'
     )
     return path
 
@@ -57,7 +57,7 @@ def test_every_device_of_a_theatre_file_is_probed_also_after_a_probe_that_fails(
     shares: list[float] = []
     report = examine(theatre, (), shares.append)
     assert [finding.subject for finding in report.devices] == [
-        "device robot.master", "line tcp://127.0.0.1:1", "device tracker"
+        "device tracker", "line tcp://127.0.0.1:1", "device device.force"
     ]  # fmt: skip
     assert not report.devices[0].well
     assert report.devices[0].advice == "Plug it in."
