@@ -7,8 +7,10 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,6 +33,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "lumen/errors.py",
         "lumen/line.py",
         "lumen/tracker.py",
+        "lumen/probe.py",
         "lumen/device.py",
     }
     for name, content in files.items():
@@ -40,9 +43,10 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     information = folder / "lumen_tracker-0.1.dist-info"
     information.mkdir()
     (information / "METADATA").write_text(METADATA)
-    entry_point = re.search(r'^lumen = "(.*)"$', files["pyproject.toml"], re.MULTILINE)
-    assert entry_point
-    (information / "entry_points.txt").write_text(f"[ronna_hw.drivers]\nlumen = {entry_point[1]}\n")
+    groups = tomllib.loads(files["pyproject.toml"])["project"]["entry-points"]
+    (information / "entry_points.txt").write_text(
+        "".join(f"[{group}]\nlumen = {names['lumen']}\n" for group, names in groups.items())
+    )
     return folder
 
 
@@ -109,3 +113,28 @@ def test_the_driver_of_the_page_says_when_its_device_is_not_there(package: Path)
     assert run.returncode == 4
     assert run.stderr.startswith("LUM-001")
     assert "Traceback" not in run.stderr
+
+
+def doctor(package: Path, endpoint: str) -> tuple[int, list[dict[str, Any]]]:
+    """Exit code and the findings about the device at an endpoint."""
+    theatre = package / "theatre.toml"
+    theatre.write_text(f'schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "lumen"\nendpoint = "{endpoint}"\n')
+    done = subprocess.run(
+        [Path(sys.executable).parent / "ronna-procedure", "doctor", "--config", theatre, "--json"],
+        env={**os.environ, "PYTHONPATH": str(package)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    return done.returncode, json.loads(done.stdout)["findings"][-2:]
+
+
+def test_the_doctor_shows_what_the_probe_of_the_page_finds(package: Path, device: str) -> None:
+    code, (line, tracker) = doctor(package, device)
+    assert (code, line["well"], tracker["well"]) == (0, True, True)
+    assert line["seen"] == "answered Lumen-2000 L-0042 1.3"
+    code, (line, tracker) = doctor(package, "tcp://127.0.0.1:1")
+    assert (code, line["well"], tracker["well"]) == (4, False, False)
+    assert "LUM-001" in tracker["seen"]
+    assert tracker["advice"] == line["advice"]
