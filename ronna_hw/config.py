@@ -133,13 +133,14 @@ class TheatreFile(Strict):
 
     @property
     def devices(self) -> dict[str, DeviceConfig]:
-        """All devices by the name of their table: `tracker`, `stereo`, `robot.master`, `device.force`."""
-        single = {"tracker": self.tracker, "stereo": self.stereo}
-        return {
-            **{name: config for name, config in single.items() if config is not None},
+        """All devices by the name of their table: `robot.master`, `tracker`, `stereo`, `device.force`."""
+        tables = {
             **{f"robot.{name}": config for name, config in self.robot.items()},
+            "tracker": self.tracker,
+            "stereo": self.stereo,
             **{f"device.{name}": config for name, config in self.device.items()},
         }
+        return {name: config for name, config in tables.items() if config is not None}
 
 
 def read_theatre_file(path: Path) -> TheatreFile:

@@ -22,29 +22,29 @@ NAME = "ronna-sim theatre"
 
 
 class TheatreProcess:
-    """`ronna-sim theatre`, begun but not awaited; `await_ready` and `stop` must follow."""
+    """`ronna-sim theatre`, begun but not awaited; `await_ready` and `end` must follow."""
 
     def __init__(self, *arguments: str) -> None:
-        self._child = ChildProcess(NAME, command("sim.cli", "theatre", *arguments), timeout_s=None)
+        self.child = ChildProcess(NAME, command("sim.cli", "theatre", *arguments), timeout_s=None)
 
     def await_ready(self) -> None:
         """Return when every device is ready; raises PRC-001 with the command's own words."""
-        self._child.await_ready()
+        self.child.await_ready()
 
     @property
     def file(self) -> Path:
         """The theatre file that was written."""
-        return Path(self._child.ready["file"])
+        return Path(self.child.ready["file"])
 
     @property
     def control(self) -> str:
         """Endpoint of the control port."""
-        return str(self._child.ready["endpoints"]["control"])
+        return str(self.child.ready["endpoints"]["control"])
 
-    def stop(self) -> None:
-        """End it. Bounded in time, never raises; an interruption meanwhile takes effect afterwards."""
+    def end(self) -> None:
+        """Bounded in time, never raises; an interruption meanwhile takes effect afterwards."""
         with interruption_deferred():
-            self._child.stop()
+            self.child.stop()
 
 
 class SimulatedTheatre(Theatre):
@@ -77,4 +77,4 @@ def simulated_theatre(
                 theatre.connect(timeout_s)
                 yield theatre
         finally:
-            process.stop()
+            process.end()

@@ -136,7 +136,7 @@ def _from_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[str
                 expected=", ".join(theatre.robot) or "a robot",
             )
         return f"robot.{name}", theatre.robot[name]
-    chosen: DeviceConfig | None = getattr(theatre, kind)
+    chosen = theatre.devices.get(kind)
     if chosen is None:
         raise DeviceNotInFile(f"the theatre file has no {kind}")
     return kind, chosen

@@ -43,7 +43,7 @@ def theatre_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         process.await_ready()
         yield process.file
     finally:
-        process.stop()
+        process.end()
 
 
 def start_to_move(arm: RobotArm) -> tuple[threading.Thread, list[RonnaError]]:

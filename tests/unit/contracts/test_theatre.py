@@ -3,72 +3,30 @@
 from __future__ import annotations
 
 import signal
-from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import pytest
+from force_sensor import DECLARED, ForceSensor, ScaledForceSensor, install
 from ideal_device import IdealDevice
 
-from ronna_hw import Theatre, open_theatre, registry
+from ronna_hw import Theatre, open_theatre
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import BadTheatreFile, DeviceConfig, parse_theatre
-from ronna_hw.devices import Device, LastKnown, Lifecycle, RobotArm, StopKind
+from ronna_hw.devices import Lifecycle, RobotArm, StopKind
 from ronna_hw.devices.errors import NotInTheatre, WrongKind
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError
 
-FILE = """
+FILE = f"""
 theatre = "lab"
-device.force = { driver = "force", endpoint = "tcp://127.0.0.1:1", options = { scale = 2.0 } }
-robot.left = { driver = "arm", endpoint = "tcp://127.0.0.1:2" }
-robot.right = { driver = "arm", endpoint = "tcp://127.0.0.1:3" }
-"""
+robot.left = {{ driver = "arm", endpoint = "tcp://127.0.0.1:2" }}
+robot.right = {{ driver = "arm", endpoint = "tcp://127.0.0.1:3" }}
+{DECLARED}"""
+HAPPENED: list[str] = []
 
 
-@runtime_checkable
-class ForceSensor(Device, Protocol):
-    """A kind of device that nothing else here knows."""
-
-    def read_force_N(self, timeout_s: float = 1.0) -> float:
-        """Force along the needle."""
-        ...
-
-
-class Connectable(IdealDevice):
-    """Writes its lifecycle into one common list."""
-
-    happened: list[str]
-    present = True
-
-    def connect(self, timeout_s: float = 10.0) -> Identity:
-        if not self.present:
-            raise ConnectError("no reply")
-        self.guard.enter(Lifecycle.CONNECTED)
-        return Identity("Lab", "F1", "7", "1.0")
-
-    def close(self) -> None:
-        self.happened.append(f"close {self.name}")
-        super().close()
-
-
-class Force(Connectable):
-    """Satisfies `ForceSensor`."""
-
-    reading_N = 1.5
-
-    def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        super().__init__(name, config, clock, known={"scale"})
-
-    def read_force_N(self, timeout_s: float = 1.0) -> float:
-        self.guard.require("read_force_N", {Lifecycle.ACTIVE})
-        return self.reading_N * float(self.config.options["scale"])
-
-    def observe(self) -> LastKnown[float]:
-        return self.guard.last_known(self.reading_N)
-
-
-class Arm(Connectable):
+class Arm(IdealDevice):
     """Has every name of `RobotArm`, and can be stopped."""
 
     locals().update({name: lambda *_: None for name in vars(RobotArm) if not name.startswith("_")})
@@ -76,28 +34,30 @@ class Arm(Connectable):
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         super().__init__(name, config, clock, known=set())
 
-    observe = Connectable.observe
+    observe = IdealDevice.observe
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        self.guard.enter(Lifecycle.CONNECTED)
+        return Identity("Lab", "A1", "7", "1.0")
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
-        self.happened.append(f"stop {self.name}")
+        HAPPENED.append(f"stop {self.name}")
         self.guard.enter(Lifecycle.HOLD)
-
-
-DRIVERS = {"force": Force, "arm": Arm}
 
 
 @pytest.fixture(autouse=True)
 def installed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The drivers as an installed package declares them; returns what happens to their devices."""
-    happened: list[str] = []
+    """Install the drivers; returns what happens to their devices."""
+    install(monkeypatch, force=ScaledForceSensor, arm=Arm)
+    HAPPENED.clear()
+    close = IdealDevice.close
 
-    def entry_points(*, group: str) -> list[EntryPoint]:
-        return [EntryPoint(name, f"{__name__}:{kind.__name__}", group) for name, kind in DRIVERS.items()]
+    def closed(device: IdealDevice) -> None:
+        HAPPENED.append(f"close {device.name}")
+        close(device)
 
-    monkeypatch.setattr(registry, "entry_points", entry_points)
-    monkeypatch.setattr(EntryPoint, "load", lambda point: DRIVERS[point.name])
-    monkeypatch.setattr(Connectable, "happened", happened, raising=False)
-    return happened
+    monkeypatch.setattr(IdealDevice, "close", closed)
+    return HAPPENED
 
 
 @pytest.fixture
@@ -185,7 +145,7 @@ def test_a_second_interruption_does_not_keep_devices_open(
 def test_a_device_that_is_not_there_is_the_drivers_own_error_and_the_rest_is_closed(
     path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Force, "present", False)
+    monkeypatch.setattr(ScaledForceSensor, "present", False)
     with pytest.raises(ConnectError, match="no reply"), open_theatre(path):
         pass
     assert installed == ["close robot.left", "close robot.right", "close device.force"]
@@ -210,4 +170,4 @@ def test_devices_carry_the_names_of_their_tables_and_the_folder_of_the_file(path
 def test_a_theatre_can_be_made_of_parsed_content() -> None:
     content = {"theatre": "lab", "device": {"force": {"driver": "force", "endpoint": "tcp://127.0.0.1:1"}}}
     theatre = Theatre(parse_theatre(content), HostClock())
-    assert theatre.device("force", Force).state is Lifecycle.DISCONNECTED
+    assert theatre.device("force", ScaledForceSensor).state is Lifecycle.DISCONNECTED

@@ -1,0 +1,63 @@
+"""A device of a kind that nothing else here knows, as a package of its own would bring it."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+from typing import Protocol, runtime_checkable
+
+import pytest
+from ideal_device import IdealDevice
+
+from ronna_hw import registry
+from ronna_hw.clock import Clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices import Device, LastKnown, Lifecycle
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.errors import ConnectError
+
+DECLARED = '[device.force]\ndriver = "force"\nendpoint = "tcp://127.0.0.1:1"\noptions = { scale = 2.0 }\n'
+
+
+@runtime_checkable
+class ForceSensor(Device, Protocol):
+    """Measures the force along the needle."""
+
+    def read_force_N(self, timeout_s: float = 1.0) -> float:
+        """Present force; allowed in ACTIVE."""
+        ...
+
+
+class ScaledForceSensor(IdealDevice):
+    """Always 1.5 N, times option `scale`."""
+
+    present = True
+
+    def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
+        super().__init__(name, config, clock, known={"scale"})
+        self._force_N = 1.5 * float(config.options.get("scale", 1.0))
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        self.guard.require("connect", {Lifecycle.DISCONNECTED})
+        if not self.present:
+            raise ConnectError("no reply", action="Switch it on.")
+        self.guard.enter(Lifecycle.CONNECTED)
+        return Identity("Lab", "F1", "7", "1.0")
+
+    def read_force_N(self, timeout_s: float = 1.0) -> float:
+        self.guard.require("read_force_N", {Lifecycle.ACTIVE})
+        return self._force_N
+
+    def observe(self) -> LastKnown[float]:
+        return self.guard.last_known(self._force_N)
+
+
+def install(monkeypatch: pytest.MonkeyPatch, **drivers: type) -> None:
+    """Register drivers by entry point, as installing their package does; without any, the force sensor."""
+    classes = drivers or {"force": ScaledForceSensor}
+
+    def entry_points(*, group: str) -> list[EntryPoint]:
+        names = classes if group == registry.GROUP else ()
+        return [EntryPoint(name, f"{__name__}:{name}", group) for name in names]
+
+    monkeypatch.setattr(registry, "entry_points", entry_points)
+    monkeypatch.setattr(EntryPoint, "load", lambda point: classes[point.name])

@@ -1,0 +1,21 @@
+"""A kind of device that the doctor has never heard of is shown like any other."""
+
+from pathlib import Path
+
+import pytest
+from force_sensor import DECLARED, ScaledForceSensor, install
+
+from procedures.cli.doctor.report import examine
+
+
+@pytest.mark.parametrize("present", [True, False])
+def test_a_device_of_another_kind_is_shown_by_the_doctor(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, present: bool
+) -> None:
+    install(monkeypatch)
+    monkeypatch.setattr(ScaledForceSensor, "present", present)
+    path = tmp_path / "theatre.toml"
+    path.write_text(f'theatre = "lab"\n{DECLARED}')
+    (finding,) = examine(path).devices
+    assert (finding.subject, finding.well) == ("device device.force", present)
+    assert ("F1 7 1.0" in finding.seen) is present
