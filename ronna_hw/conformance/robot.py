@@ -10,6 +10,7 @@ import itertools
 import math
 import socket
 import threading
+from contextlib import suppress
 from math import degrees, radians
 from typing import Any
 
@@ -25,6 +26,7 @@ from ronna_hw.conformance.any_device import (
     tells_who_answers,
 )
 from ronna_hw.conformance.case import MOTION, NotShown, Suite, check, refused
+from ronna_hw.conformance.device_cases import DeviceCases, Interruption, observe
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
@@ -237,6 +239,7 @@ def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
     ends = _stopped_on_the_way(dut, arm, start, turned(start, STOPPED_TURN_RAD), StopKind.PROTECTIVE)
     check(bool(ends), "a motion that says it was stopped")
     check(arm.state is Lifecycle.FAULT, "state fault", arm.state)
+    check(observe(arm, Lifecycle.FAULT).fault is not None, "the fault observed")
     refused(lambda: arm.move_joints(start), StateError, "move_joints in fault")
     arm.recover("conformance suite")
     check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
@@ -282,10 +285,44 @@ def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
     refuses_unknown_options(dut)
 
 
+SUITE.cases.extend(DeviceCases(lambda arm: arm.read_state(), CLOSE_LIMIT_S).numbered("R", 22))
+
+
+@SUITE.case("R26", "a block left by an exception brings the moving arm to rest on its way", needs=(MOTION,))
+def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
+    arm = dut.make()
+    with suppress(Interruption), arm.active():
+        start = arm.read_state().commanded_rad
+        mover, ends = _set_moving(dut, arm, start, turned(start, STOPPED_TURN_RAD))
+        raise Interruption
+    rest: ArmReading = arm.read_state()
+    mover.join()
+    check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
+    check(bool(ends), "a motion that says it was stopped")
+    check(apart_rad(rest.joints_rad, start) < STOPPED_TURN_RAD / 2, "an arm stopped before its target")
+    dut.clock.sleep(HOLDING_S)
+    moved = apart_rad(arm.read_state().joints_rad, rest.joints_rad)
+    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+    with arm.active():
+        arm.move_joints(start, speed_fraction=SLOW)
+
+
 def _stopped_on_the_way(
     dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector, kind: StopKind
 ) -> list[RonnaError]:
-    """Move in a thread, stop once the arm has visibly left its start; what the motion raised."""
+    """Stop a motion once the arm has visibly left its start; what the motion raised."""
+    mover, ends = _set_moving(dut, arm, start, target)
+    try:
+        arm.stop(kind)
+    finally:
+        mover.join()
+    return ends
+
+
+def _set_moving(
+    dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector
+) -> tuple[threading.Thread, list[RonnaError]]:
+    """A thread that moves the arm, which has visibly left its start, and what the motion will raise."""
     ends: list[RonnaError] = []
 
     def move() -> None:
@@ -296,10 +333,6 @@ def _stopped_on_the_way(
 
     mover = threading.Thread(target=move)
     mover.start()
-    try:
-        while mover.is_alive() and apart_rad(arm.read_state().joints_rad, start) < SMALL_TURN_RAD:
-            dut.clock.sleep(HOLDING_S / 20)
-        arm.stop(kind)
-    finally:
-        mover.join()
-    return ends
+    while mover.is_alive() and apart_rad(arm.read_state().joints_rad, start) < SMALL_TURN_RAD:
+        dut.clock.sleep(HOLDING_S / 20)
+    return mover, ends

@@ -10,6 +10,7 @@ import numpy as np
 
 from ronna_hw.conformance.any_device import closes, finds_nobody, offers, refuses_early, tells_who_answers
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
+from ronna_hw.conformance.device_cases import DeviceCases
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
@@ -189,6 +190,9 @@ def closing_is_bounded(dut: DeviceUnderTest) -> None:
     dut.brought_to(Lifecycle.ACTIVE, pair)
     closes(pair, CLOSE_LIMIT_S)
     both(dut.at(Lifecycle.ACTIVE).grab_pair())
+
+
+SUITE.cases.extend(DeviceCases(lambda pair: pair.grab_pair(), CLOSE_LIMIT_S).numbered("S", 15))
 
 
 def _part(area: AreaOfInterest) -> AreaOfInterest:

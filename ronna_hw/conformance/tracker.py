@@ -18,6 +18,7 @@ from ronna_hw.conformance.any_device import (
     tells_who_answers,
 )
 from ronna_hw.conformance.case import CHECKED_REPLIES, LINE_FAULTS, NotShown, Suite, check, refused
+from ronna_hw.conformance.device_cases import DeviceCases, observe
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
@@ -245,6 +246,7 @@ def broken_connection(dut: DeviceUnderTest) -> None:
                 tracker.read_frame(READ_LIMIT_S)
         check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)
         refused(tracker.read_frame, StateError, "read_frame in fault")
+        check(observe(tracker, Lifecycle.FAULT).fault is not None, "the fault observed")
         tracker.recover("conformance suite")
         dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame()
         dut.release()
@@ -266,4 +268,20 @@ def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
                 after = tracker.read_frame(2.0).stamp
                 check(after.device_clock >= before.device_clock, "a later frame", after)
             tracker.read_frame(2.0)
+        dut.release()
+
+
+SUITE.cases.extend(DeviceCases(lambda tracker: tracker.read_frame(), CLOSE_LIMIT_S).numbered("T", 23))
+
+
+@SUITE.case("T27", "observing a silent line asks nothing and latches nothing", needs=(LINE_FAULTS,))
+def observing_a_silent_line(dut: DeviceUnderTest) -> None:
+    with dut.disturbed_line() as line:
+        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+        tracker.read_frame()
+        line.silence()
+        for _ in range(FRAMES):
+            observe(tracker, Lifecycle.ACTIVE)
+        line.silence(False)
+        tracker.read_frame()
         dut.release()

@@ -14,7 +14,7 @@ from ronna_hw.errors import ConfigurationError, RonnaError
 
 
 class IdealDevice:
-    """Goes from state to state as it is told, and has no readings."""
+    """Goes from state to state as it is told; a subclass takes the readings and keeps the `newest`."""
 
     wire_protocol = ""
     notices: tuple[str, ...] = ()
@@ -24,6 +24,7 @@ class IdealDevice:
             raise ConfigurationError("an option is unknown")
         self.name, self.config, self.clock = name, config, clock
         self.guard = LifecycleGuard(name)
+        self.newest: Any = None
 
     @property
     def state(self) -> Lifecycle:
@@ -34,7 +35,7 @@ class IdealDevice:
         return self.guard.fault
 
     def observe(self) -> LastKnown[Any]:
-        return self.guard.last_known(None)
+        return self.guard.last_known(self.newest)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)

@@ -85,7 +85,8 @@ class IdealPair(IdealDevice):
         left, right = (
             image(stamp, serial, area) for serial, area in zip(self.serials, self.areas, strict=True)
         )
-        return StereoReading(stamp, Validity.OK, left, right)
+        self.newest = StereoReading(stamp, Validity.OK, left, right)
+        return self.newest
 
     def close(self) -> None:
         if self.rig.owner is self:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from ideal_device import IdealDevice
 
+from ronna_hw import registry
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance import device_under_test
@@ -38,12 +39,13 @@ class GoodTracker(IdealDevice):
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         self.guard.require("read_frame", {Lifecycle.ACTIVE})
         self.frame += 1
-        return TrackerFrame(
+        self.newest = TrackerFrame(
             Stamp(self.frame, self.frame, self.clock.now_s()),
             Validity.OK,
             tuple(self.reading(tool) for tool in self.tools),
             (StrayReading((0.0, 0.0, -1000.0), Validity.OK),),
         )
+        return self.newest
 
     def reading(self, tool: str) -> ToolReading:
         if self.frame % 3 == 0:
@@ -75,6 +77,7 @@ def make_dut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., DeviceUnderTest]:
         protocol: ProtocolCases | None = None,
     ) -> DeviceUnderTest:
         monkeypatch.setattr(device_under_test, "make_device", driver)
+        monkeypatch.setattr(registry, "make_device", driver)  # for the default probe
         config = DeviceConfig(driver="test", endpoint=endpoint)
         return DeviceUnderTest("tracker", config, QuickClock(), allowed, protocol=protocol)
 

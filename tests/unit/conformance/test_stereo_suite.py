@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from ideal_pair import LEFT, RIGHT, IdealPair, Rig, altered
 
+from ronna_hw import registry
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance import device_under_test, stereo
@@ -28,7 +29,7 @@ def make_dut(monkeypatch: pytest.MonkeyPatch) -> MakeDut:
 
     def make(**members: Any) -> DeviceUnderTest:
         driver = type("Spoilt", (IdealPair,), {"rig": Rig(), **members})
-        for module in (device_under_test, stereo):
+        for module in (device_under_test, stereo, registry):
             monkeypatch.setattr(module, "make_device", driver)
         config = DeviceConfig(driver="test", endpoints={"left": LEFT, "right": RIGHT})
         return DeviceUnderTest("stereo", config, HostClock())
@@ -141,5 +142,6 @@ def test_each_mistake_is_found_by_its_case(make_dut: MakeDut, mistake: str) -> N
     assert run_case(case, make_dut(**members)).outcome is Outcome.FAIL
 
 
-def test_every_case_has_its_mistake() -> None:
-    assert {number for number, _ in MISTAKES.values()} == {case.number for case in stereo.SUITE.cases}
+def test_every_case_about_a_pair_has_its_mistake() -> None:
+    """S15 to S18 are those of any device; the tracker's suite finds mistakes by them."""
+    assert {number for number, _ in MISTAKES.values()} == {f"S{number:02d}" for number in range(1, 15)}
