@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from peer_cameras import FULL, HANG_LIMIT_S, SERIALS
 
-from ronna_hw.devices import Lifecycle, StereoPair
+from ronna_hw.devices import LastKnown, Lifecycle, StereoPair
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
 
@@ -33,6 +33,18 @@ def test_identity_serials_and_states_follow_the_lifecycle(make_pair):
     assert device.state is Lifecycle.CONFIGURED
     device.close()
     assert device.state is Lifecycle.CLOSED
+
+
+def test_the_pair_can_be_observed_in_every_state(make_pair):
+    device = make_pair()
+    assert device.observe() == LastKnown(Lifecycle.DISCONNECTED, None, None)
+    with device.active(HANG_LIMIT_S):
+        reading = device.grab_pair(HANG_LIMIT_S)
+        assert device.observe().state is Lifecycle.ACTIVE
+        assert device.observe().reading is reading
+    device.close()
+    assert device.observe().state is Lifecycle.CLOSED
+    assert device.observe().reading is reading
 
 
 def test_grabbing_is_refused_before_activate(make_pair):
