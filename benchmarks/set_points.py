@@ -20,7 +20,7 @@ from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.speed_zones import with_speed_steps
 from ronna_hw.arm.surroundings import Surroundings
-from ronna_hw.cell import CellConfig
+from ronna_hw.collision_config import CollisionConfig
 
 CYCLE_S = 0.004
 ROUNDS = 20
@@ -66,7 +66,7 @@ def _with_goal(figure: Figure) -> Figure:
 
 def _surroundings(flange: Pose) -> Surroundings:
     """A head a hand's breadth below the needle, with all that the theatre file puts around it by default."""
-    cell = CellConfig()
+    cell = CollisionConfig()
     tip = flange.apply(TOOL_MM)
     head = Pose.from_kuka(tip[0], tip[1], tip[2] - HEAD_BELOW_MM, 90.0, 0.0, 30.0)
     spheres = tuple((tip[0] + x, tip[1] + y, tip[2] - HEAD_BELOW_MM + 105.0) for x, y in SPHERES_MM)

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from ronna_hw.calibration import StereoHeadCalibration, Strict, ToolTipCalibration, TrackerFrameCalibration
-from ronna_hw.cell import CellConfig
+from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
 
@@ -126,7 +126,7 @@ class TheatreFile(Strict):
         default_factory=dict, description="Name = device of any other kind, such as a force sensor."
     )
     calibration: Calibrations | None = Field(default=None, description="What was measured before.")
-    cell: CellConfig = Field(default=CellConfig(), description="What stands around the arm.")
+    cell: CollisionConfig = Field(default=CollisionConfig(), description="What stands around the arm.")
     procedure: ProcedureSettings = Field(
         default=ProcedureSettings(), description="What the procedure may assume here."
     )

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from procedures.planning.motions import PreviewedMotion
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
-    from ronna_hw.cell import CellConfig
+    from ronna_hw.collision_config import CollisionConfig
 
 READING_SHARE = 0.4  # of the work, when the markers are localized too
 SixNumbers = tuple[float, float, float, float, float, float]
@@ -29,7 +29,7 @@ class Theatre(NamedTuple):
     """What a theatre file says of the arm and of what stands around it."""
 
     arm: ArmSetting
-    cell: CellConfig
+    cell: CollisionConfig
     sight: StereoSight
 
 

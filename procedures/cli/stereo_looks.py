@@ -24,7 +24,7 @@ from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.surroundings import ArmRadii, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.calibration import PoseRecord
-from ronna_hw.cell import BodyFrame
+from ronna_hw.collision_config import BodyFrame
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.errors import LimitError

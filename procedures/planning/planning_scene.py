@@ -8,7 +8,7 @@ from procedures.planning.head_shape import HeadShape
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.surroundings import Corridor, Surroundings
-from ronna_hw.cell import CellConfig, ToolBody
+from ronna_hw.collision_config import CollisionConfig, ToolBody
 from ronna_hw.frames import Transform
 
 Points = tuple[tuple[float, float, float], ...]
@@ -18,7 +18,7 @@ Points = tuple[tuple[float, float, float], ...]
 class PlanningScene:
     """The head as the CT shows it, and the cell of the theatre file around it."""
 
-    cell: CellConfig
+    cell: CollisionConfig
     head: HeadShape
     fiducials_ct_mm: Points = ()
 

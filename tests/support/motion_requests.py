@@ -23,14 +23,14 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.speed_zones import with_speed_steps
 from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.arm.swept import moving_ends, sweep
-from ronna_hw.cell import CellConfig
+from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.wire.kuka_eki import OperationMode
 
 CYCLE_S = 0.004
 MODEL = arm_model(ArmVariant.SIXX)
-CELL = CellConfig()
+CELL = CollisionConfig()
 TOOL = Pose((220.0, 0.0, 60.0))
 HEAD_SEMI_AXES_MM = (75.0, 95.0, 90.0)
 MODES = (OperationMode.T1, OperationMode.AUT, OperationMode.EXT)

@@ -14,12 +14,12 @@ from ronna_hw.arm.model import ArmVariant, arm_model, radians6
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.surroundings import Corridor, Surroundings
 from ronna_hw.arm.swept import segment_distances, sweep
-from ronna_hw.cell import CellConfig
+from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices.readings import JointVector, Vector3
 
 MODEL = arm_model(ArmVariant.R900_2)
 CYCLE_S = 0.004
-CELL = CellConfig()
+CELL = CollisionConfig()
 TOOL = Pose((220.0, 0.0, 60.0))
 HEAD = Pose.from_kuka(760.0, 10.0, 200.0, 90.0, 0.0, 30.0)
 SEMI_AXES_MM = (75.0, 95.0, 90.0)

@@ -22,7 +22,7 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.model import arm_model, radians6
-from ronna_hw.cell import BodyFrame, CellConfig, RoomBody
+from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
 from ronna_hw.frames import Frame, Transform
 
 CASE_HOME = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
@@ -42,7 +42,7 @@ AXES = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT), SUP
 MIDDLE_MM = np.array([760.0, 0.0, 200.0])
 
 
-def _setting(cell: CellConfig | None = None) -> ArmSetting:
+def _setting(cell: CollisionConfig | None = None) -> ArmSetting:
     origin_mm = MIDDLE_MM - AXES.apply(HEAD.centre_mm)
     return ArmSetting(
         model=arm_model("kr6_r900_sixx"),
@@ -54,14 +54,14 @@ def _setting(cell: CellConfig | None = None) -> ArmSetting:
     )
 
 
-def _with_body(name: str, place_mm: tuple[float, float, float], radius_mm: float) -> CellConfig:
+def _with_body(name: str, place_mm: tuple[float, float, float], radius_mm: float) -> CollisionConfig:
     """The default cell and a ball in the robot frame."""
     ball = RoomBody(name=name, start_mm=place_mm, end_mm=place_mm, radius_mm=radius_mm, frame=BodyFrame.ROBOT)
-    return CellConfig(bodies=(*CellConfig().bodies, ball))
+    return CollisionConfig(bodies=(*CollisionConfig().bodies, ball))
 
 
 def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
-    setting = _setting(CellConfig())
+    setting = _setting(CollisionConfig())
     assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     assert check.passed, check.unmet
@@ -77,7 +77,7 @@ def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
 
 
 def test_every_motion_has_a_preview_that_a_record_can_hold() -> None:
-    setting = _setting(CellConfig())
+    setting = _setting(CollisionConfig())
     assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     previews = previews_of(setting, setting.scene, check, TRAJECTORIES)
@@ -92,7 +92,7 @@ def test_every_motion_has_a_preview_that_a_record_can_hold() -> None:
 @pytest.mark.hazard(24)
 @pytest.mark.hazard(5)
 def test_a_clamp_in_the_way_is_named_with_the_pose_the_distance_and_the_place() -> None:
-    free = check_paths(_setting(CellConfig()), TRAJECTORIES, FIDUCIALS)
+    free = check_paths(_setting(CollisionConfig()), TRAJECTORIES, FIDUCIALS)
     x, y, z = free.at("T2/target").visit.approach.translation_mm.tolist()
     setting = _setting(_with_body("arm of the clamp", (x, y, z), 20.0))
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
@@ -106,7 +106,7 @@ def test_a_clamp_in_the_way_is_named_with_the_pose_the_distance_and_the_place() 
 
 @pytest.mark.hazard(24)
 def test_another_angle_about_the_axis_is_taken_when_the_own_one_is_not_clear() -> None:
-    free = _setting(CellConfig())
+    free = _setting(CollisionConfig())
     own = check_paths(free, TRAJECTORIES[:1], FIDUCIALS)
     # A drip stand where the mount would be, beside the tool.
     place = own.at("T1/target").visit.pose.apply([-130.0, 0.0, -120.0]).tolist()

@@ -7,20 +7,20 @@ from typing import Any
 
 import pytest
 
-from ronna_hw.cell import AROUND_THE_PATIENT, BodyFrame, CellConfig
+from ronna_hw.collision_config import AROUND_THE_PATIENT, BodyFrame, CollisionConfig
 from ronna_hw.config import BadTheatreFile, parse_theatre
 
 HOW_TO = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "describe-the-cell.md"
 BODY = {"name": "stand", "start_mm": [0.0, 0.0, 0.0], "end_mm": [0.0, 0.0, 9.0], "radius_mm": 5.0}
 
 
-def _cell(**keys: Any) -> CellConfig:
+def _cell(**keys: Any) -> CollisionConfig:
     return parse_theatre({"theatre": "lab", "cell": keys}).cell
 
 
 def test_without_a_cell_the_defaults_hold() -> None:
     cell = parse_theatre({"theatre": "lab"}).cell
-    assert cell == CellConfig()
+    assert cell == CollisionConfig()
     assert cell.bodies == AROUND_THE_PATIENT
     assert cell.live_margin_mm < cell.margin_mm
     assert [body.name for body in cell.guide if body.enters_head] == ["needle"]

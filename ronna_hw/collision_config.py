@@ -127,7 +127,7 @@ AROUND_THE_PATIENT = (
 )
 
 
-class CellConfig(Strict):
+class CollisionConfig(Strict):
     """Bodies and distances by which every path is checked before the arm moves."""
 
     margin_mm: Millimetres = Field(default=10.0, description="Least distance along a planned path.")
