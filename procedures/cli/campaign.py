@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ronna-campaign",
-    help="Monte-Carlo studies beside the thesis' figures: seeded, resumable, the same on any workers.",
+    help="Monte-Carlo studies beside the figures of the thesis: seeded, resumable, equal on any workers.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -25,7 +25,7 @@ app = typer.Typer(
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder of the study [campaigns/<name>].")
 ]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything drawn at random.")]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
 WorkersOption = Annotated[
     int | None, typer.Option("--workers", min=1, help="Processes on this computer [one per core].")
 ]
@@ -42,11 +42,11 @@ Plots = Callable[[Mapping[str, "Sums"]], dict[str, bytes]]
 @app.command()
 def correspondence(
     runs: Annotated[
-        int, typer.Option("--runs", min=1, help="Runs per patient and cell; the thesis made 10000.")
+        int, typer.Option("--runs", min=1, help="Runs per patient and cell; 10000 in the thesis.")
     ] = 10_000,
     sweep: Annotated[
         bool,
-        typer.Option("--sweep", help="The thesis' method alone, with its 51 values of e from 1 to 6 mm."),
+        typer.Option("--sweep", help="Only the thesis method, with its 51 values of e from 1 to 6 mm."),
     ] = False,
     xframe: Annotated[
         bool, typer.Option("--xframe", help="The x-shaped frame: 17 scans, --runs readings each.")
@@ -59,7 +59,7 @@ def correspondence(
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,
 ) -> None:
-    """Pairing of unordered points with outliers: ours and the thesis' method on the same data."""
+    """Correspondence of unordered points with outliers: ours and the thesis method on the same data."""
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
     from procedures.studies import correspondence_tables, x_frame
     from procedures.studies.correspondence import CorrespondenceStudy, Method
@@ -88,7 +88,7 @@ def registration(
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,
 ) -> None:
-    """The rigid fit: do its error formulas hold, and what does weighting gain?"""
+    """Rigid registration: how well its error formulas hold, and what weighting gains."""
     from procedures.studies.registration import RegistrationStudy, plots, tables
 
     _run(RegistrationStudy(runs, seed), tables, plots, workers, scheduler, out, as_json, verbose)
@@ -103,10 +103,10 @@ def localization(
         int, typer.Option("--sets", min=1, help="Sets of five scans of the x-shaped frame (tables 2 and 3).")
     ] = 2,
     tuning: Annotated[
-        bool, typer.Option("--tuning", help="The families that the localizer may be tuned on.")
+        bool, typer.Option("--tuning", help="Only the families of scans that the localizer may be tuned on.")
     ] = False,
     frames: Annotated[
-        bool, typer.Option("--frames", help="The sets of the x-shaped frame alone (tables 2 and 3).")
+        bool, typer.Option("--frames", help="Only the sets of the x-shaped frame (tables 2 and 3).")
     ] = False,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
@@ -116,7 +116,7 @@ def localization(
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,
 ) -> None:
-    """Spheres in phantom CTs: error, detection and honesty, beside the thesis' methods and the bound."""
+    """Spheres in phantom CTs: error, detection and calibration of the predicted error, beside the thesis."""
     from procedures.studies.localization import TUNING, LocalizationStudy
     from procedures.studies.localization_goals import tables_and_goals
     from procedures.studies.localization_tables import plots
@@ -148,7 +148,7 @@ def _run(
     folder = out or Path("campaigns") / study.name
     ledger = Ledger(folder, study)
     if kept := len(ledger.finished):
-        console.tell(f"going on from {kept} of {len(study.units())} units in {folder}")
+        console.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
     with console.progress_bar(study.name) as progress:
         run_study(study, ledger, workers=workers, scheduler=scheduler, progress=progress)
     sums = add_up(ledger.results())

@@ -1,4 +1,4 @@
-"""`ronna-ct`: what a CT series holds."""
+"""`ronna-ct`: the marker spheres in a CT series."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Method(StrEnum):
     THESIS_SPHERE = "thesis-sphere"
 
 
-READING_SHARE = 0.4  # of the whole work
-PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look through
+READING_SHARE = 0.4  # of the progress bar
+PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look at
 
 app = typer.Typer(
     name="ronna-ct",
@@ -53,12 +53,13 @@ def localize(
     ] = 11.5,
     expected: Annotated[
         int | None,
-        typer.Option("--expected", metavar="N", help="Refuse another number of markers than this."),
+        typer.Option("--expected", metavar="N", help="Fail unless exactly this many markers are found."),
     ] = None,
     method: Annotated[
         Method,
         typer.Option(
-            "--method", help="combined: ours; thesis-line and thesis-sphere: the thesis', for comparison."
+            "--method",
+            help="combined is ours; the other two are the thesis methods, for comparison.",
         ),
     ] = Method.COMBINED,
     pick: Annotated[
@@ -66,19 +67,19 @@ def localize(
         typer.Option(
             "--pick",
             metavar="FILE",
-            help="Look only near these rough points (LPS in mm): CSV, JSON list, or 3D Slicer's .mrk.json.",
+            help="Search only near these rough points (LPS, mm): CSV, JSON list or Slicer .mrk.json.",
         ),
     ] = None,
     show_candidates: Annotated[
         bool,
-        typer.Option("--candidates", help="Also show every place that was looked at, and what became of it."),
+        typer.Option("--candidates", help="Also list every candidate and why it was accepted or rejected."),
     ] = False,
     pictures: Annotated[
         Path | None,
         typer.Option(
             "--pictures",
             metavar="DIR",
-            help="Write a picture of each marker into this folder; when refused, of the candidates.",
+            help="Write a picture of each marker to this folder; of the candidates when the count is wrong.",
         ),
     ] = None,
     write: Annotated[
@@ -93,7 +94,7 @@ def localize(
         bool,
         typer.Option(
             "--identity",
-            help="Also say whose series it is, here and in .dcm files. Otherwise nothing names a patient.",
+            help="Include the patient's identity in the output and in .dcm files; left out by default.",
         ),
     ] = False,
     as_json: console.JsonOption = False,
@@ -102,10 +103,10 @@ def localize(
 ) -> None:
     """Find the centres of all marker spheres, in patient coordinates (LPS, mm).
 
-    Exit codes: 0 markers found, 1 the series is unusable or a file cannot be written, 2 usage,
-    3 another number of markers than expected or none (the candidates are listed), 130 interrupted.
     sigma is the predicted 3-D error of a centre (rms), agree the distance between its two estimates, in mm.
-    elapsed_s is the time of the localization without reading the files.
+    elapsed_s is the localization time, without reading the files.
+    Exit codes: 0 markers found, 1 the series is unusable or a file cannot be written, 2 usage,
+    3 no markers, or another number than expected (the candidates are listed), 130 interrupted.
     """
     console.set_up_logging(verbose)
     import procedures.imaging as imaging
@@ -114,7 +115,7 @@ def localize(
 
     check_names(write or ())
     if pick is not None and method is not Method.COMBINED:
-        raise UsageMistake("--pick is refined by the combined method; leave --method out")
+        raise UsageMistake("--pick works with the combined method only; leave --method out")
     picks_mm = None if pick is None else imaging.read_picks(pick)
     refused: MarkerCountWrong | None = None
     with console.progress_bar("reading and localizing") as advance:
@@ -239,7 +240,7 @@ def _print_candidates(candidates: Sequence[Candidate]) -> None:
         rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, one.reason])
     console.print_table(
         f"{len(rows)} candidate{'s' if len(rows) != 1 else ''}, LPS in mm",
-        ["L", "P", "S", "surface", "radius", "what became of it"],
+        ["L", "P", "S", "surface", "radius", "outcome"],
         rows,
     )
 

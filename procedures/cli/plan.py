@@ -1,4 +1,4 @@
-"""`ronna-plan`: a plan against the CT it was made on, and against the arm."""
+"""`ronna-plan`: checks a plan against its CT series and against the arm."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from procedures.planning.visits import ArmSetting
     from ronna_hw.collision_config import CollisionConfig
 
-READING_SHARE = 0.4  # of the work, when the markers are localized too
+READING_SHARE = 0.4  # of the progress bar, when the markers are localized too
 SixNumbers = tuple[float, float, float, float, float, float]
 
 
 class Theatre(NamedTuple):
-    """What a theatre file says of the arm and of what stands around it."""
+    """The arm of a theatre file and its surroundings."""
 
     arm: ArmSetting
     cell: CollisionConfig
@@ -51,43 +51,48 @@ def plan() -> None:
 def check(
     plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="The plan.toml.")],
     series_dir: Annotated[
-        Path, typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was made on.")
+        Path,
+        typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was planned on."),
     ],
     markers: Annotated[
         bool,
-        typer.Option("--markers", help="Localize the markers too: their number, and the motions to them."),
+        typer.Option(
+            "--markers", help="Also localize the markers; check their number and the motions to them."
+        ),
     ] = False,
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config", metavar="FILE", help="Theatre file: check every motion of its arm, with its cell."
+            "--config",
+            metavar="FILE",
+            help="Theatre file: check every motion of its arm.",
         ),
     ] = None,
     robot_from_ct: Annotated[
         SixNumbers | None,
         typer.Option(
-            metavar="X Y Z A B C", help="Where the CT frame will lie in $ROBROOT, mm and deg; with --config."
+            metavar="X Y Z A B C", help="Pose of the CT frame in $ROBROOT, mm and deg; with --config."
         ),
     ] = None,
     home: Annotated[
         SixNumbers | None,
         typer.Option(
             metavar="A1 .. A6",
-            help="Where the arm will begin, deg; with --config [default: 0 -75 99 0 66 180].",
+            help="Joint angles at which the arm starts, deg; with --config [default: 0 -75 99 0 66 180].",
         ),
     ] = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,
 ) -> None:
-    """Check a plan against its CT series and, when told where the head will be, every motion of the arm.
+    """Check a plan against its CT series and, given the pose of the head, every motion of the arm.
 
-    The motions are those of the procedure, from home to every target and back;
-    with --markers also those of the stereo head to the markers. They are shown with duration, joint ranges,
-    smallest distance and distance from a singularity before anything moves.
+    The motions are those of the procedure, from home to every target and back; with --markers also those of
+    the stereo head to the markers. Each is shown with duration, joint ranges, smallest distance and distance
+    from a singularity before anything moves.
 
-    Exit codes: 0 the plan can be used, 1 it cannot, 2 usage or an unreadable file, 3 the arm does not reach
-    or something stands in the way, 130 interrupted. Everything that is wrong is reported at once.
+    Exit codes: 0 the plan can be used, 1 it cannot, 2 usage or an unreadable file, 3 a target is out of reach
+    or a path is blocked, 130 interrupted. All problems are reported at once.
     """
     console.set_up_logging(verbose)
     began_s = time.perf_counter()
@@ -118,11 +123,11 @@ def check(
 def _theatre(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None
 ) -> Theatre | None:
-    """Arm and cell of a theatre file with the head at an assumed place; None when neither is given."""
+    """The theatre of a file with the head at the given pose; None when no option asks for it."""
     if config is None and robot_from_ct is None and home_deg is None:
         return None
     if config is None or robot_from_ct is None:
-        raise UsageMistake("the motions of the arm need both --config and --robot-from-ct")
+        raise UsageMistake("checking the motions needs both --config and --robot-from-ct")
     for option, numbers in (("--robot-from-ct", robot_from_ct), ("--home", home_deg or ())):
         if not all(math.isfinite(value) for value in numbers):
             raise UsageMistake(
@@ -141,7 +146,7 @@ def _theatre(
 
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
-        raise UsageMistake(f"{config.name} has no robot.{MASTER} or no calibration: no reach to check")
+        raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")
     variant = theatre.robot[MASTER].options.get("variant", ArmVariant.SIXX)
     if variant not in list(ArmVariant):
         raise UsageMistake(
@@ -169,7 +174,7 @@ def _theatre(
 def _in_its_scene(
     theatre: Theatre, volume: Volume, fiducials_mm: list[tuple[float, float, float]] | None
 ) -> ArmSetting:
-    """The arm with the head of this CT, its markers and the cell around it. Raises PLAN-014."""
+    """The arm with its surroundings and the head and markers of this CT. Raises PLAN-014."""
     from procedures.planning.head_shape import head_shape
     from procedures.planning.planning_scene import PlanningScene
 
@@ -213,10 +218,10 @@ def _print_trajectories(result: PlanCheck) -> None:
 
 def _print_motions(result: PlanCheck) -> None:
     turned = [f"{name} by {math.degrees(turn):+.0f} deg" for name, turn in result.turns_rad if turn]
-    about = f"; turned about its axis: {', '.join(turned)}" if turned else ""
+    about = f"; rotated about the axis: {', '.join(turned)}" if turned else ""
     duration_s = sum(motion.preview.duration_s for motion in result.motions)
     console.print_table(
-        f"motions of the arm, {duration_s:.0f} s in all{about}",
+        f"motions of the arm, {duration_s:.0f} s in total{about}",
         ["from", "to", "kind", "s", "smallest distance mm", "head mm", "singularity", "A1..A6 deg"],
         [_motion_row(motion) for motion in result.motions],
     )

@@ -205,21 +205,22 @@ def doctor_command(
         list[str] | None,
         typer.Option(
             "--endpoint",
-            help="A tracker's line or a camera to look at: serial:///dev/..., tcp://host:port or gev://host.",
+            help="A tracker's line or a camera to check: serial:///dev/..., tcp://host:port or gev://host.",
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Look at this computer and, with --config, at every endpoint of a theatre file.
+    """Check this computer and, with --config, every device of a theatre file by its driver's own probe.
 
-    A tracker's line is asked at every rate, without changing anything: who answers, which bytes came, who
-    else holds the port, and what that means. A camera's address: what answers on each network, who controls
-    the camera, which packet size passes. Exit codes: 0 all answer, 4 a device, line or camera does not.
+    A tracker's line is tried at every rate without changing anything: which unit replies, which bytes
+    arrive, which program holds the port. A camera's address: which cameras are on its network, which
+    application controls it, which packet size arrives. Exit codes: 0 all is well, 4 a device, line or camera
+    does not answer.
     """
     from procedures.cli.doctor.report import examine, show
     from ronna_hw.command_line.console import progress_bar
 
-    with progress_bar("asking the devices") as progress:
+    with progress_bar("probing the devices") as progress:
         report = examine(config, endpoint or (), progress)
     show(report, as_json=as_json)
 

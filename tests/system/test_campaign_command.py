@@ -39,7 +39,7 @@ def test_a_campaign_leaves_tables_and_a_plot_and_knows_that_it_is_done(
         "what-weighting-by-covariances-gains.csv",
     }
     again = commands.run("ronna-campaign", *arguments)
-    assert "going on from 7 of 7 units" in again.stderr
+    assert "resuming: 7 of 7 units" in again.stderr
     assert again.stdout.startswith("fiducials\truns\t")
 
 
@@ -71,7 +71,7 @@ def test_a_campaign_that_was_killed_half_way_goes_on_to_the_same_numbers(
     done = units_in(tmp_path / "killed")
     assert UNITS_BEFORE_THE_KILL <= done < 180
     resumed = commands.run("ronna-campaign", *arguments("killed", 2), timeout_s=300.0)
-    assert "going on from" in resumed.stderr
+    assert "resuming:" in resumed.stderr
     whole = commands.run("ronna-campaign", *arguments("whole", 1), timeout_s=300.0)
     assert json.loads(resumed.stdout)["tables"] == json.loads(whole.stdout)["tables"]
     assert units_in(tmp_path / "killed") == units_in(tmp_path / "whole") == 180
