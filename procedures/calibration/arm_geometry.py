@@ -1,11 +1,11 @@
-"""What the errors of an arm's geometry do to the place of a ball, look by look, and how large they may be.
+"""How the geometric errors of an arm displace a ball in each view, and how large they may be.
 
-An uncalibrated arm errs by tenths of a millimetre, and not at random: each link is a little longer, shorter
-or twisted in all looks alike. Left out, such errors pass for a tool centre elsewhere. Every kind of error is
-one column here, and the adjustment finds its size together with the head.
+An uncalibrated arm is off by tenths of a millimetre, and not at random: each link is slightly too long, too
+short or twisted, the same in all views. If left out, such errors are mistaken for an offset of the tool
+centre. Each kind of error is one column here; the adjustment estimates its size together with the head.
 
-What the last link does is the same as a tool centre elsewhere: no look tells the two apart. Its size per
-axis is the limit of any calibration by a ball with an uncalibrated arm.
+Errors of the last link are equivalent to an offset of the tool centre: no view can separate the two. Their
+size per axis limits any calibration with a ball and an uncalibrated arm.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from ronna_hw.arm.model import ArmModel, JointVector
 
 Array = NDArray[np.float64]
 
-# One standard deviation each, of an uncalibrated arm of this class: set S of the error study that reproduces
-# the published accuracies.
+# One standard deviation each for an uncalibrated arm of this class: parameter set S of the error study, which
+# reproduces the published accuracies.
 LINK_TRANSLATION_MM = 0.40
 LINK_ROTATION_RAD = float(np.radians(0.05))
 JOINT_OFFSET_RAD = float(np.radians(0.05))
 HARMONIC_RAD = (float(np.radians(0.015)), float(np.radians(0.008)))  # once, twice per turn of the joint
-# Error per axis and look from which on an arm counts as uncalibrated: the luckiest of thirty drawn shows it.
-# One that shows less has a better geometry, in proportion; what the last link does shows nowhere.
+# An arm with a larger error per axis and view counts as uncalibrated; the best of thirty random arms has it.
+# For a smaller error the geometry is taken to be better in proportion; the last link's share never shows.
 UNCALIBRATED_MM = 0.10
 X, Y, Z = np.eye(3)
 # Axis of each joint in the frame of the link before it; a positive A1, A4, A6 turns against the right hand.
@@ -35,7 +35,7 @@ AXES = (-Z, Y, Y, -X, Y, -X)
 
 
 def error_columns(model: ArmModel, joints_rad: Sequence[JointVector], ball_mm: Array) -> Array:
-    """Movement (n, 3, k) of a point at `ball_mm` (robot frame) that hangs on the flange, mm.
+    """Displacement (n, 3, k), mm, of a point at `ball_mm` (robot frame) fixed to the flange.
 
     One column per error of one standard deviation: six of every link at its far end, offset and harmonics
     of every joint. Chain: Rz(-A1) Tx Ry(A2) Tx Ry(A3) Tz Rx(-A4) Tx Ry(A5) Tx Rx(-A6).

@@ -1,14 +1,14 @@
-"""Bundle adjustment and hand-eye in one: ball, both cameras on the flange, both lenses, from all looks.
+"""Bundle adjustment and hand-eye calibration in one: ball, cameras on the flange and lenses, from all views.
 
-The arm is by far the worst of the instruments: it brings the ball into view with errors of 0.02 to 0.2 mm,
-while an outline is good to micrometres. So every look has its own unknown shift of the ball, of one common
-size that is estimated from the looks themselves. The shift is not solved for: it is integrated out, which
-leaves residuals of four pixels per look with the covariance
+The arm is by far the least accurate instrument: it positions the ball with errors of 0.02 to 0.2 mm, while an
+outline is good to micrometres. Every view therefore has an unknown shift of the ball, with a common standard
+deviation estimated from the views themselves. The shift is not solved for but marginalised, which leaves four
+pixel residuals per view with the covariance
 
-    C = S + s^2 J J^T        S: of both outlines, J: pixels by the ball's place, s: error of the arm per axis
+    C = S + s^2 J J^T        S: of both outlines, J: pixels by ball position, s: error of the arm per axis
 
-An arm that errs by more than it repeats to does so by its geometry, in all looks alike. Then the errors of
-its links and joints are found along with the head, each with the size that uncalibrated arms have.
+An arm whose error exceeds its repeatability owes it to its geometry, the same in all views. The errors of its
+links and joints are then estimated along with the head, with the prior sizes of uncalibrated arms.
 
 Nothing here needs the ball's diameter: the arm gives the scale.
 """
@@ -32,36 +32,36 @@ from ronna_hw.calibration import StereoHeadCalibration
 Array = NDArray[np.float64]
 
 LEAST_POSES = 60
-LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms over the poses, about the direction that turns least
+LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms over the poses, of the direction that varies least
 BALL = 3
 HEAD = BALL + 2 * CAMERA_PARAMETERS
-# What head and lenses may differ from their record, one standard deviation. A good arm overrules it; it keeps
-# down what a small field hardly shows, and what the errors of a bad arm would put into orientation.
+# Prior of head and lenses about their record, one standard deviation. A good arm overrides it; it constrains
+# what a small field hardly reveals, and what the errors of a bad arm would attribute to orientation.
 TURN_SIGMA_RAD = 0.0035  # 0.2 degrees: a machined mount
 LENS_SIGMA = (0.01, 10.0, 10.0, 0.05)  # focal length (relative), principal point (px), k1
 KEPT = (0, 1, 2, 6, 7, 8, 9)  # of a camera's parameters: turn and lens
-ROUNDS = 6  # of estimating the arm's error, which settles in four
-STEPS = 20  # of each round; the next one goes on from there
-FIRST_ARM_ERROR_MM = 2.0  # while the tool frame is still that of a drawing
-REPEATABILITY_MM = 0.03  # KR 6 R900, ISO 9283; what goes beyond it repeats, and does not average out
-LEAST_ARM_ERROR_MM = 0.003  # a better arm does not exist
-ARM_ERROR_LIMIT_MM = 1.0  # far above an uncalibrated arm: then it is something else
-GAP_LIMIT_PX = 2.0  # of what one pair of outlines contradicts itself by
+ROUNDS = 6  # of re-estimating the arm's error, which converges in four
+STEPS = 20  # per round; the next round continues from there
+FIRST_ARM_ERROR_MM = 2.0  # while the tool frame is still the nominal one
+REPEATABILITY_MM = 0.03  # KR 6 R900, ISO 9283; anything beyond is systematic and does not average out
+LEAST_ARM_ERROR_MM = 0.003  # no arm is better
+ARM_ERROR_LIMIT_MM = 1.0  # far above an uncalibrated arm: something else is wrong
+GAP_LIMIT_PX = 2.0  # inconsistency within one pair of outlines
 DERIVATIVE_STEP = 1e-6  # rad, mm or px: all parameters are of the order of one
 HUBER = 2.0  # sigmas
-OUTLIER_CHI2 = 18.5  # 0.1 % of the good looks lie above it, with four degrees of freedom
+OUTLIER_CHI2 = 18.5  # exceeded by 0.1 % of good views, with four degrees of freedom
 MOST_OUTLIERS = 0.2
 MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
 class BundleFit:
-    """The adjusted head. Covariance (23, 23) of ball (3, mm) and twice ten camera parameters.
+    """The adjusted head. Covariance (23, 23) of the ball (3, mm) and two times ten camera parameters.
 
-    `arm_error_mm` is the estimated error of the arm per axis, its geometry's part included; `arm_scatter_mm`
-    what differs from look to look without any rule; `image_sigma_px` the error of an outline's centre,
-    `residuals_px` (n, 4) left x y, right x y with the arm's part still in them, `shifts_mm` (n, 3) that part
-    in the robot frame; `used` (n,) marks the looks that are no outliers.
+    `arm_error_mm` is the estimated error of the arm per axis including its geometry; `arm_scatter_mm` its
+    random part from view to view; `image_sigma_px` the error of an outline's centre; `residuals_px` (n, 4)
+    left x y, right x y, including the arm's contribution; `shifts_mm` (n, 3) that contribution in the robot
+    frame; `used` (n,) marks the inliers.
     """
 
     cameras: Cameras
@@ -85,7 +85,7 @@ class _Looks:
     centres_px: Array  # (n, 2 cameras, 2)
     semi_minors_px: Array  # (n, 2)
     covariances_px2: Array  # (n, 4, 4)
-    arm_columns_mm: Array  # (n, 3, k) what the k errors of the arm's geometry do; k = 0 where none is sought
+    arm_columns_mm: Array  # (n, 3, k) effects of the k geometric errors of the arm; k = 0: none estimated
 
 
 def fit_bundle(
@@ -95,10 +95,10 @@ def fit_bundle(
     arm: ArmModel | None = None,
     least_poses: int = LEAST_POSES,
 ) -> BundleFit:
-    """Adjust the head to the observations, from a record that is right to some millimetres and degrees.
+    """Adjust the head to the observations, starting from a record good to some millimetres and degrees.
 
-    With `arm` the errors of its geometry are sought when it errs by more than it repeats to. Raises CAL-002
-    with too few looks, CAL-003 when their orientations do not differ enough, CAL-004 when nothing fits.
+    With `arm`, its geometric errors are estimated when its error exceeds its repeatability. Raises CAL-002
+    with too few views, CAL-003 when their orientations do not vary enough, CAL-004 when nothing fits.
     """
     if len(observations) < least_poses:
         raise TooFewPoses(
@@ -108,7 +108,7 @@ def fit_bundle(
     spread = orientation_spread(looks.rotations)
     if spread < LEAST_SPREAD:
         raise DegeneratePoses(
-            "the orientations of the poses hardly differ",
+            "the orientations of the poses hardly vary",
             limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
             got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
         )
@@ -153,7 +153,7 @@ class _Found:
 
 
 def _adjusted(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Found:
-    """Adjust all values and estimate the sizes of the errors by turns; looks that do not fit drop out."""
+    """Alternate between adjusting all values and estimating the error sizes; outlying views drop out."""
     image_scale = 1.0
     used = np.ones(len(looks.rotations), dtype=bool)
     residuals = shifts = gaps = np.empty(0)
@@ -181,7 +181,7 @@ def _adjusted(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) 
 
 
 def orientation_spread(rotations: Array) -> float:
-    """Rms change of the direction that changes least over the rotations (n, 3, 3); 0 about a single axis."""
+    """Rms variation of the direction that varies least over rotations (n, 3, 3); 0 about a single axis."""
     apart = rotations - rotations.mean(axis=0)
     scatter = np.einsum("nki,nkj->ij", apart, apart) / len(rotations)
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(scatter)[0])))
@@ -223,21 +223,21 @@ def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
 
 
 def _by_ball(looks: _Looks, start: Cameras, values: Array) -> Array:
-    """Derivative (n, 4, 3) of the pixels by the ball's place in the robot frame."""
+    """Derivative (n, 4, 3) of the pixels with respect to the ball position in the robot frame."""
     points = _in_flange(looks, values)
     slopes = np.concatenate([camera.slopes(points) for camera in _cameras(start, values)], axis=1)
     return np.asarray(np.einsum("nij,nkj->nik", slopes, looks.rotations))
 
 
 def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, image_scale: float) -> Array:
-    """Matrices (n, 4, 4) that make the residuals of each look independent with unit variance."""
+    """Matrices (n, 4, 4) that whiten the residuals of each view."""
     slopes = _by_ball(looks, start, values)
     total = image_scale**2 * looks.covariances_px2 + arm_error**2 * slopes @ slopes.transpose(0, 2, 1)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
 
 
 class _Cost:
-    """Whitened residuals of the looks that are used, and the priors of cameras and arm, as one vector."""
+    """Whitened residuals of the used views and the priors of cameras and arm, as one vector."""
 
     def __init__(self, looks: _Looks, start: Cameras, whitening: Array, used: NDArray[np.bool_]) -> None:
         self._looks, self._start, self._whitening, self._used = looks, start, whitening, used
@@ -248,7 +248,7 @@ class _Cost:
         return np.concatenate([whitened.ravel(), _prior(values)])
 
     def slopes(self, values: Array) -> Array:
-        """Derivative (m, 23 + k): by differences for the head, in closed form for the arm's k errors."""
+        """Jacobian (m, 23 + k): finite differences for the head, closed form for the arm's k errors."""
         here = self(values)
         slopes = np.zeros((len(here), len(values)))
         for column in range(HEAD):

@@ -1,4 +1,4 @@
-"""What a calibration of the stereo head is refused for. CAL-001, an expired record, belongs to the record."""
+"""Why a calibration of the stereo head is refused. CAL-001, an expired record, belongs to the record."""
 
 from __future__ import annotations
 
@@ -9,61 +9,61 @@ class TooFewPoses(DataError):
     """Too few poses show the ball in both images."""
 
     code = "CAL-002"
-    action = "Check light, focus and what hides the ball, then calibrate again with more poses."
+    action = "Check illumination, focus and occlusion of the ball, then calibrate again with more poses."
 
 
 class DegeneratePoses(DataError):
-    """The orientations do not differ enough: tool frame and ball cannot be told apart."""
+    """The orientations vary too little to separate the tool frame from the ball position."""
 
     code = "CAL-003"
-    action = "Look at the ball from orientations tilted by 20 degrees and more to all sides, and turned."
+    action = "View the ball from orientations tilted by 20 degrees or more in all directions, and rotated."
 
 
 class DoesNotFit(DataError):
     """No pair of cameras on a flange explains the observations."""
 
     code = "CAL-004"
-    action = "Check that ball and mount stand firmly and that arm variant and images are of one run; repeat."
+    action = "Check that ball and mount are rigid, and that arm variant and images are of one run; repeat."
 
 
 class BadObservations(DataError):
-    """A file of observations, or a baseline, is missing or has mistakes; all of them are listed."""
+    """A file of observations, or a baseline, is missing or has errors; all of them are listed."""
 
     code = "CAL-005"
     action = "Give the folder that ronna-stereo calibrate wrote, unchanged."
 
 
 class HeadMoved(RefusedError):
-    """The head does not see the ball where it saw it at calibration: a camera or the mount has moved."""
+    """The head no longer sees the ball where it did at calibration: a camera or the mount has moved."""
 
     code = "CAL-006"
     action = "Do not use this calibration: check the screws of cameras and mount, then calibrate again."
 
 
 class CheckUncertain(DataError):
-    """The looks of a check scatter so much that a camera's twist could hide in them."""
+    """The views of a check scatter so much that a rotated camera could go unnoticed."""
 
     code = "CAL-007"
-    action = "Check that ball and arm stand still, then repeat the check with more visits."
+    action = "Check that ball and arm are rigid, then repeat the check with more visits."
     exit_code = EXIT_REFUSED
 
 
 class NotTheBaseline(DataError):
-    """A check was made at other poses, or with another calibration, than its baseline."""
+    """A check was made at different poses, or with a different calibration, from its baseline."""
 
     code = "CAL-008"
-    action = "Give the baseline of the calibration that is in use, and keep its poses."
+    action = "Use the baseline of the current calibration, with its poses."
 
 
 class NoBall(RefusedError):
-    """Nobody said where the ball is, and the tracker sees none that the arm can look at."""
+    """The position of the ball is not given, and the tracker sees none within the arm's reach."""
 
     code = "CAL-009"
-    action = "Say where the ball is with --ball X Y Z, or clear the tracker's line of sight to it."
+    action = "Give the position of the ball with --ball X Y Z, or clear the tracker's line of sight to it."
 
 
 class PosesOutOfReach(RefusedError):
-    """Too few of the planned poses about the ball are within reach and clear of everything."""
+    """Too few of the planned poses around the ball are reachable and free of collisions."""
 
     code = "CAL-010"
-    action = "Put the ball nearer to the middle of the arm's reach, with free space around it."
+    action = "Place the ball nearer to the middle of the workspace, with free space around it."

@@ -1,8 +1,8 @@
-"""Both cameras on the flange as numbers: what a ball at a place of the flange frame looks like.
+"""Projection model of both cameras on the flange: the image of a ball at a position in the flange frame.
 
-Pinhole with OpenCV's distortion k1 k2 p1 p2 k3. Free per camera: turn and shift from the start (rad, mm),
-focal length (relative), principal point (px) and k1. Pixels are square as in the start; the other distortion
-coefficients stay as they were: a field of 5 degrees does not show them.
+Pinhole with OpenCV's distortion k1 k2 p1 p2 k3. Free per camera: rotation and translation relative to the
+initial record (rad, mm), focal length (relative), principal point (px) and k1. The pixel aspect ratio and the
+other distortion coefficients stay as in that record: a field of 5 degrees does not reveal them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
-CAMERA_PARAMETERS = 10  # turn 3, shift 3, focal length, principal point 2, k1
+CAMERA_PARAMETERS = 10  # rotation 3, translation 3, focal length, principal point 2, k1
 UNDISTORT_STEPS = 12  # each gains about three digits with lenses of this kind
 
 
@@ -34,7 +34,7 @@ class FlangeCamera:
 
     @classmethod
     def of(cls, camera: CameraCalibration, flange_from_tool: Transform) -> FlangeCamera:
-        """From a record and the tool frame that it refers to."""
+        """From a record and the tool frame it refers to."""
         pose = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL) @ flange_from_tool.inverse()
         return cls(
             pose.rotation_matrix,
@@ -45,7 +45,7 @@ class FlangeCamera:
         )
 
     def changed(self, parameters: Array) -> FlangeCamera:
-        """The camera with its ten parameters changed by so much."""
+        """The camera with its ten parameters changed by these increments."""
         turn = Rotation.from_rotvec(parameters[:3]).as_matrix()
         k1, *others = self.distortion
         k2, p1, p2, k3 = others
@@ -60,8 +60,8 @@ class FlangeCamera:
     def seen(self, points_mm: Array, semi_minor_px: ArrayLike = 0.0) -> Array:
         """Pixels (n, 2) of points (n, 3) of the flange frame.
 
-        With the semi-minor axis of a ball's outline the centre of that outline, which lies farther out than
-        the ball's centre by the factor 1 + b^2, b in normalised units.
+        Given the semi-minor axis of a ball's outline, the centre of that outline instead, which lies farther
+        out than the ball's centre by the factor 1 + b^2, b in normalised units.
         """
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         b = np.asarray(semi_minor_px, dtype=float) / np.sqrt(self.focal_px.prod())
@@ -69,7 +69,7 @@ class FlangeCamera:
         return self._distorted(out) * self.focal_px + self.principal_px
 
     def slopes(self, points_mm: Array) -> Array:
-        """Derivative (n, 2, 3) of `seen` by the point; distortion left out: it only weights."""
+        """Derivative (n, 2, 3) of `seen` by the point, without distortion: used for weighting only."""
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         slope = np.zeros((len(points_mm), 2, 3))
         slope[:, 0, 0] = slope[:, 1, 1] = 1.0 / z
@@ -77,7 +77,7 @@ class FlangeCamera:
         return np.asarray(slope * self.focal_px[:, None] @ self.rotation)
 
     def rays(self, pixels: Array) -> tuple[Array, Array]:
-        """Centre of projection (3,) and directions (n, 3), not of unit length, in the flange frame."""
+        """Centre of projection (3,) and unnormalised directions (n, 3) in the flange frame."""
         seen = (pixels - self.principal_px) / self.focal_px
         straight = seen
         for _ in range(UNDISTORT_STEPS):
@@ -88,7 +88,7 @@ class FlangeCamera:
     def record(
         self, serial: str, sensor_px: tuple[int, int], flange_from_tool: Transform
     ) -> CameraCalibration:
-        """As a record that refers to a tool frame."""
+        """As a record relative to a tool frame."""
         pose = Transform.from_matrix(Frame.CAMERA_LEFT, Frame.FLANGE, self._matrix()) @ flange_from_tool
         fx, fy = self.focal_px.tolist()
         cx, cy = self.principal_px.tolist()
@@ -129,9 +129,9 @@ def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
 
 
 def intersected(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
-    """Points (n, 3) of the flange frame half way between both lines of sight, and the gaps (n,), mm.
+    """Midpoints (n, 3) between the two lines of sight in the flange frame, and the gaps (n,), mm.
 
-    The gap is signed: positive when the right line passes on the side of left x right.
+    The gap is signed: positive when the right line of sight passes on the side of left x right.
     """
     (origin_a, a), (origin_b, b) = cameras[0].rays(left_px), cameras[1].rays(right_px)
     between = origin_b - origin_a

@@ -1,4 +1,4 @@
-"""What a calibration is computed from: outlines of one ball at many poses of the arm, as stored in a file."""
+"""The input of a calibration: outlines of one ball at many arm poses, as stored in a file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ S = TypeVar("S", bound=Strict)
 
 
 class Outline(Strict):
-    """The ball's outline in one image, pixels of the full sensor, semi-axes major first; bias still in it."""
+    """The ball's outline in one image, full-sensor pixels, major semi-axis first; perspective bias kept."""
 
     centre_px: Pixels
     axes_px: tuple[Positive, Positive]
@@ -46,7 +46,7 @@ class Outline(Strict):
         )
 
     def sphere(self) -> SphereImage:
-        """As a measurement, for triangulation; only reliable ones are ever stored."""
+        """As a measurement for triangulation; only reliable ones are stored."""
         return SphereImage(
             centre_px=self.centre_px,
             axes_px=self.axes_px,
@@ -60,9 +60,9 @@ class Outline(Strict):
 
 
 class Observation(Strict):
-    """One look: where the flange was by the nominal arm, and the ball in both images.
+    """One view: the flange pose by the nominal arm model, and the ball in both images.
 
-    `orientation` numbers the orientations of the self-check; None for a look that only calibrates.
+    `orientation` is the number of a self-check orientation; None for views used only for calibration.
     """
 
     joints_rad: Joints
@@ -78,7 +78,7 @@ class Observation(Strict):
 
 
 class ObservationSet(Strict):
-    """All looks of one calibration, and the records it started from."""
+    """All views of one calibration, and the records it started from."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
     created: datetime
@@ -90,12 +90,12 @@ class ObservationSet(Strict):
 
 
 def read_observations(path: Path) -> ObservationSet:
-    """Read a stored set, from its file or the folder that holds it; raises CAL-005."""
+    """Read a stored set from its file or folder; raises CAL-005."""
     return read_strict(ObservationSet, path / OBSERVATIONS_FILE if path.is_dir() else path)
 
 
 def read_strict(kind: type[S], path: Path) -> S:
-    """Read one strict record from JSON; raises CAL-005 with every mistake in it."""
+    """Read one strict record from JSON; raises CAL-005 listing every error in it."""
     try:
         return kind.model_validate_json(path.read_bytes())
     except OSError as error:

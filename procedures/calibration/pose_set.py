@@ -1,7 +1,7 @@
-"""From where to look at the ball: tool poses of many orientations, spread evenly, the same every time.
+"""Where to view the ball from: tool poses in many evenly spread orientations, deterministic.
 
-Every look is tilted away from the reference orientation and turned about the tool axis; the ball stands
-somewhere else in the field each time, and nearer or farther, so that lenses show themselves too.
+Every view is tilted away from the reference orientation and rotated about the tool axis. The ball appears at
+a different place in the field each time, nearer or farther, so that the lenses can be calibrated too.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
-TILT_RAD = float(np.radians(25.0))  # at most, to all sides: a spread of 50 degrees
-TURN_RAD = float(np.radians(45.0))  # about the tool axis, to both sides
-# How far off the tool centre the ball may stand: the sphere stays whole in both sensors and sharp enough.
+TILT_RAD = float(np.radians(25.0))  # at most, in all directions: a spread of 50 degrees
+TURN_RAD = float(np.radians(45.0))  # about the tool axis, either way
+# How far from the tool centre the ball may be: fully visible to both sensors and sharp enough.
 FIELD_MM = (3.5, 9.0, 5.0)
 CHECK_TILT_RAD = float(np.radians(25.0))
 CHECK_TURN_RAD = float(np.radians(40.0))
 CHECK_ORIENTATIONS = 8
-# Shares of turn and tilt to fall back on, in this order, where an orientation cannot be taken.
+# Fractions of rotation and tilt to fall back on, in this order, when an orientation is not reachable.
 CHECK_VARIANTS = ((1.0, 1.0), (0.5, 1.0), (0.0, 1.0), (-0.5, 1.0), (-1.0, 1.0), (0.5, 0.7), (-0.5, 0.7))
 # Additive recurrence in six dimensions with the generalised golden ratio (x^7 = x + 1): even, never random.
 _RATIO = 1.1127756842787055
@@ -33,9 +33,9 @@ _STEPS = np.array([_RATIO ** -(k + 1) for k in range(6)])
 
 @dataclass(frozen=True)
 class PlannedLook:
-    """A pose ROBOT <- TOOL from which the ball should stand at `ball_in_tool_mm`.
+    """A pose ROBOT <- TOOL from which the ball should appear at `ball_in_tool_mm`.
 
-    `orientation` numbers the orientations of the self-check, None for the others.
+    `orientation` is the number of a self-check orientation, None for the others.
     """
 
     pose: Transform
@@ -44,7 +44,7 @@ class PlannedLook:
 
 
 def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tuple[PlannedLook, ...]:
-    """So many looks at a ball (3,) in the robot frame, around the orientation robot <- tool."""
+    """Views of a ball (3,) in the robot frame, spread around the orientation robot <- tool."""
     share = (0.5 + np.outer(np.arange(count), _STEPS)) % 1.0
     looks = []
     for tilt, azimuth, turn, *field in share:
@@ -57,12 +57,12 @@ def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tu
 
 
 def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
-    """The orientations of the self-check, ball in the tool centre: tilted to eight sides, turned by turns."""
+    """The self-check orientations, ball at the tool centre: tilted to eight sides, alternately rotated."""
     return tuple(check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))
 
 
 def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
-    """One orientation of the self-check, and others that serve as well where it cannot be taken."""
+    """One orientation of the self-check, and alternatives for when it is not reachable."""
     turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
     azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
     ball = np.asarray(ball_mm, dtype=float)
@@ -78,9 +78,9 @@ def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tupl
 
 
 def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
-    """The looks so that each is the nearest in orientation to the one before, from the first on."""
+    """The views in an order in which each is the nearest in orientation to the previous one."""
     rotations = np.array([look.pose.rotation_matrix for look in looks])
-    alike = np.einsum("nij,mij->nm", rotations, rotations)  # trace of the turn between two: larger is nearer
+    alike = np.einsum("nij,mij->nm", rotations, rotations)  # trace of the relative rotation: larger is nearer
     order, rest = [0], set(range(1, len(looks)))
     while rest:
         nearest = max(rest, key=lambda number: float(alike[order[-1], number]))
@@ -90,7 +90,7 @@ def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
 
 
 def moved_to(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
-    """The same look when the ball turns out to stand elsewhere."""
+    """The same view for a ball that turns out to be elsewhere."""
     return _look(
         look.pose.rigid.rotation,
         np.asarray(ball_mm, dtype=float),

@@ -1,8 +1,8 @@
 """From the adjusted head to the calibration records: tool frame, stated errors, dates.
 
-Images and arm determine where the cameras are on the flange. Where the tool frame sits among them is a
-convention, and what hangs on the same mount (guide tip, reference frame) is known relative to it. So it is
-kept where the record before saw it: points around the tool centre keep their pixels in both images.
+Images and arm determine where the cameras are on the flange. Where the tool frame lies relative to them is a
+convention, and whatever shares the mount (guide tip, reference frame) is known relative to it. So it is kept
+where the previous record saw it: points around the tool centre keep their pixels in both images.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class HeadResult:
     """The new records, and how good they are. Covariances (3, 3) mm2 of the tool centre on the flange.
 
     `tool_shift_mm` is how far the tool centre moved on the flange; `frame_misfit_mm` (rms) by how much the
-    cameras have changed between themselves since the record before.
+    cameras have moved relative to each other since the previous record.
     """
 
     fit: BundleFit
@@ -53,9 +53,9 @@ class HeadResult:
 def calibrate_head(
     observed: ObservationSet, *, life: timedelta = LIFE, identifier: str = "", arm_geometry: bool = True
 ) -> HeadResult:
-    """Records from observations, dated with these. Raises CAL-002 to CAL-004.
+    """Records from observations, with their date. Raises CAL-002 to CAL-004.
 
-    Without `arm_geometry` every error of the arm is taken for a random one.
+    Without `arm_geometry` all errors of the arm are treated as random.
     """
     before = observed.start
     fit = fit_bundle(
@@ -89,14 +89,14 @@ def calibrate_head(
 
 
 def new_identifier(name: str, created: datetime) -> str:
-    """Name and moment."""
+    """Name and time."""
     return f"{name}-{created:%Y%m%dT%H%M%S}"
 
 
 def _moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
-    """The tip is known relative to the head's tool frame, on the same mount: it moves along with it.
+    """The tip is known relative to the tool frame of the head on the same mount, so it moves with it.
 
-    Its own dates and stated error stay: nothing about the tip was measured.
+    Its dates and stated error remain: the tip itself was not measured.
     """
     flange_from_tip = tip.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     moved = after.rigid * before.rigid.inv() * flange_from_tip.rigid
@@ -112,7 +112,7 @@ def _kept_points() -> Array:
 
 
 def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
-    """Where these cameras see, in the flange frame, what the record before saw at the kept points."""
+    """Where these cameras see, in the flange frame, what the previous record saw at the kept points."""
     tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     points = tool.apply(_kept_points())
     left, right = cameras_of(before)
@@ -120,7 +120,7 @@ def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
 
 
 def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
-    """FLANGE <- TOOL that keeps the pixels of the points around the tool centre, and the rms misfit, mm."""
+    """FLANGE <- TOOL that preserves the pixels of points around the tool centre, and the rms misfit, mm."""
     tool, flange = _kept_points(), _seen_again(before, cameras)
     middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
     rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)
@@ -134,7 +134,7 @@ def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[T
 
 
 def _tool_covariance(before: StereoHeadCalibration, fit: BundleFit) -> Array:
-    """Covariance (3, 3) of where the head sees a ball at the tool centre, in the flange frame."""
+    """Covariance (3, 3) of the measured position of a ball at the tool centre, in the flange frame."""
     middle = CAMERA_PARAMETERS
     slopes = np.empty((3, 2 * middle))
     for column in range(2 * middle):

@@ -1,15 +1,15 @@
-"""The self-check: does the head see the ball where it saw it at calibration, from the same eight poses?
+"""The self-check: does the head see the ball where it did at calibration, from the same eight poses?
 
-Between calibration and check the ball may have been put down elsewhere (b, robot frame) and the arm repeats
-to some micrometres. A camera or mount that moved shows in the head's own frame. Three signs are looked at:
+Since calibration the ball may have been put down elsewhere (b, robot frame), and the arm repeats to some
+micrometres. A camera or mount that has moved shows up in the head's own frame. Three signs are checked:
 
-- the shift d of the seen ball in the tool frame: seen - baseline = R^T b + d. Turned and tilted poses tell
-  d from b. A camera turned by 0.01 deg in its mount gives 53 um.
-- the change of the gap between both lines of sight: a turn out of the stereo plane; the arm is not in it.
-- the change of the ball's apparent size at the distance that both lines of sight give: a turn within the
-  stereo plane brings the ball nearer, but does not make it larger. The arm has no part in it either.
+- the shift d of the measured ball in the tool frame: measured - baseline = R^T b + d. Rotated and tilted
+  poses separate d from b. A camera rotated by 0.01 deg in its mount gives 53 um.
+- the change of the gap between the lines of sight: a rotation out of the stereo plane, whatever the arm does.
+- the change of the ball's apparent size at its triangulated distance: a rotation within the stereo plane
+  brings the ball nearer but does not make it larger. Independent of the arm as well.
 
-Each sign has the scatter of the looks themselves as its measure, from both runs.
+The scale of each sign is the scatter of the views themselves, from both runs.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ Array = NDArray[np.float64]
 
 BASELINE_FILE = "baseline.json"
 LEAST_ORIENTATIONS = 8
-LEAST_VISITS = 2  # of each: the scatter between them is the measure of everything
-FALSE_ALARM = 0.001  # of each sign; the three together sound at most three times in a thousand sound heads
-TWIST_SHIFT_MM = 0.053  # what a camera turned by 0.01 deg does; a check must be able to see it
-SENSITIVITY = 3.0  # sigmas of the worst direction that must be left for it
+LEAST_VISITS = 2  # of each: the scatter between visits is the scale of all signs
+FALSE_ALARM = 0.001  # per sign: at most three false alarms in a thousand checks of intact heads
+TWIST_SHIFT_MM = 0.053  # effect of a camera rotated by 0.01 deg, which a check must be able to detect
+SENSITIVITY = 3.0  # sigmas in the worst direction that this shift must amount to
 SAME_POSE_RAD = np.radians(0.05)
-# What the looks of one run share and their scatter does not show: light, focus, grain. Own estimates (U).
+# Common to all views of a run, hence not in their scatter: illumination, focus, grain. Own estimates (U).
 GAP_FLOOR_MM = 0.0005
 SIZE_FLOOR = 4e-5  # relative: 0.01 px of a radius of 260 px
 ARM_FLOOR_MM = 0.005
 
 
 class Baseline(Strict):
-    """The looks of the eight orientations at calibration, and the record that they are judged with."""
+    """The views of the eight orientations at calibration, and the record they are evaluated with."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     created: datetime
@@ -61,7 +61,7 @@ class Baseline(Strict):
 
     @property
     def ball_mm(self) -> Array:
-        """Where the ball stood, (3,) in the robot frame, to a tenth of a millimetre."""
+        """Position of the ball, (3,) in the robot frame, to a tenth of a millimetre."""
         centres = [np.array([_centre(look, side) for look in self.looks]) for side in (0, 1)]
         points, _ = intersected(cameras_of(self.stereo_head), *centres)
         in_robot = [look.flange_pose.apply(point) for look, point in zip(self.looks, points, strict=True)]
@@ -70,7 +70,7 @@ class Baseline(Strict):
 
 @dataclass(frozen=True)
 class Sign:
-    """One sign: its value, its one-sigma size, its statistic (chi square) and the limit of it."""
+    """One sign: its value, its standard deviation, its chi-square statistic and the limit."""
 
     name: str
     unit: str
@@ -81,15 +81,15 @@ class Sign:
 
     @property
     def sounds(self) -> bool:
-        """True when chance does not explain it."""
+        """True when the statistic exceeds its limit."""
         return self.statistic > self.limit
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What a check found. `shift_mm` of the seen ball in the tool frame, `ball_moved_mm` in the robot frame.
+    """What a check found: `shift` of the measured ball in the tool frame, `ball_moved_mm` in the robot frame.
 
-    `repeatability_mm` is the scatter of the arm per axis in this run and the baseline.
+    `repeatability_mm` is the scatter of the arm per axis in this run and in the baseline.
     """
 
     shift: Sign
@@ -106,11 +106,11 @@ class CheckResult:
 
     @property
     def passed(self) -> bool:
-        """True when no sign sounds."""
+        """True when no sign exceeds its limit."""
         return not any(sign.sounds for sign in self.signs)
 
     def require(self) -> None:
-        """Raise CAL-006 naming the signs that sound."""
+        """Raise CAL-006 naming the signs that exceed their limits."""
         bad = [sign for sign in self.signs if sign.sounds]
         if not bad:
             return
@@ -139,7 +139,7 @@ class _Seen:
 
 
 def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> CheckResult:
-    """Judge the looks of a check. Raises CAL-008 for other poses, CAL-007 when they are too uncertain."""
+    """Evaluate the views of a check. Raises CAL-008 for other poses, CAL-007 when they scatter too much."""
     _require_same_poses(looks, baseline)
     head, numbers = baseline.stereo_head, baseline.orientations
     then, now = (_seen(run, head, numbers) for run in (baseline.looks, looks))
@@ -157,7 +157,7 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
     worst = float(np.sqrt(np.linalg.eigvalsh(shift_covariance)[-1]))
     if SENSITIVITY * worst > TWIST_SHIFT_MM:
         raise CheckUncertain(
-            "the check would not see a camera turned by 0.01 degrees",
+            "the check could not detect a camera rotated by 0.01 degrees",
             limit=f"{1000 * TWIST_SHIFT_MM / SENSITIVITY:.0f} um",
             got=f"{1000 * worst:.0f} um",
         )
@@ -208,7 +208,7 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
             count = sum(look.orientation == number for look in run)
             if count < LEAST_VISITS:
                 raise NotTheBaseline(
-                    f"the {name} looks {count} time(s) from orientation {number + 1}",
+                    f"the {name} has {count} view(s) from orientation {number + 1}",
                     expected=f"at least {LEAST_VISITS}",
                 )
     poses = {look.orientation: np.array(look.joints_rad) for look in baseline.looks}
@@ -218,7 +218,7 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
         apart = float(np.abs(np.array(look.joints_rad) - poses[look.orientation]).max())
         if apart > SAME_POSE_RAD:
             raise NotTheBaseline(
-                f"orientation {look.orientation + 1} is looked from another pose than in the baseline",
+                f"orientation {look.orientation + 1} was viewed from a different pose than in the baseline",
                 limit=f"{np.degrees(SAME_POSE_RAD):.2f} deg in every joint",
                 got=f"{np.degrees(apart):.2f} deg",
             )
@@ -260,5 +260,5 @@ def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequ
 
 
 def _centre(look: Observation, side: int) -> tuple[float, float]:
-    """Centre of the outline. The perspective bias is the same in both runs and cancels."""
+    """Centre of the outline. Its perspective bias is the same in both runs and cancels."""
     return (look.left, look.right)[side].centre_px

@@ -1,1 +1,1 @@
-"""Monte-Carlo studies beside the thesis' figures: cut into units with seeds of their own, run anywhere."""
+"""Monte-Carlo studies next to the thesis' figures, split into units with their own seeds."""

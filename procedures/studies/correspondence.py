@@ -1,7 +1,7 @@
-"""The thesis' correspondence protocol: 3 patients, 3 to 8 fiducials, 0 to 4 outliers, both noises.
+"""The thesis' correspondence protocol: 3 patients, 3 to 8 fiducials, 0 to 4 outliers, both noise models.
 
-Every run is solved by each method on the same points. A run succeeds when the exact pairs are returned; it
-is a false positive when others are, even a part of the right ones; else it is unsuccessful.
+Each method solves every run on the same points. A run succeeds if exactly the true pairs are returned; it is
+a false positive if any other set is, even a subset of the true pairs; otherwise it is unsuccessful.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ Pairs = frozenset[tuple[int, int]]
 FIDUCIALS = tuple(range(3, 9))
 OUTLIERS = tuple(range(5))
 BLOCK_RUNS = 500
-PRIOR_DISTURBED_RAD = math.radians(20.0)  # the true orientation is disturbed by up to this
+PRIOR_DISTURBED_RAD = math.radians(20.0)  # largest error of the orientation given as a prior
 SUCCESS, UNSUCCESSFUL, FALSE = "success", "unsuccessful", "false"
 
 
 class Method(StrEnum):
-    """Ours, ours with what a plan knows beforehand, and the thesis'."""
+    """Ours, ours with prior knowledge from the plan, and the thesis'."""
 
     CLIQUE = "clique"
     PRIOR = "clique + orientation"
@@ -62,7 +62,7 @@ OURS = (Method.CLIQUE, Method.PRIOR, Method.COUNT)
 
 @dataclass(frozen=True)
 class CorrespondenceStudy:
-    """`runs` for each patient and cell. The thesis' method is tried with each e of `tolerances_mm`."""
+    """`runs` for each patient and cell; the thesis' method with each e in `tolerances_mm`."""
 
     runs: int
     seed: int = 0
@@ -73,13 +73,13 @@ class CorrespondenceStudy:
     name: str = "correspondence"
 
     def parameters(self) -> dict[str, object]:
-        """Everything that the numbers depend on."""
+        """Everything the results depend on."""
         return {
             key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
         }
 
     def units(self) -> Sequence[Unit]:
-        """Cells in the order reading, patient, fiducials, outliers."""
+        """Cells in the order noise model, patient, fiducials, outliers."""
         return [
             unit
             for reading in self.readings
@@ -129,12 +129,12 @@ def cell_of(key: str) -> tuple[NoiseReading, int, int, int]:
 
 
 def outcome_key(method: Method, tolerance_mm: float | None, outcome: str) -> str:
-    """What is counted."""
+    """Key of a count."""
     return f"{method.value}|{'' if tolerance_mm is None else tolerance_mm}|{outcome}"
 
 
 def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
-    """Exact pairs succeed; a unique answer with others is false."""
+    """Exactly the true pairs: success; a unique solution with any others: false."""
     if status is not MatchStatus.UNIQUE:
         return UNSUCCESSFUL
     return SUCCESS if frozenset((i, j) for i, j in pairs.tolist()) == right else FALSE
@@ -158,10 +158,10 @@ def _solve(
 
 
 def _stands(plain: Match, prior: Array) -> bool:
-    """Whether a prior (3, 3) leaves the answer without it as it is, so that no second solve is needed.
+    """Whether a prior (3, 3) leaves the solution without it unchanged, so that no second search is needed.
 
-    A prior takes hypotheses away. The one that beats all others beats those that are left, unless it is
-    itself taken away.
+    A prior only removes hypotheses. The best of all is the best of the remaining ones, unless it is removed
+    itself.
     """
     if plain.transform is None or plain.status is not MatchStatus.UNIQUE:
         return False

@@ -1,4 +1,4 @@
-"""Tables of the correspondence study beside the thesis' figures."""
+"""Tables of the correspondence study next to the thesis' figures."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from procedures.studies.unit import Sums
 THESIS_UNSUCCESSFUL = {3: "7.98-15.53", 4: "3.86-5.03"} | dict.fromkeys(range(5, 9), "0-0.81")
 THESIS_FALSE = {3: "0.05-0.89", 4: "0.01-0.06"} | dict.fromkeys(range(5, 9), "0-0.026")
 
-POOLED = range(5, 9)  # fiducials that the thesis and the goal take together
+POOLED = range(5, 9)  # numbers of fiducials pooled by the thesis and by the goal
 GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, of our methods
 
 Share = tuple[float, float, int]  # unsuccessful, false, runs
 
 
 def shares(sums: Mapping[str, Sums]) -> dict[tuple[NoiseReading, str, str, int], Share]:
-    """(reading, method, e, fiducials) -> shares over patients and outliers."""
+    """(noise model, method, e, fiducials) -> shares over patients and outliers."""
     counted: dict[tuple[NoiseReading, str, str, int], dict[str, float]] = {}
     for cell, content in sums.items():
         reading, _, fiducials, _ = cell_of(cell)
@@ -37,7 +37,7 @@ def shares(sums: Mapping[str, Sums]) -> dict[tuple[NoiseReading, str, str, int],
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """One table per reading of the noise."""
+    """One table per noise model."""
     found = shares(sums)
     made = []
     for reading in dict.fromkeys(key[0] for key in found):
@@ -63,14 +63,14 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 ("method", "e mm", "fiducials", "runs", "unsuccessful %", "thesis %", "false %", "thesis %"),
                 rows,
                 "Pooled over 3 heads and 0 to 4 outliers; the thesis gives the range over these. Its heads"
-                " are not published, and it does not say which reading of the noise it means.",
+                " are not published, and it does not state its noise model.",
             )
         )
     return [*made, _pooled(found)]
 
 
 def _pooled(found: Mapping[tuple[NoiseReading, str, str, int], Share]) -> Table:
-    """Counts over 5 to 8 fiducials, which single cells are too small to judge."""
+    """Counts over 5 to 8 fiducials: single cells are too small for a verdict."""
     rows: list[list[Cell]] = []
     for reading, method, tolerance in dict.fromkeys(key[:3] for key in sorted(found)):
         cells = [found[key] for key in found if key[:3] == (reading, method, tolerance) and key[3] in POOLED]
@@ -93,7 +93,7 @@ def _pooled(found: Mapping[tuple[NoiseReading, str, str, int], Share]) -> Table:
 def success_against_tolerance(
     sums: Mapping[str, Sums],
 ) -> dict[tuple[NoiseReading, int], list[tuple[float, float]]]:
-    """(reading, fiducials) -> (e in mm, share of success) of the thesis' method, for a plot."""
+    """(noise model, fiducials) -> (e in mm, success rate) of the thesis' method, for a plot."""
     curves: dict[tuple[NoiseReading, int], list[tuple[float, float]]] = {}
     for (reading, _, tolerance, fiducials), (lost, false, _) in shares(sums).items():
         if tolerance:
@@ -102,7 +102,7 @@ def success_against_tolerance(
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Success of the thesis' method against its parameter e, a picture per reading of the noise."""
+    """Success of the thesis' method against its parameter e, one plot per noise model."""
     found = success_against_tolerance(sums)
     pictures = {}
     for reading in dict.fromkeys(key[0] for key in found):
@@ -119,7 +119,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Unsuccessful runs by fiducials and method, a picture per reading of the noise."""
+    """Unsuccessful runs by fiducials and method, one plot per noise model."""
     found = shares(sums)
     pictures = {}
     for reading in dict.fromkeys(key[0] for key in found):

@@ -6,28 +6,28 @@ from ronna_hw.errors import ConfigurationError, ConnectError, DataError
 
 
 class OtherStudy(ConfigurationError):
-    """The folder holds a study with other parameters."""
+    """The folder holds a study with different parameters."""
 
     code = "STU-001"
-    action = "Give another --out, or the parameters of the study that is there."
+    action = "Choose another --out, or use the parameters of the study in this folder."
 
 
 class LedgerUnreadable(DataError):
     """The record of finished units cannot be read."""
 
     code = "STU-002"
-    action = "Remove the folder and run the study again; only whole lines are ever used."
+    action = "Remove the folder and run the study again; only complete lines are ever used."
 
 
 class SchedulerUnreachable(ConnectError):
-    """No Dask scheduler answers at the address."""
+    """No Dask scheduler at this address."""
 
     code = "STU-003"
     action = "Start one with `dask scheduler`, or leave --scheduler out to use this computer's cores."
 
 
 class ExtraMissing(ConfigurationError):
-    """A package that only this option needs is not installed."""
+    """An optional package required by this option is not installed."""
 
     code = "STU-004"
     action = "Install it with: pip install 'ronna-hw[dask]'."
@@ -37,18 +37,18 @@ class UnitFailed(DataError):
     """A unit of the study raised an error."""
 
     code = "STU-005"
-    action = "Run the study again: finished units are kept; --verbose shows the trace."
+    action = "Run the study again: finished units are kept; --verbose shows the traceback."
 
 
 class PhantomFailed(DataError):
     """`ronna-sim phantom` did not write a scan for the study."""
 
     code = "STU-006"
-    action = "Run `ronna-sim phantom` with these arguments to see why."
+    action = "Run `ronna-sim phantom` with these arguments to see the reason."
 
 
 class NotForJudging(ConfigurationError):
-    """A family for tuning would judge the localizer."""
+    """A tuning family was about to be used for evaluating the localizer."""
 
     code = "STU-007"
-    action = "Take it out of the judging families, or state its purpose in the phantom."
+    action = "Remove it from the judging families, or state its purpose in the phantom."

@@ -1,7 +1,7 @@
-"""Heads with fiducials for the correspondence studies, as the thesis' protocol draws them (5.3.1).
+"""Heads with fiducials for the correspondence studies, after the thesis' protocol (5.3.1).
 
-The thesis took eight adhesive markers on each of three patients; their coordinates are not published. Here
-they are drawn on the upper side of three ellipsoids of different size, once and for all.
+The thesis used eight adhesive markers on each of three patients, with unpublished coordinates. Here they are
+placed on the upper side of three ellipsoids of different sizes, the same in every run.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ HALF_AXES_MM = {1: (72.0, 92.0, 66.0), 2: (76.0, 97.0, 71.0), 3: (80.0, 102.0, 7
 SITES = 8
 SITES_SEED = 2018
 APART_MM = 25.0
-LOWEST_SITE = -0.1  # share of the half axis: no screw below the ear
-DISPLACED_MM = 10.0  # radius of the ball in which each site is displaced
+LOWEST_SITE = -0.1  # fraction of the half axis: no screw below the ear
+DISPLACED_MM = 10.0  # radius of the ball within which each site is displaced
 OUTLIER_BALL_MM = 300.0
 AWAY_MM = 500.0
 IMAGE_SIGMA_MM = 0.17
@@ -28,7 +28,7 @@ PHYSICAL_SIGMA_MM = 0.56
 
 
 class NoiseReading(StrEnum):
-    """What a standard deviation of the thesis may mean: it says neither."""
+    """The two possible meanings of a standard deviation in the thesis, which does not say."""
 
     PER_AXIS = "per axis"
     NORM = "norm"
@@ -57,7 +57,7 @@ def in_balls(count: int, radius_mm: float, random: np.random.Generator) -> Array
 def disturbance(
     shape: tuple[int, ...], sigma_mm: float, reading: NoiseReading, random: np.random.Generator
 ) -> Array:
-    """Noise (..., 3): normal on every axis, or a normal length in any direction."""
+    """Noise (..., 3): Gaussian on every axis, or of Gaussian length in a random direction."""
     if reading is NoiseReading.PER_AXIS:
         return np.asarray(random.normal(size=shape) * sigma_mm)
     direction = random.normal(size=shape)
@@ -66,10 +66,10 @@ def disturbance(
 
 
 def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
-    """Standard deviation per axis, for the solvers: a normal length is spread over three axes."""
+    """Standard deviation per axis for the solvers: a Gaussian length is spread over three axes."""
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
 
 
 def any_pose(random: np.random.Generator) -> RigidTransform:
-    """Any orientation, somewhere in the room."""
+    """A random orientation, somewhere in the room."""
     return RigidTransform.from_components(random.normal(size=3) * AWAY_MM, Rotation.random(rng=random))

@@ -1,4 +1,4 @@
-"""The record of finished units, one JSON line each: a study that was interrupted goes on from it."""
+"""The record of finished units, one JSON line each, from which an interrupted study resumes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FILE = "units.jsonl"
 
 
 def fingerprint(study: Study) -> str:
-    """Hash of everything that the numbers of a study depend on."""
+    """Hash of everything the results of a study depend on."""
     return hashlib.sha256(canonical_json({"study": study.name, **study.parameters()})).hexdigest()
 
 
@@ -23,7 +23,7 @@ class Ledger:
     """Finished units of one study in a folder. The first line says which study it is."""
 
     def __init__(self, folder: Path, study: Study) -> None:
-        """Open or begin it; raises STU-001 when another study is there, STU-002 when it is damaged."""
+        """Open or start it; raises STU-001 for another study, STU-002 when it is damaged."""
         self._path = folder / FILE
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}
@@ -40,11 +40,11 @@ class Ledger:
         self._append({"unit": unit.key, "sums": sums})
 
     def missing(self) -> list[Unit]:
-        """Units that are still to be run, in the order of the study."""
+        """Units still to be run, in the order of the study."""
         return [unit for key, unit in self._units.items() if key not in self.finished]
 
     def results(self) -> Iterator[tuple[Unit, Sums]]:
-        """Finished units in the order of the study, whatever order they were finished in."""
+        """Finished units in the order of the study, whatever order they finished in."""
         for key, unit in self._units.items():
             if key in self.finished:
                 yield unit, self.finished[key]
@@ -53,7 +53,7 @@ class Ledger:
         lines = self._path.read_text(encoding="utf-8").split("\n")
         try:
             there = json.loads(lines[0])
-            whole = [json.loads(line) for line in lines[1:-1]]  # what has no end of line was cut off
+            whole = [json.loads(line) for line in lines[1:-1]]  # a line without an end was truncated
             if there["fingerprint"] != head["fingerprint"]:
                 raise OtherStudy(f"{self._path.parent} holds a {there['study']} study with other parameters")
             self.finished = {line["unit"]: line["sums"] for line in whole if line["unit"] in self._units}

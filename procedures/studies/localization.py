@@ -1,8 +1,8 @@
-"""Spheres in phantom CTs: ours beside the thesis' two methods, on families that nothing was tuned on.
+"""Spheres in phantom CTs: ours next to the thesis' two methods, on families not used for tuning.
 
-And the protocols of the thesis' tables 2 and 3: five scans of one frame of four spheres are registered to
-its known coordinates and to each other; FLE follows from FRE. People are simulated with the FLE that the
-thesis reports for its four operators, so their rows check the protocol, not people.
+Also the protocols of the thesis' tables 2 and 3: five scans of one frame of four spheres are registered to
+its known coordinates and to each other, and FLE is computed from FRE. Human picks are simulated with the FLE
+that the thesis reports for its four operators, so their rows check the protocol, not the people.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ JUDGING = ("narrow", "broad", "clamp", "electrodes", "bandage", "crowded", "edge
 TUNING = ("plain", "posts", "dressing")
 PROTOCOLS = ("good", "poor")
 FRAMES = "frames"
-FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # one scan of each makes a set
+FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # a set is one scan of each
 FRAME_PROTOCOL = "usual"
 SAME_SPHERE_MM = 2.0
 LARGE_ERROR_MM = 0.1
@@ -48,7 +48,7 @@ OPERATORS_FLE_MM = (0.4583, 0.3306, 0.3691, 0.7211)  # thesis, table 3
 
 
 class Method(StrEnum):
-    """Who says where the spheres are."""
+    """Who localizes the spheres."""
 
     OURS = "combined"
     THESIS_LINE = "thesis-line"
@@ -62,7 +62,7 @@ AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
 
 @dataclass(frozen=True)
 class LocalizationStudy:
-    """So many volumes of each family and protocol, and sets of five scans of the frame."""
+    """Number of volumes per family and protocol, and of sets of five scans of the frame."""
 
     volumes: int
     sets: int = 1
@@ -72,7 +72,7 @@ class LocalizationStudy:
     name: str = "localization"
 
     def parameters(self) -> dict[str, object]:
-        """Everything that the numbers depend on."""
+        """Everything the results depend on."""
         return {
             key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
         }
@@ -110,7 +110,7 @@ def _localized(method: Method, volume: Volume) -> Localization | None:
 
 
 def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
-    """What one method made of one volume. Spheres that the field cuts count as neither missed nor false."""
+    """One method on one volume. Spheres cut by the field of view count as neither missed nor false."""
     result = _localized(method, scan.volume)
     sums: dict[str, float] = defaultdict(float, spheres=scan.whole.sum(), cut=(~scan.whole).sum())
     found = np.empty((0, 3)) if result is None else result.centres_mm
@@ -139,7 +139,7 @@ def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
 
 
 def _frame_set(random: np.random.Generator) -> dict[str, float]:
-    """Five scans of the frame: FREs to its coordinates, and of the ten pairs, for everybody."""
+    """Five scans of the frame: FREs to its coordinates and of the ten pairs, for every method and person."""
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:
         seed = int(random.integers(SEED_BOUND))
@@ -160,7 +160,7 @@ def _frame_set(random: np.random.Generator) -> dict[str, float]:
 
 
 def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
-    """Squared FREs (mm2) of everybody's scans (4, 3) to the frame's coordinates and to each other."""
+    """Squared FREs (mm2) of all scans (4, 3) to the frame's coordinates and to each other."""
     frame = np.array(SPHERE_CENTRES_MM)
     sums: dict[str, float] = defaultdict(float, sets=1.0)
     for who, scans in points.items():
@@ -182,7 +182,7 @@ def _refined(scan: PhantomScan, picks_mm: Array) -> Array | None:
 
 
 def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
-    """The found points in the order of the true ones; None unless each has one of its own."""
+    """The found points in the order of the true ones; None unless they match one to one."""
     if len(found_mm) == 0:
         return None
     distance = np.linalg.norm(found_mm[:, None] - centres_mm[None], axis=2)

@@ -1,4 +1,4 @@
-"""The goals of the localization beside what a campaign reached."""
+"""The goals of the localization next to the results of a campaign."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
 
 
 def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
-    """All tables of the study; the goals come last, if families for judging were scanned."""
+    """All tables of the study; the goals come last, if judging families were scanned."""
     held = goals(sums)
     return [*tables(sums), held] if held is not None else tables(sums)
 
 
 def goals(sums: Mapping[str, Sums]) -> Table | None:
-    """Ours against the goals, on families that nothing was tuned on; None without them."""
+    """Ours against the goals, on families not used for tuning; None without them."""
     cells = [cell for cell in sums if cell.split("|")[0] in JUDGING]
     if not cells:
         return None

@@ -18,7 +18,7 @@ from procedures.studies.plots import bars
 from procedures.studies.table import Cell, Table
 from procedures.studies.unit import Sums
 
-STREAKED = ("streaks", "posts")  # families whose posts make streaks
+STREAKED = ("streaks", "posts")  # families whose posts cause streaks
 SPHERES = 4  # of the frame
 THESIS_TABLE_2_MM = {Method.THESIS_LINE: 0.1685, Method.THESIS_SPHERE: 0.1617}
 THESIS_TABLE_3_MM = {Method.THESIS_LINE: 0.2604, Method.THESIS_SPHERE: 0.2541}
@@ -74,7 +74,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Rms per family and method, a picture per protocol."""
+    """Rms per family and method, one plot per protocol."""
     pictures = {}
     cells = [cell for cell in sums if not cell.startswith(FRAMES)]
     for protocol in dict.fromkeys(cell.split("|")[1] for cell in cells):
@@ -94,7 +94,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
-    """Ours and the thesis' figures side by side; what the thesis does not have stays empty."""
+    """Ours and the thesis' figures side by side; empty where the thesis has none."""
     groups: dict[str, dict[str, float]] = {}
     for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _fle_table(total).rows:
         named = zip(
@@ -151,8 +151,8 @@ def _cut(sums: Mapping[str, Sums], cells: Sequence[str]) -> str:
     large = int(of_method(total, Method.OURS, "large"))
     flagged = int(of_method(total, Method.OURS, "large flagged"))
     return (
-        f"Of {cut} further spheres that the field cuts, ours finds {found}. Of {large} of our errors above"
-        f" 0.1 mm, {flagged} are flagged."
+        f"Of {cut} further spheres cut by the field of view, ours finds {found}. Of {large} of our errors"
+        f" above 0.1 mm, {flagged} are flagged."
     )
 
 

@@ -1,4 +1,4 @@
-"""Phantom scans with their truth for the localization study, made by `ronna-sim phantom`."""
+"""Phantom scans with ground truth for the localization study, made by `ronna-sim phantom`."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Array = NDArray[np.float64]
 
 PHANTOM_LIMIT_S = 300.0  # host time, as a guard
 AIR_HU = -1000.0
-PLANE_BLUR_MM, SLICE_BLUR_MM = 0.42, 0.35  # what the phantom's scanner blurs, before the voxel's own size
+PLANE_BLUR_MM, SLICE_BLUR_MM = 0.42, 0.35  # blur of the phantom's scanner, without the voxel size
 BOX_VARIANCE = 1.0 / 12.0
 
 
 @dataclass(frozen=True, eq=False)
 class PhantomScan:
-    """A volume, and where its spheres are: centres (n, 3) LPS mm, and whether the field holds all of each."""
+    """A volume and its spheres: centres (n, 3) LPS mm, and whether each is entirely in the field of view."""
 
     volume: Volume
     centres_mm: Array
@@ -40,7 +40,7 @@ class PhantomScan:
 
 @contextmanager
 def phantom_scan(family: str, protocol: str, seed: int, fiducials: str = "free") -> Iterator[PhantomScan]:
-    """Make a scan; its files are gone afterwards. Raises STU-006."""
+    """Make a scan; its files are deleted afterwards. Raises STU-006."""
     with tempfile.TemporaryDirectory() as folder:
         arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
         done = subprocess.run(

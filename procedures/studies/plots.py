@@ -1,4 +1,4 @@
-"""Plots of the studies, as PNG bytes. matplotlib is imported only when one is drawn."""
+"""Plots of the studies as PNG bytes. matplotlib is imported only when one is drawn."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def curves(
     logarithmic: bool = False,
     bands: Mapping[str, tuple[float, float]] | None = None,
 ) -> bytes:
-    """Several named curves over one axis, and named ranges of it."""
+    """Named curves over a common axis, with named ranges of it."""
     figure, axes = _figure()
     for name, points in lines.items():
         axes.plot([x for x, _ in points], [y for _, y in points], marker=".", label=name)
@@ -57,7 +57,7 @@ def bars(
     axes.set_ylabel(y_label)
     if logarithmic:
         axes.set_yscale("log")
-    figure.legend(fontsize=8, loc="outside right upper")  # beside the bars, never over one
+    figure.legend(fontsize=8, loc="outside right upper")  # outside the axes: never over a bar
     return _png(figure)
 
 

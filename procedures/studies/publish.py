@@ -1,4 +1,4 @@
-"""Write what a study found: tables as Markdown, CSV and JSON, and its plots."""
+"""Write the results of a study: tables as Markdown, CSV and JSON, and plots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def publish(
     tables: Sequence[Table],
     plots: Mapping[str, bytes],
 ) -> Path:
-    """Write everything into `folder`; the path of the report."""
+    """Write everything into `folder`; returns the path of the report."""
     document = {
         "study": title,
         "parameters": dict(parameters),
@@ -32,8 +32,8 @@ def publish(
     for name, png in plots.items():
         write_whole(folder / name, png)
     pictures = "".join(f"![{name}]({name})\n\n" for name in sorted(plots))
-    told = ", ".join(f"{key} {json.dumps(value)}" for key, value in parameters.items())
-    text = f"# {title}\n\n{told}\n\n" + "\n".join(table.markdown() for table in tables) + f"\n{pictures}"
+    listed = ", ".join(f"{key} {json.dumps(value)}" for key, value in parameters.items())
+    text = f"# {title}\n\n{listed}\n\n" + "\n".join(table.markdown() for table in tables) + f"\n{pictures}"
     write_whole(folder / REPORT, text.encode())
     return folder / REPORT
 

@@ -1,7 +1,7 @@
-"""Readings as the thesis' protocol draws them (5.3.1), many runs of a cell at once.
+"""Readings drawn after the thesis' protocol (5.3.1), many runs of a cell at once.
 
-Every run displaces the patient's sites, takes a random subset, disturbs both sides, adds outliers to both and
-shuffles them.
+Every run displaces the patient's marker sites, takes a random subset, adds noise and outliers on both sides,
+and shuffles both.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Points of both sides (runs, n, 3) mm, the indices (runs, k, 2) that belong together, true rotations."""
+    """Points of both sides (runs, n, 3) mm, the corresponding indices (runs, k, 2), true rotations."""
 
     image_mm: Array
     physical_mm: Array
@@ -60,7 +60,7 @@ def draw_readings(
 
 
 def _shuffled(points: Array, outliers: int, random: np.random.Generator) -> tuple[Array, NDArray[np.intp]]:
-    """Points and outliers about their centre in random order, and which point each place holds."""
+    """Points and outliers about their centre in random order, and the permutation."""
     runs, count, _ = points.shape
     strays = in_balls(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
     everything = np.concatenate([points, points.mean(axis=1, keepdims=True) + strays], axis=1)

@@ -1,7 +1,7 @@
-"""Do the formulas of the rigid fit hold? FRE against FLE, target error against eq. 39, gate, weighting.
+"""Do the error formulas of rigid registration hold? FRE against FLE, TRE against eq. 39, gate, weighting.
 
-Head markers, a target 10 mm below their centre, FLE of 0.3 mm as in the reference experiment. Equal errors
-lie half in either space, as between two scans; unequal ones in the physical space.
+Head markers, a target 10 mm below their centre, FLE of 0.3 mm as in the reference experiment. Isotropic
+errors are split evenly between both spaces, as between two scans; the others are in the physical space.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ FLE_MM = 0.3  # 3-D rms, both spaces together
 TARGET_BELOW_MM = 10.0
 FIDUCIALS = (3, 4, 5, 6, 8)
 GATE_CONFIDENCE = 0.95
-DEPTH_RATIO = 3.0  # of a camera's depth noise to its lateral noise
-NOISY_RATIO = 5.0  # of one bad fiducial to the others
+DEPTH_RATIO = 3.0  # depth noise to lateral noise of a camera
+NOISY_RATIO = 5.0  # one bad fiducial to the others
 ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
 
 
 @dataclass(frozen=True)
 class RegistrationStudy:
-    """`runs` for each number of fiducials and kind of error."""
+    """`runs` for each number of fiducials and each kind of error."""
 
     runs: int
     seed: int = 0
@@ -43,7 +43,7 @@ class RegistrationStudy:
     name: str = "registration"
 
     def parameters(self) -> dict[str, object]:
-        """Everything that the numbers depend on."""
+        """Everything the results depend on."""
         return {
             key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
         }
@@ -70,10 +70,10 @@ class RegistrationStudy:
 
 
 def _one(points: Array, kind: str, random: np.random.Generator) -> dict[str, float]:
-    """One registration and what became of its target."""
+    """One registration and its error at the target."""
     truth = any_pose(random)
     covariance = _covariances(len(points), kind, random)
-    in_image = 0.5 if kind == ISOTROPIC else 0.0  # share of the variance
+    in_image = 0.5 if kind == ISOTROPIC else 0.0  # fraction of the variance
     image = points + _noise(covariance * in_image, random)
     measured = truth.apply(points) + _noise(covariance * (1.0 - in_image), random)
     target = points.mean(axis=0) - np.array([0.0, 0.0, TARGET_BELOW_MM])
@@ -98,7 +98,7 @@ def _one(points: Array, kind: str, random: np.random.Generator) -> dict[str, flo
 
 
 def _noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
-    """One error (n, 3) for each covariance (n, 3, 3); all of them may be zero."""
+    """One error (n, 3) for each covariance (n, 3, 3), which may be zero."""
     if not covariance_mm2.any():
         return np.zeros(covariance_mm2.shape[:2])
     normal = random.normal(size=covariance_mm2.shape[:2])
@@ -108,7 +108,7 @@ def _noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
 def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
     """(n, 3, 3) in the physical frame, mm2; the 3-D rms of an ordinary fiducial is FLE.
 
-    Each sphere is looked at from a side of its own, so the noisy depth has a direction of its own.
+    Each sphere is viewed from a different side, so the direction of the noisy depth differs too.
     """
     if kind == DEPTH:
         ratios = np.array([1.0, 1.0, DEPTH_RATIO**2])
@@ -121,7 +121,7 @@ def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Formulas against simulation, and what weighting gains."""
+    """Formulas against simulation, and the gain by weighting."""
     formulas: list[Sequence[Cell]] = []
     gains: list[Sequence[Cell]] = []
     for cell, total in sums.items():
@@ -153,7 +153,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "gate alarms %",
             ),
             formulas,
-            f"FLE {FLE_MM} mm, half of its square in either space, target {TARGET_BELOW_MM:g} mm below the"
+            f"FLE {FLE_MM} mm, half of its variance in either space, target {TARGET_BELOW_MM:g} mm below the"
             f" markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. FRE is a"
             " residual, never an accuracy.",
         ),
@@ -167,7 +167,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """The target error that was simulated beside the one that eq. 39 predicts, by number of fiducials."""
+    """Simulated target error next to the prediction of eq. 39, by number of fiducials."""
     formulas, _ = tables(sums)
     lines: dict[str, list[tuple[float, float]]] = {"simulated": [], "eq. 39": []}
     for fiducials, _, _, _, simulated_mm, predicted_mm, *_ in formulas.rows:

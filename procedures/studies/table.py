@@ -1,4 +1,4 @@
-"""A table of a study, and the three forms in which it is written: Markdown, CSV, JSON."""
+"""A table of a study and its three output formats: Markdown, CSV, JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of plain values; `note` says what the figures mean and where the published ones come from."""
+    """Rows of plain values; `note` explains the figures and gives the source of published ones."""
 
     title: str
     columns: Sequence[str]

@@ -1,4 +1,4 @@
-"""A unit of a study: so many runs of one cell, with a seed of its own, so that any worker gives the same."""
+"""A unit of a study: some runs of one cell with their own seed, so that every worker gets the same result."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-Sums = dict[str, float]  # what adds up over units: counts and sums of squares
+Sums = dict[str, float]  # additive over units: counts and sums of squares
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Unit:
 
 
 class Study(Protocol):
-    """What the runner needs of a study: it can be pickled, and `run` depends on its arguments alone."""
+    """What the runner needs of a study: it can be pickled, and `run` depends only on its arguments."""
 
     @property
     def name(self) -> str:
@@ -36,7 +36,7 @@ class Study(Protocol):
         ...
 
     def parameters(self) -> dict[str, object]:
-        """Everything that the numbers depend on, as plain data."""
+        """Everything the results depend on, as plain data."""
         ...
 
     def units(self) -> Sequence[Unit]:
@@ -49,20 +49,20 @@ class Study(Protocol):
 
 
 def generator(seed: int, unit: Unit) -> np.random.Generator:
-    """The random numbers of a unit: they depend on the study's seed, the cell and the block alone."""
+    """The random numbers of a unit; they depend only on the study's seed, the cell and the block."""
     cell = zlib.crc32(unit.cell.encode())
     return np.random.default_rng(np.random.SeedSequence([seed, cell, unit.block]))
 
 
 def blocks(cell: str, runs: int, block_runs: int) -> list[Unit]:
-    """Cut the runs of a cell into units of at most `block_runs`."""
+    """Split the runs of a cell into units of at most `block_runs`."""
     whole, rest = divmod(runs, block_runs)
     sizes = [block_runs] * whole + ([rest] if rest else [])
     return [Unit(cell, number, size) for number, size in enumerate(sizes)]
 
 
 def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Sums]:
-    """Sums per cell, in the order in which the cells come."""
+    """Sums per cell, in the order of the cells."""
     total: dict[str, Counter[str]] = {}
     for unit, sums in finished:
         total.setdefault(unit.cell, Counter()).update(sums)

@@ -1,4 +1,4 @@
-"""Run the units of a study: in this process, on this computer's cores, or on a Dask scheduler's workers."""
+"""Run the units of a study: in this process, on this computer's cores, or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def run_study(
     scheduler: str | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> None:
-    """Run what is missing and record it. `workers` 1 stays in this process, None takes every core.
+    """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
 
-    Raises STU-003, STU-004, STU-005. What was finished before an error or an interruption is kept.
+    Raises STU-003, STU-004, STU-005. Units finished before an error or an interruption are kept.
     """
     missing = ledger.missing()
     everything = len(study.units())
@@ -62,13 +62,13 @@ def _runner(
         with _one_thread_each(), ProcessPoolExecutor(count, spawn, _end_with_parent) as pool:
             try:
                 yield _on_pool(pool, study, units)
-            except BaseException:  # an interruption too: what waits must not be begun after it
+            except BaseException:  # including interruptions: nothing still queued may start
                 pool.shutdown(cancel_futures=True)
                 raise
 
 
 def _end_with_parent() -> None:
-    """In a worker: end when the campaign was killed; idle, it would wait for its next unit for ever."""
+    """In a worker: end if the campaign is killed; otherwise it would wait for its next unit for ever."""
     parent = parent_process()
     if parent is None:
         return
@@ -82,7 +82,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes begun meanwhile inherit that their linear algebra has one thread."""
+    """Processes started meanwhile inherit single-threaded linear algebra."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     try:
@@ -102,15 +102,15 @@ def _on_pool(pool: ProcessPoolExecutor, study: Study, units: list[Unit]) -> Fini
 
 
 def _require_address(scheduler: str) -> None:
-    """Dask's client, given another text, breaks off half made and complains long after."""
+    """Given anything else, Dask's client fails half constructed and complains much later."""
     try:
         parts = urlsplit(scheduler)
         whole = parts.scheme in SCHEDULER_SCHEMES and parts.hostname and parts.port
-    except ValueError:  # a port that is none
+    except ValueError:  # an invalid port
         whole = None
     if not whole:
         raise SchedulerUnreachable(
-            "that is no address of a Dask scheduler", expected="tcp://HOST:PORT", got=scheduler
+            "not an address of a Dask scheduler", expected="tcp://HOST:PORT", got=scheduler
         )
 
 

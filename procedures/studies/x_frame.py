@@ -1,7 +1,7 @@
 """The x-frame experiment (thesis 5.3.2): 17 scans, 1,415 tracker readings each, success against e.
 
-The frame's distances are unique, so this set is easy; what limits the thesis' method is e alone. Here the
-frame's own coordinates stand for the scans' and readings' points, with noise of each and stray readings.
+The frame's distances are unique, so this set is easy, and only e limits the thesis' method. Here the nominal
+coordinates of our frame take the place of its scans and readings, each with noise, plus stray readings.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from procedures.studies.table import Table
 from procedures.studies.unit import Sums, Unit, blocks, generator
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
-SCANS = 17  # 12 and 5, of patients and of a phantom
-# The e in mm at which the thesis pairs every reading: figures 14 and 15, as its text tells them.
+SCANS = 17  # 12 of patients and 5 of a phantom
+# Values of e, mm, at which the thesis matches every reading: figures 14 and 15, as stated in its text.
 THESIS_RANGES_MM = {"phantom": (1.8, 4.5), "patients": (2.5, 4.0)}
 THESIS_READINGS = 1415
 BLOCK_RUNS = 283  # a fifth of the readings of a scan
@@ -42,18 +42,18 @@ CHOSEN_MM = (1.0, 1.8, 2.5, 3.0, 4.0, 4.5, 6.0)  # of e, shown in the table
 
 @dataclass(frozen=True)
 class XFrameStudy:
-    """`readings` of each of 17 scans. A scan's noise is drawn once, a reading's each time."""
+    """`readings` of each of 17 scans. The noise of a scan is drawn once, that of a reading each time."""
 
     readings: int = THESIS_READINGS
     seed: int = 0
     name: str = "correspondence-xframe"
 
     def parameters(self) -> dict[str, object]:
-        """Everything that the numbers depend on."""
+        """Everything the results depend on."""
         return {**asdict(self), "scans": SCANS, "tolerances_mm": list(THESIS_TOLERANCES_MM)}
 
     def units(self) -> Sequence[Unit]:
-        """A cell per reading of the noise and scan."""
+        """A cell per noise model and scan."""
         return [
             unit
             for noise in NoiseReading
@@ -62,7 +62,7 @@ class XFrameStudy:
         ]
 
     def run(self, unit: Unit) -> Sums:
-        """Outcomes of ours, and of the thesis' for each e."""
+        """Outcomes of our method, and of the thesis' for each e."""
         text, scan = unit.cell.split("|")
         noise = NoiseReading(text)
         frame = np.array(SPHERE_CENTRES_MM)
@@ -97,7 +97,7 @@ class XFrameStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Success of ours, and of the thesis' method at a few values of e."""
+    """Success of our method, and of the thesis' at some values of e."""
     rows: list[tuple[str, str, float | None, int, float]] = []
     for noise, shares in _success(sums).items():
         for (method, tolerance_mm), (runs, share) in shares.items():
@@ -109,7 +109,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             ("noise", "method", "e mm", "readings", "success %"),
             rows,
             f"{SCANS} scans; the thesis reports 24,055 of 24,055. Its frame's coordinates are not published;"
-            " this is the frame of ours, with the thesis' noise and up to"
+            " this is our own frame, with the thesis' noise and up to"
             f" {MOST_STRAYS} stray readings.",
         ),
         _ranges(sums),
@@ -117,20 +117,20 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def _ranges(sums: Mapping[str, Sums]) -> Table:
-    """Where the thesis' method pairs nearly every reading here, and every one in the thesis."""
+    """Where the thesis' method matches nearly every reading here, and every one in the thesis."""
     rows: list[tuple[str, float, float | None, float | None]] = []
     for noise, shares in _success(sums).items():
         against = [(e, share) for (_, e), (_, share) in shares.items() if e is not None]
         most = max((share for _, share in against), default=0.0)
         high = [e for e, share in against if share >= NEARLY_ALL]
         rows.append((noise, 100.0 * most, min(high, default=None), max(high, default=None)))
-    told = " and ".join(f"{low:g}-{high:g} mm ({of})" for of, (low, high) in THESIS_RANGES_MM.items())
+    ranges = " and ".join(f"{low:g}-{high:g} mm ({of})" for of, (low, high) in THESIS_RANGES_MM.items())
     percent = f"{100.0 * NEARLY_ALL:g} %"
     return Table(
         "The thesis' method on the x-shaped frame: the range of e",
         ("noise", "best success %", f"{percent} from e mm", f"{percent} to e mm"),
         rows,
-        f"The thesis pairs every reading at {told}, on real scans and readings. It does not tell of strays.",
+        f"The thesis matches every reading at {ranges}, on real scans and readings. It mentions no strays.",
     )
 
 
@@ -140,7 +140,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         noise: [(e, 100.0 * share) for (_, e), (_, share) in shares.items() if e is not None]
         for noise, shares in _success(sums).items()
     }
-    bands = {f"thesis, {of}: all of them": ends for of, ends in THESIS_RANGES_MM.items()}
+    bands = {f"thesis, {of}: all matched": ends for of, ends in THESIS_RANGES_MM.items()}
     picture = curves("x-shaped frame, the thesis' method", "e, mm", "success, %", lines, bands=bands)
     return {"success-against-e.png": picture}
 

@@ -78,7 +78,7 @@ def test_nobody_at_the_schedulers_address_is_said_so(tmp_path: Path, monkeypatch
     "address", ["nonsense", "tcp://", "http://127.0.0.1:8786", "tcp://127.0.0.1:99999", ""]
 )
 def test_what_is_no_address_is_refused_before_dask_sees_it(address: str, tmp_path: Path) -> None:
-    with pytest.raises(SchedulerUnreachable, match="STU-003: that is no address"):
+    with pytest.raises(SchedulerUnreachable, match="STU-003: not an address"):
         results(SMALL, tmp_path, scheduler=address)
 
 
