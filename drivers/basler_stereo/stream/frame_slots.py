@@ -1,27 +1,51 @@
-"""Frames in shared memory: written by the reception process, copied out by the driver.
+"""Frames in shared memory: written by the receiver process, copied out by the driver.
 
 The memory is anonymous and passed by its file descriptor, so nothing is left behind whoever dies. Frames take
-turns over a few slots. Each slot carries the number of its present use: a reader compares it before and after
-its copy, and sees that a frame was overwritten meanwhile. Nobody ever waits for the other side.
+turns over a few slots. Each slot carries a use count: a reader compares it before and after its copy, and so
+notices a frame that was overwritten in between. Neither side ever waits for the other.
 """
 
 from __future__ import annotations
 
 import mmap
 import os
-import struct
+from dataclasses import fields
+from typing import Annotated, NamedTuple
 
 from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
 from drivers.basler_stereo.stream.gvsp import Leader
+from ronna_hw.host.memory_map import MemoryMap
+from ronna_hw.host.shared_layout import FieldCode, RowCodec
 
 SLOTS = 32  # more than may be received at a time; the others are whole and wait a third of a second
-_COUNTERS = struct.Struct("<7Q")
-_WORD = struct.Struct("<Q")
-_USES_AT = 64
-_DATA_AT = mmap.PAGESIZE
-# slot, its use, block id, missing and repeated packets, then the leader: there, ticks, format, area, padding
-_NOTE = struct.Struct("<IQIIIBQIIIIIH")
-NOTE_BYTES = _NOTE.size
+_MAP = MemoryMap(b"frames")
+_COUNTERS = _MAP.counters(len(fields(StreamCounters)))
+_USE_COUNTS = _MAP.counters(SLOTS)
+_DATA_AT = -(-_MAP.size_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
+
+
+def _packed_leader(leader: Leader | None) -> tuple[int, ...]:
+    return (leader is not None, *(leader or (0,) * len(Leader._fields)))
+
+
+def _unpacked_leader(values: tuple[int, ...]) -> Leader | None:
+    present, *leader = values
+    return Leader(*leader) if present else None
+
+
+class _FrameNote(NamedTuple):
+    """What a reader must know to fetch a finished frame."""
+
+    slot: Annotated[int, "I"]
+    use_count: Annotated[int, "Q"]
+    block_id: Annotated[int, "I"]
+    missing_packets: Annotated[int, "I"]
+    resent_packets: Annotated[int, "I"]
+    leader: Annotated[Leader | None, FieldCode("?QIIIIIH", _packed_leader, _unpacked_leader)]
+
+
+_NOTE = RowCodec(_FrameNote)
+NOTE_BYTES = _NOTE.size_bytes
 
 
 class FrameSlots:
@@ -31,6 +55,8 @@ class FrameSlots:
         self._payload_bytes = payload_bytes
         self._memory = mmap.mmap(fd, _size(payload_bytes))
         self._view = memoryview(self._memory)
+        self._use_counts = _USE_COUNTS.view(self._memory)
+        self._counters = _COUNTERS.view(self._memory)
         self._claimed = 0
 
     @staticmethod
@@ -44,54 +70,42 @@ class FrameSlots:
         """The slot that was written longest ago, to be written anew: its number and its memory."""
         self._claimed += 1
         slot = self._claimed % SLOTS
-        _WORD.pack_into(self._view, _USES_AT + slot * _WORD.size, self._claimed)
+        self._use_counts[slot] = self._claimed
         begin = _DATA_AT + slot * self._payload_bytes
         return slot, self._view[begin : begin + self._payload_bytes]
 
     def note(self, frame: Frame) -> bytes:
-        """What a reader must know to fetch a finished frame."""
-        use = self._use(frame.slot)
+        """A finished frame's note for the reader."""
         return _NOTE.pack(
-            frame.slot,
-            use,
-            frame.block_id,
-            frame.missing_packets,
-            frame.resent_packets,
-            frame.leader is not None,
-            *(frame.leader or (0, 0, 0, 0, 0, 0, 0)),
+            _FrameNote(
+                frame.slot,
+                self._use_counts[frame.slot],
+                frame.block_id,
+                frame.missing_packets,
+                frame.resent_packets,
+                frame.leader,
+            )
         )
 
     def fetch(self, note: bytes) -> Frame | None:
         """A copy of the frame, or None when newer ones have overwritten it."""
-        slot, use, block_id, missing, resent, led, *leader = _NOTE.unpack(note)
-        if self._use(slot) != use:
+        slot, use_count, block_id, missing, resent, leader = _NOTE.unpack(note)
+        if self._use_counts[slot] != use_count:
             return None
         begin = _DATA_AT + slot * self._payload_bytes
         data = bytearray(self._view[begin : begin + self._payload_bytes])
-        if self._use(slot) != use:
+        if self._use_counts[slot] != use_count:
             return None
-        return Frame(block_id, Leader(*leader) if led else None, data, missing, resent)
+        return Frame(block_id, leader, data, missing, resent)
 
     def write_counters(self, counters: StreamCounters) -> None:
         """Show the counters to the other side."""
-        _COUNTERS.pack_into(
-            self._view,
-            0,
-            counters.packets,
-            counters.ignored,
-            counters.duplicates,
-            counters.resend_requests,
-            counters.frames,
-            counters.incomplete_frames,
-            counters.refusals,
-        )
+        for index, count in enumerate(vars(counters).values()):
+            self._counters[index] = count
 
     def counters(self) -> StreamCounters:
         """What the other side has counted."""
-        return StreamCounters(*_COUNTERS.unpack_from(self._view))
-
-    def _use(self, slot: int) -> int:
-        return int(_WORD.unpack_from(self._view, _USES_AT + slot * _WORD.size)[0])
+        return StreamCounters(*self._counters)
 
 
 def _size(payload_bytes: int) -> int:
