@@ -101,7 +101,7 @@ def _figures(told: dict[str, list[Told]]) -> Iterator[Figure]:
         if ours:
             goal_hz = FULL_RATE_HZ * (1.0 - RATE_SLACK)
             rate = replace(rate, goal=f"{FULL_RATE_HZ:g}", met=rate.value >= goal_hz)
-            cpu = replace(cpu, more={"reception process": total["reception_cpu_s"] / pairs * 1e3})
+            cpu = replace(cpu, more={"receiver process": total["receiver_cpu_s"] / pairs * 1e3})
             if peer in told:
                 theirs, their_pairs = _sums(told[peer]), len(told[peer]) * PAIRS_PER_ROUND
                 their_hz, their_ms = their_pairs / theirs["seconds"], theirs["cpu_s"] / their_pairs * 1e3

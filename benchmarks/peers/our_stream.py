@@ -21,8 +21,8 @@ def main(job: dict[str, object]) -> None:
     came = stream_pairs(job["addresses"], job["pairs"], job["packet_bytes"])  # type: ignore[arg-type]
     told = {
         "seconds": came.seconds,
-        "cpu_s": came.reception_cpu_s + came.driver_cpu_s,
-        "reception_cpu_s": came.reception_cpu_s,
+        "cpu_s": came.receiver_cpu_s + came.driver_cpu_s,
+        "receiver_cpu_s": came.receiver_cpu_s,
         "lost": came.lost,
         "broken": came.broken,
         "repeated": came.repeated,

@@ -1,6 +1,6 @@
 """Two Basler cameras over GigE Vision, by a client of our own: no vendor library, no root.
 
-`BaslerStereoPair` is resolved on first use: the reception process does not import what only the driver needs.
+`BaslerStereoPair` is resolved on first use: the receiver process does not import what only the driver needs.
 """
 
 from __future__ import annotations

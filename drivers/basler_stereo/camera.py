@@ -1,4 +1,4 @@
-"""One camera: found, controlled, set up, streaming, released."""
+"""One camera, from discovery to release: control, settings, stream."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand
 
-PULSES_PER_TIMEOUT = 4  # signs of life from the reception process
+KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
 
 
 class Camera:
-    """Deadlines are host monotonic time. One thread at a time, beside the heartbeat and the reception."""
+    """Deadlines are host monotonic time. One thread at a time; the heartbeat has its own."""
 
     def __init__(self, side: str, address: str, options: BaslerOptions) -> None:
         self.side = side
@@ -46,8 +46,8 @@ class Camera:
         self._memory: RegisterMemory | None = None
         self._features: FeatureMap | None = None
         self._heartbeat: Heartbeat | None = None
-        self._reception: ReceiverProcess | None = None
-        self._pulse: int | None = None
+        self._receiver_process: ReceiverProcess | None = None
+        self._keep_alive_number: int | None = None
         self._next_block: int | None = None
         self._receiver: StreamReceiver | None = None
         self._listener: EventListener | None = None
@@ -73,7 +73,7 @@ class Camera:
 
     @property
     def receiver(self) -> StreamReceiver:
-        """The reception; only while streaming."""
+        """Receives this camera's stream; only while streaming."""
         assert self._receiver is not None, "the lifecycle allows this only while streaming"
         return self._receiver
 
@@ -84,7 +84,7 @@ class Camera:
 
     @property
     def event_counters(self) -> EventCounters | None:
-        """What the camera has reported, or None when it is not asked to."""
+        """What the camera has reported, or None when events are off."""
         return self._listener.counters if self._listener else None
 
     @property
@@ -93,27 +93,27 @@ class Camera:
         return self._trigger
 
     def connect(self, deadline_s: float) -> CameraIdentity:
-        """Open the control channel and ask who is there; raises GEV-001, GEV-008. Takes no control.
+        """Open the control channel and identify the camera; raises GEV-001, GEV-008. Takes no control.
 
-        Where nobody answers, the message names the cameras that do elsewhere.
+        When no camera replies, the message names those that broadcast discovery finds.
         """
         try:
             self._control = ControlChannel(self._address)
         except OSError as error:
-            raise NoCamera(f"no way to {self._address}", got=error.strerror) from error
+            raise NoCamera(f"no route to {self._address}", got=error.strerror) from error
         try:
             return identify(self._control, deadline_s)
         except NoCamera as error:
             peer = str(self._control.link.getpeername()[0])
             raise NoCamera(error.what, expected=error.expected, got=cameras_near(peer)) from error
 
-    def configure(self, reception: ReceiverProcess, deadline_s: float) -> None:
-        """Take control, read the description, bring everything to a known state, find the packet size.
+    def configure(self, receiver_process: ReceiverProcess, deadline_s: float) -> None:
+        """Take control, read the description, apply the known state, find the packet size.
 
         Waits for the heartbeat of a controller that died. Raises GEV-005 when another application is
         in control; on any error control is given back.
         """
-        self._reception = reception
+        self._receiver_process = receiver_process
         try:
             self._take_control(deadline_s)
             nodes = parse_description(fetch_description(self.control, deadline_s))
@@ -148,10 +148,10 @@ class Camera:
         self._until(deadline_s)
         payload = known_state.payload_bytes(self.features, self.area, self._options.pixel_format_code)
         self._trigger = self._trigger_of(self._options)
-        assert self._reception is not None, "the lifecycle allows this only while controlled"
+        assert self._receiver_process is not None, "the lifecycle allows this only while controlled"
         self._next_block = None
         with open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes) as stream:
-            self._receiver = self._reception.receive(
+            self._receiver = self._receiver_process.receive(
                 stream, self.control.link, payload, self._packet_bytes, self._options.resend
             )
             try:
@@ -173,7 +173,7 @@ class Camera:
             self._close_receiver()
 
     def tie(self, clock: Clock, deadline_s: float) -> Tie | None:
-        """Its count of ticks now, tied to theatre time; None for a camera that cannot tell."""
+        """Its tick count now, tied to theatre time; None for a camera without a time stamp counter."""
         if not self.tick_frequency_hz:
             return None
         try:
@@ -186,23 +186,23 @@ class Camera:
             return None
         ticks = high << 32 | low
         if not ticks:
-            return None  # a register that is there and does nothing
+            return None  # the register exists and does nothing
         half_s = (after_s - before_s) / 2.0
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
 
     def expect_next(self, patience_s: float) -> None:
-        """The frame after the last one was triggered. What came before it is no longer wanted."""
+        """The next frame has been triggered: discard what came before it."""
         self.receiver.discard()
         if self._trigger is None:
             self._next_block = None  # a line fires when it likes
             return
-        # cameras of this family begin with 1; of another one nothing is known before its first frame
+        # this family begins with 1; of others nothing is known before the first frame
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
     def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
-        """The frame of the last trigger, or None when it has not come by the deadline, or is `hopeless`.
+        """The frame of the last trigger, or None at the deadline, or as soon as `hopeless()`.
 
-        Frames of earlier triggers that come late are thrown away.
+        Late frames of earlier triggers are discarded.
         """
         while (frame := self.receiver.take(deadline_s, hopeless)) is not None:
             if self._next_block is None or frame.block_id == self._next_block:
@@ -212,15 +212,15 @@ class Camera:
         return None
 
     def check_control(self, deadline_s: float) -> None:
-        """Raise GEV-007 when the camera does not answer, GEV-015 when it is no longer ours."""
+        """Raise GEV-007 when the camera does not reply, GEV-015 when we no longer control it."""
         require_control(self.control, deadline_s)
 
     def release(self, deadline_s: float) -> None:
-        """Stop what runs and give control back; the channel stays open."""
+        """Stop everything and release control; the channel stays open."""
         if self._heartbeat is not None:
             self._heartbeat.close()
             self._heartbeat = None
-        self._rest()
+        self._end_keep_alive()
         try:
             if self._receiver is not None:
                 self.stop(deadline_s)
@@ -229,13 +229,13 @@ class Camera:
             self.control.write_register(Bootstrap.CCP, gev.CCP_OPEN, deadline_s)
 
     def close(self, deadline_s: float) -> None:
-        """Give control back when the camera still answers, then let go of everything; never raises."""
+        """Release control if the camera still replies, then close everything; never raises."""
         if self._control is None:
             return
         with contextlib.suppress(RonnaError, OSError):
             if self._heartbeat is not None:
                 self.release(deadline_s)
-        self._rest()
+        self._end_keep_alive()
         self._end_listening()
         self._close_receiver()
         self._control.close()
@@ -245,7 +245,7 @@ class Camera:
         take_control(self.control, f"the {self.side} camera at {self._address}", deadline_s)
         self.lost = None
         self._set_heartbeat_timeout(deadline_s)
-        with contextlib.suppress(CommandRefused):  # older devices know no extended status codes
+        with contextlib.suppress(CommandRefused):  # older devices have no extended status codes
             self.control.write_register(
                 Bootstrap.GVCP_CONFIGURATION, gev.GVCP_CONFIGURATION_EXTENDED_STATUS, deadline_s
             )
@@ -255,10 +255,12 @@ class Camera:
         self.control.write_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, wanted_ms, deadline_s)
         set_ms = self.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
         if set_ms != wanted_ms:
-            self.notices.append(f"{self.side}: heartbeat time-out is {set_ms} ms, not {wanted_ms} ms")
+            self.notices.append(f"{self.side}: heartbeat time-out {set_ms} ms instead of {wanted_ms} ms")
         timeout_ms = min(wanted_ms, set_ms or wanted_ms)
-        assert self._reception is not None, "set by configure"
-        self._pulse = self._reception.keep_alive(self.control.link, timeout_ms / 1000.0 / PULSES_PER_TIMEOUT)
+        assert self._receiver_process is not None, "set by configure"
+        self._keep_alive_number = self._receiver_process.keep_alive(
+            self.control.link, timeout_ms / 1000.0 / KEEP_ALIVES_PER_TIMEOUT
+        )
         self._heartbeat = Heartbeat(self.control, timeout_ms, self._note_lost, f"stereo-{self.side}")
 
     def _choose_packet_size(self, deadline_s: float) -> None:
@@ -270,7 +272,7 @@ class Camera:
             )
         if not proven:
             self.notices.append(
-                f"{self.side}: the camera sends no test packets; packets of {self._packet_bytes} bytes"
+                f"{self.side}: no test packets from the camera; using {self._packet_bytes} bytes"
             )
 
     def _read_tick_frequency(self, deadline_s: float) -> int:
@@ -293,7 +295,7 @@ class Camera:
 
     def _listen(self, names: dict[int, str], deadline_s: float) -> None:
         if not names or not has_events(self.control, self.features, deadline_s):
-            self.notices.append(f"{self.side}: the camera reports no events")
+            self.notices.append(f"{self.side}: the camera does not support events")
             return
         own, peer = self.control.local_address, str(self.control.link.getpeername()[0])
         self._listener = EventListener(own, peer, names, self.side)
@@ -306,10 +308,10 @@ class Camera:
             self._listener.close()  # giving control back closes the camera's end
             self._listener = None
 
-    def _rest(self) -> None:
-        if self._pulse is not None and self._reception is not None:
-            self._reception.end_keep_alive(self._pulse)
-        self._pulse = None
+    def _end_keep_alive(self) -> None:
+        if self._keep_alive_number is not None and self._receiver_process is not None:
+            self._receiver_process.end_keep_alive(self._keep_alive_number)
+        self._keep_alive_number = None
 
     def _note_lost(self, error: RonnaError) -> None:
         self.lost = error

@@ -1,4 +1,4 @@
-"""Frames to readings: pixels as an array that nobody can change, and why they may or may not be used."""
+"""From received frames to readings: read-only pixel arrays and their validity."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def camera_image(
     theatre_time_s: float,
     measured_s: float | None = None,
 ) -> CameraImage | None:
-    """The reading of one side; None without a leader, since such a frame has no time and no shape.
+    """The reading of one side; None without a leader, since such a frame has neither time nor shape.
 
-    CORRUPT: the leader tells of another area or pixel format than was set. PARTIAL: packets are missing;
+    CORRUPT: area or pixel format in the leader differ from the settings. PARTIAL: packets are missing;
     their pixels are 0.
     """
     if frame.leader is None:
@@ -60,9 +60,9 @@ def stereo_reading(
     theatre_time_s: float,
     match: Validity = Validity.OK,
 ) -> StereoReading:
-    """Both sides of one trigger; as valid as the worst of them and of how they match.
+    """Both sides of one trigger; its validity is the worst of left, right and `match`.
 
-    Its device clock is the left one's.
+    Its device clock is that of the left camera.
     """
     present = left or right
     ticks = present.stamp.device_clock if present else 0
@@ -75,7 +75,7 @@ def stereo_reading(
 def pixels_of(
     data: bytearray | memoryview, area: AreaOfInterest, pixel_format: PixelFormat
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Rows and columns of grey values, 8 or 12 bits; read-only."""
+    """Grey values (height, width), 8 or 12 bits; read-only."""
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
     if pixel_format is PixelFormat.MONO8:
         pixels = np.frombuffer(data, dtype=np.uint8)
@@ -89,7 +89,7 @@ def pixels_of(
 
 
 def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
-    """Two values from each three bytes: the high eight bits of either, the low four shared in the middle."""
+    """Mono12Packed: two values in three bytes, the low four bits of both in the middle byte."""
     whole = np.zeros(-(-count // 2) * 3, dtype=np.uint16)
     whole[: len(packed)] = packed
     first, shared, second = whole[0::3], whole[1::3], whole[2::3]

@@ -23,13 +23,13 @@ SMALLEST_PACKET_BYTES = 576  # every IPv4 path carries it
 
 
 class BaslerOptions(Strict):
-    """Everything that may be said about the pair; without serial numbers any two cameras are taken."""
+    """Options of the pair; without serial numbers any two cameras are accepted."""
 
     left_serial: Annotated[str, Field(min_length=1)] | None = Field(
-        default=None, description="Serial number of the left camera; none takes any."
+        default=None, description="Serial number of the left camera; none accepts any."
     )
     right_serial: Annotated[str, Field(min_length=1)] | None = Field(
-        default=None, description="Serial number of the right camera; none takes any."
+        default=None, description="Serial number of the right camera; none accepts any."
     )
     expected_model: str | None = Field(
         default=gev.ACA2000_50GM_NIR, description="Model of both cameras; empty for any."
@@ -42,22 +42,23 @@ class BaslerOptions(Strict):
         description="Gain of both, in the camera's own unit, 20 log10(raw/32) dB; none takes the smallest.",
     )
     pixel_format: Literal["Mono8", "Mono12", "Mono12Packed"] = Field(
-        default="Mono8", description="Form of the pixels on the wire."
+        default="Mono8", description="Pixel format of the stream."
     )
     packet_bytes: Annotated[int, Field(ge=SMALLEST_PACKET_BYTES, le=LARGEST_PACKET_BYTES)] | None = Field(
-        default=None, description="Size of stream packets with IP and UDP headers; none takes what arrives."
+        default=None,
+        description="Stream packets with IP and UDP headers; none takes the largest that arrives.",
     )
     inter_packet_delay_ticks: Annotated[int, Field(ge=0)] = Field(
         default=0, description="Pause between stream packets, in ticks of the camera."
     )
     heartbeat_ms: Annotated[int, Field(ge=gev.HEARTBEAT_MINIMUM_MS, le=60_000)] = Field(
-        default=3000, description="Silence after which a camera gives up its controller."
+        default=3000, description="Silence after which a camera drops its controller."
     )
-    resend: bool = Field(default=True, description="Ask for lost packets again.")
+    resend: bool = Field(default=True, description="Request lost packets again.")
     trigger: Literal["software", "action", "line1"] = Field(
         default="software",
         description="software: a command to each camera; action: an action command to each; line1: a pulse "
-        "on both lines, which grab_pair awaits.",
+        "on both lines, which grab_pair waits for.",
     )
     action_device_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = Field(
         default=0x524F_4E4E, description="Key of our action commands."
@@ -66,22 +67,23 @@ class BaslerOptions(Strict):
         default=1, description="Group of our action commands."
     )
     pair_skew_ms: Annotated[float, Field(gt=0, le=1000)] = Field(
-        default=50.0, description="How far apart the exposures of one pair may begin; beyond it is UNPAIRED."
+        default=50.0,
+        description="How far apart the exposures of a pair may begin; beyond that it is UNPAIRED.",
     )
     receive_buffer_bytes: Annotated[int, Field(ge=65_536)] = Field(
         default=16 * 1024 * 1024,
-        description="Wanted size of a stream socket's buffer; the kernel may cap it.",
+        description="Requested receive buffer of a stream socket; the kernel may cap it.",
     )
     events: bool = Field(
         default=False,
-        description="Have the cameras report exposures and missed triggers, and count them.",
+        description="Have the cameras report exposures and missed triggers; the driver counts them.",
     )
     load_default_user_set: bool = Field(default=True, description="Start from the camera's factory settings.")
 
     @model_validator(mode="after")
     def _checks(self) -> Self:
         if self.left_serial is not None and self.left_serial == self.right_serial:
-            raise ValueError("left_serial and right_serial are the same camera")
+            raise ValueError("left_serial and right_serial are equal")
         return self
 
     @property
@@ -95,7 +97,7 @@ class BaslerOptions(Strict):
 
 
 def read_options(config: DeviceConfig) -> BaslerOptions:
-    """Check the options of the theatre file; raises GEV-016 with every mistake in them."""
+    """The checked options of the theatre file; raises GEV-016 listing all mistakes."""
     try:
         # by way of JSON: strict types, but a whole number may stand for a float
         return BaslerOptions.model_validate_json(json.dumps(config.options))

@@ -33,7 +33,7 @@ from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
-CLOSE_LIMIT_S = 1.0  # for the farewell to each camera; a dead one costs no more
+CLOSE_LIMIT_S = 1.0  # per camera, also for a dead one
 _FAULTS = (CameraLost, ControlLost, ReceiverEnded)  # latched; left only by `recover`
 
 T = TypeVar("T")
@@ -42,8 +42,8 @@ T = TypeVar("T")
 class BaslerStereoPair:
     """Calls are synchronous; one thread at a time. Time limits are host time, in seconds.
 
-    A camera that falls silent is waited for within the time limit, and what was under way is done anew: it
-    remains ours until its heartbeat time-out, so a short absence costs time only.
+    A camera that falls silent is waited for within the time limit, and the interrupted work is repeated: it
+    stays under our control until its heartbeat time-out, so a short absence only costs time.
     """
 
     wire_protocol = "gige-vision"  # which byte-level conformance cases apply
@@ -56,7 +56,7 @@ class BaslerStereoPair:
         self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
         self._guard = LifecycleGuard(name)
         self._cameras: tuple[Camera, Camera] | None = None
-        self._reception: ReceiverProcess | None = None
+        self._receiver_process: ReceiverProcess | None = None
         self._grabber: PairGrabber | None = None
         self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
         self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
@@ -123,13 +123,13 @@ class BaslerStereoPair:
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
-        """Block ids of the last pair, None for a side that did not come. They begin anew with each stream."""
+        """Block ids of the last pair, None for a missing side. They restart with each stream."""
         return self._grabber.block_ids if self._grabber else (None, None)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers; takes no control.
 
-        Raises GEV-001 (nobody there), GEV-002 (model), GEV-003 (serial number), GEV-004 (swapped).
+        Raises GEV-001 (no camera), GEV-002 (model), GEV-003 (serial number), GEV-004 (swapped).
         """
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
         self._cameras, self._identities = self._open(time.monotonic() + timeout_s)
@@ -140,8 +140,8 @@ class BaslerStereoPair:
     def configure(self, timeout_s: float = 10.0) -> None:
         """Take control of both and bring them to a known state: software trigger, full frame, packet size.
 
-        Where a client died in control, its heartbeat time-out is awaited within `timeout_s`. Raises GEV-005
-        when another application is in control, GEV-006 to GEV-012 for what does not work; then neither
+        Waits up to `timeout_s` for the heartbeat time-out of a client that died in control. Raises GEV-005
+        when another application is in control, GEV-006 to GEV-012 when configuration fails; then neither
         camera is controlled.
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
@@ -166,7 +166,7 @@ class BaslerStereoPair:
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
         """Choose the part of each sensor to read; raises GEV-011 with both cameras as they were.
 
-        A running stream is stopped for it and started again; its block ids begin anew.
+        A running stream is stopped and restarted; its block ids restart.
         """
         self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         if (left, right) == self.areas:
@@ -176,7 +176,7 @@ class BaslerStereoPair:
         self._areas = (left, right)
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
-        """Set both cameras alike; raises GEV-011."""
+        """Set both cameras to the same values; raises GEV-011."""
         self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         deadline_s = time.monotonic() + timeout_s
 
@@ -189,49 +189,47 @@ class BaslerStereoPair:
         self._streams.exposure_us = exposure_us
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
-        """Trigger both cameras once and return the pair of that trigger; with trigger `line1`, await one.
+        """Trigger both cameras once and return the pair of that trigger; with trigger `line1`, wait for one.
 
-        A side of which no image came is None and the reading MISSING, as long as its camera answers; two
-        images that are not of one moment are UNPAIRED, two that are older than the trigger STALE. Cameras
-        that both sent nothing, or not at one moment, are triggered once more. Raises GEV-013 when there is
-        still nothing. After a pair that is not whole the streams begin anew, so that a late image is never
-        taken for that of the next trigger.
+        A side without an image is None and the reading MISSING, as long as its camera replies. Images from
+        different triggers are UNPAIRED, two that are older than the trigger STALE. When neither camera sent
+        an image, or the pair is UNPAIRED or STALE, both are triggered once more; GEV-013 when there is still
+        no image. After an incomplete pair the streams restart, so that a late image is never taken for one
+        of the next trigger.
 
-        Raises GEV-007 when a camera is silent up to `timeout_s`; ask again then. Raises, with FAULT latched,
-        GEV-014 (a camera is silent beyond its heartbeat time-out), GEV-015 (control lost) or GEV-017 (our
-        reception ended).
+        Raises GEV-007 when a camera stays silent until `timeout_s`; call again then. Raises, with FAULT
+        latched, GEV-014 (a camera silent beyond its heartbeat time-out), GEV-015 (control lost) or GEV-017
+        (our receiver process ended).
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
         deadline_s = time.monotonic() + timeout_s
         return self._watched(lambda: self._grab(deadline_s), deadline_s, leaves_settings=True)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED by a new session with the same cameras, areas and exposure.
+        """FAULT -> CONFIGURED: reconnects to the same cameras and restores areas and exposure.
 
-        Raises GEV-003 when other cameras answer; FAULT then stays latched.
+        Raises GEV-003 when they are different cameras; FAULT then stays latched.
         """
         self._guard.require("recover", {Lifecycle.FAULT})
         require_person(acknowledged_by)
         before = self.serials
         deadline_s = time.monotonic() + timeout_s
-        self._let_go()
+        self._release_all()
         cameras, identities = self._open(deadline_s)
         found = (identities[0].serial, identities[1].serial)
         if found != before:
             _close_all(cameras)
-            raise WrongSerial(
-                "other cameras answer than before", expected="+".join(before), got="+".join(found)
-            )
+            raise WrongSerial("different cameras than before", expected="+".join(before), got="+".join(found))
         self._cameras, self._identities = cameras, identities
         self._configure_cameras(deadline_s)
         self._restore(deadline_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop, give control back, let go. At most about three seconds with dead cameras; never raises."""
+        """Stop, release control and close; at most about three seconds with dead cameras. Never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
-        self._let_go()
+        self._release_all()
         self._guard.enter(Lifecycle.CLOSED)
 
     @property
@@ -245,9 +243,9 @@ class BaslerStereoPair:
         return self._grabber
 
     def _watched(self, work: Callable[[], T], deadline_s: float, *, leaves_settings: bool = False) -> T:
-        """Do one piece of work, again after a silence; a camera that is gone or no longer ours latches FAULT.
+        """Do one piece of work, again after a silence; a camera lost or no longer controlled latches FAULT.
 
-        So does one that stays silent while it is being set: nobody knows what it has taken.
+        So does one that stays silent while it is being set: its settings are then unknown.
         """
         try:
             while True:
@@ -260,20 +258,20 @@ class BaslerStereoPair:
                     if time.monotonic() >= deadline_s:
                         raise
                     self._guard.log.warning("a camera is silent: waiting for it", cause=silence)
-                    self._streams.await_answers(deadline_s)
+                    self._streams.await_replies(deadline_s)
         except _FAULTS as fault:
             self._guard.latch(fault)
             raise
         except CommandRefused as error:
             if error.status != GevStatus.ACCESS_DENIED:
                 raise
-            taken = ControlLost("a camera refuses our commands", got=error.what)
+            taken = ControlLost("a camera rejects our commands", got=error.what)
             self._guard.latch(taken)
             raise taken from error
         except NoReply as error:
             if leaves_settings:
                 raise
-            lost = CameraLost("a camera no longer answers", got=error.what)
+            lost = CameraLost("a camera no longer replies", got=error.what)
             self._guard.latch(lost)
             raise lost from error
 
@@ -289,18 +287,18 @@ class BaslerStereoPair:
 
     def _configure_cameras(self, deadline_s: float) -> None:
         done: list[Camera] = []
-        self._end_reception()
-        self._reception = ReceiverProcess()
+        self._end_receiver_process()
+        self._receiver_process = ReceiverProcess()
         try:
             for camera in self._pair:
                 camera.notices.clear()
-                camera.configure(self._reception, deadline_s)
+                camera.configure(self._receiver_process, deadline_s)
                 done.append(camera)
         except BaseException:
             for camera in done:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.release(deadline_s)
-            self._end_reception()
+            self._end_receiver_process()
             raise
         self._grabber = PairGrabber(self._pair, self.serials, self._clock, self._options)
 
@@ -336,16 +334,16 @@ class BaslerStereoPair:
         self._last_pair = reading
         return reading
 
-    def _let_go(self) -> None:
+    def _release_all(self) -> None:
         if self._cameras is not None:
             _close_all(self._cameras)
         self._cameras = self._grabber = None
-        self._end_reception()
+        self._end_receiver_process()
 
-    def _end_reception(self) -> None:
-        if self._reception is not None:
-            self._reception.close()
-        self._reception = None
+    def _end_receiver_process(self) -> None:
+        if self._receiver_process is not None:
+            self._receiver_process.close()
+        self._receiver_process = None
 
 
 def _close_all(cameras: tuple[Camera, Camera]) -> None:

@@ -1,8 +1,7 @@
-"""Whether two images are of one trigger, told by the cameras' own clocks. No I/O; times are handed in.
+"""Whether two images come from the same trigger, judged by the cameras' own clocks. No I/O, no clock read.
 
-Each camera counts ticks from a zero of its own. A latch at the start of the stream ties its count to the
-theatre's time; from then on every image that belonged to its trigger ties it anew, so that slow drift of the
-cameras' clocks never adds up.
+Each camera counts ticks from its own zero. Latching the counter when the stream starts ties it to theatre
+time; every correctly paired image renews the tie, so that clock drift never accumulates.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ DRIFT = 2e-4  # of a camera's clock against another: 100 ppm each
 
 @dataclass(frozen=True)
 class Tie:
-    """A camera's count at a moment of theatre time, known to within `uncertainty_s`."""
+    """A camera's tick count at a theatre time, known to within `uncertainty_s`."""
 
     ticks: int
     frequency_hz: int
@@ -24,16 +23,16 @@ class Tie:
     uncertainty_s: float
 
     def moment_s(self, ticks: int) -> float:
-        """Theatre time of a count."""
+        """Theatre time of a tick count."""
         return self.theatre_s + (ticks - self.ticks) / self.frequency_hz
 
     def error_s(self, now_s: float) -> float:
-        """How wrong `moment_s` may be now."""
+        """Bound on the error of `moment_s` now."""
         return self.uncertainty_s + DRIFT * max(0.0, now_s - self.theatre_s)
 
 
 class PairClock:
-    """Judges the pairs of one stream. `skew_s` is how far apart two exposures of one trigger may begin."""
+    """Judges the pairs of one stream. `skew_s`: how far apart two exposures of one trigger may begin."""
 
     def __init__(self, ties: tuple[Tie | None, Tie | None], skew_s: float) -> None:
         self._ties = ties
@@ -52,10 +51,10 @@ class PairClock:
         return left, right
 
     def judge(self, ticks: tuple[int, int], triggered_s: float, now_s: float) -> Validity:
-        """OK, STALE when both are older than the trigger, UNPAIRED when they are not of one moment.
+        """UNPAIRED when left and right come from different triggers; STALE when both are older; else OK.
 
-        `triggered_s` and `now_s` are theatre times before the trigger and after the images came. Without a
-        tie nothing is known of the first pair.
+        `triggered_s` and `now_s` are theatre times before the trigger and after both images arrived. Without
+        ties the first pair cannot be judged.
         """
         left, right = self.moments_s(ticks)
         error_s = sum(tie.error_s(now_s) for tie in self._ties if tie)
@@ -69,7 +68,7 @@ class PairClock:
     def confirm(
         self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
     ) -> None:
-        """The pair was good: tie both clocks to one moment between its trigger and now."""
+        """The pair was good: tie both clocks to a time between its trigger and now."""
         known = [moment_s for moment_s in self.moments_s(ticks) if moment_s is not None]
         moment_s = min(max(triggered_s, sum(known) / len(known) if known else triggered_s), now_s)
         left, right = (

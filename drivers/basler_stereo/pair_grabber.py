@@ -1,4 +1,4 @@
-"""Takes pairs from two cameras: starts both streams, triggers, awaits both frames, judges how they match."""
+"""Grabs image pairs: starts both streams, triggers, waits for both frames, judges whether they match."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
-ALIVE_LIMIT_S = 0.5  # to find out whether a camera that sent nothing is still there
-ASK_AGAIN_S = 0.1  # between two such questions: the heartbeat asks by the same channel
+ALIVE_LIMIT_S = 0.5  # to find out whether a camera that sent nothing still replies
+ASK_AGAIN_S = 0.1  # between two such checks: the heartbeat shares the channel
 PARTNER_LIMIT_S = 2.0  # for the second image of a pair after the first has come
-PATIENCE_S = 0.1  # beyond the exposure, until an image of which nothing came is asked for
+PATIENCE_S = 0.1  # beyond the exposure, before the packets of an image that has not begun are requested
 FIRST_TRY_SHARE = 0.6  # of the time limit, for the first of two triggers
-SHORTEST_LIMIT_FOR_TWO_S = 1.0  # with less there is one
-NOT_TAKEN = "Connect again to set their triggers anew; where they are still busy then, grab less often."
-NO_PULSE = "Check what pulses the trigger line, and its wiring to the input Line1 of both cameras."
+SHORTEST_LIMIT_FOR_TWO_S = 1.0  # below this there is only one trigger
+NOT_TAKEN = "Reconnect to reset their triggers; if they are still busy then, grab less often."
+NO_PULSE = "Check the source of the trigger pulse and its wiring to input Line1 of both cameras."
 
 Frames = tuple[Frame | None, Frame | None]
 
@@ -46,7 +46,7 @@ class PairGrabber:
         self.block_ids: tuple[int | None, int | None] = (None, None)
 
     def begin(self, deadline_s: float) -> None:
-        """Start both streams; block ids begin anew."""
+        """Start both streams; block ids restart."""
         left, right = self._cameras
         left.start(deadline_s)
         try:
@@ -67,10 +67,10 @@ class PairGrabber:
     def grab(self, sequence: int, deadline_s: float) -> StereoReading:
         """Trigger once and return the pair of that trigger.
 
-        Once more when neither camera sent an image, or the images are not of one moment, as happens when
-        the computer stalls between the two commands. After a pair that is not whole the streams begin
-        anew, so that a late image is never taken for one of the next trigger. Raises GEV-007, GEV-013 to
-        GEV-015, GEV-017.
+        Triggers a second time when neither camera sent an image, or when left and right come from different
+        triggers, as happens when the computer stalls between the two commands. After an incomplete pair the
+        streams restart, so that a late image is never taken for one of the next trigger. Raises GEV-007,
+        GEV-013 to GEV-015, GEV-017.
         """
         limit_s = deadline_s - time.monotonic()
         twice = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
@@ -80,13 +80,13 @@ class PairGrabber:
                 if reading.validity not in (Validity.UNPAIRED, Validity.STALE):
                     return reading
             except TriggerMissed:
-                pass  # the command or every packet was lost, or the camera was busy
+                pass  # the command or all packets were lost, or the camera was busy
         return self._grab(sequence, deadline_s)
 
-    def await_answers(self, deadline_s: float) -> None:
-        """Return when both cameras answer again.
+    def await_replies(self, deadline_s: float) -> None:
+        """Return when both cameras reply again.
 
-        Whether one is gone is for its heartbeat to say: raises GEV-014, GEV-015, at the deadline GEV-007.
+        The heartbeat decides when one is lost: raises GEV-014, GEV-015; GEV-007 at the deadline.
         """
         for camera in self._cameras:
             while True:
@@ -107,11 +107,11 @@ class PairGrabber:
         for camera in self._cameras:
             camera.expect_next(PATIENCE_S + self.exposure_us * 1e-6)
         triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
-        self._out_of_step = True  # until it is known what became of the trigger
+        self._out_of_step = True  # until the outcome of the trigger is known
         self._trigger(deadline_s)
         frames = self._collect(deadline_s)
         self.block_ids = tuple(frame.block_id if frame else None for frame in frames)  # type: ignore[assignment]
-        # a line without a pulse is no reason to miss the next one
+        # restarting for a pulse that did not come could miss the next one
         no_pulse = self._options.trigger == "line1" and frames == (None, None)
         self._out_of_step = None in frames and not no_pulse
         if None in frames:
@@ -119,7 +119,7 @@ class PairGrabber:
         return self._reading(frames, sequence, triggered_s)
 
     def _tie(self, deadline_s: float) -> None:
-        """Tie the counts of both cameras to theatre time."""
+        """Tie the tick counts of both cameras to theatre time."""
         left, right = (camera.tie(self._clock, deadline_s) for camera in self._cameras)
         self._pair_clock = PairClock((left, right), self._options.pair_skew_ms / 1000.0)
 
@@ -132,12 +132,12 @@ class PairGrabber:
         results = send_together(commands, deadline_s, "the trigger")
         for camera, result in zip(self._cameras, results, strict=False):
             if isinstance(result, CommandRefused) and result.status == GevStatus.ACCESS_DENIED:
-                raise ControlLost(f"the {camera.side} camera refuses our trigger") from result
+                raise ControlLost(f"the {camera.side} camera rejects our trigger") from result
             if result is not None:
                 raise result
 
     def _collect(self, deadline_s: float) -> Frames:
-        """A frame of each camera; the second is not waited for as long as the first."""
+        """A frame of each camera; the wait for the second is shorter."""
 
         def hopeless() -> bool:
             return any(camera.lost is not None for camera in self._cameras)
@@ -149,9 +149,9 @@ class PairGrabber:
         return first, right.take(deadline_s, hopeless)
 
     def _explain_absence(self, frames: Frames) -> None:
-        """Find out why a frame did not come.
+        """Raise the reason why a frame did not come.
 
-        Raises GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
+        GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
         """
         for camera, frame in zip(self._cameras, frames, strict=True):
             if frame is not None:
@@ -163,18 +163,18 @@ class PairGrabber:
             raise self._missed()
 
     def _missed(self) -> TriggerMissed:
-        """Neither camera sent an image: what is known about the reason."""
+        """Neither camera sent an image: the error with what is known about the reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
             return TriggerMissed("no pulse came on the trigger line", expected=expected, action=NO_PULSE)
         if any(camera.receiver.begun for camera in self._cameras):
             return TriggerMissed(
-                "no whole image after a trigger", expected=expected, got="some packets of it"
+                "no complete image after a trigger", expected=expected, got="some of its packets"
             )
         if any(camera.receiver.counters.refusals for camera in self._cameras):
-            said = "the cameras say that they have none"
+            said = "both cameras report that they have no image"
             return TriggerMissed("no image after a trigger", expected=expected, got=said, action=NOT_TAKEN)
-        return TriggerMissed("no image after a trigger", expected=expected, got="not one packet")
+        return TriggerMissed("no image after a trigger", expected=expected, got="no packets")
 
     def _reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
         match, moments_s = self._match(frames, triggered_s)
@@ -203,10 +203,10 @@ class PairGrabber:
     ) -> tuple[Validity, tuple[float | None, float | None]]:
         left, right = (frame.leader if frame else None for frame in frames)
         if left is None or right is None:
-            return Validity.OK, (None, None)  # what is missing says enough
+            return Validity.OK, (None, None)  # the missing side says enough
         ticks = (left.ticks, right.ticks)
         if not self._pair_clock.tied and all(camera.tick_frequency_hz for camera in self._cameras):
-            # a counter that stood at zero when the stream began looked like one that does nothing
+            # a counter still at zero when the stream started looked like one that does not run
             self._tie(time.monotonic() + ALIVE_LIMIT_S)
         now_s = self._clock.now_s()
         match = self._pair_clock.judge(ticks, triggered_s, now_s)

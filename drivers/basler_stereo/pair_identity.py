@@ -1,4 +1,4 @@
-"""Whether two cameras are the pair of the theatre file, and both as the identity of one device."""
+"""Whether two cameras are the pair that the theatre file expects, and their identity as one device."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from ronna_hw.devices.lifecycle import Identity
 
 
 def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptions) -> None:
-    """Raise GEV-002, GEV-003 or GEV-004 unless these are the theatre file's cameras, each on its side."""
+    """Raise GEV-002, GEV-003 or GEV-004 unless these are the expected cameras, each on its side."""
     for identity in (left, right):
         if options.expected_model and identity.model != options.expected_model:
             raise WrongModel(
-                f"another device at {identity.address}",
+                f"unexpected device at {identity.address}",
                 expected=options.expected_model,
                 got=f"{identity.vendor} {identity.model}".strip(),
             )
     wanted = (options.left_serial, options.right_serial)
     if left.serial == right.serial:
-        raise WrongSerial(f"{left.address} and {right.address} are the same camera", got=left.serial)
+        raise WrongSerial(f"{left.address} and {right.address} lead to the same camera", got=left.serial)
     if _matches((left.serial, right.serial), wanted):
         return
     if _matches((right.serial, left.serial), wanted):
         raise CablesSwapped(
-            "the cameras answer at each other's address",
+            "left and right camera are at each other's address",
             expected=f"left {wanted[0]}, right {wanted[1]}",
             got=f"left {left.serial}, right {right.serial}",
         )
     for side, identity, serial in (("left", left, wanted[0]), ("right", right, wanted[1])):
         if serial is not None and identity.serial != serial:
-            raise WrongSerial(f"another camera is the {side} one", expected=serial, got=identity.serial)
+            raise WrongSerial(f"unexpected camera on the {side} side", expected=serial, got=identity.serial)
 
 
 def pair_identity(left: CameraIdentity, right: CameraIdentity) -> Identity:

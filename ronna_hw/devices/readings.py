@@ -31,7 +31,7 @@ class Validity(StrEnum):
     OUT_OF_VOLUME = "out_of_volume"
     STALE = "stale"
     CORRUPT = "corrupt"
-    UNPAIRED = "unpaired"  # of a pair of images: they are not of one moment
+    UNPAIRED = "unpaired"  # of a pair of images: left and right come from different triggers
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class CameraImage:
 class StereoReading:
     """A pair of frames of one trigger.
 
-    PARTIAL: packets are missing; MISSING: a side did not come; UNPAIRED: the sides are not of one moment;
+    PARTIAL: packets are missing; MISSING: a side did not come; UNPAIRED: they come from different triggers;
     STALE: both are older than the trigger.
     """
 

@@ -27,7 +27,7 @@ class Streamed:
 
     pairs: int
     seconds: float
-    reception_cpu_s: float
+    receiver_cpu_s: float
     driver_cpu_s: float
     lost: int  # images that never came
     broken: int  # images that came with packets missing
@@ -70,7 +70,7 @@ def stream_pairs(addresses: list[str], pairs: int, packet_bytes: int = 8000) -> 
     An image counts as lost when its number has not come among the images wanted and those after them.
     """
     options = BaslerOptions(packet_bytes=packet_bytes)
-    reception = ReceiverProcess()
+    receiver = ReceiverProcess()
     both = [
         Camera(side, address, options) for side, address in zip(("left", "right"), addresses, strict=True)
     ]
@@ -78,17 +78,17 @@ def stream_pairs(addresses: list[str], pairs: int, packet_bytes: int = 8000) -> 
         for camera in both:
             deadline_s = time.monotonic() + START_LIMIT_S
             camera.connect(deadline_s)
-            camera.configure(reception, deadline_s)
+            camera.configure(receiver, deadline_s)
             camera.features.choose("TriggerMode", "Off")
         for camera in both:
             camera.start(time.monotonic() + START_LIMIT_S)
         sides = [_Side(camera, pairs) for camera in both]
-        began_s, driver_s, child_s = time.monotonic(), time.process_time(), _cpu_s(reception.pid)
+        began_s, driver_s, child_s = time.monotonic(), time.process_time(), _cpu_s(receiver.pid)
         for _ in range(pairs):
             for side in sides:
                 side.take()
         seconds = time.monotonic() - began_s
-        driver_s, child_s = time.process_time() - driver_s, _cpu_s(reception.pid) - child_s
+        driver_s, child_s = time.process_time() - driver_s, _cpu_s(receiver.pid) - child_s
         for side in sides:
             for _ in range(OVERTAKING_FRAMES):
                 if side.wanted:
@@ -107,7 +107,7 @@ def stream_pairs(addresses: list[str], pairs: int, packet_bytes: int = 8000) -> 
     finally:
         for camera in both:
             camera.close(time.monotonic() + 2.0)
-        reception.close()
+        receiver.close()
 
 
 def _frame(camera: Camera) -> Frame:

@@ -1,4 +1,4 @@
-"""Control commands to bytes, and answers from bytes. No I/O."""
+"""GVCP datagrams: commands to bytes, acknowledges from bytes. No I/O."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _U32 = struct.Struct(gev.READREG_ITEM)
 
 @dataclass(frozen=True)
 class Acknowledge:
-    """An acknowledge as it came: `status` 0 is success."""
+    """A decoded acknowledge; `status` 0 is success."""
 
     status: int
     command: int
@@ -32,13 +32,13 @@ def encode(
 
 
 def encode_resend(request_id: int, block_id: int, first: int, last: int) -> bytes:
-    """Ask for packets `first`..`last` of a block once more; there is no answer to it."""
+    """Request packets `first`..`last` of a block again; it is not acknowledged."""
     payload = struct.pack(gev.PACKETRESEND_COMMAND, 0, block_id, first, last)
     return encode(GvcpCommand.PACKETRESEND, request_id, payload, GvcpFlag(0))
 
 
 def decode(datagram: bytes) -> Acknowledge | None:
-    """An answer, or None for a datagram that is none: too short, or of a wrong length."""
+    """An acknowledge, or None for a datagram that is too short or of the wrong length."""
     if len(datagram) < gev.GVCP_HEADER_BYTES:
         return None
     status, command, length, request_id = _ACK_HEADER.unpack_from(datagram)
@@ -50,9 +50,9 @@ def decode(datagram: bytes) -> Acknowledge | None:
 
 
 def require_success(acknowledge: Acknowledge, what: str) -> bytes:
-    """The payload of a successful answer; raises GEV-006 with the status by name."""
+    """The payload of a successful acknowledge; raises GEV-006 with the status by name."""
     if acknowledge.status != GevStatus.SUCCESS:
-        refused = CommandRefused(f"{what} was refused", got=status_name(acknowledge.status))
+        refused = CommandRefused(f"{what} was rejected", got=status_name(acknowledge.status))
         refused.status = acknowledge.status
         raise refused
     return acknowledge.payload
@@ -72,14 +72,19 @@ def read_register_command(address: int) -> bytes:
 
 
 def register_value(payload: bytes, what: str) -> int:
-    """The value in the answer to a READREG of one register; raises GEV-008."""
+    """The value in the acknowledge of a READREG of one register; raises GEV-008."""
     if len(payload) != gev.REGISTER_BYTES:
-        raise MalformedReply(f"{what}: an answer of {len(payload)} bytes", expected="4", wire=payload)
+        raise MalformedReply(
+            f"{what}: the reply has the wrong length",
+            expected="4 bytes",
+            got=f"{len(payload)} bytes",
+            wire=payload,
+        )
     return int(_U32.unpack(payload)[0])
 
 
 def action_command(device_key: int, group_key: int, group_mask: int) -> bytes:
-    """Payload of an ACTION that is carried out at once."""
+    """Payload of an ACTION for immediate execution."""
     return struct.pack(gev.ACTION_COMMAND, device_key, group_key, group_mask)
 
 
@@ -94,11 +99,12 @@ def read_memory_command(address: int, count: int) -> bytes:
 
 
 def memory_data(payload: bytes, address: int, count: int) -> bytes:
-    """The data in the answer to a READMEM; raises GEV-008."""
+    """The data in the acknowledge of a READMEM; raises GEV-008."""
     if len(payload) != gev.REGISTER_BYTES + count or _U32.unpack_from(payload)[0] != address:
         raise MalformedReply(
-            f"reading memory at 0x{address:X}: an answer of {len(payload)} bytes",
-            expected=f"address and {count} bytes",
+            f"reading memory at 0x{address:X}: the reply has the wrong address or length",
+            expected=f"{gev.REGISTER_BYTES + count} bytes",
+            got=f"{len(payload)} bytes",
             wire=payload[:16],
         )
     return payload[gev.REGISTER_BYTES :]
@@ -110,7 +116,7 @@ def write_memory_command(address: int, data: bytes) -> bytes:
 
 
 def pending_ms(payload: bytes) -> int:
-    """How long the device asks us to keep waiting, ms; 0 when it does not say."""
+    """How much longer the device asks us to wait, ms; 0 when it gives no time."""
     if len(payload) < struct.calcsize(gev.PENDING_PAYLOAD):
         return 0
     return int(struct.unpack_from(gev.PENDING_PAYLOAD, payload)[1])

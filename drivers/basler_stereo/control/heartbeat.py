@@ -1,4 +1,4 @@
-"""Keeps control of a camera by asking it regularly who controls it."""
+"""Keeps control of a camera by reading its control privilege regularly."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ronna_hw.errors import RonnaError
 
 BEATS_PER_TIMEOUT = 4
 SLOWEST_BEAT_S = 1.0
-SILENT_BEATS = 2  # unanswered, repetitions included, at the least, before the camera counts as lost
+SILENT_BEATS = 2  # unanswered in a row, retries included, before the camera may count as lost
 ASK_LIMIT_S = 1.0
 JOIN_LIMIT_S = 1.5
 
 
 class Heartbeat:
-    """A thread that reads the control privilege; tells `on_lost` once why it ends by itself.
+    """A thread that reads the control privilege; calls `on_lost` once with the reason when it gives up.
 
-    A camera that is silent is lost when its time-out has passed: until then it keeps us as its controller.
+    A silent camera is lost when its time-out has passed: until then it keeps us as its controller.
 
     Any command would restart the camera's timer. Reading the privilege also shows when the camera has
-    restarted or let go of us, and it is the one command that every device counts.
+    restarted or dropped us, and every device counts it as a heartbeat.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Heartbeat:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread; bounded by one command to a dead peer."""
+        """End the thread; takes at most as long as one command to a dead peer."""
         self._ending.set()
         if threading.current_thread() is not self._thread:
             self._thread.join(JOIN_LIMIT_S)
@@ -63,7 +63,7 @@ class Heartbeat:
                 if silent < SILENT_BEATS or silent_s < self._timeout_s or self._ending.is_set():
                     continue
                 lost = CameraLost(
-                    f"{self._control.address} no longer answers its heartbeat",
+                    f"{self._control.address} does not reply to the heartbeat",
                     limit=f"{self._timeout_s:g} s",
                     got=f"silent for {silent_s:.1f} s",
                 )

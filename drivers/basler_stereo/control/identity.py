@@ -13,7 +13,7 @@ from ronna_hw.wire.gige_vision import Bootstrap
 
 @dataclass(frozen=True)
 class CameraIdentity:
-    """What one camera says about itself."""
+    """Identity of one camera from its bootstrap registers."""
 
     address: str
     mac: str
@@ -25,16 +25,16 @@ class CameraIdentity:
 
 
 def identify(control: ControlChannel, deadline_s: float) -> CameraIdentity:
-    """Ask the device at the channel's address who it is; raises GEV-001, GEV-008."""
+    """Identify the device at the channel's address; raises GEV-001, GEV-008."""
     try:
         memory = control.discover(deadline_s)
     except NoReply as error:
-        raise NoCamera(f"no camera answers at {control.address}", expected="a discovery answer") from error
+        raise NoCamera(f"no camera replied at {control.address}", expected="a reply to discovery") from error
     return decode_identity(memory, control.address)
 
 
 def decode_identity(memory: bytes, address: str) -> CameraIdentity:
-    """The identity in a discovery answer; raises GEV-008."""
+    """The identity in a reply to discovery; raises GEV-008."""
     if len(memory) != gev.DISCOVERY_BYTES:
         raise MalformedReply(
             f"{address}: a discovery answer of {len(memory)} bytes",

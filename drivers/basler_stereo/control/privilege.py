@@ -1,6 +1,6 @@
-"""Takes control of a camera, and waits while a controller that is gone still holds it.
+"""Takes control of a camera, waiting while a dead controller still holds it.
 
-A camera keeps the privilege of a client that died until that client's heartbeat time-out lapses.
+A camera keeps the privilege of a dead client until that client's heartbeat time-out lapses.
 """
 
 from __future__ import annotations
@@ -13,36 +13,36 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus
 
 ASK_AGAIN_S = 0.1
-LAPSE_MARGIN_S = 0.5  # a camera looks at its timer now and then, not at once
+LAPSE_MARGIN_S = 0.5  # a camera checks its timer only now and then
 
 
 def take_control(control: ControlChannel, who: str, deadline_s: float) -> None:
     """Take the control privilege; `who` names the camera in the message.
 
-    Asks again until the present controller's heartbeat time-out has passed, within the deadline (host
-    monotonic time). Raises GEV-005 when the controller lives on or the time is up, GEV-006, GEV-007.
+    Tries until the current controller's heartbeat time-out has passed, within the deadline (host
+    monotonic time). Raises GEV-005 when that controller is alive or the time is up, GEV-006, GEV-007.
     """
     give_up_s: float | None = None
     while (refusal := _ask(control, deadline_s)) is not None:
         if give_up_s is None:
             give_up_s = _lapse_s(control, deadline_s)
-        if time.monotonic() + 2 * ASK_AGAIN_S >= give_up_s:  # time for one more question, not for two
+        if time.monotonic() + 2 * ASK_AGAIN_S >= give_up_s:  # time for one more try, not for two
             raise ControlTaken(f"{who} is controlled by another application", got=refusal)
         time.sleep(ASK_AGAIN_S)
 
 
 def require_control(control: ControlChannel, deadline_s: float) -> None:
-    """Raise GEV-015 unless the camera says that it is controlled, GEV-007 when it says nothing."""
+    """Raise GEV-015 unless the camera is under control, GEV-007 when it does not reply."""
     try:
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
-    except CommandRefused as error:  # under another's exclusive access even reading is refused
+    except CommandRefused as error:  # under another's exclusive access even reading is rejected
         raise ControlLost(f"{control.address} is controlled by another application") from error
     if not privilege & (gev.CCP_CONTROL | gev.CCP_EXCLUSIVE):
-        raise ControlLost(f"{control.address} has let go of its controller", got=f"privilege {privilege}")
+        raise ControlLost(f"{control.address} has dropped its controller", got=f"privilege {privilege}")
 
 
 def _ask(control: ControlChannel, deadline_s: float) -> str | None:
-    """None when control is ours, else in words how it was refused."""
+    """None when we have control, else how it was refused, in words."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
@@ -54,9 +54,9 @@ def _ask(control: ControlChannel, deadline_s: float) -> str | None:
 
 
 def _lapse_s(control: ControlChannel, deadline_s: float) -> float:
-    """When a controller that died by now has lost control, never later than the deadline."""
+    """When a controller that is dead now will have lost control; never later than the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
-    except CommandRefused:  # exclusive access: others may not even read
+    except CommandRefused:  # exclusive access: others cannot even read
         return deadline_s
     return min(deadline_s, time.monotonic() + timeout_ms / 1000.0 + LAPSE_MARGIN_S)

@@ -1,4 +1,4 @@
-"""Listens to a camera's message channel: acknowledges what comes and counts it once."""
+"""Listens on a camera's message channel: acknowledges every message and counts it once."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from drivers.basler_stereo.features.feature_map import FeatureMap
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 
-LOOK_UP_S = 0.2  # how soon the thread notices that it is to end
+LOOK_UP_S = 0.2  # how soon the thread notices that it must end
 JOIN_LIMIT_S = 1.0
 DATAGRAM_LIMIT_BYTES = 2048
-ACKNOWLEDGE_LIMIT_MS = 300  # a driver that computes acknowledges late; then the camera repeats
+ACKNOWLEDGE_LIMIT_MS = 300  # a busy driver acknowledges late; then the camera repeats
 RETRIES = 5
 NOTIFICATION_ON = ("On", "GenICamEvent")  # the second in older cameras of the vendor
 
@@ -39,7 +39,7 @@ class EventListener:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where messages are to be sent."""
+        """Where the camera must send its messages."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
 
@@ -78,14 +78,14 @@ class EventListener:
 def subscribe(
     control: ControlChannel, features: FeatureMap, listener: EventListener, deadline_s: float
 ) -> tuple[str, ...]:
-    """Point the message channel here and switch the wanted events on; returns those that the camera has.
+    """Point the message channel here and enable the wanted events; returns those that the camera has.
 
     Raises GEV-006, GEV-007.
     """
     host, port = listener.address
     control.write_register(Bootstrap.MCDA, int.from_bytes(socket.inet_aton(host), "big"), deadline_s)
     for register, value in ((Bootstrap.MCTT_MS, ACKNOWLEDGE_LIMIT_MS), (Bootstrap.MCRC, RETRIES)):
-        with contextlib.suppress(CommandRefused):  # optional, or limited: the camera's own values then
+        with contextlib.suppress(CommandRefused):  # optional or restricted: its own values apply
             control.write_register(register, value, deadline_s)
     control.write_register(Bootstrap.MCP, port & gev.MCP_PORT_MASK, deadline_s)
     selectable = [name for name in WANTED if name in features.entries("EventSelector")]
@@ -97,7 +97,7 @@ def subscribe(
 
 
 def has_events(control: ControlChannel, features: FeatureMap, deadline_s: float) -> bool:
-    """True for a camera with a message channel and events that can be chosen."""
+    """True for a camera with a message channel and selectable events."""
     with contextlib.suppress(CommandRefused):
         return (
             control.read_register(Bootstrap.MESSAGE_CHANNELS, deadline_s) > 0

@@ -1,4 +1,4 @@
-"""What a camera reports on its message channel: from bytes, and counted. No I/O."""
+"""Event messages of a camera: decoded from bytes, and counted. No I/O."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EXPOSURE_END = "ExposureEnd"
 MISSED_TRIGGERS = ("FrameStartOvertrigger", "AcquisitionStartOvertrigger")
 EVENT_OVERRUN = "EventOverrun"
 WANTED = (EXPOSURE_END, *MISSED_TRIGGERS, EVENT_OVERRUN)
-"""The events that are asked for, as EventSelector names them."""
+"""The events we subscribe to, by their EventSelector names."""
 
 _HEADER = struct.Struct(gev.GVCP_COMMAND_HEADER)
 _ITEM = struct.Struct(gev.EVENT_ITEM)
@@ -24,7 +24,7 @@ _ACK = struct.Struct(gev.GVCP_ACK_HEADER)
 
 
 class EventItem(NamedTuple):
-    """One event of a message: its id, the frame it belongs to (0: none), the camera's count of ticks."""
+    """One event of a message: its id, the frame it belongs to (0: none), the camera's tick count."""
 
     event_id: int
     block_id: int
@@ -33,7 +33,7 @@ class EventItem(NamedTuple):
 
 @dataclass(frozen=True)
 class EventMessage:
-    """A message as it came."""
+    """One decoded message."""
 
     request_id: int
     command: int
@@ -41,7 +41,7 @@ class EventMessage:
     items: tuple[EventItem, ...]
 
     def acknowledge(self) -> bytes:
-        """The answer that ends its repetition."""
+        """The acknowledge, after which the camera stops repeating it."""
         return _ACK.pack(gev.GevStatus.SUCCESS, self.command + 1, 0, self.request_id)
 
 
@@ -50,10 +50,10 @@ class EventCounters:
     """What a camera has reported since it was configured."""
 
     exposures: int = 0
-    missed_triggers: int = 0  # frame or acquisition triggers that came while the camera could not obey
-    overruns: int = 0  # the camera had more to report than it could send: the other counts are too small
+    missed_triggers: int = 0  # frame or acquisition triggers that came while the camera was busy
+    overruns: int = 0  # the camera had more events than it could send: the other counts are too low
     others: int = 0
-    repeated_messages: int = 0  # our acknowledge was late or lost
+    repeated_messages: int = 0  # our acknowledge came late or was lost
 
     def count(self, name: str | None) -> None:
         """Count one event by its name."""
@@ -93,9 +93,9 @@ def decode_message(datagram: bytes) -> EventMessage | None:
 
 
 def event_ids(nodes: Mapping[str, Node]) -> dict[int, str]:
-    """Names of the wanted events by the id that they have on the wire, as far as a description tells it.
+    """Names of the wanted events by their id on the wire, as far as the description gives it.
 
-    The value of an event, such as its time stamp, lies on a port that carries the id.
+    An event's value, such as its time stamp, belongs to a port that carries the id.
     """
     found: dict[int, str] = {}
     for name in WANTED:

@@ -1,6 +1,6 @@
 """A camera's own description of its features: fetched from the camera, read as strict XML.
 
-Only the form is looked at here; what a node means is in `features`.
+Only the form is checked here; what a node means is in `feature_map`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ronna_hw.wire.gige_vision import Bootstrap
 
 LARGEST_FILE_BYTES = 8 * 1024 * 1024  # descriptions are 20 kB to 1 MB
 ROOT = "RegisterDescription"
-CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that say whether this one can be used
+CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that decide whether this one can be used
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
             name, address, length = parse_url(url)
             data = control.read_memory(address, length, deadline_s)
             return unpacked(data) if name.lower().endswith(".zip") else data.rstrip(b"\0")
-    raise BadDescription(f"{control.address} has no description on the camera", got=url or "an empty address")
+    raise BadDescription(f"{control.address} has no description on board", got=url or "an empty address")
 
 
 def parse_url(url: str) -> tuple[str, int, int]:
@@ -72,7 +72,7 @@ def parse_url(url: str) -> tuple[str, int, int]:
     except ValueError as error:
         raise BadDescription("the address of the description cannot be read", got=url) from error
     if not 0 < place[1] <= LARGEST_FILE_BYTES:
-        raise BadDescription("the description has an impossible length", got=str(place[1]))
+        raise BadDescription("the description has an invalid length", got=str(place[1]))
     return name.lstrip("/"), *place
 
 
@@ -97,12 +97,12 @@ def parse_description(data: bytes) -> dict[str, Node]:
     except ElementTree.ParseError as error:
         raise BadDescription(f"the description is not XML: {error}", wire=data[:32]) from error
     if _local(root.tag) != ROOT:
-        raise BadDescription("the description has another root", expected=ROOT, got=_local(root.tag))
+        raise BadDescription("the description has the wrong root", expected=ROOT, got=_local(root.tag))
     return {node.name: node for node in _nodes(root)}
 
 
 class _Builder(ElementTree.TreeBuilder):
-    """Builds the tree, and refuses a document type: with it come entities."""
+    """Builds the tree and rejects a document type, since it can declare entities."""
 
     def doctype(self, name: str, public: str | None, system: str | None) -> None:
         raise BadDescription("the description declares a document type", got=name)
@@ -121,7 +121,7 @@ def _nodes(parent: ElementTree.Element) -> Iterator[Node]:
 
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
-    """The parts of one register, each with a name; what a part does not say itself the register says."""
+    """The parts of one register, each with a name; a part inherits what it does not state itself."""
     entries = [child for child in shared if _local(child.tag) == "StructEntry"]
     common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
     for entry in entries:

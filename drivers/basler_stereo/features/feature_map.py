@@ -1,8 +1,8 @@
 """Features of a camera by name, through the nodes of its description down to registers.
 
 What is read: Integer, Boolean, Enumeration, Float, Command, IntReg, MaskedIntReg, StructReg, FloatReg,
-Converter, IntConverter, SwissKnife and IntSwissKnife. One description often serves several models: what its
-conditions say is not there counts as absent. Nothing is cached: a camera changes values by itself.
+Converter, IntConverter, SwissKnife and IntSwissKnife. One description often serves several models: a
+feature whose conditions are false counts as absent. Nothing is cached: a camera changes values by itself.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from drivers.basler_stereo.features.register_codec import (
 )
 from ronna_hw.wire.gige_vision import REGISTER_BYTES
 
-DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a circle
+DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
 
 _WHOLE = {"IntSwissKnife", "IntConverter"}
 _CONVERTERS = {"Converter", "IntConverter"}
@@ -29,7 +29,7 @@ _REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg"}
 
 
 class Memory(Protocol):
-    """What a description's registers are read from and written to."""
+    """The memory that a description's registers live in."""
 
     def read(self, address: int, count: int) -> bytes:
         """`count` bytes, a multiple of 4."""
@@ -42,7 +42,7 @@ class Memory(Protocol):
 
 @dataclass(frozen=True)
 class Limits:
-    """Smallest and largest value and step; None where the description does not say."""
+    """Smallest and largest value and step; None where the description gives none."""
 
     minimum: Number | None
     maximum: Number | None
@@ -50,7 +50,7 @@ class Limits:
 
 
 class FeatureMap:
-    """The features of one camera. Unknown names and values raise GEV-010, senseless nodes GEV-009."""
+    """The features of one camera. Unknown names and values raise GEV-010, inconsistent nodes GEV-009."""
 
     def __init__(self, nodes: dict[str, Node], memory: Memory) -> None:
         self._nodes = nodes
@@ -58,11 +58,11 @@ class FeatureMap:
         self._held: dict[str, Number] = {}  # nodes with a value of their own and no register
 
     def has(self, name: str) -> bool:
-        """True when the camera describes a feature of that name, and it can be used now."""
+        """True when the camera has a feature of that name and it can be used now."""
         return name in self._nodes and self._usable(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
-        """Names and values of an enumeration, as far as they can be chosen now."""
+        """Names and values of an enumeration's entries that can be chosen now."""
         node = self._node(name)
         return {
             entry: value
@@ -71,23 +71,23 @@ class FeatureMap:
         }
 
     def number(self, name: str) -> Number:
-        """Present value of a feature."""
+        """Current value of a feature."""
         return self._read(name, 0)
 
     def whole(self, name: str) -> int:
-        """Present value of a feature that is a whole number."""
+        """Current value of an integer feature."""
         return int(self._read(name, 0))
 
     def choice(self, name: str) -> str:
-        """Present value of an enumeration by name."""
+        """Current entry of an enumeration, by name."""
         value = self.whole(name)
         for entry, number in self._node(name).entries.items():
             if number == value:
                 return entry
-        raise BadDescription(f"{name} has the value {value}, which is none of its entries")
+        raise BadDescription(f"{name} has the value {value}, which is not among its entries")
 
     def set_number(self, name: str, value: Number) -> None:
-        """Set a feature; the camera judges the value."""
+        """Set a feature; the camera checks the value."""
         self._write(name, value, 0)
 
     def choose(self, name: str, entry: str) -> None:
@@ -98,11 +98,11 @@ class FeatureMap:
         self._write(name, entries[entry], 0)
 
     def execute(self, name: str) -> None:
-        """Carry out a command."""
+        """Execute a command."""
         self._memory.write(*self.command_write(name))
 
     def command_write(self, name: str) -> tuple[int, bytes]:
-        """Address and bytes that carry out a command."""
+        """Address and bytes that execute a command."""
         node = self._node(name)
         if node.kind != "Command":
             raise MissingFeature(f"{name} is not a command", got=node.kind)
@@ -167,7 +167,7 @@ class FeatureMap:
 
     def _checked(self, name: str, depth: int) -> Node:
         if depth > DEPTH_LIMIT:
-            raise BadDescription(f"the nodes below {name} go round in a circle")
+            raise BadDescription(f"the nodes below {name} form a cycle")
         return self._node(name)
 
     def _final_register(self, name: str, depth: int) -> Node:
@@ -177,7 +177,7 @@ class FeatureMap:
         return self._final_register(self._below(node, depth) or "", depth + 1)
 
     def _usable(self, name: str, depth: int) -> bool:
-        """What the conditions of a node say, and those of the node that holds its value."""
+        """True when the conditions of a node hold, and those of the node that holds its value."""
         node = self._checked(name, depth)
         for tag in CONDITIONS:
             if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
@@ -186,7 +186,7 @@ class FeatureMap:
         return below is None or self._usable(below, depth + 1)
 
     def _below(self, node: Node, depth: int) -> str | None:
-        """The node that holds a node's value: the one, or of several the one that an index chooses."""
+        """The node that holds a node's value; among several, the one that the index selects."""
         chooser = None if node.kind in _REGISTERS else node.text("pIndex")
         if chooser is None:
             return node.text("pValue")

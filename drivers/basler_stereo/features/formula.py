@@ -75,7 +75,7 @@ _FUNCTIONS: dict[str, Callable[[Any], Number]] = {
 
 
 def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Number:
-    """The value of a formula; `whole` gives the arithmetic of integers, division towards zero.
+    """The value of a formula; `whole` selects integer arithmetic, dividing towards zero.
 
     Raises GEV-009 for a formula that cannot be read, an unknown name, or a result that does not exist.
     """
@@ -109,12 +109,12 @@ def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool)
         return int(str(parts[0]), 16)
     if kind == "name":
         if str(parts[0]) not in values:
-            raise BadDescription(f"formula with the unknown name {parts[0]}")
+            raise BadDescription(f"formula uses the unknown name {parts[0]}")
         return values[str(parts[0])]
     if kind == "call":
         function = _FUNCTIONS.get(str(parts[0]).upper())
         if function is None:
-            raise BadDescription(f"formula with the unknown function {parts[0]}")
+            raise BadDescription(f"formula uses the unknown function {parts[0]}")
         return function(_value(parts[1], values, whole))
     if kind == "choose":
         return _value(parts[1 if _value(parts[0], values, whole) else 2], values, whole)

@@ -22,7 +22,7 @@ FRAME_TRIGGER = "FrameStart"
 SOFTWARE, ACTION, LINE = "Software", "Action1", "Line1"
 TRIGGER_SOURCES = {"software": SOFTWARE, "action": ACTION, "line1": LINE}
 ACTION_GROUP_MASK = 1
-# what would change images behind our back, where a camera has it
+# what would alter images without our knowledge, where a camera has it
 _FIXED_CHOICES = (
     ("ExposureMode", "Timed"),
     ("ExposureAuto", "Off"),
@@ -51,10 +51,10 @@ class Features(Protocol):
 
 
 def apply_known_state(features: Features, options: BaslerOptions) -> None:
-    """Everything but the area; raises GEV-010 for what the camera lacks, GEV-011 for impossible values."""
+    """All settings but the area; raises GEV-010 for what the camera lacks, GEV-011 for impossible values."""
     if features.has("AcquisitionStop"):  # a library may hide it while nothing runs
         features.execute("AcquisitionStop")
-    lock_transport(features, False)  # a session that broke off may have left it
+    lock_transport(features, False)  # an earlier client may have left it locked
     if options.load_default_user_set and features.has("UserSetLoad"):
         features.choose("UserSetSelector", "Default")
         features.execute("UserSetLoad")
@@ -68,15 +68,15 @@ def apply_known_state(features: Features, options: BaslerOptions) -> None:
 
 
 def lock_transport(features: Features, locked: bool) -> None:
-    """Tell the camera that geometry and pixel format must stay while images are under way."""
+    """Lock geometry and pixel format in the camera while it streams."""
     if features.has("TLParamsLocked"):
         features.set_number("TLParamsLocked", int(locked))
 
 
 def arm_trigger(features: Features, options: BaslerOptions) -> None:
-    """One frame per trigger of the wanted source, every other kind of trigger off; raises GEV-010.
+    """One frame per trigger of the chosen source, all other kinds of trigger off; raises GEV-010.
 
-    An old firmware may lack the action trigger: then its name is not among the entries.
+    Old firmware may lack the action trigger: then its name is not among the entries.
     """
     source = TRIGGER_SOURCES[options.trigger]
     if source == SOFTWARE and not features.has("TriggerSoftware"):
@@ -115,7 +115,7 @@ def full_area(features: Features) -> AreaOfInterest:
 def set_area(features: Features, area: AreaOfInterest) -> None:
     """Choose the part of the sensor that is read; raises GEV-011 with the limits.
 
-    The offsets go to zero first: the camera refuses a size that does not fit beside its present offset.
+    The offsets go to zero first: the camera rejects a size that does not fit at its current offset.
     """
     sensor = full_area(features)
     if area == present_area(features):
@@ -128,19 +128,19 @@ def set_area(features: Features, area: AreaOfInterest) -> None:
     features.set_number("OffsetX", area.offset_x)
     features.set_number("OffsetY", area.offset_y)
     if (found := present_area(features)) != area:
-        raise OutOfRange("the camera took another area", expected=_shown(area), got=_shown(found))
+        raise OutOfRange("the camera set a different area", expected=_shown(area), got=_shown(found))
 
 
 def present_area(features: Features) -> AreaOfInterest:
-    """The part of the sensor that the camera says it reads."""
+    """The part of the sensor that the camera reports."""
     return AreaOfInterest(*(features.whole(name) for name in ("OffsetX", "OffsetY", "Width", "Height")))
 
 
 def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -> int:
-    """Bytes of one image; raises GEV-009 when camera and arithmetic disagree."""
+    """Bytes of one image; raises GEV-009 when the camera's payload size differs."""
     expected = image_bytes(area, pixel_format)
     if features.has("PayloadSize") and (said := features.whole("PayloadSize")) != expected:
-        raise BadDescription("the payload size does not fit the area", expected=str(expected), got=str(said))
+        raise BadDescription("payload size does not match the area", expected=str(expected), got=str(said))
     return expected
 
 
@@ -160,7 +160,7 @@ def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfIntere
         and area.offset_y + area.height <= sensor.height
     )
     if not inside:
-        raise OutOfRange("the area is not on the sensor", limit=_shown(sensor), got=_shown(area))
+        raise OutOfRange("the area exceeds the sensor", limit=_shown(sensor), got=_shown(area))
     for name, value in (
         ("Width", area.width),
         ("Height", area.height),

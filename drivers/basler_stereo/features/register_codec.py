@@ -1,4 +1,4 @@
-"""Bytes of a register to a value and back, as the node in a camera's description says."""
+"""Register bytes to values and back, as a node of the camera's description defines them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def register_length(node: Node) -> int:
 
 
 def shares_register(node: Node) -> bool:
-    """True when a node takes only some bits of its register, so that writing it keeps the others."""
+    """True when a node uses only some bits of its register, so that writing must keep the others."""
     length = register_length(node)
     return register_bits(node, length)[1] < 8 * length
 
@@ -37,7 +37,7 @@ def decode_register(node: Node, data: bytes) -> Number:
 
 
 def encode_register(node: Node, value: Number, present: bytes = b"") -> bytes:
-    """The bytes that set a register to a value; `present` are its bytes now, for the bits left alone."""
+    """The bytes that set a register to a value; `present`: its current bytes, for the bits left unchanged."""
     length = register_length(node)
     if node.kind == "FloatReg":
         return struct.pack(_float_layout(node, length), float(value))
@@ -62,7 +62,7 @@ def register_bits(node: Node, length: int) -> tuple[int, int]:
         ends = [8 * length - 1 - end for end in ends]
     low, high = min(ends), max(ends)
     if low < 0 or high >= 8 * length:
-        raise BadDescription(f"{node.name} has bits outside its {length} bytes")
+        raise BadDescription(f"{node.name} uses bits outside its {length} bytes")
     return low, high - low + 1
 
 

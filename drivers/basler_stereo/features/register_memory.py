@@ -1,4 +1,4 @@
-"""A camera's registers as the memory that its description speaks of."""
+"""A camera's registers as the memory that its GenICam description addresses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ronna_hw.wire.gige_vision import REGISTER_BYTES
 
 
 class RegisterMemory:
-    """Reads and writes through the control channel until `deadline_s`, which each piece of work sets anew."""
+    """Reads and writes through the control channel until `deadline_s`, which each operation sets."""
 
     def __init__(self, control: ControlChannel) -> None:
         self._control = control

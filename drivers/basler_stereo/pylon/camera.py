@@ -21,12 +21,12 @@ from ronna_hw.devices.readings import AreaOfInterest
 TAKEN = "controlled by another application"  # in the library's message
 EMULATED = "BaslerCamEmu"  # device class of the cameras that the library itself emulates
 LONGEST_WAIT_S = 60.0
-READY_LIMIT_MS = 1000  # a trigger that comes before the camera awaits it is ignored
+READY_LIMIT_MS = 1000  # a trigger that comes before the camera is ready is ignored
 
 
 @dataclass(frozen=True)
 class PylonFrame:
-    """One image as the library gave it; `pixels` are our own copy, None when it did not come whole."""
+    """One image from the library; `pixels` is our own copy, None when the image is incomplete."""
 
     block_id: int
     ticks: int
@@ -37,7 +37,7 @@ def load_pylon() -> tuple[Any, Any]:
     """The library's modules `pylon` and `genicam`; raises GEV-018."""
     try:
         with warnings.catch_warnings():
-            # its binding warns of its own types; where warnings are errors that crashes the interpreter
+            # the binding warns about its own types; where warnings are errors, that crashes the interpreter
             warnings.simplefilter("ignore", DeprecationWarning)
             from pypylon import genicam, pylon
     except ImportError as error:
@@ -121,11 +121,11 @@ class PylonCamera:
         self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def stop(self) -> None:
-        """Stop the acquisition; images that nobody took are gone."""
+        """Stop the acquisition; images not yet taken are lost."""
         self._camera.StopGrabbing()
 
     def trigger(self) -> None:
-        """Take one frame as soon as the camera is ready for it; raises GEV-014."""
+        """Trigger one frame as soon as the camera is ready for it; raises GEV-014."""
         try:
             if self._camera.CanWaitForFrameTriggerReady():
                 self._camera.WaitForFrameTriggerReady(READY_LIMIT_MS, self._pylon.TimeoutHandling_Return)
@@ -152,7 +152,7 @@ class PylonCamera:
             return PylonFrame(result.BlockID, result.TimeStamp, pixels)
 
     def close(self) -> None:
-        """Give control back and let go; never raises."""
+        """Release control and close; never raises."""
         if self._camera is not None:
             with contextlib.suppress(self._genicam.GenericException):
                 self._camera.Close()
@@ -161,7 +161,7 @@ class PylonCamera:
         self._camera = None
 
     def _lost(self, error: Exception) -> CameraLost:
-        return CameraLost(f"the {self.side} camera is gone", got=str(error).splitlines()[0])
+        return CameraLost(f"the {self.side} camera no longer replies", got=str(error).splitlines()[0])
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A camera's features through the vendor's library, as `known_state` wants them."""
+"""A camera's features through the vendor's library, in the form that `known_state` uses."""
 
 from __future__ import annotations
 

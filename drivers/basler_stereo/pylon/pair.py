@@ -4,8 +4,8 @@
 driver = "basler_pylon"
 endpoints = { left = "gev://192.168.3.11", right = "gev://192.168.3.12" }
 
-The options are those of basler_stereo; heartbeat, packets and their repetition are the library's affair, and
-events are not asked for.
+The options are those of basler_stereo; heartbeat, packets and retransmission are handled by the library,
+and events are not subscribed to.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class PylonStereoPair:
         self._areas = (left, right)
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
-        """Set both cameras alike; raises GEV-011."""
+        """Set both cameras to the same values; raises GEV-011."""
         self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         for camera in self._pair:
             camera.set_exposure(exposure_us, gain_raw)
@@ -153,15 +153,15 @@ class PylonStereoPair:
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Trigger both cameras once and return the pair of that trigger.
 
-        A side of which no whole image came is None and the reading MISSING. Raises GEV-013 when neither
-        side sent one, and GEV-014 with FAULT latched. Afterwards the streams begin anew.
+        A side without a complete image is None and the reading MISSING. Raises GEV-013 when neither side
+        sent one, and GEV-014 with FAULT latched. After an incomplete pair the streams restart.
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
         self._last_pair = self._watched(lambda: self._grab(time.monotonic() + timeout_s))
         return self._last_pair
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED by a new session with the same cameras, areas and exposure."""
+        """FAULT -> CONFIGURED: reconnects to the same cameras and restores areas and exposure."""
         self._guard.require("recover", {Lifecycle.FAULT})
         require_person(acknowledged_by)
         before = self.serials
@@ -169,7 +169,7 @@ class PylonStereoPair:
         self._open()
         if self.serials != before:
             raise WrongSerial(
-                "other cameras answer than before", expected="+".join(before), got="+".join(self.serials)
+                "different cameras than before", expected="+".join(before), got="+".join(self.serials)
             )
         for camera in self._pair:
             camera.configure()
@@ -178,7 +178,7 @@ class PylonStereoPair:
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Give control back and let go; never raises."""
+        """Release control and close; never raises."""
         if self._guard.state is not Lifecycle.CLOSED:
             self._let_go()
             self._guard.enter(Lifecycle.CLOSED)
@@ -246,7 +246,7 @@ class PylonStereoPair:
 
     def _match(self, frames: list[Any], triggered_s: float) -> Validity:
         if self._out_of_step:
-            return Validity.OK  # what is missing says enough
+            return Validity.OK  # the missing side says enough
         ticks = (frames[0].ticks, frames[1].ticks)
         now_s = self._clock.now_s()
         match = self._pair_clock.judge(ticks, triggered_s, now_s)

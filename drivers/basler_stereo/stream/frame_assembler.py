@@ -1,7 +1,7 @@
-"""Frames from stream packets, in whatever order and number they come. No I/O; time is handed in.
+"""Assembles frames from stream packets that may be lost, repeated or out of order. No I/O, no clock read.
 
-A frame is finished when leader, trailer and every payload packet are there. While something is missing the
-packets are asked for again in growing intervals; when that is used up the frame is given as it is.
+A frame is complete when leader, trailer and every payload packet have arrived. Missing packets are requested
+again at growing intervals; when those are used up, the frame is delivered incomplete.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from drivers.basler_stereo.stream.gvsp import Leader, PacketHeader, decode_heade
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
 
-RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet that came; then give up
+RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet; then give up
 AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other a little
-OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets of this one are repeated
-PACKETS_PER_ROUND = 64  # asked for at a time: a burst of more could overrun the socket again
+OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets of this one are resent
+PACKETS_PER_ROUND = 64  # requested at a time: a larger burst could overrun the socket again
 _UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
 _GONE = frozenset(
     {
@@ -31,14 +31,14 @@ _GONE = frozenset(
 
 @dataclass(frozen=True)
 class Frame:
-    """One image as it was received: raw bytes, and what the leader said (None when it never came)."""
+    """One received image: raw bytes and the leader (None when it never came)."""
 
     block_id: int
     leader: Leader | None
     data: bytearray | memoryview
     missing_packets: int
     resent_packets: int
-    slot: int = 0  # where `data` is, of the memory that the assembler was given
+    slot: int = 0  # where `data` is in the memory that the assembler was given
 
 
 @dataclass
@@ -51,7 +51,7 @@ class StreamCounters:
     resend_requests: int = 0
     frames: int = 0
     incomplete_frames: int = 0
-    refusals: int = 0  # of packets that were asked for again: the camera has not got them
+    refusals: int = 0  # resend requests for packets that the camera no longer has
 
 
 @dataclass
@@ -63,8 +63,8 @@ class _Block:
     leader: Leader | None = None
     left: int = 0
     resent: int = 0
-    rounds: int = 0  # of requests since one was answered in full
-    asked: list[int] = field(default_factory=list)  # packets of the last request
+    rounds: int = 0  # of resend requests since one was fulfilled completely
+    requested: list[int] = field(default_factory=list)  # packets of the last resend request
     last_packet_s: float = 0.0
     gone: set[int] = field(default_factory=set)
 
@@ -94,17 +94,17 @@ class FrameAssembler:
 
     @property
     def waiting(self) -> bool:
-        """True while a frame has begun and is not finished."""
+        """True while a frame has begun and is not complete."""
         return bool(self._open)
 
     def expect(self, block_id: int, from_s: float) -> None:
-        """A block has been triggered: from then on ask for it, even when not one of its packets came."""
+        """A block has been triggered: from then on request it, even if none of its packets came."""
         if block_id in self._finished or block_id in self._open or len(self._open) >= OPEN_BLOCKS:
             return
         self._block(block_id).last_packet_s = from_s
 
     def accept(self, packet: memoryview, now_s: float) -> Frame | None:
-        """Take one packet; returns the frame that it finishes, or one that gives way to a newer block."""
+        """Take one packet; returns the frame that it completes, or one that gives way to a newer block."""
         self.counters.packets += 1
         if self._store_usual(packet, now_s):
             return None
@@ -118,32 +118,32 @@ class FrameAssembler:
         block = self._block(header.block_id)
         block.last_packet_s = now_s
         self._take(block, header, packet[gev.GVSP_HEADER_BYTES :])
-        # one packet never finishes a block, so no frame is lost here
+        # one packet never completes a block, so no frame is lost here
         return self._finish(block) if block.left == 0 else pushed_out
 
     def overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
-        """What to ask for again, as (block id, first, last packet id), and a frame that is given up."""
+        """What to request again, as (block id, first, last packet id), and a frame that is given up."""
         for block in list(self._open.values()):
             if now_s - block.last_packet_s < self._pause_s(block):
                 continue
             missing = [i for i in range(self._trailer_id + 1) if not block.came[i] and i not in block.gone]
-            if self._answered(block):
+            if self._fulfilled(block):
                 block.rounds = 0
             used_up = block.rounds >= len(RESEND_INTERVALS_S)
-            # an expected block of which nothing came may be late: it is asked for until it gives way
+            # an expected block that has not begun may be late: it is requested until it gives way
             if not missing or (used_up and block.left <= self._trailer_id):
                 return [], self._finish(block)
             block.rounds += not used_up
             block.last_packet_s = now_s
-            block.asked = missing[:PACKETS_PER_ROUND] if block.left <= self._trailer_id else missing
-            ranges = _ranges(block.asked)
+            block.requested = missing[:PACKETS_PER_ROUND] if block.left <= self._trailer_id else missing
+            ranges = _ranges(block.requested)
             self.counters.resend_requests += len(ranges)
             return [(block.block_id, first, last) for first, last in ranges], None
         return [], None
 
     def _pause_s(self, block: _Block) -> float:
-        """How long after its last packet a block is asked for again."""
-        if self._answered(block):
+        """How long after its last packet a block is requested again."""
+        if self._fulfilled(block):
             return AFTER_TRAILER_S
         if block.rounds == 0 and block.left <= self._trailer_id:
             newer_begun = next(reversed(self._open.values())) is not block
@@ -152,19 +152,19 @@ class FrameAssembler:
         return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
 
     def _expect_skipped(self, block_id: int, now_s: float) -> None:
-        """Blocks between the newest one and this, of which not one packet came, are to be asked for."""
+        """Blocks between the newest one and this that have not begun must be requested."""
         newest, self._newest = self._newest, block_id
         skipped = (block_id - newest - 1) % gev.BLOCK_ID_LAST if newest else 0
         if skipped >= OPEN_BLOCKS:
-            self._newest = max(newest, block_id)  # a straggler, or a wrap: nothing to conclude
+            self._newest = max(newest, block_id)  # a straggler or a wrap-around: nothing to conclude
             return
         for _ in range(skipped):
             newest = following(newest)
             self.expect(newest, now_s)
 
     @staticmethod
-    def _answered(block: _Block) -> bool:
-        return bool(block.asked) and all(block.came[packet_id] for packet_id in block.asked)
+    def _fulfilled(block: _Block) -> bool:
+        return bool(block.requested) and all(block.came[packet_id] for packet_id in block.requested)
 
     def _block(self, block_id: int) -> _Block:
         block = self._open.get(block_id)
@@ -184,7 +184,7 @@ class FrameAssembler:
         return self._finish(next(iter(self._open.values())))
 
     def _store_usual(self, packet: memoryview, now_s: float) -> bool:
-        """The short way for nearly every packet: full, new, of an open block that it does not finish."""
+        """Fast path for nearly every packet: full, new, of an open block that it does not complete."""
         if len(packet) != self._full_bytes:
             return False
         status, block_id, word = _UNPACK_HEADER(packet)
@@ -220,7 +220,7 @@ class FrameAssembler:
         block.resent += header.status == GevStatus.PACKET_RESEND
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
-        """Keep the content where it belongs; False when kind, place and length do not fit together."""
+        """Store the content in its place; False when kind, place and length do not match."""
         packet_id = header.packet_id
         if packet_id == gev.LEADER_PACKET_ID:
             block.leader = decode_leader(content) if header.kind == GvspFormat.LEADER else None

@@ -1,4 +1,4 @@
-"""Stream packets from bytes: header, leader, trailer. No I/O."""
+"""GVSP packets from bytes: header and leader. No I/O."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _LEADER = struct.Struct(gev.GVSP_LEADER)
 
 
 class PacketHeader(NamedTuple):
-    """The eight bytes before every packet's content."""
+    """The eight bytes in front of every packet's content."""
 
     status: int
     block_id: int
-    kind: int  # of GvspFormat; a refused repetition may carry any
+    kind: int  # a GvspFormat; the reply to a rejected resend request may carry any
     packet_id: int
 
 
 class Leader(NamedTuple):
-    """What a camera says about an image before it sends it."""
+    """What a camera announces about an image before it sends it."""
 
     ticks: int
     pixel_format: int
@@ -36,14 +36,14 @@ class Leader(NamedTuple):
 
     @property
     def area(self) -> AreaOfInterest:
-        """The part of the sensor. Imported here: the reception process needs no readings, nor numpy."""
+        """The part of the sensor. Imported here: the receiver process needs no readings, nor numpy."""
         from ronna_hw.devices.readings import AreaOfInterest
 
         return AreaOfInterest(self.offset_x, self.offset_y, self.width, self.height)
 
 
 def decode_header(packet: memoryview) -> PacketHeader | None:
-    """The header, or None for bytes that are no stream packet of the standard form."""
+    """The header, or None for bytes that are not a standard stream packet."""
     if len(packet) < gev.GVSP_HEADER_BYTES:
         return None
     status, block_id, word = _HEADER.unpack_from(packet)
@@ -64,5 +64,5 @@ def decode_leader(content: memoryview) -> Leader | None:
 
 
 def following(block_id: int) -> int:
-    """The block id after this one: it wraps, and is never 0."""
+    """The block id after this one; it wraps and is never 0."""
     return block_id % gev.BLOCK_ID_LAST + gev.BLOCK_ID_FIRST

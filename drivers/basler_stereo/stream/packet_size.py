@@ -1,4 +1,4 @@
-"""Finds out how large stream packets may be: the camera sends test packets, and we see which arrive."""
+"""Finds the largest usable stream packet: the camera sends test packets, and we see which arrive."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from drivers.basler_stereo.stream.stream_socket import probe_arrives
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 
-# largest first: jumbo frames as the camera family has them, the usual network, what always passes
+# largest first: jumbo frames of the camera family, ordinary Ethernet, what every path carries
 CANDIDATES_BYTES = (8192, 4000, 1500, SMALLEST_PACKET_BYTES)
-BELIEVED_BYTES = 1500  # for a device that sends no test packets: what every Ethernet carries
+DEFAULT_BYTES = 1500  # for a device that sends no test packets: what every Ethernet carries
 PROBE_LIMIT_S = 0.1
-PROBES = 2  # per size: a single one may be lost by chance
+PROBES = 2  # per size: one may be lost by chance
 
 
 def choose_packet_bytes(
@@ -23,8 +23,8 @@ def choose_packet_bytes(
 ) -> tuple[int, bool]:
     """The packet size to use, and whether a test packet proved it; sets it in the camera.
 
-    Takes the largest candidate that arrives, or checks the wanted size. A device that sends no test packet
-    at all is believed. Raises GEV-012 when the wanted size does not arrive and smaller ones do.
+    Takes the largest candidate that arrives, or checks the wanted size. A device that sends no test packets
+    gets the wanted or the default size. Raises GEV-012 when only sizes below the wanted one arrive.
     """
     point_stream_to(control, stream, deadline_s)
     try:
@@ -36,9 +36,9 @@ def choose_packet_bytes(
                 raise PacketTooLarge(
                     f"packets of {wanted_bytes} bytes from {control.address} do not arrive",
                     expected=f"a test packet within {PROBE_LIMIT_S} s",
-                    limit=f"packets of {size} bytes do",
+                    limit=f"{size} bytes, which do arrive",
                 )
-        return _accepted(control, wanted_bytes or BELIEVED_BYTES, deadline_s), False
+        return _accepted(control, wanted_bytes or DEFAULT_BYTES, deadline_s), False
     finally:
         control.write_register(Bootstrap.SCP, 0, deadline_s)
 
@@ -61,6 +61,6 @@ def _carries(control: ControlChannel, stream: socket.socket, size: int, deadline
 
 
 def _accepted(control: ControlChannel, size: int, deadline_s: float) -> int:
-    """Set the size and return what the camera made of it."""
+    """Set the size and return what the camera accepted."""
     control.write_register(Bootstrap.SCPS, size | gev.SCPS_DO_NOT_FRAGMENT, deadline_s)
     return control.read_register(Bootstrap.SCPS, deadline_s) & gev.SCPS_SIZE_MASK

@@ -1,4 +1,4 @@
-"""The driver's side of the reception process: started, told what to receive, asked for frames."""
+"""The driver's side of the receiver process: starts it, sends it orders, fetches frames."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from drivers.basler_stereo.errors import ReceiverEnded
 from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
 from drivers.basler_stereo.stream.frame_slots import NOTE_BYTES, FrameSlots
 from drivers.basler_stereo.stream.receiver_orders import (
-    Beat,
     CloseStream,
-    Expect,
+    EndKeepAlive,
+    ExpectBlock,
+    KeepAlive,
     OpenStream,
     Order,
-    Rest,
     send_order,
 )
 
 RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0
-LOOK_UP_S = 0.1  # while waiting for a frame: how soon it is noticed that none can come
+LOOK_UP_S = 0.1  # while waiting for a frame: how soon a hopeless wait is noticed
 
 
 class ReceiverProcess:
@@ -52,7 +52,7 @@ class ReceiverProcess:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process id."""
         return self._process.pid
 
     def receive(
@@ -63,7 +63,7 @@ class ReceiverProcess:
         packet_bytes: int,
         resend: bool,
     ) -> StreamReceiver:
-        """Have a stream received; `control` is where repetitions are asked for. Raises GEV-017."""
+        """Have a stream received; resend requests go out on `control`. Raises GEV-017."""
         number = next(self._numbers)
         memory = FrameSlots.allocate(payload_bytes)
         try:
@@ -76,15 +76,15 @@ class ReceiverProcess:
             os.close(memory)
 
     def keep_alive(self, control: socket.socket, period_s: float) -> int:
-        """Send a camera signs of life; returns the number to end them with. Raises GEV-017."""
+        """Send a camera keep-alives; returns the number to end them with. Raises GEV-017."""
         number = next(self._numbers)
-        self._tell(Beat(number, period_s), control.fileno())
+        self._tell(KeepAlive(number, period_s), control.fileno())
         return number
 
     def end_keep_alive(self, number: int) -> None:
-        """No more signs of life."""
+        """No more keep-alives."""
         with contextlib.suppress(ReceiverEnded):
-            self._tell(Rest(number))
+            self._tell(EndKeepAlive(number))
 
     def close(self) -> None:
         """End the process, within two seconds."""
@@ -99,11 +99,11 @@ class ReceiverProcess:
         try:
             send_order(self._orders, order, descriptors)
         except OSError as error:
-            raise ReceiverEnded("the process that receives images has ended", got=str(error)) from error
+            raise ReceiverEnded("the receiver process has ended", got=str(error)) from error
 
 
 class StreamReceiver:
-    """The frames of one stream, fetched from shared memory in the order in which they were finished."""
+    """The frames of one stream, fetched from shared memory in the order of their completion."""
 
     def __init__(
         self, tell: Callable[[Order], None], number: int, slots: FrameSlots, notes: socket.socket
@@ -120,13 +120,13 @@ class StreamReceiver:
 
     @property
     def begun(self) -> bool:
-        """True when any packet of an image came since the stream was opened."""
+        """True when any image packet has come since the stream was opened."""
         counters = self.counters
         return counters.packets > counters.refusals
 
     def expect(self, block_id: int, patience_s: float) -> None:
-        """A block was triggered; have it asked for when nothing of it has come after `patience_s`."""
-        self._tell(Expect(self._number, block_id, patience_s))
+        """A block was triggered; have it requested when it has not begun after `patience_s`."""
+        self._tell(ExpectBlock(self._number, block_id, patience_s))
 
     def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
         """The oldest frame not yet taken, or None when none is there by the deadline (host monotonic).
@@ -135,7 +135,7 @@ class StreamReceiver:
         """
         while True:
             left_s = deadline_s - time.monotonic()
-            # what is there is taken even when the deadline has passed
+            # a frame that is there is taken even after the deadline
             if select.select([self._notes], [], [], max(0.0, min(left_s, LOOK_UP_S)))[0]:
                 frame = self._slots.fetch(self._next_note())
                 if frame is not None:
@@ -144,7 +144,7 @@ class StreamReceiver:
                 return None
 
     def discard(self) -> int:
-        """Throw away the frames that nobody took; returns how many. Raises GEV-017."""
+        """Discard frames not yet taken; returns how many. Raises GEV-017."""
         count = 0
         while select.select([self._notes], [], [], 0.0)[0]:
             self._next_note()
@@ -152,7 +152,7 @@ class StreamReceiver:
         return count
 
     def close(self) -> None:
-        """Let go of the stream."""
+        """Stop receiving the stream."""
         with contextlib.suppress(ReceiverEnded):
             self._tell(CloseStream(self._number))
         self._notes.close()
@@ -161,7 +161,7 @@ class StreamReceiver:
         try:
             note = self._notes.recv(NOTE_BYTES)
         except OSError as error:
-            raise ReceiverEnded("the process that receives images has ended", got=str(error)) from error
+            raise ReceiverEnded("the receiver process has ended", got=str(error)) from error
         if not note:
-            raise ReceiverEnded("the process that receives images has ended")
+            raise ReceiverEnded("the receiver process has ended")
         return note

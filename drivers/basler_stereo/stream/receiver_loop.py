@@ -1,4 +1,4 @@
-"""The loop of the reception process: packets of all streams to frames, signs of life to the cameras."""
+"""The loop of the receiver process: packets of all streams to frames, keep-alives to the cameras."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from drivers.basler_stereo.control import gvcp
 from drivers.basler_stereo.stream.frame_assembler import Frame, FrameAssembler
 from drivers.basler_stereo.stream.frame_slots import FrameSlots
 from drivers.basler_stereo.stream.receiver_orders import (
-    Beat,
     CloseStream,
-    Expect,
+    EndKeepAlive,
+    ExpectBlock,
+    KeepAlive,
     OpenStream,
     Order,
-    Rest,
     receive_order,
 )
 from drivers.basler_stereo.stream.stream_socket import DATAGRAM_LIMIT_BYTES
@@ -26,9 +26,9 @@ from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand, GvcpFlag
 
 FRAME_WAIT_S = 0.004  # while a frame has begun: how soon a pause is noticed
 IDLE_WAIT_S = 1.0
-PACKETS_AT_ONCE = 64  # of one stream before the other gets its turn
-# Packets are left to gather for a moment: waking for each burst costs as much as taking it, and on a busy
-# computer each waking waits for its turn.
+PACKETS_AT_ONCE = 64  # of one stream before it is the other's turn
+# Packets gather for a moment: waking for each burst costs as much as reading it, and on a busy computer
+# every wake-up waits for its turn.
 GATHER_S = 0.002
 GATHER_BUFFER_BYTES = 2 << 20  # as the kernel counts; a link of 1 Gbit/s fills a quarter of it meanwhile
 
@@ -56,14 +56,14 @@ class _Stream:
 
     @property
     def gathers(self) -> bool:
-        """True while packets may be left in the socket for a moment."""
+        """True while packets may stay in the socket for a moment."""
         return self._may_gather and self._assembler.waiting
 
     def expect(self, block_id: int, from_s: float) -> None:
         self._assembler.expect(block_id, from_s)
 
     def receive(self, buffer: bytearray, view: memoryview) -> bool:
-        """Take what has come, up to a limit; True when there may be more."""
+        """Read the packets that have come, up to a limit; True when there may be more."""
         accept, receive = self._assembler.accept, self.socket.recv_into
         now_s = time.monotonic()
         with contextlib.suppress(OSError):  # nothing more has come
@@ -75,8 +75,8 @@ class _Stream:
         self._slots.write_counters(self._assembler.counters)
         return False
 
-    def chase(self, now_s: float) -> None:
-        """Ask for what is missing; give up what does not come."""
+    def request_missing(self, now_s: float) -> None:
+        """Request missing packets again; give up frames that stay incomplete."""
         ranges, given_up = self._assembler.overdue(now_s)
         if self._resend:
             for block_id, first, last in ranges:
@@ -94,15 +94,15 @@ class _Stream:
 
     def _announce(self, frame: Frame) -> None:
         self._slots.write_counters(self._assembler.counters)
-        with contextlib.suppress(OSError):  # a driver that does not look: newer frames take the slots
+        with contextlib.suppress(OSError):  # the driver does not fetch: newer frames take the slots
             self._notes.send(self._slots.note(frame))
 
 
-class _Pulse:
-    """Signs of life for one camera.
+class _KeepAlive:
+    """Keep-alives for one camera.
 
-    They ask for no answer: the driver's own heartbeat asks who is in control. This one goes on while the
-    driver computes, or the computer gives it no time.
+    They request no acknowledge: the driver's own heartbeat checks who is in control. These go on while the
+    driver is busy or gets no CPU time.
     """
 
     def __init__(self, period_s: float, control: int) -> None:
@@ -110,13 +110,13 @@ class _Pulse:
         self._control = socket.socket(fileno=control)
         self._command = gvcp.encode(
             GvcpCommand.READREG,
-            gev.REQUEST_ID_LAST,  # the driver leaves it to us
+            gev.REQUEST_ID_LAST,  # reserved for us by the driver
             gvcp.read_register_command(Bootstrap.CCP),
             GvcpFlag(0),
         )
         self.due_s = 0.0
 
-    def beat(self, now_s: float) -> None:
+    def send_when_due(self, now_s: float) -> None:
         if now_s >= self.due_s:
             self.due_s = now_s + self._period_s
             with contextlib.suppress(OSError):
@@ -127,18 +127,18 @@ class _Pulse:
 
 
 class ReceiverLoop:
-    """One thread for everything: waits for packets and orders, never for anything else."""
+    """One thread for everything; waits only for packets and orders."""
 
     def __init__(self, orders: socket.socket) -> None:
         self._orders = orders
         self._streams: dict[int, _Stream] = {}
-        self._pulses: dict[int, _Pulse] = {}
+        self._keep_alives: dict[int, _KeepAlive] = {}
         self._poll = select.poll()
         self._poll.register(orders, select.POLLIN)
         self._by_descriptor: dict[int, _Stream] = {}
 
     def run(self) -> None:
-        """Until the driver is gone."""
+        """Run until the driver is gone."""
         buffer = bytearray(DATAGRAM_LIMIT_BYTES)
         view = memoryview(buffer)
         while True:
@@ -152,9 +152,9 @@ class ReceiverLoop:
             now_s = time.monotonic()
             for stream in self._streams.values():
                 if stream.waiting:
-                    stream.chase(now_s)
-            for pulse in self._pulses.values():
-                pulse.beat(now_s)
+                    stream.request_missing(now_s)
+            for keep_alive in self._keep_alives.values():
+                keep_alive.send_when_due(now_s)
             if not more and any(stream.gathers for stream in self._streams.values()):
                 time.sleep(GATHER_S)
 
@@ -162,7 +162,9 @@ class ReceiverLoop:
         if any(stream.waiting for stream in self._streams.values()):
             return FRAME_WAIT_S
         now_s = time.monotonic()
-        return max(0.0, min([IDLE_WAIT_S, *(pulse.due_s - now_s for pulse in self._pulses.values())]))
+        return max(
+            0.0, min([IDLE_WAIT_S, *(keep_alive.due_s - now_s for keep_alive in self._keep_alives.values())])
+        )
 
     def _obey(self) -> bool:
         try:
@@ -186,11 +188,11 @@ class ReceiverLoop:
                     self._poll.unregister(ended.socket)
                     del self._by_descriptor[ended.socket.fileno()]
                     ended.close()
-            case Expect():
+            case ExpectBlock():
                 if (expecting := self._streams.get(order.stream)) is not None:
                     expecting.expect(order.block_id, time.monotonic() + order.patience_s)
-            case Beat():
-                self._pulses[order.camera] = _Pulse(order.period_s, descriptors[0])
-            case Rest():
-                if (pulse := self._pulses.pop(order.camera, None)) is not None:
-                    pulse.close()
+            case KeepAlive():
+                self._keep_alives[order.camera] = _KeepAlive(order.period_s, descriptors[0])
+            case EndKeepAlive():
+                if (keep_alive := self._keep_alives.pop(order.camera, None)) is not None:
+                    keep_alive.close()

@@ -1,4 +1,4 @@
-"""What the driver tells its reception process: one order per datagram, with the descriptors it needs."""
+"""Orders from the driver to its receiver process: one per datagram, with the file descriptors it needs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MOST_DESCRIPTORS = 4
 
 @dataclass(frozen=True)
 class OpenStream:
-    """Receive a stream. Descriptors: its socket, control socket or none of it, memory, channel for notes."""
+    """Receive a stream. Descriptors: stream socket, control socket, memory, channel for notes."""
 
     stream: int
     payload_bytes: int
@@ -23,14 +23,14 @@ class OpenStream:
 
 @dataclass(frozen=True)
 class CloseStream:
-    """Let go of a stream."""
+    """Stop receiving a stream."""
 
     stream: int
 
 
 @dataclass(frozen=True)
-class Expect:
-    """A block was triggered; ask for it when it has not begun after `patience_s`."""
+class ExpectBlock:
+    """A block was triggered; request it when it has not begun after `patience_s`."""
 
     stream: int
     block_id: int
@@ -38,23 +38,23 @@ class Expect:
 
 
 @dataclass(frozen=True)
-class Beat:
-    """Show the camera regularly that we live. Descriptor: the control socket."""
+class KeepAlive:
+    """Send a camera keep-alives. Descriptor: the control socket."""
 
     camera: int
     period_s: float
 
 
 @dataclass(frozen=True)
-class Rest:
-    """End that."""
+class EndKeepAlive:
+    """Stop sending them."""
 
     camera: int
 
 
-Order = OpenStream | CloseStream | Expect | Beat | Rest
+Order = OpenStream | CloseStream | ExpectBlock | KeepAlive | EndKeepAlive
 _KINDS: dict[str, type[Order]] = {
-    kind.__name__: kind for kind in (OpenStream, CloseStream, Expect, Beat, Rest)
+    kind.__name__: kind for kind in (OpenStream, CloseStream, ExpectBlock, KeepAlive, EndKeepAlive)
 }
 
 

@@ -16,8 +16,8 @@ SO_RCVBUFFORCE = 33  # from asm-generic/socket.h; not in Python's socket module
 def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.socket:
     """A socket for the stream on a free port of the host's address."""
     stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    # The kernel caps the size at net.core.rmem_max, but not for the superuser; what does not fit is lost
-    # and asked for again.
+    # The kernel caps the size at net.core.rmem_max, except for the superuser; packets that do not fit are
+    # lost and requested again.
     stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
     with contextlib.suppress(OSError):
         stream.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, receive_buffer_bytes)
@@ -26,9 +26,9 @@ def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.
 
 
 def probe_arrives(stream: socket.socket, packet_bytes: int, limit_s: float) -> bool:
-    """True when a datagram with that packet size comes within the limit; others are thrown away."""
+    """True when a datagram of that packet size arrives within the limit; others are discarded."""
     deadline_s = time.monotonic() + limit_s
-    # what is there is looked at even when the host stalled beyond the limit
+    # a datagram that is already there counts even when the host stalled beyond the limit
     while select.select([stream], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
         if len(stream.recv(DATAGRAM_LIMIT_BYTES)) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
             return True

@@ -87,8 +87,8 @@ def test_a_recovery_needs_a_name(pair, peers):
 
 
 @pytest.mark.hazard(4)
-def test_the_end_of_our_own_reception_is_a_fault_and_recover_starts_it_anew(pair):
-    os.kill(pair._reception.pid, signal.SIGKILL)
+def test_a_killed_receiver_process_is_a_fault_and_recover_restarts_it(pair):
+    os.kill(pair._receiver_process.pid, signal.SIGKILL)
     with pytest.raises(ReceiverEnded, match="GEV-017"):
         pair.grab_pair(HANG_LIMIT_S)
     assert pair.state is Lifecycle.FAULT

@@ -30,7 +30,7 @@ def test_all_mistakes_are_told_at_once():
 
 
 def test_one_camera_cannot_be_both_sides():
-    with pytest.raises(BadOptions, match="same camera"):
+    with pytest.raises(BadOptions, match="serial are equal"):
         options(left_serial="1", right_serial="1")
 
 
