@@ -172,7 +172,7 @@ class PairGrabber:
                 "no complete image after a trigger", expected=expected, got="some of its packets"
             )
         if any(camera.receiver.counters.refusals for camera in self._cameras):
-            said = "both cameras report that they have no image"
+            said = "'no image' from both cameras"
             return TriggerMissed("no image after a trigger", expected=expected, got=said, action=NOT_TAKEN)
         return TriggerMissed("no image after a trigger", expected=expected, got="no packets")
 
