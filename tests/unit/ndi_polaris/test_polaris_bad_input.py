@@ -243,9 +243,7 @@ def test_a_link_that_dies_in_the_middle_of_a_reply(tracker: PolarisTracker, unit
         lost += 1
     assert lost <= 7  # the unit may take four seconds, each reading waits for one
     assert isinstance(tracker.fault, errors.LinkLost)
-    with told(
-        "DEV-001", "not allowed now; expected active or hold, got fault", "after a fault, call recover"
-    ):
+    with told("DEV-001", "not allowed now", "after a fault, call recover"):
         tracker.read_frame()
     assert tracker.state is Lifecycle.FAULT
     unit.silent = False
