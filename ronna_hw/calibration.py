@@ -1,6 +1,6 @@
-"""Calibration records of the theatre: what was measured, when, how well, until when it holds.
+"""Calibration records of the theatre file: values, stated error, date and expiry.
 
-They are plain numbers in the theatre file. Poses are given as translation (mm) and scalar-first quaternion.
+Plain numbers. Poses are given as translation (mm) and scalar-first quaternion.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Numbers4 = tuple[float, float, float, float]
 
 
 class CalibrationExpired(DataError):
-    """A calibration record is older than it may be."""
+    """A calibration record has expired."""
 
     code = "CAL-001"
     action = "Repeat the calibration, or have the record's owner extend it; no motion until then."
@@ -35,7 +35,7 @@ class Strict(BaseModel):
 
 
 class PoseRecord(Strict):
-    """A rigid pose `target <- source`; which frames is said by the field that holds it."""
+    """A rigid pose `target <- source`; the field that holds it names the frames."""
 
     translation_mm: Numbers3 = Field(description="Origin of the source in the target.")
     quaternion_wxyz: Numbers4 = Field(description="Rotation, scalar first, of norm 1.")
@@ -63,7 +63,7 @@ class CameraCalibration(Strict):
     to the camera frame (z along the optical axis, x along columns, y down the rows).
     """
 
-    serial: str = Field(description="Serial number that the camera itself tells.")
+    serial: str = Field(description="Serial number, as read from the camera.")
     focal_px: tuple[float, float] = Field(description="Along columns and along rows.")
     principal_point_px: tuple[float, float] = Field(description="Where the optical axis meets the sensor.")
     distortion: tuple[float, float, float, float, float] = Field(
@@ -74,14 +74,14 @@ class CameraCalibration(Strict):
 
 
 class DatedRecord(Strict):
-    """What every calibration says about itself."""
+    """Fields that all calibration records have in common."""
 
     identifier: str = Field(description="Name of the record.")
     created: datetime = Field(description="When it was measured.")
-    expires: datetime = Field(description="Until when it holds.")
+    expires: datetime = Field(description="When it expires.")
     made_by: str = Field(description="Who or what measured it.")
     stated_error_mm: Annotated[float, Field(ge=0)] = Field(
-        description="One standard deviation, as its maker states it."
+        description="One standard deviation, as stated by who made it."
     )
 
     def check_valid_at(self, moment: datetime) -> None:
@@ -95,7 +95,7 @@ class DatedRecord(Strict):
 
 
 class StereoHeadCalibration(DatedRecord):
-    """Both cameras, and where the head's tool centre point is thought to sit on the flange."""
+    """Both cameras, and the nominal tool centre point of the head on the flange."""
 
     flange_from_tool: PoseRecord = Field(description="Pose flange <- tool centre of the head.")
     left: CameraCalibration = Field(description="The left camera.")
@@ -103,7 +103,7 @@ class StereoHeadCalibration(DatedRecord):
 
 
 class ToolTipCalibration(DatedRecord):
-    """A surgical guide: where its tip is thought to sit on the flange, z along the guide's axis."""
+    """A surgical guide: the nominal pose of its tip on the flange, z along the axis of the guide."""
 
     tool_number: Annotated[int, Field(ge=1, le=16)] = Field(
         description="As the controller's inputs report it."

@@ -1,4 +1,4 @@
-"""The theatre's time, behind an endpoint.
+"""Theatre time, from the clock that an endpoint names.
 
 Dwell, age, averaging and guards use this clock. Time limits of I/O use the host's monotonic clock. With
 `host:` both are the same. With `shm://` the time is that of the simulated theatre: it stands still unless
@@ -21,7 +21,7 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError
 from ronna_hw.wire import theatre_clock as layout
 
-WAIT_STEP_S = 0.0002  # host time between two looks at a time that another process advances
+WAIT_STEP_S = 0.0002  # host time between two polls of a clock that another process advances
 
 _i64 = struct.Struct("<q")
 _u32 = struct.Struct("<I")
@@ -72,7 +72,7 @@ class SharedClock:
     """One clock for several processes. Whoever needs time to pass asks for it under the lock.
 
     While a cyclic device streams (the robot's correction stream), only its cycles advance the time and
-    everybody else waits; otherwise a wait advances the time itself.
+    everything else waits; otherwise a wait advances the time itself.
     """
 
     def __init__(self, path: str) -> None:

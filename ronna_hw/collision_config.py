@@ -1,4 +1,4 @@
-"""The working cell in the theatre file: bodies on the arm, around the patient and in the room.
+"""Table `[cell]` of the theatre file: collision bodies on the arm, around the patient and in the room.
 
 Every body is a capsule: two ends and a radius. Tools are described in the tool frame (origin in the tool
 centre point, z along the tool), the patient's surroundings in the head frame (origin in the middle of the
@@ -39,10 +39,10 @@ class BodyFrame(StrEnum):
 class BodyConfig(Strict):
     """A capsule: its axis from one point to another, and its radius."""
 
-    name: Annotated[str, Field(min_length=1)] = Field(description="As messages call it.")
+    name: Annotated[str, Field(min_length=1)] = Field(description="Name used in messages.")
     start_mm: Numbers3 = Field(description="One end of the axis.")
     end_mm: Numbers3 = Field(description="The other end.")
-    radius_mm: Millimetres = Field(description="About the axis, and round the ends.")
+    radius_mm: Millimetres = Field(description="Of the cylinder and of its rounded ends.")
 
     @property
     def capsule(self) -> Capsule:
@@ -75,7 +75,7 @@ class ArmThickness(Strict):
 
 
 class HeadZone(Strict):
-    """The largest speed of anything that moves, by its distance to the head: linear between two points."""
+    """Speed limit of all moving parts by their distance to the head, linear between two points."""
 
     near_mm: NotNegative = Field(default=20.0, description="At this distance and nearer ...")
     near_speed_mm_s: Speed = Field(default=60.0, description="... this is the largest speed.")
@@ -128,31 +128,27 @@ AROUND_THE_PATIENT = (
 
 
 class CollisionConfig(Strict):
-    """Bodies and distances by which every path is checked before the arm moves."""
+    """Bodies and clearances by which every path is checked before the arm moves."""
 
-    margin_mm: Millimetres = Field(default=10.0, description="Least distance along a planned path.")
+    margin_mm: Millimetres = Field(default=10.0, description="Smallest clearance along a planned path.")
     live_margin_mm: NotNegative = Field(
-        default=5.0, description="Least distance of a set-point; nearer, the arm stops."
+        default=5.0, description="Smallest clearance of a set-point; below it, the arm stops."
     )
     corridor_mm: Millimetres = Field(
-        default=2.5, description="Radius of the way of the needle about a trajectory."
+        default=2.5, description="Radius of the corridor of the needle about a trajectory."
     )
-    arm: ArmThickness = Field(default=ArmThickness(), description="How thick the arm is.")
-    zone: HeadZone = Field(default=HeadZone(), description="How fast anything may move near the head.")
+    arm: ArmThickness = Field(default=ArmThickness(), description="Radii of the links of the arm.")
+    zone: HeadZone = Field(default=HeadZone(), description="Speed limit near the head.")
     stereo_head: tuple[ToolBody, ...] = Field(
         default=STEREO_HEAD, description="Bodies of the stereo head, in the tool frame."
     )
     guide: tuple[ToolBody, ...] = Field(default=GUIDE, description="Bodies of the guide, in the tool frame.")
-    bodies: tuple[RoomBody, ...] = Field(
-        default=AROUND_THE_PATIENT, description="What stands around the arm."
-    )
+    bodies: tuple[RoomBody, ...] = Field(default=AROUND_THE_PATIENT, description="Bodies around the arm.")
 
     @model_validator(mode="after")
     def _live_is_less(self) -> Self:
         if self.live_margin_mm >= self.margin_mm:
-            raise ValueError(
-                "live_margin_mm must be less than margin_mm: it tolerates what planning leaves open"
-            )
+            raise ValueError("live_margin_mm must be less than margin_mm, the clearance that planning keeps")
         return self
 
     def surroundings(

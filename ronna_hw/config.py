@@ -1,4 +1,4 @@
-"""The theatre file: which devices there are, where they answer, and how they are calibrated.
+"""The theatre file: devices, their endpoints and their calibrations.
 
 TOML, strict: unknown keys are errors, and all mistakes are reported at once.
 """
@@ -25,10 +25,11 @@ class BadTheatreFile(ConfigurationError):
 
 
 class ClockConfig(Strict):
-    """Where the theatre's time comes from."""
+    """Source of theatre time."""
 
     endpoint: str = Field(
-        default="host:", description="Whose time: `host:` for the computer's own, `shm://` for a theatre's."
+        default="host:",
+        description="`host:` for the clock of this computer, `shm://` for that of a simulated theatre.",
     )
 
     @field_validator("endpoint")
@@ -42,13 +43,13 @@ class DeviceConfig(Strict):
     """One device: its driver by name, its endpoint or endpoints, and the driver's own options."""
 
     driver: str = Field(description="Name of the driver, as its package registers it.")
-    endpoint: str | None = Field(default=None, description="Where it answers, when it has one address.")
+    endpoint: str | None = Field(default=None, description="Its address, when it has one.")
     endpoints: dict[str, str] = Field(
         default_factory=dict,
         description="Role = address, when it has several: `rsi` and `eki`, `left` and `right`.",
     )
     options: dict[str, Any] = Field(
-        default_factory=dict, description="The driver's own keys; its page lists them."
+        default_factory=dict, description="Options of the driver; see its reference page."
     )
     _folder: Path | None = PrivateAttr(default=None)
 
@@ -58,7 +59,7 @@ class DeviceConfig(Strict):
         return self._folder
 
     def read_from(self, folder: Path) -> Self:
-        """The same device, as a theatre file in that folder says it."""
+        """The same device, with relative paths in its options starting at `folder`."""
         here = self.model_copy()
         here._folder = folder
         return here
@@ -90,7 +91,7 @@ class Calibrations(Strict):
 
 
 class ProcedureSettings(Strict):
-    """What the procedure may assume of this theatre, and how it works in it."""
+    """Assumptions and settings of the procedure in this theatre."""
 
     arm_error_mm: Annotated[float, Field(ge=0)] = Field(
         default=0.15, description="Local error of the arm per axis, one standard deviation."
@@ -99,24 +100,23 @@ class ProcedureSettings(Strict):
         default=(1024, 1024), description="Columns and rows of each sensor that the visual servo reads."
     )
     standoff_mm: Annotated[float, Field(gt=0)] = Field(
-        default=60.0, description="Where approach begins and retreat ends, outside the entry."
+        default=60.0, description="Distance outside the entry where approach begins and retreat ends."
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = Field(
-        default=3.0, description="Stereo head and tracker may differ so much; beyond, it is another sphere."
+        default=3.0,
+        description="Largest difference between stereo head and tracker for one and the same sphere.",
     )
 
 
 class TheatreFile(Strict):
-    """A whole theatre. Robots are named, never assumed to be one."""
+    """A whole theatre. Any number of robots, each with a name."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
-        default=1, description="Version of this form."
+        default=1, description="Version of the file format."
     )
     theatre: str = Field(description="Name of the theatre.")
-    banner: str = Field(
-        default="", description="Shown on terminal and report, so that two theatres are never confused."
-    )
-    clock: ClockConfig = Field(default=ClockConfig(), description="Where time comes from.")
+    banner: str = Field(default="", description="Shown in terminal and report, to tell theatres apart.")
+    clock: ClockConfig = Field(default=ClockConfig(), description="Source of theatre time.")
     tracker: DeviceConfig | None = Field(default=None, description="The optical tracker.")
     robot: dict[str, DeviceConfig] = Field(
         default_factory=dict, description="Name = arm; the procedure uses `master`."
@@ -125,10 +125,12 @@ class TheatreFile(Strict):
     device: dict[str, DeviceConfig] = Field(
         default_factory=dict, description="Name = device of any other kind, such as a force sensor."
     )
-    calibration: Calibrations | None = Field(default=None, description="What was measured before.")
-    cell: CollisionConfig = Field(default=CollisionConfig(), description="What stands around the arm.")
+    calibration: Calibrations | None = Field(default=None, description="Calibration records.")
+    cell: CollisionConfig = Field(
+        default=CollisionConfig(), description="Bodies around the arm, for collision checks."
+    )
     procedure: ProcedureSettings = Field(
-        default=ProcedureSettings(), description="What the procedure may assume here."
+        default=ProcedureSettings(), description="Assumptions and settings of the procedure."
     )
 
     @property
@@ -150,7 +152,7 @@ def read_theatre_file(path: Path) -> TheatreFile:
     except OSError as error:
         raise BadTheatreFile(
             f"cannot read {path.name}: {error.strerror}",
-            action="Give the path of a theatre file; ronna-sim theatre writes one to begin with.",
+            action="Give the path of a theatre file; ronna-sim theatre writes one to start from.",
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise BadTheatreFile(f"{path.name} is not TOML: {error}") from error
@@ -177,7 +179,7 @@ def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> Theatr
 
 
 def describe_mistakes(error: ValidationError) -> list[str]:
-    """One short line per mistake: where it is, what was expected, what stands there."""
+    """One short line per mistake: its place, what was expected, what was found."""
     lines = []
     for item in error.errors(include_url=False):
         where = ".".join(str(part) for part in item["loc"]) or "file"

@@ -1,4 +1,4 @@
-"""Addresses of devices. Only the endpoint tells a simulated device from a real one.
+"""Device addresses. A simulated device differs from a real one by its endpoint only.
 
 udp://127.0.0.1:59152      where the robot's telegrams arrive
 tcp://192.168.1.10:54602   a TCP peer
@@ -19,7 +19,7 @@ SCHEMES = ("udp", "tcp", "serial", "gev", "shm", "host")
 
 
 class BadEndpoint(ConfigurationError, ValueError):
-    """A text is not an endpoint, or is one of the wrong kind."""
+    """The text is not an endpoint, or its scheme cannot be used here."""
 
     code = "CFG-002"
     action = "Write it as scheme://address, for example serial:///dev/ttyUSB0 or tcp://127.0.0.1:8765."
@@ -45,7 +45,7 @@ class Endpoint:
     def require(self, *schemes: str) -> Endpoint:
         """Return itself, or raise CFG-002 when its scheme is none of `schemes`."""
         if self.scheme not in schemes:
-            raise BadEndpoint(f"{self} is not usable here", expected=" or ".join(f"{s}:" for s in schemes))
+            raise BadEndpoint(f"{self} cannot be used here", expected=" or ".join(f"{s}:" for s in schemes))
         return self
 
 
@@ -62,7 +62,7 @@ def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
     except ValueError as error:
         raise BadEndpoint(f"{text!r} is not an endpoint: {error}") from error
     if parts.scheme not in SCHEMES or parts.scheme == "host":
-        raise BadEndpoint(f"{text!r} has no known scheme", expected=", ".join(SCHEMES))
+        raise BadEndpoint(f"{text!r} has an unknown scheme", expected=", ".join(SCHEMES))
     if parts.scheme in ("serial", "shm"):
         if parts.netloc or not parts.path.startswith("/"):
             raise BadEndpoint(f"{text!r} needs an absolute path", expected=f"{parts.scheme}:///path")

@@ -1,4 +1,4 @@
-"""Driver name -> driver class and probe, by entry point. Installing a package is all it takes to add one.
+"""Drivers and probes by name, found by entry point: installing a package is all it takes to add one.
 
 A driver's package declares, for example::
 
@@ -25,7 +25,7 @@ PROBE_GROUP = "ronna_hw.probes"
 
 
 class DriverFactory(Protocol):
-    """What an entry point of the group must be: a class or function with these three arguments."""
+    """What an entry point of the group refers to: a class or function with these three arguments."""
 
     def __call__(self, name: str, config: DeviceConfig, clock: Clock) -> Device: ...
 
@@ -43,8 +43,8 @@ def load_driver(name: str) -> Any:
     raise UnknownDriver(f"no driver {name!r} is installed", expected="one of " + ", ".join(driver_names()))
 
 
-def make_device(name: str, config: DeviceConfig, clock: Clock) -> Any:
-    """The driver object of one device of the theatre file. Nothing is opened yet."""
+def make_device(name: str, config: DeviceConfig, clock: Clock) -> Device:
+    """Make the driver object of one device of the theatre file; opens nothing."""
     factory: DriverFactory = load_driver(config.driver)
     return factory(name, config, clock)
 

@@ -6,33 +6,33 @@ from ronna_hw.errors import ConfigurationError, DataError, LinkTimeout, RefusedE
 
 
 class WrongState(StateError):
-    """A call came in a lifecycle state that does not allow it."""
+    """The call is not allowed in the current lifecycle state of the device."""
 
     code = "DEV-001"
     action = "Bring the device to the expected state first; after a fault, call recover."
 
 
 class UnknownDriver(ConfigurationError):
-    """The theatre file names a driver that no installed package offers."""
+    """The theatre file names a driver that no installed package provides."""
 
     code = "DEV-002"
-    action = "Check the driver name in the theatre file, or install the package that offers it."
+    action = "Check the driver name in the theatre file, or install the package that provides it."
 
 
 class NotInTheatre(ConfigurationError, KeyError):
-    """The theatre file does not have the device or the table that is asked for."""
+    """The theatre file lacks the device or table that was requested."""
 
     code = "DEV-007"
-    action = "Add its table to the theatre file, with driver and endpoint, or ask for one that is there."
+    action = "Add its table to the theatre file, with driver and endpoint, or request one that is there."
 
     __str__ = Exception.__str__  # a KeyError shows its message in quotes
 
 
 class WrongKind(ConfigurationError):
-    """A device of the theatre file does not offer the interface that is asked for."""
+    """The driver of a device does not provide the interface that was requested."""
 
     code = "DEV-008"
-    action = "Name a driver of that kind in the device's table, or ask for the interface that it has."
+    action = "Name a driver of that kind in the device's table, or request the interface that it provides."
 
 
 class NoNewFrame(LinkTimeout):
@@ -43,28 +43,28 @@ class NoNewFrame(LinkTimeout):
 
 
 class UnknownTool(ConfigurationError, LookupError):
-    """A tool is asked for that is not among the tools of the tracker."""
+    """The tracker has no tool of that name."""
 
     code = "DEV-003"
-    action = "Use a name of the tracker's tools in the theatre file, or add the tool there."
+    action = "Use the name of a tool in the tracker's options, or add the tool there."
 
 
 class NoPose(DataError):
-    """A reading is asked for a pose that it does not have, or that is not to be trusted."""
+    """The reading has no pose, or none that can be trusted."""
 
     code = "DEV-004"
-    action = "Look at the validity of the reading before its pose."
+    action = "Check the validity of the reading before using its pose."
 
 
 class BadStrays(DataError):
-    """Strays that are to be grouped are no positions, or the parameters of the grouping are impossible."""
+    """The strays to group are not positions, or a grouping parameter is out of range."""
 
     code = "DEV-005"
-    action = "Give positions of three finite numbers in mm, a positive radius and a share from 0 to 1."
+    action = "Pass positions of three finite numbers in mm, a positive radius and a share between 0 and 1."
 
 
-class NobodyNamed(RefusedError, ValueError):
-    """A fault is to be acknowledged, or a danger confirmed, in nobody's name."""
+class PersonNotNamed(RefusedError, ValueError):
+    """A fault was acknowledged or a hazard confirmed without a person's name."""
 
     code = "DEV-006"
-    action = "Give the name of the person who stands for it."
+    action = "Give the name of the person who takes responsibility for it."

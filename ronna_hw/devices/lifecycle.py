@@ -1,4 +1,4 @@
-"""Where a device stands, and which calls that allows.
+"""Device lifecycle: the states of every device, and the calls that each one allows.
 
 DISCONNECTED -> CONNECTED (identity and version checked) -> CONFIGURED -> ACTIVE <-> HOLD;
 FAULT is latched and left only by an explicit `recover`, which re-reads the device; CLOSED is final.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, Self, TypeVar, runtime_checkable
 
-from ronna_hw.devices.errors import NobodyNamed, WrongState
+from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
@@ -55,7 +55,7 @@ _ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
 
 @dataclass(frozen=True)
 class Identity:
-    """Who answered: read from the device at connect, never from the configuration."""
+    """What the device says it is: read at connect, never taken from the configuration."""
 
     vendor: str
     model: str
@@ -66,7 +66,7 @@ class Identity:
 
 @runtime_checkable
 class Device(Protocol):
-    """What every device offers. Calls are synchronous, each with an explicit time limit in seconds."""
+    """Interface of every device. Calls are synchronous and take a timeout in seconds."""
 
     @property
     def name(self) -> str:
@@ -83,7 +83,7 @@ class Device(Protocol):
 
     @property
     def state(self) -> Lifecycle:
-        """Present state of the lifecycle."""
+        """Current lifecycle state."""
         ...
 
     @property
@@ -111,14 +111,14 @@ class Device(Protocol):
         ...
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Open a new session and check identity and version.
+        """Open the connection and check identity and version.
 
-        Raises ConnectError when nothing, or another device, answers.
+        Raises ConnectError when nothing replies, or a different device does.
         """
         ...
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Bring the device to a known, checked set-up: CONNECTED -> CONFIGURED."""
+        """Bring the device to a known, verified configuration: CONNECTED -> CONFIGURED."""
         ...
 
     def activate(self, timeout_s: float = 10.0) -> None:
@@ -130,23 +130,23 @@ class Device(Protocol):
         ...
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Leave FAULT after re-reading the device; never moves anything by itself. Raises DEV-006."""
+        """Leave FAULT once the device has been re-read; moves nothing. Raises DEV-006 without a name."""
         ...
 
     def close(self) -> None:
-        """End the session. Bounded in time; never raises because the peer is gone."""
+        """Close the connection. Bounded in time; never raises because the peer is gone."""
         ...
 
 
 def require_person(name: str) -> str:
-    """The name of whoever acknowledges or confirms; raises DEV-006 when it is blank."""
+    """Return the name of the person who acknowledges or confirms; raises DEV-006 when it is blank."""
     if not name.strip():
-        raise NobodyNamed("this needs the name of the person who acknowledges or confirms it")
+        raise PersonNotNamed("an acknowledgement or confirmation needs the name of a person")
     return name
 
 
 class LifecycleGuard:
-    """Keeps a driver's state honest: refuses wrong calls, latches and logs faults. One per driver object."""
+    """State machine of one driver object: refuses calls that the state forbids, latches faults, logs."""
 
     def __init__(self, device: str) -> None:
         self.log = logger(device=device)
@@ -168,7 +168,7 @@ class LifecycleGuard:
         return LastKnown(*self._now, reading)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001 unless the present state is one of `allowed`; a latched fault names its cause."""
+        """Raise DEV-001 unless the current state is one of `allowed`; a latched fault names its cause."""
         states = tuple(allowed)
         state, fault = self._now
         if state in states:

@@ -1,6 +1,6 @@
 """Readings: frozen records of plain numbers, with units in the names.
 
-Missing data is a validity, never NaN and never zeros. Transforms are built from a reading on demand.
+Missing data shows in the validity, never as NaN or zeros. Transforms are built from a reading on demand.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ JointVector = tuple[float, float, float, float, float, float]  # A1..A6, radians
 
 
 class Validity(StrEnum):
-    """Why a reading may or may not be used."""
+    """Whether a reading can be used, and why not."""
 
     OK = "ok"
     PARTIAL = "partial"
@@ -31,7 +31,7 @@ class Validity(StrEnum):
     OUT_OF_VOLUME = "out_of_volume"
     STALE = "stale"
     CORRUPT = "corrupt"
-    UNPAIRED = "unpaired"  # of a pair of images: left and right come from different triggers
+    UNPAIRED = "unpaired"  # left and right image come from different triggers
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Stamp:
 
     sequence: int
     device_clock: int  # in the device's own unit: tracker frames, IPOC milliseconds, camera ticks
-    theatre_time_s: float  # when it reached us
-    measured_s: float | None = None  # theatre time when it was made, where the driver can tell
+    theatre_time_s: float  # when it arrived
+    measured_s: float | None = None  # theatre time of the measurement, where the driver knows it
 
 
 _TO_SEE = {
@@ -52,7 +52,7 @@ _TO_SEE = {
 
 @dataclass(frozen=True)
 class ToolReading:
-    """Pose of one loaded tool in the tracker frame; `pose_*` are None unless the validity carries one."""
+    """Pose of one loaded tool in the tracker frame; rotation and position are None when it has none."""
 
     tool: str
     validity: Validity
@@ -61,15 +61,15 @@ class ToolReading:
     fit_error_mm: float | None  # rms of the fit to the definition; not an accuracy
 
     def transform(self, target: Frame, source: Frame) -> Transform:
-        """The pose as `target <- source`; raises DEV-004 when the reading has none that may be used.
+        """The pose as `target <- source`; raises DEV-004 when the reading has none that can be trusted.
 
-        Outside the volume the tracker's errors are not known: there the plain numbers serve to aim only.
+        Outside the measuring volume the tracker's error is not specified: those numbers only serve to aim.
         """
         from ronna_hw.frames import Transform
 
         if self.rotation is None or self.position_mm is None or self.validity is Validity.OUT_OF_VOLUME:
             raise NoPose(
-                f"tool {self.tool} is {self.validity.value}: it has no pose",
+                f"tool {self.tool} has no pose: {self.validity.value}",
                 action=_TO_SEE.get(self.validity),
             )
         return Transform.of(target, source, translation_mm=self.position_mm, quaternion_wxyz=self.rotation)
@@ -85,7 +85,7 @@ class StrayReading:
 
 @dataclass(frozen=True)
 class TrackerFrame:
-    """All that the tracker saw in one of its frames."""
+    """Everything the tracker saw in one frame."""
 
     stamp: Stamp
     validity: Validity
@@ -98,7 +98,7 @@ class TrackerFrame:
             if reading.tool == name:
                 return reading
         known = ", ".join(reading.tool for reading in self.tools)
-        raise UnknownTool(f"the tracker has no tool {name}", expected=known or "no tool at all", got=name)
+        raise UnknownTool("unknown tool", expected=known or "none, the tracker has no tools", got=name)
 
 
 class OperationMode(StrEnum):
@@ -112,7 +112,7 @@ class OperationMode(StrEnum):
 
 @dataclass(frozen=True)
 class ArmReading:
-    """State of the arm: measured axes as the controller reports them, and where it was told to be."""
+    """State of the arm: measured axes as the controller reports them, and commanded axes."""
 
     stamp: Stamp
     validity: Validity
@@ -123,7 +123,7 @@ class ArmReading:
 
 @dataclass(frozen=True)
 class ToolIdentity:
-    """What the controller's inputs say is mounted; `number` 0 means nothing."""
+    """Tool number that the controller's inputs report; 0 means no tool."""
 
     stamp: Stamp
     number: int
@@ -141,8 +141,8 @@ class LinkStatistics:
     turnaround_p99_us: float
     histogram_edges_us: tuple[float, ...]
     histogram_counts: tuple[int, ...]  # one fewer than the edges
-    foreign_telegrams: int = 0  # from somebody else than the session's controller; never answered
-    jitter_median_us: float = 0.0  # of a telegram from its place in the controller's pace
+    foreign_telegrams: int = 0  # from any host but the controller; never answered
+    jitter_median_us: float = 0.0  # deviation of telegrams from the controller's cycle
     jitter_p99_us: float = 0.0
     jitter_counts: tuple[int, ...] = ()  # over the same edges
 
@@ -173,8 +173,8 @@ class CameraImage:
 class StereoReading:
     """A pair of frames of one trigger.
 
-    PARTIAL: packets are missing; MISSING: a side did not come; UNPAIRED: they come from different triggers;
-    STALE: both are older than the trigger.
+    PARTIAL: packets are missing; MISSING: one side did not arrive; UNPAIRED: left and right come from
+    different triggers; STALE: both are older than the trigger.
     """
 
     stamp: Stamp

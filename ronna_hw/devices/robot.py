@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 class StopKind(StrEnum):
     """How to stop. None of them is an emergency stop: that is the controller's."""
 
-    HOLD = "hold"  # along the path, to rest; the session goes on
+    HOLD = "hold"  # along the path, to rest; the stream continues
     PROTECTIVE = "protective_stop"  # highest deceleration the limits allow; latched
-    LINK = "link_stop"  # cease replies; the controller stops by itself
+    LINK = "link_stop"  # stop replying; the controller then stops the arm itself
     DRIVES_OFF = "request_drives_off"  # ask the controller to switch the drives off
 
 
@@ -36,7 +36,7 @@ class RobotArm(Device, Protocol):
         ...
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
-        """What the controller's inputs say is mounted; allowed from CONNECTED."""
+        """Number of the mounted tool, from the controller's inputs; allowed from CONNECTED."""
         ...
 
     def move_joints(
@@ -65,9 +65,9 @@ class RobotArm(Device, Protocol):
         ...
 
     def surround(self, surroundings: Surroundings) -> None:
-        """Say what the arm carries and what stands around it; from the next motion on.
+        """Declare what the arm carries and what surrounds it, from the next motion on.
 
-        Every motion is then checked against it before it begins (ARM-007), and watched while it goes on.
+        Every motion is checked against it before it starts (ARM-007), and monitored while it runs.
         """
         ...
 
@@ -76,7 +76,7 @@ class RobotArm(Device, Protocol):
         ...
 
     def resume(self) -> None:
-        """HOLD -> ACTIVE. Moves nothing: an interrupted path is never continued, only planned anew."""
+        """HOLD -> ACTIVE. Moves nothing: an interrupted path is never continued, only planned again."""
         ...
 
     def link_statistics(self) -> LinkStatistics:

@@ -23,11 +23,11 @@ class StereoPair(Device, Protocol):
         ...
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Choose the part of each sensor to read; the stream is re-armed when it was running."""
+        """Set the area of interest of each sensor; a running stream is restarted."""
         ...
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
-        """Set both cameras alike; values outside the device's limits raise LimitError."""
+        """Set exposure and gain of both cameras; values outside their limits raise LimitError."""
         ...
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:

@@ -1,4 +1,4 @@
-"""Strays carry no identity: find the same sphere again in frame after frame, and average it."""
+"""Group the stray markers that belong to one sphere across frames, and average each group."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class StrayGroup:
 
 @dataclass(frozen=True)
 class StrayAverage:
-    """What the strays of some frames come to: `groups` are spheres, `rejected` was seen too seldom."""
+    """Strays of some frames, averaged: `groups` are spheres, `rejected` were seen in too few frames."""
 
     groups: tuple[StrayGroup, ...]
     rejected: tuple[StrayGroup, ...]
@@ -60,7 +60,7 @@ class _Growing:
 
 
 def average_strays(frames: Iterable[TrackerFrame], *, least_share: float = LEAST_SHARE) -> StrayAverage:
-    """Average the strays inside the volume over the frames that are measurements of their own.
+    """Average the strays inside the measuring volume; repeated measurements (STALE) are left out.
 
     Raises DEV-005 for an impossible share.
     """
@@ -86,7 +86,7 @@ def group_strays(
     appearance; those in fewer than `least_share` of the frames are rejected. Raises DEV-005.
     """
     if not (0.0 < radius_mm < math.inf and 0.0 <= least_share <= 1.0):
-        raise BadStrays("a radius must be positive, a share between 0 and 1")
+        raise BadStrays("the radius must be positive and the share between 0 and 1")
     groups: list[_Growing] = []
     for frame in frames:
         readings = _checked(frame)
@@ -107,7 +107,7 @@ def _checked(frame: Sequence[Vector3]) -> Array:
     if readings.size == 0:
         return np.zeros((0, 3))
     if readings.ndim != 2 or readings.shape[1] != 3 or not np.isfinite(readings).all():
-        raise BadStrays("strays are no finite positions", expected="(n, 3)", got=str(readings.shape))
+        raise BadStrays("strays must be finite positions", expected="shape (n, 3)", got=f"{readings.shape}")
     return readings
 
 

@@ -11,7 +11,7 @@ from waiting import eventually
 
 from drivers.basler_stereo.errors import CameraLost, ControlLost, NoReply, ReceiverEnded
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.errors import NobodyNamed, WrongState
+from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.readings import Validity
 
 
@@ -82,7 +82,7 @@ def test_a_recovery_needs_a_name(pair, peers):
     eventually(lambda: any(camera.lost for camera in pair._pair))
     with pytest.raises(ControlLost):
         pair.grab_pair(1.0)
-    with pytest.raises(NobodyNamed, match="DEV-006"):
+    with pytest.raises(PersonNotNamed, match="DEV-006"):
         pair.recover("  ")
 
 

@@ -18,7 +18,7 @@ from drivers.kuka_rsi.errors import (
     WrongController,
 )
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.errors import NobodyNamed, WrongState
+from ronna_hw.devices.errors import PersonNotNamed, WrongState
 
 
 def test_nobody_at_the_address_is_told(controller: Any, make_arm: Any) -> None:
@@ -137,7 +137,7 @@ def test_a_message_of_an_earlier_run_is_acknowledged_only_by_name(controller: An
     arm = make_arm()
     arm.connect()
     assert "ACK_ERRORS" not in controller.commands
-    with pytest.raises(NobodyNamed, match="DEV-006"):
+    with pytest.raises(PersonNotNamed, match="DEV-006"):
         arm.recover("  ")
     assert controller.facts["Err"] == "29002"
     arm.recover("operator")

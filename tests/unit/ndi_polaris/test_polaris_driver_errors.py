@@ -13,7 +13,7 @@ from drivers.ndi_polaris import PolarisTracker, errors
 from drivers.ndi_polaris.rom.definition import encode_definition
 from drivers.ndi_polaris.tools.robot_frame import robot_frame
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.errors import NobodyNamed
+from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.endpoints import BadEndpoint, parse_endpoint
 from ronna_hw.errors import EXIT_LINK_LOST, EXIT_NOT_FOUND, EXIT_SAFETY_STOP
@@ -166,7 +166,7 @@ def test_a_bump_latches_and_is_cleared_by_the_recovery(tracker: PolarisTracker, 
         tracker.read_frame()
     assert caught.value.exit_code == EXIT_SAFETY_STOP
     assert tracker.state is Lifecycle.FAULT
-    with pytest.raises(NobodyNamed, match="DEV-006"):
+    with pytest.raises(PersonNotNamed, match="DEV-006"):
         tracker.recover(" ")
     tracker.recover("tester")
     assert unit.parameters["Param.Bump Detector.Bumped"] == "0"
