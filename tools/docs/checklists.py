@@ -8,27 +8,28 @@ from ronna_hw.conformance.protocol import composed, load_protocol
 
 POLARIS_HEAD = """# Checklist of the Polaris protocol
 
-`ronna-conformance tracker` runs these cases on the simulator (`--sim`) or on any endpoint, hardware included.
-Nothing that it does by default outlives it: no stored parameter is changed, nothing moves, and the unit is
-left idle at 9600 baud. What resets the unit needs `--allow destructive`. The report says of each case that
-was left out why.
+`ronna-conformance tracker` runs these cases on the simulator (`--sim`) or on any endpoint, including
+hardware. By default it has no lasting effect: no stored parameter is changed, nothing moves, and the unit is
+left idle at 9600 baud. Cases that reset the unit need `--allow destructive`. The report gives a reason for
+every skipped case.
 
 S is about the unit, D about its driver; T cases belong to any tracker.
 """
 KUKA_HEAD = """# Checklist of KUKA's RSI and EKI
 
-`ronna-conformance robot` runs these cases on the simulator (`--sim`) or on any endpoints, hardware included.
-What moves the arm needs `--allow motion` and, but for our simulator, the name of a person beside it: it is
-asked for, or given by `--confirmed-by`. What ends a run by a fault needs `--allow destructive`. The report
-says of each case that was left out why, and who has confirmed the motion.
+`ronna-conformance robot` runs these cases on the simulator (`--sim`) or on any endpoints, including hardware.
+Cases that move the arm need `--allow motion` and, except on our simulator, the name of a person beside it,
+given at the prompt or by `--confirmed-by`. Cases that end in a fault need `--allow destructive`. The report
+gives a reason for every skipped case, and names who confirmed the motion.
 
 S is about the controller (cases K), D about the driver (cases L); R cases belong to any robot.
 """
 GIGE_HEAD = """# Checklist of a GigE Vision camera
 
-`ronna-conformance stereo` runs these cases on the simulated cameras (`--sim`) or on any endpoints, hardware
-included, each on both cameras. They leave the cameras with their default user set and nobody in control. The
-report says of each case that was left out why. Cases S belong to any stereo pair and have no line here.
+`ronna-conformance stereo` runs these cases on the simulated cameras (`--sim`) or on any endpoints, including
+hardware, each on both cameras. Afterwards the cameras have their default user set and no controlling
+application. The report gives a reason for every skipped case. S cases apply to any stereo pair and are not
+listed here.
 """
 TABLE = """
 | line | what it asks | cases | |

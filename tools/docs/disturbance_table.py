@@ -1,7 +1,7 @@
-"""What may happen on the robot's links, what is promised for it, and the tests that hold the promise.
+"""Disturbances of the robot's links, the specified reaction to each, and the tests that verify it.
 
-The promises stand in a data file; that every test named there exists, and tests the code that is named, is
-looked up in the tests' source.
+The specification is a data file. That every test named in it exists and covers the error codes is checked in
+the source of the tests.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Disturbance:
 
 
 def read_disturbances(path: Path = DISTURBANCE_FILE) -> tuple[Disturbance, ...]:
-    """The disturbances of the data file; raises TypeError for a word too much or too few."""
+    """The disturbances of the data file; raises TypeError for surplus or missing keys."""
     entries = tomllib.loads(path.read_text(encoding="utf-8"))["disturbance"]
     return tuple(
         Disturbance(**{key: tuple(value) if isinstance(value, list) else value for key, value in one.items()})
@@ -40,7 +40,7 @@ def read_disturbances(path: Path = DISTURBANCE_FILE) -> tuple[Disturbance, ...]:
 
 
 def files_of_tests(tests: Path = TESTS) -> dict[str, tuple[Path, ...]]:
-    """The files in which there is a test function of a name."""
+    """The files that define a test function, by its name."""
     found: dict[str, tuple[Path, ...]] = {}
     for path in sorted(tests.rglob("test_*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
@@ -50,14 +50,14 @@ def files_of_tests(tests: Path = TESTS) -> dict[str, tuple[Path, ...]]:
 
 
 def disturbance_page() -> str:
-    """The page in Markdown. Raises KeyError for a test that is not there."""
+    """The page in Markdown. Raises KeyError for a test that does not exist."""
     files = files_of_tests()
     lines = [
         "# Disturbances of the robot's links\n",
-        "Generated from `link-disturbances.toml` and the tests. Each line is a promise: what the arm does,",
-        "what the operator reads, how soon; and the tests that hold it. FAULT is latched: only `recover`",
-        "leaves it, which acknowledges, reads all anew and moves nothing. The last cycles are attached to",
-        "its error.\n",
+        "Generated from `link-disturbances.toml` and the tests. Each row specifies what the arm does, what",
+        "the operator reads, and how soon; and the tests that verify it. FAULT is latched: only `recover`",
+        "leaves it, which acknowledges, re-reads the controller and moves nothing. The last cycles are",
+        "attached to the error.\n",
         "| disturbance | the arm | message | within | injected by `ronna-sim fault` | tests |",
         "|---|---|---|---|---|---|",
     ]

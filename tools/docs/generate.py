@@ -1,6 +1,6 @@
-"""Writes the generated pages of the reference: errors, faults, hazards, states, keys, options, checklists.
+"""Writes the generated reference pages: errors, faults, hazards, states, keys, options, checklists.
 
-`make docs` runs it; a test holds the committed pages against it.
+`make docs` runs it; a test compares the committed pages with its output.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def pages() -> dict[str, str]:
 def _error_codes() -> str:
     for package in PACKAGES:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-            # ronna_hw names its few errors where they arise; every other package has an errors.py.
+            # ronna_hw defines its few errors where they are raised; every other package has an errors.py.
             if module.name.endswith("errors") or (package is ronna_hw and ".cli" not in module.name):
                 importlib.import_module(module.name)
     rows = ["# Error codes\n", "| code | what it means | what to do | exit code |", "|---|---|---|---|"]
@@ -70,15 +70,15 @@ def _error_codes() -> str:
 def _faults() -> str:
     lines = [
         "# Faults of the simulated devices\n",
-        "One fault per line of a script (`--faults FILE`), or live:",
+        "One fault per line of a script (`--faults FILE`), or injected live:",
         "`ronna-sim fault --control URI 'LINE'`. Times are theatre time.\n",
         "```\nat 12.5 s: tracker occlude marker 3 for 2 s",
         "at cycle 500: robot drop 100 % for 0.012 s",
         "when step == relocalization: robot drop 5 % for 1 s\n```\n",
-        "What lasts and has no `for` acts to the end; what happens once has no `for`.",
-        "`when step == relocalization:T1` means the step of one trajectory.",
-        "Cycles are the telegrams that the robot's controller has sent since it was started.\n",
-        "| fault | | what happens |\n|---|---|---|",
+        "A fault that lasts acts until the end unless given a `for`; one that happens once takes no `for`.",
+        "`when step == relocalization:T1` refers to the step of one trajectory.",
+        "Cycles are counted in telegrams sent by the robot controller since its start.\n",
+        "| fault | | effect |\n|---|---|---|",
     ]
     lines += [f"| `{k.usage}` | {'once' if k.momentary else 'lasts'} | {k.meaning} |" for k in FAULT_KINDS]
     return "\n".join(lines) + "\n"
@@ -87,7 +87,7 @@ def _faults() -> str:
 def _tracker_parameters() -> str:
     lines = [
         "# Unconfirmed behaviour of the tracker\n",
-        "No public source settles these. `ronna-sim polaris --set NAME=VALUE` chooses another answer.\n",
+        "No public source settles these. `ronna-sim polaris --set NAME=VALUE` changes the behaviour.\n",
         "| parameter | best estimate | meaning |\n|---|---|---|",
     ]
     lines += [f"| `{name}` | {value} | {meaning} |" for name, value, meaning in parameter_rows()]

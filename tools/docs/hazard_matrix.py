@@ -1,6 +1,6 @@
-"""The trace matrix: each hazard with its control, and the tests that would notice the control's loss.
+"""The trace matrix: each hazard with its control, and the tests that would detect the loss of the control.
 
-Tests are read as source, not run: what counts is a `hazard` mark on a test that is expected to pass.
+Tests are parsed, not run: what counts is a `hazard` mark on a test that is expected to pass.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class BoundTest:
 
 
 def read_hazards(path: Path = HAZARD_FILE) -> tuple[Hazard, ...]:
-    """The hazards of the data file, by number; raises ValueError for a wrong status or missing words."""
+    """The hazards of the data file, by number; raises ValueError for a wrong status or missing text."""
     hazards = []
     for entry in tomllib.loads(path.read_text(encoding="utf-8"))["hazard"]:
         hazard = Hazard(**{**entry, "status": Status(entry["status"])})
@@ -82,8 +82,8 @@ def hazard_page() -> str:
     hazards, tests = read_hazards(), bound_tests()
     counts = {status: sum(hazard.status is status for hazard in hazards) for status in Status}
     lines = [
-        "# Hazards and the tests that watch their controls\n",
-        "Generated from `hazards.toml` and from the marks of the tests. No certification is claimed.\n",
+        "# Hazards, their controls and tests\n",
+        "Generated from `hazards.toml` and the marks of the tests. No certification is claimed.\n",
         f"{len(hazards)} hazards: " + ", ".join(f"{counts[status]} {status}" for status in Status) + ".\n",
         "| # | hazard | control | status | tests |",
         "|---|---|---|---|---|",
@@ -113,7 +113,7 @@ def _tests_of(body: Sequence[ast.stmt], inherited: Marks, where: str) -> Iterato
             marks = list(_marks((*inherited, *node.decorator_list)))
             names = {name for name, _ in marks}
             if names & {"xfail", "skip"}:
-                continue  # it shows a gap, not a control
+                continue  # shows a gap, not a control
             runs_in = next((target for mark, target in WHERE_IT_RUNS.items() if mark in names), "make test")
             numbers = {number for name, arguments in marks if name == MARK for number in arguments}
             for number in sorted(numbers):

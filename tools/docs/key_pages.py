@@ -1,4 +1,4 @@
-"""The pages of the files that people write: every table of a theatre file and of a scene, key by key."""
+"""The pages of the files that users write: every table of a theatre file and of a scene, key by key."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from sim.theatre.scene.model import Scene
 
 THEATRE_HEAD = """# Keys of the theatre file
 
-TOML. All tables are strict: unknown keys are errors, and all mistakes are told at once. Lengths are
-millimetres, poses are target <- source. `ronna-sim theatre` writes such a file to begin with.
+TOML. All tables are strict: unknown keys are errors, and all errors are reported at once. Lengths are in
+millimetres, poses are target <- source. `ronna-sim theatre` writes such a file to start from.
 """
 SCENE_HEAD = """# Keys of a scene
 
-What is true in a simulated theatre, as TOML or JSON for `--scene FILE`. All tables are strict. Lengths are
-millimetres, angles radians where the name says `rad`, CT coordinates DICOM's LPS, poses target <- source.
-`ronna-sim scene --scene mini --seed 4 > scene.toml` writes a built-in one to begin with.
+The ground truth of a simulated theatre, as TOML or JSON for `--scene FILE`. All tables are strict. Lengths
+are in millimetres, angles in radians where the name says `rad`, CT coordinates in DICOM's LPS, and poses are
+target <- source.
+`ronna-sim scene --scene mini --seed 4 > scene.toml` writes a built-in one to start from.
 """
 
 

@@ -1,7 +1,7 @@
-"""The page of what is not known about the robot's controller: each question, and the name that answers it.
+"""The page of open questions about the robot controller, each with the parameter that sets the answer.
 
-The questions stand in a data file; that every name there exists, and every parameter stands there or belongs
-to the simulation alone, is tested.
+The questions are in a data file. Tests check that every name in it exists, and that every parameter is either
+named in it or concerns the simulation alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PAGE = "robot-parameters.md"
 
 @dataclass(frozen=True)
 class Question:
-    """One open question; at least one of the answers is there."""
+    """One open question; at least one of the answers is given."""
 
     subject: str
     question: str
@@ -31,7 +31,7 @@ class Question:
 
     @property
     def answers(self) -> Iterator[str]:
-        """The names that answer it, as a reader finds them."""
+        """The names that set the answer, as the page shows them."""
         yield from (f"`{name}`" for name in self.parameters)
         yield from (f"`{name}` of the context" for name in self.context)
         yield from (f"`arm.{name}` of the scene" for name in self.scene)
@@ -41,7 +41,7 @@ class Question:
 
 
 def read_questions(path: Path = QUESTIONS_FILE) -> tuple[Question, ...]:
-    """The questions of the data file; raises TypeError for a word too much or too few."""
+    """The questions of the data file; raises TypeError for surplus or missing keys."""
     entries = tomllib.loads(path.read_text(encoding="utf-8"))["question"]
     return tuple(
         Question(**{key: tuple(value) if isinstance(value, list) else value for key, value in one.items()})
@@ -53,9 +53,9 @@ def robot_parameters_page() -> str:
     """The page in Markdown: the questions, then all parameters."""
     lines = [
         "# Unconfirmed behaviour of the robot's controller\n",
-        "No public source settles these. `ronna-sim kuka --set NAME=VALUE` chooses another answer,",
-        "`ronna-sim theatre --set robot.NAME=VALUE` too. The first day with a real arm settles most.\n",
-        "| | open question | answered by |\n|---|---|---|",
+        "No public source settles these. `ronna-sim kuka --set NAME=VALUE` changes the behaviour,",
+        "as does `ronna-sim theatre --set robot.NAME=VALUE`. The first day with a real arm settles most.\n",
+        "| | open question | set by |\n|---|---|---|",
     ]
     lines += [f"| {one.subject} | {one.question} | {', '.join(one.answers)} |" for one in read_questions()]
     lines += ["\n## Parameters\n", "| parameter | best estimate | meaning |\n|---|---|---|"]

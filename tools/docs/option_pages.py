@@ -13,17 +13,17 @@ from drivers.ndi_polaris.options import PolarisOptions
 
 TRACKER_HEAD = """# Options of the driver `ndi_polaris`
 
-They stand in `[tracker.options]` of the theatre file. Unknown ones are errors.
+Set in `[tracker.options]` of the theatre file. Unknown options are errors.
 """
 ROBOT_HEAD = """# Options of the driver `kuka_rsi`
 
-They stand in `[robot.NAME.options]` of the theatre file. Unknown ones are errors.
-Times are the host's; a fraction is of the full axis speed.
+Set in `[robot.NAME.options]` of the theatre file. Unknown options are errors.
+Times are host time; fractions are of full axis speed.
 """
 STEREO_HEAD = """# Options of the driver `basler_stereo`
 
-They stand in `[stereo.options]` of the theatre file. Unknown ones are errors. The driver
-`basler_pylon` takes them too, but packets, repetition and heartbeat are its library's affair.
+Set in `[stereo.options]` of the theatre file. Unknown options are errors. The driver
+`basler_pylon` accepts them too, but leaves packets, resends and heartbeat to the vendor's library.
 """
 
 
