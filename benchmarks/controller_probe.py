@@ -10,6 +10,8 @@ import socket
 import time
 from typing import Self
 
+from ronna_hw.endpoints import parse_endpoint
+
 START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
 FIRST_IPOC = 1_000_000
 CYCLE_MS = 4
@@ -32,11 +34,12 @@ def bare_telegram() -> bytes:
 
 
 class ControllerProbe:
-    """One client at `port` on this machine."""
+    """One client at its `udp://` endpoint on this machine."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, endpoint: str) -> None:
         self._link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._link.connect(("127.0.0.1", port))
+        client = parse_endpoint(endpoint)
+        self._link.connect((client.host, client.port))
         self._link.settimeout(REPLY_LIMIT_S)
         self._ipoc = FIRST_IPOC
         self._axes_deg = START_DEG

@@ -11,7 +11,7 @@ from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 from sim.theatre.process import load_scene
 from sim.theatre.world import World
 
@@ -31,7 +31,7 @@ class RobotCell:
         self._ending = ExitStack()
         self.world = World.create(load_scene("bench"), paced=False)
         free = "tcp://127.0.0.1:0"
-        more = ["--world", self.world.endpoint, "--rsi", f"udp://127.0.0.1:{free_udp_port()}"]
+        more = ["--world", self.world.endpoint, "--rsi", own_udp_endpoint()]
         arguments = command("sim.cli", "kuka", *more, "--eki", free, "--eki-project", free)
         self.controller = self._ending.enter_context(ChildProcess("ronna-sim kuka", arguments))
         ready = self.controller.ready["endpoints"]

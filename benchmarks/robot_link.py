@@ -90,7 +90,7 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
             whole_moves_hz.append(cycles / elapsed)
             return rate_in_motion(link.recorded_cycles())
 
-        probe = ControllerProbe(int(echo.ready["port"]))
+        probe = ControllerProbe(echo.ready["endpoint"])
 
         def exchange() -> float:
             began = time.perf_counter()
@@ -132,7 +132,7 @@ def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[
     with ExitStack() as stack:
         peers = {name: stack.enter_context(peer(*arguments[name])) for name in (ECHO, *contestants)}
         probes = {
-            name: stack.enter_context(ControllerProbe(int(child.ready["port"])))
+            name: stack.enter_context(ControllerProbe(child.ready["endpoint"]))
             for name, child in peers.items()
         }
         cpu_s = dict.fromkeys(peers, 0.0)

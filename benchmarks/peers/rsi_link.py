@@ -20,7 +20,7 @@ from ronna_hw.arm.model import arm_model
 from ronna_hw.arm.planning import plan_joint_move
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
 from sim.theatre.process import end_with_parent
 
@@ -31,15 +31,15 @@ SWING_RAD = 0.6
 def main() -> None:
     """Serve until this process is ended; the real-time process ends by itself when it is alone."""
     end_with_parent(lambda: os._exit(0))
-    port = free_udp_port()
+    endpoint = own_udp_endpoint()
     options = KukaOptions(silence_limit_s=PATIENCE_S, heartbeat_limit_s=PATIENCE_S)
     if "unrehearsed" in sys.argv:
         options = options.model_copy(update={"rehearsal_lead_us": 0})
-    link = LinkClient(link_settings(parse_endpoint(f"udp://127.0.0.1:{port}"), load_context(), options))
+    link = LinkClient(link_settings(parse_endpoint(endpoint), load_context(), options))
     try:
         number = link.command(CommandKind.OPEN)
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
-        print("READY " + json.dumps({"port": port, "pid": link._process.pid}), flush=True)
+        print("READY " + json.dumps({"endpoint": endpoint, "pid": link._process.pid}), flush=True)
         link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
         if sys.argv[1] == "move":
             if "busy" in sys.argv:

@@ -11,7 +11,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.loopback import own_udp_endpoint
 from sim.theatre.process import end_with_parent
 
 LONGEST_LIFE_S = 600.0
@@ -23,16 +24,16 @@ def main() -> None:
 
     end_with_parent(lambda: os._exit(0))
     logging.disable(logging.CRITICAL)
-    port = free_udp_port()
+    client_address = parse_endpoint(own_udp_endpoint())
     text = Path(sys.argv[1]).read_text(encoding="utf-8")
-    text = re.sub("<IP_NUMBER>[^<]*", "<IP_NUMBER>127.0.0.1", text)
-    text = re.sub("<PORT>[^<]*", f"<PORT>{port}", text)
+    text = re.sub("<IP_NUMBER>[^<]*", f"<IP_NUMBER>{client_address.host}", text)
+    text = re.sub("<PORT>[^<]*", f"<PORT>{client_address.port}", text)
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "ethernet.xml"
         config.write_text(text, encoding="utf-8")
         client = RSIAPI(str(config), rsi_mode="absolute")  # reads the file once
     client.start()
-    print("READY " + json.dumps({"port": port}), flush=True)
+    print("READY " + json.dumps({"endpoint": str(client_address)}), flush=True)
     time.sleep(LONGEST_LIFE_S)
 
 

@@ -16,7 +16,7 @@ def main() -> None:
     end_with_parent(lambda: os._exit(0))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))
-        print("READY " + json.dumps({"port": link.getsockname()[1]}), flush=True)
+        print("READY " + json.dumps({"endpoint": f"udp://127.0.0.1:{link.getsockname()[1]}"}), flush=True)
         receive, send = link.recvfrom, link.sendto
         while True:
             send(*receive(LONGEST))

@@ -1,4 +1,4 @@
-"""Loopback addresses that belong to one process."""
+"""Loopback addresses that belong to one process: nobody has to ask for a free port and hope."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.polaris.tools.definition import write_definition
 from sim.theatre.control import ControlPort, Room
@@ -98,7 +98,7 @@ class Theatre:
 
     def _start_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> dict[str, Any]:
         world = ("--world", self.world.endpoint)
-        rsi = f"udp://127.0.0.1:{free_udp_port()}"
+        rsi = own_udp_endpoint()
         free = "tcp://127.0.0.1:0"
         cycle = () if cycle_ms is None else ("--cycle-ms", str(cycle_ms))
         arguments = {

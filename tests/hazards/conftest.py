@@ -13,7 +13,7 @@ from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 from sim.theatre.process import load_scene
 from sim.theatre.world import World
 
@@ -30,7 +30,7 @@ class RobotCell:
             "ronna-sim kuka",
             command(
                 "sim.cli", "kuka", "--world", self.world.endpoint,
-                "--rsi", f"udp://127.0.0.1:{free_udp_port()}",
+                "--rsi", own_udp_endpoint(),
                 "--eki", free, "--eki-project", free, *options,
             ),
         )  # fmt: skip

@@ -20,7 +20,7 @@ from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600), pytest.mark.hazard(30)]
 
@@ -53,7 +53,7 @@ while True:
 
 @pytest.fixture
 def endpoints() -> Iterator[dict[str, str]]:
-    rsi = f"udp://127.0.0.1:{free_udp_port()}"
+    rsi = own_udp_endpoint()
     free = "tcp://127.0.0.1:0"
     arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
     with ChildProcess("ronna-sim kuka", arguments) as child:

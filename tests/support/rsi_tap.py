@@ -8,11 +8,13 @@ import socket
 import threading
 from collections.abc import Callable, Sequence
 
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.loopback import own_udp_endpoint
 
 LOOK_S = 0.05  # between two looks whether to end
 DATAGRAM_BYTES = 4096
 LOOPBACK = "127.0.0.1"
+BEHIND_THE_TAP = 1  # the controller sends to number 0 of this process
 DELAY = re.compile(rb'<Delay D="(\d+)"/>')
 CORRECTIONS = re.compile(
     rb'<AK A1="([^"]+)" A2="([^"]+)" A3="([^"]+)" A4="([^"]+)" A5="([^"]+)" A6="([^"]+)"'
@@ -35,11 +37,11 @@ class RsiTap:
         `late`: the count of lost replies is told a telegram late. `never`: it is told as none.
         """
         self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._front.bind((LOOPBACK, int(controller_sends_to.rpartition(":")[2])))
+        self._front.bind(_address(controller_sends_to))
         self._back = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._back.bind((LOOPBACK, 0))
-        self._driver = (LOOPBACK, free_udp_port())
-        self.endpoint = f"udp://{LOOPBACK}:{self._driver[1]}"
+        self.endpoint = own_udp_endpoint(BEHIND_THE_TAP)
+        self._driver = _address(self.endpoint)
         self._look = look
         self._late, self._never = late, never
         self.seen: list[Sequence[float]] = []  # what `look` gave, one per cycle
@@ -82,3 +84,8 @@ class RsiTap:
             self.on_cycle()
         told = 0 if self._never else before if self._late else self.lost
         return data[: found.start(1)] + str(told).encode() + data[found.end(1) :]
+
+
+def _address(endpoint: str) -> tuple[str, int]:
+    parsed = parse_endpoint(endpoint)
+    return parsed.host, parsed.port

@@ -12,7 +12,7 @@ from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 from sim.theatre.scene.named_scenes import built_in_scene
 from sim.theatre.world import World
 
@@ -48,7 +48,7 @@ def test_the_arm_arrives_by_joints_by_lines_and_along_its_tool(
     cycle_ms: int, parameters: tuple[str, ...]
 ) -> None:
     world = World.create(built_in_scene("mini", seed=5), paced=False)
-    rsi, free = f"udp://127.0.0.1:{free_udp_port()}", "tcp://127.0.0.1:0"
+    rsi, free = own_udp_endpoint(), "tcp://127.0.0.1:0"
     arguments = ["--rsi", rsi, "--eki", free, "--eki-project", free, "--world", world.endpoint]
     arguments += ["--cycle-ms", str(cycle_ms), *(f"--set={one}" for one in parameters)]
     with ChildProcess("ronna-sim kuka", command("sim.cli", "kuka", *arguments)) as child:

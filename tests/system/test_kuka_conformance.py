@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 
 SUITE = "ronna_hw.conformance.cli"
 
@@ -43,7 +43,7 @@ def test_the_arm_passes_the_whole_suite_on_its_stand_in(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_at_an_endpoint_nothing_is_moved_unless_asked() -> None:
-    rsi = f"udp://127.0.0.1:{free_udp_port()}"
+    rsi = own_udp_endpoint()
     free = "tcp://127.0.0.1:0"
     arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
     with ChildProcess("ronna-sim kuka", arguments) as child:

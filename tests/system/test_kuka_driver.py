@@ -25,7 +25,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 
 MODEL = arm_model("kr6_r900_sixx")
 TOOL_MM = (0.0, 0.0, 150.0)
@@ -59,7 +59,7 @@ def _moved(joints: JointVector, *offsets_deg: float) -> JointVector:
 
 @pytest.fixture
 def endpoints() -> Iterator[dict[str, str]]:
-    rsi = f"udp://127.0.0.1:{free_udp_port()}"
+    rsi = own_udp_endpoint()
     free = "tcp://127.0.0.1:0"
     arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)
     with ChildProcess("ronna-sim kuka", arguments) as child:

@@ -31,7 +31,8 @@ from ronna_hw.arm.model import arm_model, radians6
 from ronna_hw.arm.planning import plan_joint_move
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.kuka_context import DEFAULT_CONTEXT_FILE, context_hash, load_context
 
 MODEL = arm_model("kr6_r900_sixx")
@@ -59,10 +60,10 @@ def ethernet_file(tmp_path: Path) -> Path:
     """RSIPI's own `joints` file, with an address that is free here."""
     from RSIPI import context  # type: ignore[import-untyped]
 
-    port = free_udp_port()
+    client = parse_endpoint(own_udp_endpoint())
     text = Path(context("joints")).read_text("utf-8-sig")
     path = tmp_path / "joints.xml"
-    path.write_text(text.replace("10.10.10.10", "127.0.0.1").replace("64000", str(port)), "utf-8")
+    path.write_text(text.replace("10.10.10.10", client.host).replace("64000", str(client.port)), "utf-8")
     return path
 
 
@@ -75,7 +76,7 @@ def link(ethernet_file: Path) -> Iterator[LinkClient]:
             return tuple(str(e.get("TAG")) for e in root.findall(f"{where}/ELEMENTS/ELEMENT"))
 
         return LinkSettings(
-            host="127.0.0.1",
+            host=str(root.findtext("CONFIG/IP_NUMBER")),
             port=int(str(root.findtext("CONFIG/PORT"))),
             parent_pid=os.getpid(),
             mailbox_fd=mailbox_fd,
@@ -105,7 +106,7 @@ def _wait(link: LinkClient, condition: Callable[[LinkState], bool]) -> LinkState
     return state
 
 
-def _awaitfree_udp_port() -> None:
+def _await_echo_port() -> None:
     """The echo server's port is fixed, and tests run side by side."""
     deadline = time.monotonic() + HANG_S
     while time.monotonic() < deadline:
@@ -119,7 +120,7 @@ def _awaitfree_udp_port() -> None:
 @contextmanager
 def echo_server(ethernet_file: Path, folder: Path) -> Iterator[Callable[[], list[float]]]:
     """Runs it; the call ends it and gives the axes that it has come to, in deg."""
-    _awaitfree_udp_port()
+    _await_echo_port()
     with subprocess.Popen(
         [sys.executable, "-P", "-W", "ignore", "-c", SERVER, str(ethernet_file)],
         stdin=subprocess.PIPE,
@@ -161,13 +162,13 @@ def test_the_link_moves_the_arm_of_a_foreign_controller(
 @pytest.fixture
 def foreign_arm(tmp_path: Path) -> Iterator[tuple[KukaRsiArm, Path]]:
     """Our driver with the tags that the echo server knows, and the Ethernet file that we make for it."""
-    port = free_udp_port()
+    pc = parse_endpoint(own_udp_endpoint())
     text = files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8")
     description = tmp_path / "context.toml"
     description.write_text(
         text.replace("AK.", "AKorr.")
-        .replace("192.168.10.20", "127.0.0.1")
-        .replace("pc_port = 59152", f"pc_port = {port}")
+        .replace("192.168.10.20", pc.host)
+        .replace("pc_port = 59152", f"pc_port = {pc.port}")
     )
     context = load_context(description)
     ethernet_file = tmp_path / "ethernet.xml"
@@ -178,7 +179,7 @@ def foreign_arm(tmp_path: Path) -> Iterator[tuple[KukaRsiArm, Path]]:
     eki.facts["CtxHash"] = context_hash(context)
     config = DeviceConfig(
         driver="kuka_rsi",
-        endpoints={"rsi": f"udp://127.0.0.1:{port}", "eki_project": f"tcp://127.0.0.1:{eki.eki_port}"},
+        endpoints={"rsi": str(pc), "eki_project": f"tcp://127.0.0.1:{eki.eki_port}"},
         options={
             "context": str(description),
             "silence_limit_s": 2.0,

@@ -13,8 +13,9 @@ from xml.etree import ElementTree
 
 import pytest
 
+from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 
 CLIENT = """
 import json, sys, time
@@ -63,10 +64,10 @@ def config(tmp_path: Path) -> Path:
     """RSIPI's own `joints` context file, with an address that is free here."""
     from RSIPI import context
 
-    port = free_udp_port()
+    client = parse_endpoint(own_udp_endpoint())
     text = Path(context("joints")).read_text("utf-8-sig")
     path = tmp_path / "joints.xml"
-    path.write_text(text.replace("10.10.10.10", "127.0.0.1").replace("64000", str(port)), "utf-8")
+    path.write_text(text.replace("10.10.10.10", client.host).replace("64000", str(client.port)), "utf-8")
     return path
 
 
@@ -153,7 +154,7 @@ from xml.etree import ElementTree
 
 root = ElementTree.parse(sys.argv[1])
 link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-link.bind(("127.0.0.1", int(root.findtext("CONFIG/PORT"))))
+link.bind((root.findtext("CONFIG/IP_NUMBER"), int(root.findtext("CONFIG/PORT"))))
 for n in range(50):
     data, source = link.recvfrom(8192)
     ipoc = data[data.rfind(b"<IPOC>"):data.rfind(b"</Rob>")]

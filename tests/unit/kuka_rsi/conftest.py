@@ -11,7 +11,8 @@ from fake_controller import FakeController
 from drivers.kuka_rsi.arm import KukaRsiArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.loopback import own_udp_endpoint
 
 PATIENT = {"silence_limit_s": 1.0, "heartbeat_limit_s": 5.0}  # these machines stall for tens of milliseconds
 
@@ -19,7 +20,8 @@ PATIENT = {"silence_limit_s": 1.0, "heartbeat_limit_s": 5.0}  # these machines s
 @pytest.fixture
 def controller() -> Iterator[FakeController]:
     fake = FakeController()
-    fake.rsi_address = ("127.0.0.1", free_udp_port())
+    endpoint = parse_endpoint(own_udp_endpoint())
+    fake.rsi_address = (endpoint.host, endpoint.port)
     yield fake
     fake.close()
 
@@ -36,7 +38,7 @@ def make_arm(controller: FakeController) -> Iterator[MakeArm]:
         config = DeviceConfig(
             driver="kuka_rsi",
             endpoints={
-                "rsi": f"udp://127.0.0.1:{controller.rsi_address[1]}",
+                "rsi": own_udp_endpoint(),
                 "eki_project": f"tcp://127.0.0.1:{eki_port or controller.eki_port}",
             },
             options={**PATIENT, **options},

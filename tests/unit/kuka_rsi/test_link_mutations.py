@@ -14,7 +14,7 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase
 from drivers.kuka_rsi.stream import link_settings
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
 
 THROUGH_THE_CODEC = 20_000
@@ -37,12 +37,12 @@ def test_mutants_in_a_session_move_nothing() -> None:
 
 
 def test_mutants_over_the_socket_crash_nothing_and_move_nothing() -> None:
-    port = free_udp_port()
+    endpoint = parse_endpoint(own_udp_endpoint())
     options = KukaOptions(silence_limit_s=60.0, heartbeat_limit_s=60.0, real_time_priority=0)
-    link = LinkClient(link_settings(parse_endpoint(f"udp://127.0.0.1:{port}"), load_context(), options))
+    link = LinkClient(link_settings(endpoint, load_context(), options))
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
-            controller.connect(("127.0.0.1", port))
+            controller.connect((endpoint.host, endpoint.port))
             controller.settimeout(GENEROUS_S)
             ipoc = FIRST_IPOC
             for number, mutant in enumerate(mutations([telegram(0)], OVER_THE_SOCKET, seed=2)):

@@ -12,7 +12,8 @@ import pytest
 from drivers.basler_stereo.control.channel import ControlChannel, register_write, send_together
 from drivers.basler_stereo.errors import BadDescription, CommandRefused, MalformedReply, NoReply
 from drivers.basler_stereo.features.description import fetch_description
-from ronna_hw.host.free_port import free_udp_port
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.loopback import own_udp_endpoint
 
 
 class Answering:
@@ -100,8 +101,8 @@ def test_silence_ends_at_the_deadline(channel_to):
 
 
 def test_nobody_listening_ends_at_the_deadline_too():
-    port = free_udp_port()
-    channel = ControlChannel("127.0.0.1", port=port)
+    nobody = parse_endpoint(own_udp_endpoint())
+    channel = ControlChannel(nobody.host, port=nobody.port)
     with pytest.raises(NoReply, match="GEV-007"):
         channel.read_register(0, soon(0.3))
     channel.close()
