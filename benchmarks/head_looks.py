@@ -15,8 +15,7 @@ import numpy as np
 from procedures.calibration.head_model import cameras_of, intersected
 from procedures.calibration.observations import Observation, ObservationSet, Outline
 from procedures.calibration.pose_set import PlannedLook
-from ronna_hw.arm.inverse import branch_of, solve_branch
-from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import parse_theatre
@@ -92,10 +91,10 @@ class TrueHead:
     def _with_its_arm(self, nominal: np.ndarray) -> tuple[JointVector, np.ndarray]:
         """Joint angles of a nominal flange pose, and where the flange of the true arm then is."""
         truth = self.scene.arm
-        model, home = arm_model(truth.variant), in_radians(truth.home_deg)
+        model, home = kr6_r900(truth.variant), in_radians(truth.home_deg)
         near = (home[0], home[1], home[2], home[3], home[4], home[5])
         pose = Pose.from_transform(Transform.from_matrix(Frame.ROBOT, Frame.FLANGE, nominal))
-        joints = solve_branch(model, pose, branch_of(model, near), near)
+        joints = model.solve_branch(pose, model.branch_of(near), near)
         return joints, TrueArm(truth, self.scene.seed).moving(joints, APPROACH)
 
     def _outline(self, camera: CameraTruth, centre_mm, generator: np.random.Generator) -> Outline:

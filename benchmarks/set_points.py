@@ -12,14 +12,14 @@ from ruckig import InputParameter, OutputParameter, Result, Ruckig
 from benchmarks.contest import contest, cpu_of
 from benchmarks.figures import Figure, compared
 from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
-from ronna_hw.arm.clearance import sweep_path
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import ArmVariant, arm_model, radians6
-from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.speed_zones import with_speed_steps
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.speed_zones import with_speed_steps
-from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.collision_config import CollisionConfig
 
 CYCLE_S = 0.004
@@ -38,9 +38,9 @@ BARE = "bare 6-axis step of ruckig"
 
 def measure() -> list[Figure]:
     """CPU per cycle of the real-time process' preparation."""
-    model = arm_model(ArmVariant.SIXX)
+    model = kr6_r900(ArmVariant.SIXX)
     limits = working_limits(model)
-    here = forward(model, START)
+    here = model.forward(START)
     x, y, z = here.position_mm
     line = plan_line(model, START, Pose((x, y + LINE_MM, z), here.rotation), limits, TOOL_MM)
     move = plan_joint_move(model, START, AWAY, limits)
@@ -74,11 +74,11 @@ def _surroundings(flange: Pose) -> Surroundings:
 
 
 def _slowed(plan: MotionPlan, around: Surroundings) -> MotionPlan:
-    return with_speed_steps(plan, sweep_path(arm_model(ArmVariant.SIXX), plan, around))
+    return with_speed_steps(plan, sweep_path(kr6_r900(ArmVariant.SIXX), plan, around))
 
 
 def _per_cycle(plan: MotionPlan | None, around: Surroundings | None = None) -> float:
-    model = arm_model(ArmVariant.SIXX)
+    model = kr6_r900(ArmVariant.SIXX)
     points = SetPoints(model, working_limits(model), CYCLE_S, START)
     if plan is not None:
         points.start(plan, 1.0, around)
@@ -95,7 +95,7 @@ def _per_cycle(plan: MotionPlan | None, around: Surroundings | None = None) -> f
 
 
 def _bare() -> float:
-    model = arm_model(ArmVariant.SIXX)
+    model = kr6_r900(ArmVariant.SIXX)
     limits = working_limits(model)
     generator, wanted, found = Ruckig(6, CYCLE_S), InputParameter(6), OutputParameter(6)
     wanted.current_position, wanted.target_position = list(START), list(AWAY)

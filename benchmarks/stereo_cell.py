@@ -22,8 +22,7 @@ from procedures.relocalization import StereoPoint
 from procedures.steps import relocalization
 from procedures.steps.relocalization import FoundSphere, centre_on
 from procedures.steps.stereo_look import Look, look, whole_sensor
-from ronna_hw.arm.inverse import branch_of, solve_branch
-from ronna_hw.arm.model import ArmModel, arm_model
+from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, Stamp, StereoReading, Validity
@@ -75,7 +74,7 @@ class CellArm:
     """The arm: every motion arrives at once, with the flanks of its directions."""
 
     world: World
-    model: ArmModel
+    kinematics: Kr6R900
     truth: TrueArm
     joints_rad: JointVector
     flanks: list[float] = field(default_factory=lambda: [1.0] * 6)
@@ -95,10 +94,12 @@ class CellArm:
         flange = self.truth.at_rest(target_rad, self.flanks, self.motions)
         self.world.publish_arm(ArmState(target_rad, flange, self.motions, True))
 
-    def move_linear(self, target: Pose, **_more: Any) -> None:
+    def move_linear(self, target: Transform, **_more: Any) -> None:
         """Go there in the present branch."""
         self.move_joints(
-            solve_branch(self.model, target, branch_of(self.model, self.joints_rad), self.joints_rad)
+            self.kinematics.solve_branch(
+                Pose.from_transform(target), self.kinematics.branch_of(self.joints_rad), self.joints_rad
+            )
         )
 
 
@@ -149,9 +150,9 @@ class StereoCell:
     def __init__(self, scene: Scene, calibration: StereoHeadCalibration, folder: Path) -> None:
         self.scene = scene
         self.world = World.create(scene, paced=False)
-        self.model = arm_model(scene.arm.variant)
+        self.kinematics = kr6_r900(scene.arm.variant)
         home: Any = tuple(float(np.radians(angle)) for angle in scene.arm.home_deg)
-        self.arm = CellArm(self.world, self.model, TrueArm(scene.arm, scene.seed), home)
+        self.arm = CellArm(self.world, self.kinematics, TrueArm(scene.arm, scene.seed), home)
         self.stereo = CellStereo(self.world)
         self._home = home
         self._tool_in_flange = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
@@ -224,7 +225,7 @@ class StereoCell:
 
     def _joints(self, tool: Array) -> JointVector:
         flange = Pose.from_transform(_transform(tool) @ self._tool_in_flange.inverse())
-        return solve_branch(self.model, flange, branch_of(self.model, self._home), self._home)
+        return self.kinematics.solve_branch(flange, self.kinematics.branch_of(self._home), self._home)
 
     def _context(self) -> StepContext:
         payload = {"targets": {TRAJECTORY: {"approach_signs": [1.0] * 6}}}

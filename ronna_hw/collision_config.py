@@ -15,9 +15,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from ronna_hw.arm.capsule import Capsule, covering_ellipsoid
+from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid
+from ronna_hw.arm.clearance.surroundings import ArmRadii, Corridor, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.surroundings import ArmRadii, Corridor, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.calibration import Numbers3, Strict
 
 Millimetres = Annotated[float, Field(gt=0, le=5000)]

@@ -15,9 +15,9 @@ from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase, Result
 from drivers.kuka_rsi.stream import link_settings
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import arm_model
-from ronna_hw.arm.planning import plan_joint_move
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
@@ -58,7 +58,7 @@ def _never_rest() -> None:
 
 
 def _swing(link: LinkClient, options: KukaOptions) -> None:
-    model = arm_model(options.variant)
+    model = kr6_r900(options.variant)
     limits = working_limits(model, options.speed_fraction)
     home = link.state.commanded_rad
     away: JointVector = (home[0] + SWING_RAD, *home[1:])

@@ -22,12 +22,13 @@ from drivers.kuka_rsi.options import read_options
 from drivers.kuka_rsi.readings import ArmReadings
 from drivers.kuka_rsi.realtime.histogram import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.model import ArmModel, arm_model
-from ronna_hw.arm.planning import TOOL_Z, MotionPlan, plan_along_tool, plan_joint_move, plan_line
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.line_target import LineTarget, tool_in_flange
+from ronna_hw.arm.motion.planning import TOOL_Z, MotionPlan, plan_along_tool, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.preview import PathPreview
-from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
@@ -42,11 +43,11 @@ from ronna_hw.devices.readings import (
 )
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Transform
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
 CLOSING_STOP_S = 1.0  # host time that close() gives the arm to come to rest
 RUNS_S = 0.2  # since the real-time process last looked around: then it is worth talking to
-FLANGE = Pose()  # of a tool that is none
 
 _STOP_ORDERS = {
     StopKind.HOLD: StopOrder.HOLD,
@@ -68,8 +69,8 @@ class KukaRsiArm:
         self._clock = clock
         self._options = options = read_options(name, config.options)
         self._context = usable_context(name, options)
-        self._model = arm_model(options.variant)
-        self._planner = MotionPlanner(name, self._model, options)
+        self._kinematics = kr6_r900(options.variant)
+        self._planner = MotionPlanner(name, self._kinematics, options)
         self._guard = LifecycleGuard(name)
         self._connections = Connections(name, config, options, self._context)
         self._watch = FaultWatch(name, self._guard, self._connections, options)
@@ -90,9 +91,8 @@ class KukaRsiArm:
         return self._guard.state
 
     @property
-    def model(self) -> ArmModel:
-        """The nominal kinematics that lines and limits are computed with."""
-        return self._model
+    def kinematics(self) -> Kr6R900:
+        return self._kinematics
 
     @property
     def fault(self) -> RonnaError | None:
@@ -164,7 +164,7 @@ class KukaRsiArm:
         self._start(timeout_s)
         try:
             limits = self._planner.limits(self._watch.mode)
-            verify_by_motion(self._name, self._connections.link, self._model, limits)
+            verify_by_motion(self._name, self._connections.link, self._kinematics, limits)
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
@@ -276,20 +276,22 @@ class KukaRsiArm:
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
     ) -> ArmReading:
         def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
-            return plan_joint_move(self._model, start_rad, target_rad, limits)
+            return plan_joint_move(self._kinematics, start_rad, target_rad, limits)
 
         return self._move("move_joints", plan, speed_fraction, timeout_s)
 
     def move_linear(
         self,
-        target: Pose,
+        target: Transform,
         *,
-        tool_in_flange_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        flange_from_tool: Transform | None = None,
         speed_fraction: float = 1.0,
         timeout_s: float = 60.0,
     ) -> ArmReading:
+        line = LineTarget.of(target, flange_from_tool)
+
         def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
-            return plan_line(self._model, start_rad, target, limits, tool_in_flange_mm)
+            return plan_line(self._kinematics, start_rad, line.flange, limits, line.point_in_flange_mm)
 
         return self._move("move_linear", plan, speed_fraction, timeout_s)
 
@@ -297,7 +299,7 @@ class KukaRsiArm:
         self,
         distance_mm: float,
         *,
-        flange_from_tool: Pose = FLANGE,
+        flange_from_tool: Transform | None = None,
         axis: Vector3 = TOOL_Z,
         speed_fraction: float = 1.0,
         timeout_s: float = 60.0,
@@ -307,26 +309,27 @@ class KukaRsiArm:
         Raises as `move_linear`.
         """
 
+        tool = Pose()
+        if flange_from_tool is not None:
+            tool = Pose.from_matrix(tool_in_flange(flange_from_tool).as_matrix().tolist())
+
         def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
-            return plan_along_tool(self._model, start_rad, distance_mm, limits, flange_from_tool, axis)
+            return plan_along_tool(self._kinematics, start_rad, distance_mm, limits, tool, axis)
 
         return self._move("move_along_tool", plan, speed_fraction, timeout_s)
 
     def preview(
         self,
-        target: JointVector | Pose,
+        target: JointVector | Transform,
         *,
-        tool_in_flange_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        flange_from_tool: Transform | None = None,
         speed_fraction: float = 1.0,
     ) -> PathPreview:
-        """What `move_joints` to joints, or `move_linear` to a pose, would do from here; nothing moves.
-
-        Raises as these do where there is no such path; one that is not clear is told in `refused`.
-        """
+        to = LineTarget.of(target, flange_from_tool) if isinstance(target, Transform) else target
         limits = self._planner.limits(self._watch.mode, speed_fraction)
         here = self.read_state()
         start_rad = here.commanded_rad or here.joints_rad  # nothing is commanded before the stream runs
-        return self._planner.preview(start_rad, target, tool_in_flange_mm, limits)
+        return self._planner.preview(start_rad, to, limits)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""

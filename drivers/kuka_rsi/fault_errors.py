@@ -20,8 +20,10 @@ from drivers.kuka_rsi.errors import (
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Result
 from drivers.kuka_rsi.realtime.losses import UNUSABLE_SHARE, WINDOW_CYCLES
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
-from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.errors import RonnaError
 
 _REFUSALS = {
@@ -46,7 +48,7 @@ def error_of_fault(
         case Fault.NONE:
             return None
         case Fault.MONITOR:
-            return _tripped(where, state, surroundings)
+            return _tripped(where, state, Bodies(kr6_r900(options.variant), surroundings))
         case Fault.SILENCE:
             said = f"; the controller shows message {message}" if message else ""
             return LinkSilent(
@@ -83,7 +85,7 @@ def error_of_fault(
             )
 
 
-def _tripped(where: str, state: LinkState, surroundings: Surroundings) -> MotionTripped:
+def _tripped(where: str, state: LinkState, bodies: Bodies) -> MotionTripped:
     what = f"{where} the monitor stopped the arm: {state.violation_kind} of"
     if state.violation_kind not in (CLEARANCE, ZONE_SPEED):
         return MotionTripped(
@@ -92,12 +94,11 @@ def _tripped(where: str, state: LinkState, surroundings: Surroundings) -> Motion
             got=f"{degrees(state.violation_value):.4f} deg",
         )
     unit = "mm" if state.violation_kind == CLEARANCE else "mm/s"
-    pairs = surroundings.pairs
-    bodies = "its bodies"
-    if state.violation_axis < len(pairs):
-        bodies = "{} and {}".format(*surroundings.names(pairs[state.violation_axis]))
+    names = "its bodies"
+    if state.violation_axis < len(bodies.pairs):
+        names = "{} and {}".format(*bodies.names(bodies.pairs[state.violation_axis]))
     return MotionTripped(
-        f"{what} {bodies}",
+        f"{what} {names}",
         limit=f"{state.violation_limit:.1f} {unit}",
         got=f"{state.violation_value:.1f} {unit}",
     )

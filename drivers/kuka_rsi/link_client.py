@@ -23,8 +23,8 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
 from drivers.kuka_rsi.realtime.settings import LinkSettings
-from ronna_hw.arm.planning import MotionPlan
-from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.motion.planning import MotionPlan
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05

@@ -14,10 +14,9 @@ from drivers.kuka_rsi.errors import HandshakeFailed
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.model import ArmModel
-from ronna_hw.arm.planning import plan_joint_move
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.devices.readings import JointVector
 
 LARGEST_SHIFT_MM = 0.05
@@ -33,7 +32,7 @@ CYCLES_WATCHED = 25  # before anything moves
 PROBE_RAD = 1e-4
 
 
-def verify_by_motion(name: str, link: LinkClient, model: ArmModel, limits: MotionLimits) -> None:
+def verify_by_motion(name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits) -> None:
     """Raises RSI-018 when the cycle is another, or an axis does not do exactly what it is told.
 
     The caller ends the stream then: corrections that add up go on as long as they are sent.
@@ -41,22 +40,22 @@ def verify_by_motion(name: str, link: LinkClient, model: ArmModel, limits: Motio
     _require_cycle(name, link)
     start = link.state.commanded_rad
     for axis in reversed(range(len(AXIS_NAMES))):
-        angle = micro_angle(model, start, axis)
+        angle = micro_angle(kinematics, start, axis)
         there = _turned(start, axis, angle)
-        _go(name, link, model, limits, start, there, axis)
+        _go(name, link, kinematics, limits, start, there, axis)
         answered = link.state.measured_rad[axis] - start[axis]
         if not ANSWERED_SHARE * abs(angle) <= abs(answered) <= abs(angle) + STRAY_RAD:
             _refuse(name, link, f"{AXIS_NAMES[axis]} moved by {degrees(answered):.4f} deg", angle)
-        _go(name, link, model, limits, start, start, axis)
+        _go(name, link, kinematics, limits, start, start, axis)
 
 
-def micro_angle(model: ArmModel, joints_rad: JointVector, axis: int) -> float:
+def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> float:
     """Angle that moves no point of arm and tool by more than 0.05 mm, towards the middle of the range."""
     beyond = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
-    here, there = forward(model, joints_rad), forward(model, _turned(joints_rad, axis, PROBE_RAD))
+    here, there = kinematics.forward(joints_rad), kinematics.forward(_turned(joints_rad, axis, PROBE_RAD))
     moved_mm = max(dist(here.position_mm, there.position_mm), dist(here.apply(beyond), there.apply(beyond)))
     angle = min(LARGEST_ANGLE_RAD, LARGEST_SHIFT_MM * PROBE_RAD / max(moved_mm, 1e-9))
-    middle = 0.5 * (model.lower_rad[axis] + model.upper_rad[axis])
+    middle = 0.5 * (kinematics.lower_rad[axis] + kinematics.upper_rad[axis])
     return angle if joints_rad[axis] <= middle else -angle
 
 
@@ -71,7 +70,7 @@ def _require_cycle(name: str, link: LinkClient) -> None:
 def _go(
     name: str,
     link: LinkClient,
-    model: ArmModel,
+    kinematics: Kinematics,
     limits: MotionLimits,
     start: JointVector,
     target: JointVector,
@@ -79,7 +78,7 @@ def _go(
 ) -> None:
     # An axis that stands beside an end of its range comes back there.
     to_the_ends = replace(limits.slowed(SLOW), range_margin_rad=0.0)
-    plan = plan_joint_move(model, link.state.commanded_rad, target, to_the_ends)
+    plan = plan_joint_move(kinematics, link.state.commanded_rad, target, to_the_ends)
     number = link.command(CommandKind.MOVE, plan)
     begun = link.state.cycles
     while True:

@@ -10,7 +10,7 @@ from drivers.kuka_rsi.fault_errors import axes_text, error_of_refusal, losses_te
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.link_client import Condition
 from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
-from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.motion.planning import MotionPlan
 
 POLL_S = 0.5  # of host time between two looks at the theatre's time while a motion runs
 STOP_S = 1.0  # host time for a motion to come to rest that has used up its time

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.kuka_rsi.errors import BadOptions
-from ronna_hw.arm.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
-from ronna_hw.arm.model import ArmVariant
+from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 SILENCE_LIMIT_S = 0.25

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ronna_hw.arm.model import ArmModel, JointVector
+from ronna_hw.arm.links import Chain
+from ronna_hw.devices.readings import JointVector
 
 Array = NDArray[np.float64]
 
@@ -30,38 +31,27 @@ HARMONIC_RAD = (float(np.radians(0.015)), float(np.radians(0.008)))  # once, twi
 # For a smaller error the geometry is taken to be better in proportion; the last link's share never shows.
 UNCALIBRATED_MM = 0.10
 X, Y, Z = np.eye(3)
-# Axis of each joint in the frame of the link before it; a positive A1, A4, A6 turns against the right hand.
-AXES = (-Z, Y, Y, -X, Y, -X)
 
 
-def error_columns(model: ArmModel, joints_rad: Sequence[JointVector], ball_mm: Array) -> Array:
+def error_columns(chain: Chain, joints_rad: Sequence[JointVector], ball_mm: Array) -> Array:
     """Displacement (n, 3, k), mm, of a point at `ball_mm` (robot frame) fixed to the flange.
 
     One column per error of one standard deviation: six of every link at its far end, offset and harmonics
-    of every joint. Chain: Rz(-A1) Tx Ry(A2) Tx Ry(A3) Tz Rx(-A4) Tx Ry(A5) Tx Rx(-A6).
+    of every joint.
     """
     angles = np.asarray(joints_rad, dtype=float)
-    ends = np.array(
-        [
-            (model.shoulder_offset_mm, 0.0, 0.0),
-            (model.upper_arm_mm, 0.0, 0.0),
-            (0.0, 0.0, model.elbow_offset_mm),
-            (model.forearm_mm, 0.0, 0.0),
-            (model.flange_mm, 0.0, 0.0),
-            (0.0, 0.0, 0.0),
-        ]
-    )
-    place = np.tile([0.0, 0.0, model.base_height_mm], (len(angles), 1))
+    place = np.tile(chain.base_mm, (len(angles), 1))
     turned = np.tile(np.eye(3), (len(angles), 1, 1))  # robot <- link
     columns: list[Array] = []
-    for joint, (axis, end) in enumerate(zip(AXES, ends, strict=True)):
+    for joint, (axis_of_joint, to_next_mm) in enumerate(chain.joints):
+        axis = np.array(axis_of_joint)
         swing = np.cross(turned @ axis, ball_mm - place)  # of the ball, per radian of this joint
         columns.append(JOINT_OFFSET_RAD * swing)
         for order, size_rad in enumerate(HARMONIC_RAD, start=1):
             phase = order * angles[:, joint, None]
             columns += [size_rad * np.sin(phase) * swing, size_rad * np.cos(phase) * swing]
         turned = turned @ Rotation.from_rotvec(angles[:, joint, None] * axis).as_matrix()
-        place = place + turned @ end
+        place = place + turned @ np.array(to_next_mm)
         for direction in (X, Y, Z):
             columns.append(LINK_TRANSLATION_MM * (turned @ direction))
             columns.append(LINK_ROTATION_RAD * np.cross(turned @ direction, ball_mm - place))

@@ -26,7 +26,7 @@ from procedures.calibration.arm_geometry import UNCALIBRATED_MM, error_columns
 from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
 from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersected
 from procedures.calibration.observations import Observation
-from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.links import Chain
 from ronna_hw.calibration import StereoHeadCalibration
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def fit_bundle(
     observations: Sequence[Observation],
     start: StereoHeadCalibration,
     *,
-    arm: ArmModel | None = None,
+    arm: Chain | None = None,
     least_poses: int = LEAST_POSES,
 ) -> BundleFit:
     """Adjust the head to the observations, starting from a record good to some millimetres and degrees.

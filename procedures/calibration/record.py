@@ -23,7 +23,7 @@ from procedures.calibration.head_model import (
     pose_record,
 )
 from procedures.calibration.observations import ObservationSet
-from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
 
@@ -59,7 +59,9 @@ def calibrate_head(
     """
     before = observed.start
     fit = fit_bundle(
-        observed.observations, before, arm=arm_model(observed.arm_variant) if arm_geometry else None
+        observed.observations,
+        before,
+        arm=kinematics_named(observed.arm_variant).chain if arm_geometry else None,
     )
     flange_from_tool, misfit = _kept_tool_frame(before, fit.cameras)
     covariance = _tool_covariance(before, fit)

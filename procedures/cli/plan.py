@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
     from ronna_hw.collision_config import CollisionConfig
+    from ronna_hw.devices import RobotArm
 
 READING_SHARE = 0.4  # of the progress bar, when the markers are localized too
 SixNumbers = tuple[float, float, float, float, float, float]
@@ -134,29 +135,27 @@ def _theatre(
                 f"{option} needs finite numbers", got=" ".join(f"{value:g}" for value in numbers)
             )
     from procedures.engine.devices import MASTER
-    from procedures.planning.posture import HOME_DEG
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
     from procedures.strategies.catalogue import strategy_named
-    from ronna_hw.arm.model import ArmVariant, arm_model, radians6
-    from ronna_hw.arm.planning import require_in_range
+    from ronna_hw.arm.angles import radians6
+    from ronna_hw.arm.motion.planning import require_in_range
     from ronna_hw.arm.pose import Pose
+    from ronna_hw.clock import HostClock
     from ronna_hw.config import read_theatre_file
     from ronna_hw.frames import Frame, Transform
+    from ronna_hw.registry import make_device
 
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
         raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")
-    variant = theatre.robot[MASTER].options.get("variant", ArmVariant.SIXX)
-    if variant not in list(ArmVariant):
-        raise UsageMistake(
-            f"{config.name} names the arm variant {variant!r}", action=f"Use one of {', '.join(ArmVariant)}."
-        )
-    start_rad = radians6(*(home_deg or HOME_DEG))
-    require_in_range(arm_model(variant), start_rad)
+    driver: RobotArm = make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock())  # opens nothing
+    kinematics = driver.kinematics
+    start_rad = kinematics.home_rad if home_deg is None else radians6(*home_deg)
+    require_in_range(kinematics, start_rad)
     pose = Pose.from_kuka(*robot_from_ct)
     arm = ArmSetting(
-        model=arm_model(variant),
+        kinematics=kinematics,
         robot_from_ct=Transform.of(
             Frame.ROBOT, Frame.CT, translation_mm=pose.position_mm, quaternion_wxyz=pose.quaternion()
         ),

@@ -15,14 +15,12 @@ from procedures.calibration.pose_set import PlannedLook, moved_to
 from procedures.engine.step import StepContext
 from procedures.relocalization import search_pose
 from procedures.relocalization.errors import PairNotUsable
-from procedures.steps.arm_frames import model_of, stereo_tool_in_flange
+from procedures.steps.arm_frames import stereo_tool_in_flange
 from procedures.steps.stereo_look import Look, look, whole_sensor
-from ronna_hw.arm.capsule import Capsule
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.surroundings import ArmRadii, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.arm.inverse import branch_of, solve_branch
-from ronna_hw.arm.kinematics import forward
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.surroundings import ArmRadii, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.collision_config import BodyFrame
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -106,9 +104,9 @@ class BallWatcher:
 
     def joints(self, pose: Transform, near: JointVector) -> JointVector:
         """Joint angles of a tool pose in the branch of `near`; raises ARM-001 to ARM-004."""
-        model = model_of(self.context)
+        kinematics = self.context.devices.arm.kinematics
         flange = Pose.from_transform(pose @ stereo_tool_in_flange(self.context).inverse())
-        return solve_branch(model, flange, branch_of(model, near), near)
+        return kinematics.solve_branch(flange, kinematics.branch_of(near), near)
 
     def reaches(self, pose: Transform) -> bool:
         """Whether the arm reaches a tool pose in the branch it stands in at home."""
@@ -139,7 +137,7 @@ class BallWatcher:
             self.rejected["another ball"] += 1
             return None
         joints = self.context.devices.arm.read_state().joints_rad
-        flange = forward(model_of(self.context), joints)
+        flange = self.context.devices.arm.kinematics.forward(joints)
         return Observation(
             joints_rad=joints,
             robot_from_flange=PoseRecord(
@@ -161,7 +159,7 @@ class BallWatcher:
         arm.move_joints(joints)
 
     def _tool_pose(self, joints: JointVector) -> Transform:
-        return forward(model_of(self.context), joints).to_transform() @ stereo_tool_in_flange(self.context)
+        return self.context.devices.arm.kinematics.flange_pose(joints) @ stereo_tool_in_flange(self.context)
 
 
 def surround_ball(context: StepContext, ball_mm: ArrayLike, neighbours_mm: ArrayLike = ()) -> None:

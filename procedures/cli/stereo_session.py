@@ -14,13 +14,11 @@ from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, cal
 from procedures.cli.stereo_ball import Triple, place_of_ball
 from procedures.cli.stereo_looks import BallWatcher, surround_ball
 from procedures.cli.stereo_room import activate, set_up
-from procedures.engine.devices import MASTER
 from procedures.engine.step import StepContext
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.stereo_look import Look, look, whole_sensor
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.arm.model import ArmVariant
 
 SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some show a ball half hidden
 Progress = Callable[[float], None]
@@ -65,7 +63,7 @@ def observe_for_calibration(
     return ObservationSet(
         created=datetime.now(UTC).replace(microsecond=0),
         serials=context.devices.stereo.serials,
-        arm_variant=_variant(context),
+        arm_variant=context.devices.arm.kinematics.name,
         start=calibrations.stereo_head,
         tool_tip=calibrations.tool_tip,
         observations=tuple(seen),
@@ -181,7 +179,3 @@ def refuse_too_few(watcher: BallWatcher, count: int) -> None:
         expected=f"at least {LEAST_POSES}",
         got=f"{count}; {watcher.why_rejected()}",
     )
-
-
-def _variant(context: StepContext) -> str:
-    return str(context.theatre.robot[MASTER].options.get("variant", ArmVariant.SIXX))

@@ -19,7 +19,7 @@ from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, PathCheck, Unmet, visits_of
 from procedures.planning.wrist import WristState
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.inverse import Branch
+from ronna_hw.arm.kinematics import Branch
 
 Array = NDArray[np.float64]
 
@@ -123,11 +123,11 @@ def _ranked(
         check = drive(setting, visits_of(setting, turned, fiducials_mm), branch, turned, first_only=True)
         if not check.passed:
             continue
-        wrist = WristState.of(check)
+        wrist = WristState.of(setting.kinematics, check)
         if wrist.good:
             yield turn
         else:
-            others.append((wrist.least_A5_rad, turn))
+            others.append((wrist.least_bend_rad, turn))
     for _, turn in sorted(others, key=lambda one: -one[0]):
         yield turn
 

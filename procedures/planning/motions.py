@@ -12,12 +12,12 @@ from typing import Any
 from procedures.planning.planning_scene import PlanningScene
 from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.clearance import Closest, sweep_path
-from ronna_hw.arm.limits import MotionLimits, working_limits
-from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.swept_path import Closest, sweep_path
+from ronna_hw.arm.motion.limits import MotionLimits, working_limits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.preview import PathPreview, preview
-from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
 
 HOME = "home"
@@ -65,7 +65,7 @@ def unclear(
     """
     found: dict[str, Unmet] = {}
     for motion in motions_of(setting, scene, check, trajectories):
-        bad = sweep_path(setting.model, motion.plan, motion.around, to_the_worst=not first_only).refused
+        bad = sweep_path(setting.kinematics, motion.plan, motion.around, to_the_worst=not first_only).refused
         if bad is not None:
             pose = motion.start if motion.end == HOME else motion.end
             found.setdefault(pose, Unmet(pose, _told(motion, bad)))
@@ -78,9 +78,9 @@ def previews_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> tuple[PreviewedMotion, ...]:
     """Every motion of the procedure with its preview, in order."""
-    limits = setting.limits or working_limits(setting.model)
+    limits = setting.limits or working_limits(setting.kinematics)
     return tuple(
-        PreviewedMotion(motion, preview(setting.model, motion.plan, motion.around, limits))
+        PreviewedMotion(motion, preview(setting.kinematics, motion.plan, motion.around, limits))
         for motion in motions_of(setting, scene, check, trajectories)
     )
 
@@ -89,7 +89,7 @@ def motions_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
     """The motions from home through all visits and back home; retreats are the lines backwards."""
-    limits = setting.limits or working_limits(setting.model)
+    limits = setting.limits or working_limits(setting.kinematics)
     by_name = {one.identifier: one for one in trajectories}
     stands: tuple[str, JointVector] = (HOME, setting.start_rad)
     kind: VisitKind | None = None
@@ -121,27 +121,27 @@ def _to(
     around: Surroundings,
 ) -> Iterator[Motion]:
     start, joints = stands
-    name, model = reached.visit.identifier, setting.model
-    straight = Motion(start, name, plan_joint_move(model, joints, reached.approach_rad, limits), around)
-    if start == HOME or sweep_path(model, straight.plan, around, to_the_worst=False).refused is None:
+    name, kinematics = reached.visit.identifier, setting.kinematics
+    straight = Motion(start, name, plan_joint_move(kinematics, joints, reached.approach_rad, limits), around)
+    if start == HOME or sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
         yield straight
     else:
-        yield Motion(start, HOME, plan_joint_move(model, joints, setting.start_rad, limits), around)
-        onwards = plan_joint_move(model, setting.start_rad, reached.approach_rad, limits)
+        yield Motion(start, HOME, plan_joint_move(kinematics, joints, setting.start_rad, limits), around)
+        onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
         yield Motion(HOME, name, onwards, around)
     tool = setting.flange_from_tool
     if reached.visit.kind is VisitKind.LOCALIZATION and setting.flange_from_stereo is not None:
         tool = setting.flange_from_stereo
     flange = Pose.from_transform(reached.visit.pose @ tool.inverse())
     x, y, z = tool.translation_mm.tolist()
-    yield Motion(name, name, plan_line(model, reached.approach_rad, flange, limits, (x, y, z)), around)
+    yield Motion(name, name, plan_line(kinematics, reached.approach_rad, flange, limits, (x, y, z)), around)
 
 
 def _home(
     setting: ArmSetting, stands: tuple[str, JointVector], limits: MotionLimits, around: Surroundings
 ) -> Iterator[Motion]:
     start, joints = stands
-    yield Motion(start, HOME, plan_joint_move(setting.model, joints, setting.start_rad, limits), around)
+    yield Motion(start, HOME, plan_joint_move(setting.kinematics, joints, setting.start_rad, limits), around)
 
 
 def _told(motion: Motion, bad: Closest) -> str:

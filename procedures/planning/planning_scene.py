@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from procedures.planning.head_shape import HeadShape
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.clearance.surroundings import Corridor, Surroundings
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.surroundings import Corridor, Surroundings
 from ronna_hw.collision_config import CollisionConfig, ToolBody
 from ronna_hw.frames import Transform
 

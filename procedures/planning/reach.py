@@ -24,8 +24,8 @@ from procedures.planning.visits import (
     visits_of,
 )
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.inverse import Branch
-from ronna_hw.arm.limits import working_limits
+from ronna_hw.arm.kinematics import Branch
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
@@ -53,7 +53,7 @@ def check_paths(
 def branches_for(setting: ArmSetting, visits: Sequence[Visit]) -> tuple[Branch, ...]:
     """All branches in the order in which they are worth trying for these visits."""
     flanges = [_flange(setting, visit) for visit in visits]
-    return ranked_branches(setting.model, flanges, setting.start_rad)
+    return ranked_branches(setting.kinematics, flanges, setting.start_rad)
 
 
 @dataclass
@@ -80,12 +80,14 @@ def drive(
     Whether the motions between them are clear is asked last, when all poses are reached; with `first_only` no
     further than to the first that is not.
     """
-    limits = setting.limits or working_limits(setting.model)
+    limits = setting.limits or working_limits(setting.kinematics)
     journey = _Journey(setting.start_rad)
     for visit in visits:
         tool = _tool(setting, visit)
         try:
-            posture = place(setting.model, visit.approach, visit.pose, tool, branch, journey.near_rad, limits)
+            posture = place(
+                setting.kinematics, visit.approach, visit.pose, tool, branch, journey.near_rad, limits
+            )
         except LimitError as error:
             reason = error.summary
             journey.unmet.append(Unmet(visit.identifier, f"{reason} [{error.code}]"))
@@ -98,10 +100,10 @@ def drive(
 
 
 def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:
-    A1, A2, A3, A4, A5, A6 = (
-        after - before for before, after in zip(journey.near_rad, posture.approach_rad, strict=True)
-    )
-    journey.moves.append(JointMove(journey.last, visit.identifier, (A1, A2, A3, A4, A5, A6)))
+    turns_rad = [
+        abs(after - before) for before, after in zip(journey.near_rad, posture.approach_rad, strict=True)
+    ]
+    journey.moves.append(JointMove(journey.last, visit.identifier, max(turns_rad)))
     journey.reached.append(Reached(visit, posture.approach_rad, posture.at_rad))
     journey.near_rad, journey.last = posture.approach_rad, visit.identifier
 

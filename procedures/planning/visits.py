@@ -15,13 +15,11 @@ from numpy.typing import ArrayLike
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.planning_scene import PlanningScene
-from procedures.planning.posture import START_RAD
 from procedures.strategies.orientation import back_along_axis, require_frames
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.inverse import Branch
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.kinematics import Branch, Kinematics
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 
@@ -67,16 +65,11 @@ class Reached:
 
 @dataclass(frozen=True)
 class JointMove:
-    """A joint move between two approach points; `change_rad` per axis."""
+    """A joint move between two approach points, and the largest turn of any axis in it."""
 
     start: str
     end: str
-    change_rad: JointVector
-
-    @property
-    def largest_rad(self) -> float:
-        """The largest turn of any axis."""
-        return max(abs(value) for value in self.change_rad)
+    largest_rad: float
 
 
 @dataclass(frozen=True)
@@ -124,7 +117,7 @@ class PathCheck:
         """Plain numbers for a record."""
         return {
             "passed": self.passed,
-            "branch_status": None if self.branch is None else self.branch.status,
+            "branch_status": self.branch,
             "poses": [
                 {
                     "id": one.visit.identifier,
@@ -150,12 +143,12 @@ class ArmSetting:
     also be clear of what is in it.
     """
 
-    model: ArmModel
+    kinematics: Kinematics
     robot_from_ct: Transform
     flange_from_tool: Transform
     strategy: Strategy
+    start_rad: JointVector
     flange_from_stereo: Transform | None = None
-    start_rad: JointVector = START_RAD
     limits: MotionLimits | None = None
     approach_mm: float = APPROACH_MM
     scene: PlanningScene | None = None

@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-from procedures.engine.devices import MASTER
 from procedures.engine.step import StepContext
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import ArmModel, ArmVariant, arm_model
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
-
-
-def model_of(context: StepContext) -> ArmModel:
-    """The arm model that the theatre file names for the master arm."""
-    return arm_model(str(context.theatre.robot[MASTER].options.get("variant", ArmVariant.SIXX)))
 
 
 def stereo_tool_in_flange(context: StepContext) -> Transform:
@@ -27,4 +19,4 @@ def guide_in_flange(context: StepContext) -> Transform:
 
 def tool_pose(context: StepContext, joints_rad: JointVector, tool_in_flange: Transform) -> Transform:
     """Nominal pose ROBOT <- TOOL at measured joint angles."""
-    return forward(model_of(context), joints_rad).to_transform() @ tool_in_flange
+    return context.devices.arm.kinematics.flange_pose(joints_rad) @ tool_in_flange

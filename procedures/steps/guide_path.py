@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from procedures.engine.step import StepContext
-from procedures.steps.arm_frames import guide_in_flange
 from procedures.steps.payloads import pose_from
 from procedures.steps.plan_check import trajectory_of
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.orientation import back_along_axis
-from ronna_hw.arm.pose import Pose
 from ronna_hw.frames import Transform
 
 
@@ -29,8 +27,3 @@ def standoff_pose(context: StepContext, target: Transform) -> Transform:
     """The pose on the axis outside the entry, by the theatre's stand-off."""
     depth_mm = trajectory_of(context).depth_mm
     return back_along_axis(target, depth_mm + context.theatre.procedure.standoff_mm)
-
-
-def flange_of(context: StepContext, pose: Transform) -> Pose:
-    """The flange pose that brings the guide's tip to a pose."""
-    return Pose.from_transform(pose @ guide_in_flange(context).inverse())

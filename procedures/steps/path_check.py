@@ -11,13 +11,12 @@ from procedures.planning.free_angle import TurnedPaths, choose_free_angles
 from procedures.planning.motions import PreviewedMotion, previews_of
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
-from procedures.steps.arm_frames import guide_in_flange, model_of, stereo_tool_in_flange
+from procedures.steps.arm_frames import guide_in_flange, stereo_tool_in_flange
 from procedures.steps.payloads import points_from, pose_from, pose_payload
 from procedures.steps.plan_check import planned
 from procedures.steps.surroundings import planning_scene_of
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.orientation import back_along_axis
-from ronna_hw.arm.inverse import branch_of, solve_branch
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 
@@ -35,7 +34,7 @@ def run(context: StepContext) -> Outcome:
     home: JointVector = tuple(context.case.get("set_up").payload["home_rad"])
     scene = planning_scene_of(context)
     setting = ArmSetting(
-        model=model_of(context),
+        kinematics=context.devices.arm.kinematics,
         robot_from_ct=pose_from(correspondence.payload["robot_from_ct"]),
         flange_from_tool=guide_in_flange(context),
         strategy=strategy_named(STRATEGY),
@@ -59,7 +58,7 @@ def run(context: StepContext) -> Outcome:
             "free_angle_turns_rad": {
                 one.identifier: turn for one, turn in zip(turned.trajectories, turned.turns_rad, strict=True)
             },
-            "branch_status": None if check.branch is None else check.branch.status,
+            "branch_status": check.branch,
             "joint_ranges_rad": [list(limits) for limits in check.joint_ranges_rad],
             "largest_move_rad": max(move.largest_rad for move in check.moves),
             "motions": [motion.as_payload() for motion in motions],
@@ -118,9 +117,8 @@ def _targets(check: PathCheck, setting: ArmSetting) -> dict[str, dict[str, Any]]
 def _approach_signs(reached: Reached, setting: ArmSetting) -> list[int]:
     """Direction (+1 or -1) in which each joint arrives at the target."""
     before = back_along_axis(reached.visit.pose, LAST_STRETCH_MM) @ setting.flange_from_tool.inverse()
-    joints = solve_branch(
-        setting.model, Pose.from_transform(before), branch_of(setting.model, reached.at_rad), reached.at_rad
-    )
+    kinematics, at_rad = setting.kinematics, reached.at_rad
+    joints = kinematics.solve_branch(Pose.from_transform(before), kinematics.branch_of(at_rad), at_rad)
     return [1 if after >= earlier else -1 for earlier, after in zip(joints, reached.at_rad, strict=True)]
 
 

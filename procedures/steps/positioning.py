@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from procedures.engine.errors import WrongTool
 from procedures.engine.step import Outcome, StepContext, StepSpec
-from procedures.steps.arm_frames import model_of
-from procedures.steps.guide_path import flange_of, standoff_pose, target_pose
+from procedures.steps.arm_frames import guide_in_flange
+from procedures.steps.guide_path import standoff_pose, target_pose
 from procedures.steps.payloads import pose_payload
 from procedures.steps.surroundings import move_clear, surround_guide
-from ronna_hw.arm.inverse import branch_of, solve_branch
+from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 
@@ -32,13 +32,14 @@ def run(context: StepContext) -> Outcome:
         arm.activate()
     path = context.case.get("path_check").payload["targets"][str(context.key.trajectory)]
     near: JointVector = tuple(path["standoff_rad"])
-    model = model_of(context)
+    kinematics = arm.kinematics
+    flange = Pose.from_transform(standoff @ guide_in_flange(context).inverse())
     context.progress(0.0, f"moving over {context.key.trajectory}")
-    move_clear(context, solve_branch(model, flange_of(context, standoff), branch_of(model, near), near))
+    move_clear(context, kinematics.solve_branch(flange, kinematics.branch_of(near), near))
     context.progress(0.5, f"moving along {context.key.trajectory}")
     reached = arm.move_linear(
-        flange_of(context, target),
-        tool_in_flange_mm=tool.flange_from_tool.translation_mm,
+        target,
+        flange_from_tool=guide_in_flange(context),
         speed_fraction=AXIAL_SPEED_FRACTION,
     )
     return Outcome(

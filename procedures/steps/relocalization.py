@@ -21,13 +21,12 @@ from procedures.engine.errors import GateFailed, SphereNotFound
 from procedures.engine.step import Outcome, StepContext, StepSpec
 from procedures.relocalization import ServoState, recorded_point, search_pose
 from procedures.relocalization.errors import SphereNotInView
-from procedures.steps.arm_frames import model_of, stereo_tool_in_flange, tool_pose
+from procedures.steps.arm_frames import stereo_tool_in_flange, tool_pose
 from procedures.steps.payloads import points_payload, pose_from
 from procedures.steps.stereo_look import Look, area_around_tool, look, whole_sensor
 from procedures.steps.stereo_picture import keep_picture
 from procedures.steps.surroundings import move_clear, surround_stereo_head
 from procedures.strategies.orientation import back_along_axis
-from ronna_hw.arm.inverse import branch_of, solve_branch
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
@@ -172,14 +171,13 @@ def _settle_onto(context: StepContext, pose: Transform) -> None:
 
 
 def _joints(context: StepContext, pose: Transform, near: JointVector) -> JointVector:
-    model = model_of(context)
+    kinematics = context.devices.arm.kinematics
     flange = Pose.from_transform(pose @ stereo_tool_in_flange(context).inverse())
-    return solve_branch(model, flange, branch_of(model, near), near)
+    return kinematics.solve_branch(flange, kinematics.branch_of(near), near)
 
 
 def _move_linear(context: StepContext, pose: Transform) -> None:
-    flange = Pose.from_transform(pose @ stereo_tool_in_flange(context).inverse())
-    context.devices.arm.move_linear(flange)
+    context.devices.arm.move_linear(pose @ stereo_tool_in_flange(context).inverse())
 
 
 def _standoff(context: StepContext, pose: Transform) -> Transform:

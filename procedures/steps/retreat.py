@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from procedures.engine.step import Outcome, StepContext, StepSpec
-from procedures.steps.guide_path import flange_of, standoff_pose
+from procedures.steps.arm_frames import guide_in_flange
+from procedures.steps.guide_path import standoff_pose
 from procedures.steps.link_health import link_payload
 from procedures.steps.payloads import pose_from
 from procedures.steps.surroundings import surround_guide
@@ -16,10 +17,7 @@ def run(context: StepContext) -> Outcome:
     positioning = context.result("positioning")
     surround_guide(context)
     target = pose_from(positioning.payload["tool_pose"])
-    reached = arm.move_linear(
-        flange_of(context, standoff_pose(context, target)),
-        tool_in_flange_mm=context.calibrations.tool_tip.flange_from_tool.translation_mm,
-    )
+    reached = arm.move_linear(standoff_pose(context, target), flange_from_tool=guide_in_flange(context))
     last = context.key.trajectory == context.trajectories[-1]
     payload: dict[str, object] = {"parked": last}
     if last:

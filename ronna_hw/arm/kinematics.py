@@ -1,99 +1,144 @@
-"""Forward kinematics and geometric Jacobian of the nominal arm, in closed form."""
+"""The neutral interface to an arm's kinematics: nothing here assumes an axis order or a spherical wrist."""
 
 from __future__ import annotations
 
-from math import cos, sin
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple, NewType, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.errors import BranchUnavailable
+from ronna_hw.arm.links import ArmBodies
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.devices.readings import JointVector
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ronna_hw.frames import Transform
+
+Branch = NewType("Branch", int)
+"""Which way the arm is folded. Opaque: only the arm that made it reads it; records name it by its number."""
+
+RANGE_SLACK_RAD = 1e-9  # rounding at the end of a range is not an excess
 
 
-def forward(model: ArmModel, joints_rad: JointVector) -> Pose:
-    """Pose of the flange in $ROBROOT; z points out of the flange.
+class Solution(NamedTuple):
+    """Joint angles that bring the flange to a pose, with their branch."""
 
-    The chain is Rz(-A1) Tx Ry(A2) Tx Ry(A3) Tz Rx(-A4) Tx Ry(A5) Tx Rx(-A6) Ry(90 deg), multiplied out.
+    branch: Branch
+    joints_rad: JointVector
+
+
+class SingularMeasure(NamedTuple):
+    """Distance from the three kinds of singularity, each at most 1 and 0 in the singular posture.
+
+    `wrist`: two wrist axes in line; `elbow`: upper arm and forearm in line; `shoulder`: the wrist over the
+    first axis.
     """
-    A1, A2, A3, A4, A5, A6 = joints_rad
-    c1, s1 = cos(A1), sin(A1)
-    c23, s23 = cos(A2 + A3), sin(A2 + A3)
-    c4, s4 = cos(A4), sin(A4)
-    c5, s5 = cos(A5), sin(A5)
-    c6, s6 = cos(A6), sin(A6)
-    # Columns of the flange frame in the frame of the forearm (x along A4, y as A3, z across).
-    x0, x1, x2 = -s5 * c6, -c4 * s6 - s4 * c5 * c6, s4 * s6 - c4 * c5 * c6
-    y0, y1, y2 = -s5 * s6, c4 * c6 - s4 * c5 * s6, -s4 * c6 - c4 * c5 * s6
-    z0, z1, z2 = c5, -s4 * s5, -c4 * s5
-    # Rows of the forearm frame in $ROBROOT.
-    r00, r01, r02 = c1 * c23, s1, c1 * s23
-    r10, r11, r12 = -s1 * c23, c1, -s1 * s23
-    r20, r22 = -s23, c23
-    forward_mm = (
-        model.shoulder_offset_mm
-        + model.upper_arm_mm * cos(A2)
-        + model.forearm_mm * c23
-        + model.elbow_offset_mm * s23
-    )
-    up_mm = (
-        model.base_height_mm
-        - model.upper_arm_mm * sin(A2)
-        - model.forearm_mm * s23
-        + model.elbow_offset_mm * c23
-    )
-    az = r00 * z0 + r01 * z1 + r02 * z2
-    bz = r10 * z0 + r11 * z1 + r12 * z2
-    cz = r20 * z0 + r22 * z2
-    reach = model.flange_mm
-    return Pose(
-        (c1 * forward_mm + reach * az, -s1 * forward_mm + reach * bz, up_mm + reach * cz),
-        (
-            r00 * x0 + r01 * x1 + r02 * x2,
-            r00 * y0 + r01 * y1 + r02 * y2,
-            az,
-            r10 * x0 + r11 * x1 + r12 * x2,
-            r10 * y0 + r11 * y1 + r12 * y2,
-            bz,
-            r20 * x0 + r22 * x2,
-            r20 * y0 + r22 * y2,
-            cz,
-        ),
-    )
+
+    wrist: float
+    elbow: float
+    shoulder: float
+
+    @property
+    def least(self) -> float:
+        """The smallest of the three."""
+        return min(self)
 
 
-def jacobian(model: ArmModel, joints_rad: JointVector) -> NDArray[np.float64]:
-    """Geometric Jacobian of the flange in $ROBROOT, (6, 6): rows vx vy vz in mm, wx wy wz in rad, per rad."""
-    A1, A2, A3, A4, _, _ = joints_rad
-    c1, s1 = cos(A1), sin(A1)
-    c23, s23 = cos(A2 + A3), sin(A2 + A3)
-    flange = forward(model, joints_rad)
-    along = (c1 * c23, -s1 * c23, -s23)
-    sideways = (s1, c1, 0.0)
-    across = (c1 * s23, -s1 * s23, c23)
-    wrist_axis = _combine(across, -sin(A4), sideways, cos(A4))
-    flange_axis = (flange.rotation[2], flange.rotation[5], flange.rotation[8])
-    shoulder = (c1 * model.shoulder_offset_mm, -s1 * model.shoulder_offset_mm, model.base_height_mm)
-    upper = (c1 * cos(A2), -s1 * cos(A2), -sin(A2))
-    elbow = _combine(upper, model.upper_arm_mm, shoulder, 1.0)
-    wrist = _combine(flange_axis, -model.flange_mm, flange.position_mm, 1.0)
-    chain: tuple[tuple[Vector3, Vector3], ...] = (
-        ((0.0, 0.0, -1.0), (0.0, 0.0, model.base_height_mm)),
-        (sideways, shoulder),
-        (sideways, elbow),
-        (_combine(along, -1.0, along, 0.0), wrist),
-        (wrist_axis, wrist),
-        (_combine(flange_axis, -1.0, flange_axis, 0.0), wrist),
-    )
-    result = np.empty((6, 6))
-    p = flange.position_mm
-    for column, (axis, origin) in enumerate(chain):
-        x, y, z = p[0] - origin[0], p[1] - origin[1], p[2] - origin[2]
-        a, b, c = axis
-        result[:, column] = (b * z - c * y, c * x - a * z, a * y - b * x, a, b, c)
-    return result
+class JointRanges(Protocol):
+    """What the joints of an arm can do. Vectors hold one value per joint, from the base outwards."""
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """What people call the joints."""
+        ...
+
+    @property
+    def lower_rad(self) -> JointVector: ...
+
+    @property
+    def upper_rad(self) -> JointVector: ...
+
+    @property
+    def full_speed_rad_s(self) -> JointVector: ...
+
+    @property
+    def acceleration_rad_s2(self) -> JointVector: ...
 
 
-def _combine(u: Vector3, a: float, v: Vector3, b: float) -> Vector3:
-    return (a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2])
+class Kinematics(JointRanges, ArmBodies, Protocol):
+    """The nominal kinematics of one arm: ROBOT <- FLANGE from joint angles, and back."""
+
+    @property
+    def name(self) -> str:
+        """Which arm; calibration records name it so."""
+        ...
+
+    @property
+    def home_rad(self) -> JointVector:
+        """A posture to begin work from: clear of singularities, tool down and ahead of the wrist."""
+        ...
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """All branches, the usual ones first."""
+        ...
+
+    def forward(self, joints_rad: JointVector) -> Pose:
+        """Pose of the flange in the robot base, in plain floats."""
+        ...
+
+    def flange_pose(self, joints_rad: JointVector) -> Transform:
+        """The same as a checked transform, ROBOT <- FLANGE."""
+        ...
+
+    def jacobian(self, joints_rad: JointVector) -> NDArray[np.float64]:
+        """Geometric Jacobian of the flange in the base, (6, n): vx vy vz in mm, wx wy wz in rad, per rad."""
+        ...
+
+    def solutions(self, pose: Pose) -> tuple[Solution, ...]:
+        """All joint vectors within range that reach the flange pose, whole turns included.
+
+        Raises ARM-001 when the pose is out of reach, ARM-002 when a joint is not defined in a branch that the
+        ranges allow, ARM-003 when every branch leaves the ranges.
+        """
+        ...
+
+    def branch_of(self, joints_rad: JointVector) -> Branch:
+        """The branch a joint vector lies in."""
+        ...
+
+    def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
+        """The solution in one branch whose whole turns lie nearest to `near`; called in the real-time loop.
+
+        Raises ARM-001, ARM-002 or ARM-003 as `solutions`, for this branch alone.
+        """
+        ...
+
+    def singular_measure(self, joints_rad: JointVector) -> SingularMeasure:
+        """How far a posture is from each kind of singularity."""
+        ...
+
+    def wrist_bend_rad(self, joints_rad: JointVector) -> float:
+        """Angle by which the wrist is bent away from its singularity, not negative."""
+        ...
+
+    def wrist_turn_rad(self, joints_rad: JointVector) -> float:
+        """Angle of the joint that turns the bent wrist as a whole."""
+        ...
+
+
+def nearest(candidates: Iterable[Solution], reference_rad: JointVector) -> Solution:
+    """The candidate with the least sum of squared joint differences to a reference.
+
+    Raises ARM-004 when there is no candidate.
+    """
+
+    def cost(solution: Solution) -> float:
+        return sum((a - b) ** 2 for a, b in zip(solution.joints_rad, reference_rad, strict=True))
+
+    best = min(candidates, key=cost, default=None)
+    if best is None:
+        raise BranchUnavailable("there is no solution to choose from")
+    return best

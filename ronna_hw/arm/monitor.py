@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from math import degrees
 from typing import NamedTuple
 
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.live_watch import LiveWatch
-from ronna_hw.arm.model import AXES, ArmModel
+from ronna_hw.arm.clearance.live_watch import LiveWatch
+from ronna_hw.arm.kinematics import JointRanges
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices.readings import JointVector
 
 SPEED_MARGIN = 1.05  # over the working limits: rounding and the end of a ramp are no violation
@@ -30,9 +30,9 @@ History = tuple[JointVector, JointVector, JointVector, JointVector]
 
 
 class Violation(NamedTuple):
-    """What was exceeded, on which axis (1..6), by which value over which limit; angles in rad.
+    """What was exceeded, on which axis (from 1), by which value over which limit; angles in rad.
 
-    For the kinds `CLEARANCE` (mm) and `ZONE_SPEED` (mm/s), `axis` is the index in `Surroundings.pairs`.
+    For the kinds `CLEARANCE` (mm) and `ZONE_SPEED` (mm/s), `axis` is the index in `Bodies.pairs`.
     """
 
     kind: str
@@ -45,7 +45,9 @@ class Violation(NamedTuple):
             return f"{self.kind} of pair {self.axis}: {self.value:.2f} under {self.limit:.2f} mm"
         if self.kind == ZONE_SPEED:
             return f"{self.kind} of pair {self.axis}: {self.value:.1f} over {self.limit:.1f} mm/s"
-        return f"{self.kind} of A{self.axis}: {degrees(self.value):.4f} over {degrees(self.limit):.4f} deg"
+        return (
+            f"{self.kind} of axis {self.axis}: {degrees(self.value):.4f} over {degrees(self.limit):.4f} deg"
+        )
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class MonitorLimits:
 
 
 def monitor_limits(
-    model: ArmModel, limits: MotionLimits, cycle_s: float, start_rad: JointVector
+    arm: JointRanges, limits: MotionLimits, cycle_s: float, start_rad: JointVector
 ) -> MonitorLimits:
     """Limits of the monitor for a session that started at `start_rad`.
 
@@ -83,13 +85,13 @@ def monitor_limits(
         return (a, b, c, d, e, f)
 
     return MonitorLimits(
-        lower_rad=model.lower_rad,
-        upper_rad=model.upper_rad,
+        lower_rad=arm.lower_rad,
+        upper_rad=arm.upper_rad,
         step_rad=times(limits.speed_rad_s, SPEED_MARGIN * cycle_s),
         second_difference_rad=times(limits.acceleration_rad_s2, ACCELERATION_MARGIN * cycle_s**2),
         third_difference_rad=times(limits.jerk_rad_s3, JERK_MARGIN * cycle_s**3),
-        correction_lower_rad=minus(model.lower_rad),
-        correction_upper_rad=minus(model.upper_rad),
+        correction_lower_rad=minus(arm.lower_rad),
+        correction_upper_rad=minus(arm.upper_rad),
         following_rad=at_least(times(limits.speed_rad_s, FOLLOWING_TIME_S), FOLLOWING_LEAST_RAD),
     )
 
@@ -128,7 +130,7 @@ class Monitor:
         """The first limit a set-point would exceed if it were sent next, or None."""
         limits = self.limits
         one, two, three, _ = self._last
-        for i in range(AXES):
+        for i in range(len(joints_rad)):
             angle = joints_rad[i]
             low, high = limits.lower_rad[i] - RANGE_ROUNDING_RAD, limits.upper_rad[i] + RANGE_ROUNDING_RAD
             if not low <= angle <= high:  # NaN fails here
@@ -168,7 +170,7 @@ class Monitor:
     def not_taken(self) -> Violation | None:
         """The last set-point was not taken: the one before is held. Judges the step from it once more."""
         held = self._held = self._last[1]
-        for i in range(AXES):
+        for i in range(len(held)):
             step = self._last[0][i] - held[i]
             if not abs(step) <= self.limits.step_rad[i]:
                 return Violation("step", i + 1, step, self.limits.step_rad[i])
@@ -187,7 +189,7 @@ class Monitor:
     def check_measured(self, measured_rad: JointVector) -> Violation | None:
         """Whether the measured axes left their ranges or fell too far behind the last set-point."""
         commanded, limits = self._last[0], self.limits
-        for i in range(AXES):
+        for i in range(len(measured_rad)):
             error = measured_rad[i] - commanded[i]
             if not abs(error) <= limits.following_rad[i]:
                 return Violation("following error", i + 1, error, limits.following_rad[i])

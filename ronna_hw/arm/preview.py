@@ -3,39 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, degrees, hypot, inf, isinf, sin
+from math import isinf
 from typing import Any
 
 import numpy as np
 
-from ronna_hw.arm.clearance import Closest, SweptPath, motion_mm, sweep_path
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.model import ArmModel
-from ronna_hw.arm.planning import MotionPlan
-from ronna_hw.arm.progress import duration_s
-from ronna_hw.arm.speed_zones import with_speed_steps
-from ronna_hw.arm.surroundings import Surroundings
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.swept_path import Closest, SweptPath, motion_mm, sweep_path
+from ronna_hw.arm.kinematics import Kinematics, SingularMeasure
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import duration_s
+from ronna_hw.arm.motion.speed_zones import with_speed_steps
 
 CYCLE_S = 0.004  # of the generator that the duration is taken from
-
-
-@dataclass(frozen=True)
-class Singularity:
-    """How far a path stays from the three singularities: each is 1 at best and 0 in the singular pose.
-
-    `wrist` is |sin A5|, `elbow` the sine of the bend between upper arm and the line to the wrist centre,
-    `shoulder` the distance of the wrist centre from the axis of A1 as a share of the reach.
-    """
-
-    wrist: float
-    elbow: float
-    shoulder: float
-
-    @property
-    def least(self) -> float:
-        """The smallest of the three."""
-        return min(self.wrist, self.elbow, self.shoulder)
 
 
 @dataclass(frozen=True)
@@ -46,7 +27,7 @@ class PathPreview:
     joint_ranges_rad: tuple[tuple[float, float], ...]
     closest: Closest | None
     refused: Closest | None
-    singularity: Singularity
+    singularity: SingularMeasure
     largest_joint_speed_share: float  # of the limits of the motion
     largest_speed_mm_s: float
     nearest_to_head_mm: float | None
@@ -58,7 +39,7 @@ class PathPreview:
 
     def as_payload(self) -> dict[str, Any]:
         """Plain numbers for a record or for JSON."""
-        closest, singular = self.closest, self.singularity
+        closest = self.closest
         return {
             "duration_s": self.duration_s,
             "joint_ranges_rad": [list(limits) for limits in self.joint_ranges_rad],
@@ -71,49 +52,21 @@ class PathPreview:
                 "distance_mm": closest.distance_mm,
                 "at": closest.parameter,
             },
-            "singularity": {
-                "wrist": singular.wrist,
-                "elbow": singular.elbow,
-                "shoulder": singular.shoulder,
-            },
+            "singularity": self.singularity._asdict(),
             "largest_joint_speed_share": self.largest_joint_speed_share,
             "largest_speed_mm_s": self.largest_speed_mm_s,
             "nearest_to_head_mm": self.nearest_to_head_mm,
         }
 
-    def rows(self) -> tuple[tuple[str, str], ...]:
-        """Name and value, for a table."""
-        closest, head = self.closest, self.nearest_to_head_mm
-        ranges = (
-            f"A{axis} {degrees(low):.1f} .. {degrees(high):.1f}"
-            for axis, (low, high) in enumerate(self.joint_ranges_rad, start=1)
-        )
-        return (
-            ("duration", f"{self.duration_s:.2f} s"),
-            ("joints, deg", ", ".join(ranges)),
-            (
-                "smallest distance",
-                "nothing near"
-                if closest is None
-                else f"{closest.distance_mm:.1f} mm, {closest.first} to {closest.second}, "
-                f"{closest.parameter:.0%} of the way",
-            ),
-            ("clear", "yes" if self.clear else "no"),
-            ("nearest to the head", "-" if head is None else f"{head:.1f} mm"),
-            ("largest speed", f"{self.largest_speed_mm_s:.0f} mm/s"),
-            ("largest joint speed", f"{self.largest_joint_speed_share:.0%} of its limit"),
-            ("distance from singularity", f"{self.singularity.least:.2f}"),
-        )
-
 
 def preview(
-    model: ArmModel, plan: MotionPlan, surroundings: Surroundings, limits: MotionLimits
+    kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, limits: MotionLimits
 ) -> PathPreview:
     """Look at a planned path as the arm would drive it in these surroundings.
 
     Raises ARM-001 to ARM-004 where the path has no solution; a path that is not clear is told, not raised.
     """
-    path = sweep_path(model, plan, surroundings)
+    path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path)
     speeds = _speeds(path, slowed)
     joints = path.joints_rad
@@ -128,32 +81,17 @@ def preview(
         ),
         closest=path.closest,
         refused=path.refused,
-        singularity=singularity(model, path),
+        singularity=_least_singular_measure(kinematics, path),
         largest_joint_speed_share=0.0 if plan.is_standstill else float(shares.max()),
         largest_speed_mm_s=0.0 if plan.is_standstill else float(body.max()),
         nearest_to_head_mm=None if isinf(nearest) else nearest,
     )
 
 
-def singularity(model: ArmModel, path: SweptPath) -> Singularity:
-    """The least distance of a swept path from the singularities."""
-    wrist = elbow = shoulder = inf
-    for row in path.joints_rad.tolist():
-        A1, A2, A3, A4, A5, A6 = row
-        wrist = min(wrist, abs(sin(A5)))
-        elbow = min(elbow, abs(sin(A3 - model.stretched_A3_rad)))
-        shoulder = min(shoulder, abs(_ahead_mm(model, (A1, A2, A3, A4, A5, A6))) / model.reach_mm)
-    return Singularity(wrist, elbow, shoulder)
-
-
-def _ahead_mm(model: ArmModel, joints_rad: JointVector) -> float:
-    """Distance of the wrist centre from the axis of A1."""
-    _, A2, A3, _, _, _ = joints_rad
-    return (
-        model.shoulder_offset_mm
-        + model.upper_arm_mm * cos(A2)
-        + hypot(model.forearm_mm, model.elbow_offset_mm) * cos(A2 + A3 - model.stretched_A3_rad)
-    )
+def _least_singular_measure(kinematics: Kinematics, path: SweptPath) -> SingularMeasure:
+    """The least of each measure over a swept path."""
+    measures = [kinematics.singular_measure(tuple(row)) for row in path.joints_rad.tolist()]
+    return SingularMeasure(*(min(kind) for kind in zip(*measures, strict=True)))
 
 
 def _speeds(path: SweptPath, plan: MotionPlan) -> np.ndarray[Any, np.dtype[np.float64]]:

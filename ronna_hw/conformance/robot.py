@@ -10,13 +10,12 @@ import itertools
 import math
 import socket
 import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from math import degrees, radians
 from typing import Any
 
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import ArmModel
-from ronna_hw.arm.pose import Pose
 from ronna_hw.conformance.any_device import (
     closes,
     finds_nobody,
@@ -25,13 +24,14 @@ from ronna_hw.conformance.any_device import (
     refuses_unknown_options,
     tells_who_answers,
 )
-from ronna_hw.conformance.case import MOTION, NotShown, Suite, check, refused
+from ronna_hw.conformance.case import MOTION, Suite, check, refused
 from ronna_hw.conformance.device_cases import DeviceCases, Interruption, observe
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
+from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.registry import make_device
 
 HOLDING_S = 0.2  # theatre time over which an arm with zero corrections is watched
@@ -41,6 +41,8 @@ REACHED_MM = 0.05  # of a settled straight line; repeatability of small arms is 
 SMALL_TURN_RAD = radians(1.0)  # of the last axis: the hand turns, nothing else moves
 STOPPED_TURN_RAD = radians(20.0)  # long enough to be stopped on the way
 SMALL_LINE_MM = 2.0
+SMALL_TILT_RAD = radians(1.0)  # of the hand, about a point beside the flange
+BESIDE_FLANGE_MM = (100.0, 0.0, 50.0)
 SLOW = 0.1  # of the driver's working speed: a person can follow it and press a button
 CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
 CONNECT_LIMIT_S = 3.0
@@ -51,28 +53,31 @@ SUITE = Suite(
     driver="kuka_rsi",
     motions=(
         f"its last axis by {degrees(SMALL_TURN_RAD):g} deg, or {degrees(STOPPED_TURN_RAD):g} if a stop "
-        f"fails, and its hand by {SMALL_LINE_MM:g} mm, at {SLOW:g} of the working speed, and back"
+        f"fails, and its hand by {SMALL_LINE_MM:g} mm and {degrees(SMALL_TILT_RAD):g} deg, "
+        f"at {SLOW:g} of the working speed, and back"
     ),
 )
 
 
 def turned(joints_rad: JointVector, by_rad: float) -> JointVector:
     """The same pose with the last axis turned, towards the middle of its range."""
-    A1, A2, A3, A4, A5, A6 = joints_rad
-    return (A1, A2, A3, A4, A5, A6 - math.copysign(by_rad, A6))
+    a, b, c, d, e, last = joints_rad
+    return (a, b, c, d, e, last - math.copysign(by_rad, last))
+
+
+def shifted(pose: Transform, by_mm: tuple[float, float, float]) -> Transform:
+    """The same orientation, moved in the robot's frame."""
+    return Transform.of(
+        pose.target,
+        pose.source,
+        translation_mm=[at + by for at, by in zip(pose.translation_mm, by_mm, strict=True)],
+        quaternion_wxyz=pose.quaternion_wxyz,
+    )
 
 
 def apart_rad(a: JointVector, b: JointVector) -> float:
     """Largest difference of an axis."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
-
-
-def model_of(arm: Any) -> ArmModel:
-    """The kinematic model that the driver says it works with; the case is left undecided without one."""
-    model = getattr(arm, "model", None)
-    if not isinstance(model, ArmModel):
-        raise NotShown("the driver does not tell the model of its arm")
-    return model
 
 
 @SUITE.case("R01", "the driver offers the interface of a robot arm, and starts disconnected")
@@ -192,13 +197,12 @@ def small_joint_move(dut: DeviceUnderTest) -> None:
 @SUITE.case("R12", "a small straight line ends where it was told to, and leads back", needs=(MOTION,))
 def small_line(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
-    model = model_of(arm)
     start = arm.read_state().commanded_rad
-    here = forward(model, start)
-    x, y, z = here.position_mm
-    for target in (Pose((x, y, z + SMALL_LINE_MM), here.rotation), here):
+    here: Transform = arm.kinematics.flange_pose(start)
+    for target in (shifted(here, (0.0, 0.0, SMALL_LINE_MM)), here):
         reading: ArmReading = arm.move_linear(target, speed_fraction=SLOW)
-        missed_mm = forward(model, reading.joints_rad).distance_mm(target)
+        reached: Transform = arm.kinematics.flange_pose(reading.joints_rad)
+        missed_mm = math.dist(reached.translation_mm, target.translation_mm)
         check(missed_mm < REACHED_MM, "the target", f"{missed_mm:.4f} mm beside it")
     check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
 
@@ -206,9 +210,8 @@ def small_line(dut: DeviceUnderTest) -> None:
 @SUITE.case("R13", "a target outside the joint ranges is refused before motion", needs=(MOTION,))
 def target_out_of_range(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
-    model = model_of(arm)
     here = arm.read_state().commanded_rad
-    outside = (*here[:5], model.upper_rad[5] + SMALL_TURN_RAD)
+    outside = (*here[:-1], arm.kinematics.upper_rad[-1] + SMALL_TURN_RAD)
     refused(lambda: arm.move_joints(outside), LimitError, "a target out of range")
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     moved = apart_rad(arm.read_state().joints_rad, here)
@@ -283,6 +286,64 @@ def nobody_there(dut: DeviceUnderTest) -> None:
 @SUITE.case("R19", "an unknown option is refused before anything is opened")
 def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
     refuses_unknown_options(dut)
+
+
+@SUITE.case("R20", "a straight line to a pose between other frames is refused before anything moves")
+def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
+    before = arm.read_state().joints_rad
+    here: Transform = arm.kinematics.flange_pose(before)
+    tool = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=BESIDE_FLANGE_MM)
+    for target, flange_from_tool in (
+        (here.inverse(), None),
+        (here @ tool, None),
+        (here, tool),
+        (here @ tool, tool.inverse()),
+    ):
+        for call in (arm.move_linear, arm.preview):
+            refused(
+                lambda call=call, to=target, by=flange_from_tool: call(to, flange_from_tool=by),  # type: ignore[misc]
+                FrameMismatch,
+                f"a line to {target.target} <- {target.source}",
+            )
+    check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
+    moved = apart_rad(arm.read_state().joints_rad, before)
+    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+
+
+@SUITE.case("R21", "on a straight line it is the tool that keeps to the line", needs=(MOTION,))
+def line_is_the_tools(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.ACTIVE)
+    start = arm.read_state().commanded_rad
+    tool = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=BESIDE_FLANGE_MM)
+    here: Transform = arm.kinematics.flange_pose(start) @ tool
+    half = SMALL_TILT_RAD / 2.0
+    tilt = Transform.of(Frame.TOOL, Frame.TOOL, quaternion_wxyz=(math.cos(half), math.sin(half), 0.0, 0.0))
+    for target in (here @ tilt, here):
+        # The tool's point stays where it is while the hand turns about it.
+        seen = _joints_on_the_way(
+            dut,
+            arm,
+            lambda to=target: arm.move_linear(to, flange_from_tool=tool, speed_fraction=SLOW),  # type: ignore[misc]
+        )
+        for joints in seen:
+            at: Transform = arm.kinematics.flange_pose(joints) @ tool
+            beside_mm = math.dist(at.translation_mm, here.translation_mm)
+            check(beside_mm < REACHED_MM, "the tool on its line", f"{beside_mm:.4f} mm beside it")
+        check(len(seen) > 1, "readings on the way", len(seen))
+    check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
+
+
+def _joints_on_the_way(dut: DeviceUnderTest, arm: Any, motion: Callable[[], object]) -> list[JointVector]:
+    """The commanded axes during a motion and after it; raises what the motion raises."""
+    with ThreadPoolExecutor(1) as pool:
+        moving = pool.submit(motion)
+        seen = []
+        while not moving.done():
+            seen.append(arm.read_state().commanded_rad)
+            dut.clock.sleep(HOLDING_S / 20)
+        moving.result()
+    return [*seen, arm.read_state().commanded_rad]
 
 
 SUITE.cases.extend(DeviceCases(lambda arm: arm.read_state(), CLOSE_LIMIT_S).numbered("R", 22))

@@ -10,8 +10,10 @@ from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
 
 if TYPE_CHECKING:
-    from ronna_hw.arm.pose import Pose
-    from ronna_hw.arm.surroundings import Surroundings
+    from ronna_hw.arm.clearance.surroundings import Surroundings
+    from ronna_hw.arm.kinematics import Kinematics
+    from ronna_hw.arm.preview import PathPreview
+    from ronna_hw.frames import Transform
 
 
 class StopKind(StrEnum):
@@ -29,6 +31,11 @@ class RobotArm(Device, Protocol):
 
     def observe(self) -> LastKnown[ArmReading]:
         """As `Device.observe`; the reading holds the last axes that the controller reported."""
+        ...
+
+    @property
+    def kinematics(self) -> Kinematics:
+        """The nominal kinematics that lines, ranges and clearance are computed with; known in every state."""
         ...
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
@@ -52,15 +59,29 @@ class RobotArm(Device, Protocol):
 
     def move_linear(
         self,
-        target: Pose,
+        target: Transform,
         *,
-        tool_in_flange_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        flange_from_tool: Transform | None = None,
         speed_fraction: float = 1.0,
         timeout_s: float = 60.0,
     ) -> ArmReading:
-        """Straight line of the tool centre point to the flange pose `target`, orientation by slerp.
+        """Straight line of the flange to a pose ROBOT <- FLANGE, or of the tool to a pose ROBOT <- TOOL.
 
-        The branch of the inverse kinematics stays that of the present pose. Raises as `move_joints`.
+        `flange_from_tool` (FLANGE <- TOOL) belongs to the latter. Orientation by slerp; the arm stays in the
+        branch of its present pose. Raises FRM-001 before motion for other frames, otherwise as `move_joints`.
+        """
+        ...
+
+    def preview(
+        self,
+        target: JointVector | Transform,
+        *,
+        flange_from_tool: Transform | None = None,
+        speed_fraction: float = 1.0,
+    ) -> PathPreview:
+        """What `move_joints` to joints, or `move_linear` to a pose, would do from here; nothing moves.
+
+        Raises as these where there is no such path; one that is not clear says so in `refused`.
         """
         ...
 

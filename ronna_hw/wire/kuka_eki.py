@@ -76,7 +76,7 @@ class StateAttribute(StrEnum):
     HOLDON = "HoldOn"  # 1 when every correction channel keeps its value over a missing reply
     CYCLE = "Cycle"  # ms
     CONTEXT_HASH = "CtxHash"  # ronna_hw.wire.kuka_context.context_hash of what the program loads
-    VARIANT = "Variant"  # ronna_hw.arm.model.ArmVariant
+    VARIANT = "Variant"  # ronna_hw.arm.kr6_r900.ArmVariant
 
 
 class OperationMode(StrEnum):

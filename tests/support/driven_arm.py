@@ -9,11 +9,12 @@ from typing import Any
 
 from waiting import eventually
 
-from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.devices import Lifecycle
 
 CYCLE_S = 0.004
-MODEL = arm_model("kr6_r900_sixx")
+MODEL = kr6_r900("kr6_r900_sixx")
 THERE = radians6(10, -85, 85, 5, 65, -10)
 FAR = radians6(60, -60, 60, 30, 80, 90)
 

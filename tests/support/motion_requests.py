@@ -11,29 +11,29 @@ from math import radians
 
 import numpy as np
 
-from ronna_hw.arm.clearance import sweep_path
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import MotionLimits, working_limits
-from ronna_hw.arm.live_watch import LiveWatch
-from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.live_watch import LiveWatch
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.sweep import moving_ends, sweep
+from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
-from ronna_hw.arm.motion import PathMotion, StopMotion, state_from_history
-from ronna_hw.arm.planning import MotionPlan, plan_along_tool, plan_joint_move, plan_line
+from ronna_hw.arm.motion.limits import MotionLimits, working_limits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_along_tool, plan_joint_move, plan_line
+from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
+from ronna_hw.arm.motion.speed_zones import with_speed_steps
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.speed_zones import with_speed_steps
-from ronna_hw.arm.surroundings import Surroundings
-from ronna_hw.arm.swept import moving_ends, sweep
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
-from ronna_hw.wire.kuka_eki import OperationMode
 
 CYCLE_S = 0.004
-MODEL = arm_model(ArmVariant.SIXX)
+MODEL = kr6_r900(ArmVariant.SIXX)
 CELL = CollisionConfig()
 TOOL = Pose((220.0, 0.0, 60.0))
 HEAD_SEMI_AXES_MM = (75.0, 95.0, 90.0)
-MODES = (OperationMode.T1, OperationMode.AUT, OperationMode.EXT)
+REDUCED_SPEED_SHARE = 1 / 3
 TOLERANCE = 1.0 + 1e-6  # rounding
 CLEARANCE_TOLERANCE_MM = 0.3  # half of the finest motion between two checks of a path
 UNTRUSTED_PATHS = 0.4  # share of the interruptions that do not trust the path
@@ -61,7 +61,9 @@ def drive(seed: int) -> Driven:
     rng = random.Random(seed)
     start = _somewhere(rng)
     room = _room(rng, start)
-    limits = working_limits(MODEL).slowed(rng.choice((1.0, 1.0, 0.3))).in_mode(MODEL, rng.choice(MODES))
+    limits = working_limits(MODEL).slowed(rng.choice((1.0, 1.0, 0.3)))
+    if rng.random() < REDUCED_SPEED_SHARE:
+        limits = limits.at_reduced_speed(MODEL)
     surroundings = replace(room, most_mm_s=limits.body_speed_mm_s)
     found = Driven(limits=limits, surroundings=surroundings)
     try:
@@ -84,7 +86,7 @@ def _follow(rng: random.Random, found: Driven, plan: MotionPlan, start: JointVec
     assert limits is not None
     assert surroundings is not None
     monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, start), start)
-    monitor.watch(LiveWatch(MODEL, surroundings, CYCLE_S, start))
+    monitor.watch(LiveWatch(Bodies(MODEL, surroundings), CYCLE_S, start))
     motion: PathMotion | StopMotion = PathMotion(
         plan.path(MODEL), start, plan.limits, CYCLE_S, plan.speed_steps
     )
@@ -120,7 +122,7 @@ def _follow(rng: random.Random, found: Driven, plan: MotionPlan, start: JointVec
 
 def _room(rng: random.Random, start: JointVector) -> Surroundings:
     """A head somewhere about the tool, turned anyhow."""
-    x, y, z = forward(MODEL, start).apply(TOOL.position_mm)
+    x, y, z = MODEL.forward(start).apply(TOOL.position_mm)
     angles = (rng.uniform(-180, 180), rng.uniform(-60, 60), rng.uniform(-180, 180))
     head = Pose.from_kuka(
         x + rng.uniform(-150, 250), y + rng.gauss(0, 150), z - rng.uniform(60, 350), *angles
@@ -146,7 +148,7 @@ def _request(rng: random.Random, start: JointVector, limits: MotionLimits) -> Mo
         target = _somewhere(rng) if rng.random() < 0.5 else _beside(rng, start)
         return plan_joint_move(MODEL, start, target, limits)
     if kind < 0.7:
-        flange = forward(MODEL, start)
+        flange = MODEL.forward(start)
         x, y, z = flange.position_mm
         turned = flange.compose(Pose.from_kuka(0, 0, 0, *(rng.gauss(0, 12) for _ in range(3))))
         goal = Pose((x + rng.gauss(0, 60), y + rng.gauss(0, 60), z + rng.gauss(0, 60)), turned.rotation)
@@ -203,14 +205,14 @@ def _room_faults(driven: Driven, points: np.ndarray, every: int) -> list[str]:
     surroundings = driven.surroundings
     assert surroundings is not None
     looked_at = np.unique(np.append(np.arange(0, len(points), every), len(points) - 1))
-    swept = sweep(MODEL, surroundings, points[looked_at])
+    swept = sweep(Bodies(MODEL, surroundings), points[looked_at])
     found = []
     floors = np.minimum(surroundings.margin_mm, swept.gaps_mm[0] - 0.05)
     lacking = float((floors - swept.gaps_mm).max())
     if lacking > CLEARANCE_TOLERANCE_MM:
         found.append(f"clearance lacks {lacking:.2f} mm")
     if len(points) > 1:
-        ends = moving_ends(MODEL, surroundings, points)
+        ends = moving_ends(Bodies(MODEL, surroundings), points)
         moved = np.linalg.norm(np.diff(ends, axis=0), axis=3).max(axis=(1, 2)) / CYCLE_S
         caps = np.array([surroundings.cap_mm_s(distance) for distance in swept.to_head_mm.tolist()])
         # The step into each place that was looked at, and the one out of it.

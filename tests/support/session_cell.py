@@ -20,12 +20,13 @@ from drivers.kuka_rsi.realtime.link_state import (
 from drivers.kuka_rsi.realtime.responder import Session
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import arm_model, radians6
-from ronna_hw.arm.planning import MotionPlan, plan_joint_move
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.devices.readings import JointVector
 
-MODEL = arm_model("kr6_r900_sixx")
+MODEL = kr6_r900("kr6_r900_sixx")
 LIMITS = working_limits(MODEL)
 START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
 START = radians6(*START_DEG)

@@ -12,23 +12,23 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.kuka_rsi.errors import LinkProcessDied, MotionStopped
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import arm_model
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Frame, Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 
-MODEL = arm_model("kr6_r900_sixx")
-TOOL_MM = (0.0, 0.0, 150.0)
+MODEL = kr6_r900("kr6_r900_sixx")
+TOOL = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(0.0, 0.0, 150.0))
 
 MOVER = """
 import sys, threading
@@ -106,11 +106,16 @@ def test_a_whole_session_of_joint_and_straight_moves(make_arm: Callable[[], Kuka
     reading = arm.move_joints(target)
     # At rest the arm is exactly where it was told to be, to the last digit of the wire.
     assert reading.joints_rad == pytest.approx(target, abs=radians(0.0002))
-    here = forward(MODEL, target)
-    x, y, z = here.position_mm
-    line_end = Pose((x - 15, y + 10, z - 20), here.rotation)
-    reading = arm.move_linear(line_end, tool_in_flange_mm=TOOL_MM)
-    assert forward(MODEL, reading.joints_rad).distance_mm(line_end) < 0.005
+    here = MODEL.flange_pose(target) @ TOOL
+    line_end = Transform.of(
+        Frame.ROBOT,
+        Frame.TOOL,
+        translation_mm=np.add(here.translation_mm, (-15.0, 10.0, -20.0)),
+        quaternion_wxyz=here.quaternion_wxyz,
+    )
+    reading = arm.move_linear(line_end, flange_from_tool=TOOL)
+    reached = MODEL.flange_pose(reading.joints_rad) @ TOOL
+    assert reached.translation_mm == pytest.approx(line_end.translation_mm, abs=0.005)
     statistics = arm.link_statistics()
     assert statistics.cycles > 100
     assert statistics.rejected_telegrams == 0

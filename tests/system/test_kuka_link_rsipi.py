@@ -26,16 +26,17 @@ from drivers.kuka_rsi.controller.generate import render
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Phase, Result
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import arm_model, radians6
-from ronna_hw.arm.planning import plan_joint_move
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.kuka_context import DEFAULT_CONTEXT_FILE, context_hash, load_context
 
-MODEL = arm_model("kr6_r900_sixx")
+MODEL = kr6_r900("kr6_r900_sixx")
 TARGET_DEG = (5.0, -2.0, 3.0, 1.0, 4.0, -6.0)
 TARGET = radians6(*TARGET_DEG)
 ECHO_DIGIT_DEG = 0.01  # the echo server rounds to that

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from ronna_hw.arm.model import arm_model, degrees6
+from ronna_hw.arm.angles import degrees6
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.command_line import console
 from ronna_hw.wire import kuka_eki
 from ronna_hw.wire.kuka_context import AXES, ContextInvalid, RsiContext, context_hash, load_context
@@ -59,7 +60,7 @@ def render(context: RsiContext) -> dict[str, str]:
         keep_trailing_newline=True,
         autoescape=False,  # the values are our own numbers and names
     )
-    model = arm_model(context.program.variant)
+    model = kr6_r900(context.program.variant)
     values = {
         "context": context,
         "hash": context_hash(context),

@@ -7,7 +7,7 @@ from math import isfinite
 from xml.etree import ElementTree
 
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, WrongController
-from ronna_hw.arm.model import ArmVariant
+from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.wire.kuka_context import RsiContext, context_hash
 from ronna_hw.wire.kuka_eki import (

@@ -5,9 +5,9 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Annotated, NamedTuple
 
+from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
-from ronna_hw.arm.planning import MotionPlan
-from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.shared_layout import IPV4_HOST, one_of
 

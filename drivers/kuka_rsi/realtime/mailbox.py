@@ -19,11 +19,11 @@ from drivers.kuka_rsi.realtime.link_state import (
     Record,
     StopOrder,
 )
+from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import SurroundingsTooLarge
-from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose, Rotation9
-from ronna_hw.arm.progress import MOST_STEPS, PathLimits, SpeedStep
-from ronna_hw.arm.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.host.memory_map import MemoryMap
 

@@ -30,10 +30,10 @@ from drivers.kuka_rsi.realtime.replies import Ready, Replies
 from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.monitor import Violation
-from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
@@ -56,8 +56,8 @@ class Session:
 
     def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
-        self._model = arm_model(settings.variant)
-        self._limits = working_limits(self._model, settings.speed_fraction)
+        self._kinematics = kr6_r900(settings.variant)
+        self._limits = working_limits(self._kinematics, settings.speed_fraction)
         self._cycle_s = settings.cycle_ms / 1000.0
         self._tolerance = radians(settings.settle_tolerance_deg)
         self._silence_ns = round(settings.silence_limit_s * 1e9)
@@ -281,14 +281,14 @@ class Session:
 
     def _begin(self, axes_deg: JointVector) -> bytes:
         """First reply of a run: corrections count from here, and the first one is zero."""
-        lower, upper = self._model.lower_rad, self._model.upper_rad
+        lower, upper = self._kinematics.lower_rad, self._kinematics.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
             if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
                 self._latch(Fault.BASE)
         self._measure()
         self._replies.begin(axes_deg)
         self._base_rad = self._measured
-        self._points = SetPoints(self._model, self._limits, self._cycle_s, self._measured)
+        self._points = SetPoints(self._kinematics, self._limits, self._cycle_s, self._measured)
         self._settled_cycles = 0
         self.choice = Choice.GO
         if self.phase is Phase.ARMED:

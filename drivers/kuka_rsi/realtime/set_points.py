@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.live_watch import LiveWatch
-from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.live_watch import LiveWatch
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.monitor import Monitor, Violation, monitor_limits
-from ronna_hw.arm.motion import PathMotion, StopMotion, state_from_history
-from ronna_hw.arm.planning import MotionPlan
-from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
@@ -31,11 +32,14 @@ class Choice(IntEnum):
 class SetPoints:
     """Use in turn: `prepare`, then one `commit` with what was sent."""
 
-    def __init__(self, model: ArmModel, limits: MotionLimits, cycle_s: float, start_rad: JointVector) -> None:
-        self._model = model
+    def __init__(
+        self, kinematics: Kinematics, limits: MotionLimits, cycle_s: float, start_rad: JointVector
+    ) -> None:
+        self._kinematics = kinematics
+        self._bodies = Bodies(kinematics, Surroundings())
         self._limits = limits
         self._cycle_s = cycle_s
-        self.monitor = Monitor(monitor_limits(model, limits, cycle_s, start_rad), start_rad)
+        self.monitor = Monitor(monitor_limits(kinematics, limits, cycle_s, start_rad), start_rad)
         self._motion: PathMotion | StopMotion | None = None
         self._joint_stop: StopMotion | None = None
         self.go_rad = start_rad
@@ -68,10 +72,12 @@ class SetPoints:
         if plan.is_standstill:
             return
         motion = PathMotion(
-            plan.path(self._model), plan.start_rad, plan.limits, self._cycle_s, plan.speed_steps
+            plan.path(self._kinematics), plan.start_rad, plan.limits, self._cycle_s, plan.speed_steps
         )
         if surroundings is not None:
-            self.monitor.watch(LiveWatch(self._model, surroundings, self._cycle_s, self.last_rad))
+            if surroundings is not self._bodies.surroundings:
+                self._bodies = Bodies(self._kinematics, surroundings)
+            self.monitor.watch(LiveWatch(self._bodies, self._cycle_s, self.last_rad))
         if speed < 1.0:
             motion.limit_speed(speed)
         self._motion = motion

@@ -161,7 +161,8 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
         replies = [corrections(reply) for reply in tap.heard().replies]
         cycle_s = load_context().program.cycle_ms / 1000.0
         limits = [
-            speed * math.degrees(1.0) * cycle_s * LARGEST_STEP_SHARE for speed in arm.model.full_speed_rad_s
+            speed * math.degrees(1.0) * cycle_s * LARGEST_STEP_SHARE
+            for speed in arm.kinematics.full_speed_rad_s
         ]
     check(len(replies) > CYCLES, "a motion over many cycles", len(replies))
     for before, after in itertools.pairwise(replies):

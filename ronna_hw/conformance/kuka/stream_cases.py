@@ -12,8 +12,8 @@ import re
 import statistics
 from collections.abc import Callable
 
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.conformance.case import DESTRUCTIVE, HOST_TIME, LIVE_FAULTS, MOTION, CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
@@ -242,9 +242,9 @@ def pose_agrees_with_axes(dut: DeviceUnderTest) -> None:
         state = line.eki.state()
     if state.get("Base") != "0":
         raise NotShown("a base is active")
-    model = arm_model(ArmVariant(state.get("Variant", "")))
+    model = kr6_r900(ArmVariant(state.get("Variant", "")))
     axes, told = telegram.values("AIPos"), telegram.values("RIst")
-    flange = forward(model, radians6(*(axes[name] for name in AXES)))
+    flange = model.forward(radians6(*(axes[name] for name in AXES)))
     pose = Pose.from_kuka(*(told[name] for name in ("X", "Y", "Z", "A", "B", "C")))
     apart_mm, turned_deg = flange.distance_mm(pose), math.degrees(flange.angle_rad(pose))
     if apart_mm > 1.0:

@@ -4,12 +4,13 @@ import math
 
 import pytest
 
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, MonitorLimits, Violation, monitor_limits
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.devices.readings import JointVector
 
-MODEL = arm_model(ArmVariant.SIXX)
+MODEL = kr6_r900(ArmVariant.SIXX)
 CYCLE_S = 0.004
 START = radians6(0, -90, 90, 0, 60, 0)
 LIMITS: MonitorLimits = monitor_limits(MODEL, working_limits(MODEL), CYCLE_S, START)
@@ -120,4 +121,4 @@ def test_judging_does_not_remember() -> None:
 
 
 def test_a_violation_says_axis_value_and_limit() -> None:
-    assert str(_monitor().check(_with(6, START[5] + 1.0))).startswith("step of A6: 57.2958 over 0.3100")
+    assert str(_monitor().check(_with(6, START[5] + 1.0))).startswith("step of axis 6: 57.2958 over 0.3100")

@@ -11,7 +11,7 @@ from procedures.calibration.arm_geometry import (
     LINK_TRANSLATION_MM,
     error_columns,
 )
-from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from sim.kuka.arm.joint_chain import Chain
 from sim.kuka.arm.robot_description import description
 from sim.theatre.scene.model import LinkError
@@ -33,7 +33,7 @@ def exact() -> list[LinkError]:
 
 @pytest.fixture
 def columns():
-    return error_columns(arm_model(VARIANT), [JOINTS], ball_with(exact()))[0]
+    return error_columns(kr6_r900(VARIANT).chain, [JOINTS], ball_with(exact()))[0]
 
 
 @pytest.mark.parametrize("link", range(5))  # the flange is turned against the last link's end: see below

@@ -18,8 +18,8 @@ from procedures.cli.stereo_looks import APPROACH_RAD, BallWatcher, surround_ball
 from procedures.cli.stereo_session import check_look
 from procedures.relocalization.errors import NoSphere, SphereNotInView
 from procedures.steps.stereo_look import Look
+from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.arm.model import radians6
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import EXIT_REFUSED

@@ -8,19 +8,19 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import pytest
 from driven_arm import MODEL, THERE, largest_step, moving, state_of
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import MotionStopped
 from drivers.kuka_rsi.fault_watch import FaultWatch
+from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import OutOfJointRange
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import radians6
-from ronna_hw.arm.pose import Pose
 from ronna_hw.devices import LastKnown, Lifecycle, RobotArm
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
+from ronna_hw.frames import Frame, Transform
 
 CYCLES_AFTERWARDS = 5  # in which a motion that was not refused would show
 
@@ -43,10 +43,17 @@ def test_a_session_from_connect_to_close(controller: Any, make_arm: Any) -> None
     assert reading.commanded_rad == THERE
     assert not reading.moving
     assert reading.validity is Validity.OK
-    here = forward(MODEL, THERE)
-    target = Pose((here.position_mm[0], here.position_mm[1] + 20, here.position_mm[2]), here.rotation)
-    reading = arm.move_linear(target, tool_in_flange_mm=(0.0, 0.0, 100.0))
-    assert forward(MODEL, reading.joints_rad).distance_mm(target) < 0.01
+    tool = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(0.0, 0.0, 100.0))
+    here = MODEL.flange_pose(THERE) @ tool
+    target = Transform.of(
+        Frame.ROBOT,
+        Frame.TOOL,
+        translation_mm=np.add(here.translation_mm, (0.0, 20.0, 0.0)),
+        quaternion_wxyz=here.quaternion_wxyz,
+    )
+    reading = arm.move_linear(target, flange_from_tool=tool)
+    reached = MODEL.flange_pose(reading.joints_rad) @ tool
+    assert reached.translation_mm == pytest.approx(target.translation_mm, abs=0.01)
     statistics = arm.link_statistics()
     assert statistics.cycles > 100
     assert statistics.lost_cycles == statistics.late_cycles == statistics.rejected_telegrams == 0

@@ -15,7 +15,7 @@ from drivers.kuka_rsi.errors import (
     MotionStopped,
     ProtectiveStop,
 )
-from ronna_hw.arm.model import radians6
+from ronna_hw.arm.angles import radians6
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.errors import RonnaError

@@ -13,19 +13,20 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Command, CommandKind, Fault
 from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox
 from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
-from ronna_hw.arm.capsule import Capsule
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
 from ronna_hw.arm.errors import NotClear, Singular, SurroundingsTooLarge, Unreachable
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
-from ronna_hw.arm.planning import plan_joint_move
-from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.progress import MOST_STEPS, SpeedStep
-from ronna_hw.arm.surroundings import Obstacle, Surroundings
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import plan_joint_move
+from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
 from ronna_hw.devices import Lifecycle
+from ronna_hw.frames import Frame, Transform
 
-MODEL = arm_model("kr6_r900_sixx")
+MODEL = kr6_r900("kr6_r900_sixx")
 START = radians6(0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
 ASIDE = radians6(20.0, -90.0, 90.0, 0.0, 60.0, 0.0)
 CYCLE_S = 0.004
@@ -33,7 +34,7 @@ CYCLE_S = 0.004
 
 def _post_beside(angle_deg: float) -> Surroundings:
     """A ball where the flange comes past when A1 stands at that angle."""
-    place = forward(MODEL, radians6(angle_deg, -90.0, 90.0, 0.0, 60.0, 0.0)).position_mm
+    place = MODEL.forward(radians6(angle_deg, -90.0, 90.0, 0.0, 60.0, 0.0)).position_mm
     return Surroundings(obstacles=(Obstacle("drip stand", Capsule(place, place, 20.0)),))
 
 
@@ -64,7 +65,7 @@ def test_a_motion_is_previewed_before_it_is_run_and_nothing_moves(controller: An
     assert seen.joint_ranges_rad[0] == pytest.approx((0.0, radians(20.0)), abs=1e-3)
     assert 0.0 < seen.singularity.least <= 1.0
     with pytest.raises(Singular, match="ARM-002"):
-        active_arm.preview(forward(MODEL, radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0)))
+        active_arm.preview(MODEL.flange_pose(radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0)))
     assert controller.replies[-1][1] == sent
 
 
@@ -78,11 +79,10 @@ def test_a_preview_needs_no_stream(make_arm: Any) -> None:
 @pytest.mark.hazard(23)
 def test_unreachable_and_singular_goals_are_refused_before_motion(controller: Any, active_arm: Any) -> None:
     sent = controller.replies[-1][1]
-    far = forward(MODEL, START)
     with pytest.raises(Unreachable, match="ARM-001"):
-        active_arm.move_linear(Pose((2000.0, 0.0, 500.0), far.rotation))
+        active_arm.move_linear(Transform.of(Frame.ROBOT, Frame.FLANGE, translation_mm=(2000.0, 0.0, 500.0)))
     with pytest.raises(Singular, match="ARM-002"):
-        active_arm.move_linear(forward(MODEL, radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0)))
+        active_arm.move_linear(MODEL.flange_pose(radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0)))
     assert active_arm.state is Lifecycle.ACTIVE
     assert controller.replies[-1][1] == sent
 
@@ -118,8 +118,8 @@ def _fault(kind: str, pair: int, value: float, limit: float) -> Any:
 
 
 def test_a_trip_names_the_two_bodies_and_the_distance() -> None:
-    around = _post_beside(15.0)
-    pair = next(k for k, one in enumerate(around.pairs) if around.names(one) == ("hand", "drip stand"))
+    bodies = Bodies(MODEL, _post_beside(15.0))
+    pair = next(k for k, one in enumerate(bodies.pairs) if bodies.names(one) == ("hand", "drip stand"))
     error = _fault(CLEARANCE, pair, 4.2, 5.0)
     assert isinstance(error, MotionTripped)
     assert "clearance of hand and drip stand" in str(error)

@@ -21,7 +21,7 @@ from drivers.kuka_rsi.errors import (
     WrongController,
 )
 from drivers.kuka_rsi.options import read_options
-from ronna_hw.arm.model import radians6
+from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig

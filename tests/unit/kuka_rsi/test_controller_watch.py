@@ -16,12 +16,13 @@ from drivers.kuka_rsi.errors import (
     NoAnswer,
     Unverified,
 )
-from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.devices import Lifecycle
 from ronna_hw.errors import RonnaError
 
 THERE = radians6(10, -85, 85, 5, 65, -10)
-FULL_SPEED_DEG_S = degrees(arm_model("kr6_r900_sixx").full_speed_rad_s[0])
+FULL_SPEED_DEG_S = degrees(kr6_r900("kr6_r900_sixx").full_speed_rad_s[0])
 
 
 @pytest.mark.parametrize("change", [{"EStop": "1"}, {"Guard": "1"}, {"Mode": "AUT"}])

@@ -13,7 +13,7 @@ from drivers.kuka_rsi.errors import ControllerLost, RecordedCycle
 from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, LinkState, Phase, StopOrder
-from ronna_hw.arm.surroundings import Surroundings
+from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState

@@ -29,14 +29,14 @@ from drivers.kuka_rsi.realtime.responder import Session
 from drivers.kuka_rsi.realtime.set_points import Choice
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import arm_model, radians6
-from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 
-MODEL = arm_model("kr6_r900_sixx")
+MODEL = kr6_r900("kr6_r900_sixx")
 LIMITS = working_limits(MODEL)
 CYCLE_MS = 4
 FULL_STEP_DEG = [degrees(speed) * CYCLE_MS / 1000 for speed in MODEL.full_speed_rad_s]
@@ -250,7 +250,7 @@ def test_a_point_that_is_too_far_from_the_held_one_is_not_sent_again() -> None:
 @settings(max_examples=30, deadline=None)
 @given(before=st.integers(1, 200), losses=LOSSES)
 def test_a_stop_while_replies_are_lost_is_smooth_and_ends_at_rest(before: int, losses: list[Loss]) -> None:
-    here = forward(MODEL, START)
+    here = MODEL.forward(START)
     x, y, z = here.position_mm
     line = Pose((x - 40, y + 60, z - 40), here.rotation)
     controller = HoldingController()

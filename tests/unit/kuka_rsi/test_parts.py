@@ -34,9 +34,9 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.mailbox import Mailbox, MailboxTorn
 from drivers.kuka_rsi.realtime.settings import LinkSettings
-from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.progress import PathLimits
 
 SIX = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
 
 from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, Fault, StopOrder
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import arm_model, radians6
-from ronna_hw.arm.planning import plan_joint_move
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import plan_joint_move
 
-MODEL = arm_model("kr6_r900_sixx")
+MODEL = kr6_r900("kr6_r900_sixx")
 FAR = radians6(40, -60, 60, 30, 80, 90)
 MOVE = Command(0, CommandKind.MOVE, plan_joint_move(MODEL, radians6(*START_DEG), FAR, working_limits(MODEL)))
 

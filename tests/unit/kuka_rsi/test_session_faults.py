@@ -23,12 +23,11 @@ from drivers.kuka_rsi.realtime.link_state import (
     Orders,
     Phase,
 )
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import radians6
+from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.monitor import FOLLOWING_TIME_S
-from ronna_hw.arm.planning import MotionPlan
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.progress import PathLimits
 
 CYCLE_S = SETTINGS.cycle_ms / 1000.0
 LONGEST_STOP_S = 0.5  # of a path stop, as the table of disturbances promises
@@ -70,7 +69,7 @@ def test_a_path_that_leads_out_of_range_is_stopped_at_the_range() -> None:
 
 
 def test_a_line_without_a_solution_on_the_way_is_stopped_by_the_joints() -> None:
-    here = forward(MODEL, START)
+    here = MODEL.forward(START)
     away = Pose((here.position_mm[0] + 900, here.position_mm[1], here.position_mm[2]), here.rotation)
     cell = begun()
     cell.give(CommandKind.MOVE, MotionPlan(START, (*START[:5], 0.1), PathLimits(0.1, 0.1, 1.0), away))

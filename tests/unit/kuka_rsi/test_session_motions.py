@@ -29,11 +29,10 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.responder import Session
 from drivers.kuka_rsi.realtime.telegram import Telegram
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import radians6
-from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.progress import PathLimits
 
 
 def test_nothing_is_answered_before_a_session_is_open() -> None:
@@ -93,7 +92,7 @@ def test_a_motion_is_not_done_while_the_arm_is_off_by_more_than_the_tolerance() 
 )
 def test_a_stop_in_any_cycle_is_smooth(cycles: int, kind: StopOrder, line: bool) -> None:
     cell = begun()
-    here = forward(MODEL, START)
+    here = MODEL.forward(START)
     x, y, z = here.position_mm
     plan = (
         plan_line(MODEL, START, Pose((x - 40, y + 60, z - 40), here.rotation), LIMITS, (0.0, 0.0, 200.0))

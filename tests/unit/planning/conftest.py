@@ -13,7 +13,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
-from ronna_hw.arm.model import ArmVariant, arm_model
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.frames import Frame, Transform
 
 SERIES = "1.2.826.0.1.3680043.8.498.7"
@@ -92,10 +93,11 @@ def make_arm() -> Callable[..., ArmSetting]:
         # CT left towards robot y, CT anterior up, CT superior towards the robot.
         axes = Rotation.from_matrix([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
         fields = {
-            "model": arm_model(ArmVariant.SIXX),
+            "kinematics": kr6_r900(ArmVariant.SIXX),
             "robot_from_ct": Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(head_mm, axes)),
             "flange_from_tool": Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
             "strategy": strategy_named("ocs"),
+            "start_rad": radians6(0.0, -90.0, 90.0, 0.0, 90.0, 0.0),
         }
         return ArmSetting(**{**fields, **changes})
 

@@ -10,10 +10,11 @@ from procedures.planning.free_angle import FURTHEST_RAD, choose_free_angles, tur
 from procedures.planning.reach import check_paths
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, visits_of
-from procedures.planning.wrist import LEAST_A5_RAD, WristState
+from procedures.planning.wrist import LEAST_BEND_RAD, WristState
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
 
 HALF_ANGLE_RAD = math.radians(27.5)
@@ -21,7 +22,7 @@ CAMERA_MM = 250.0 * np.array([0.0, math.sin(HALF_ANGLE_RAD), -math.cos(HALF_ANGL
 SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
 # CT axes as the robot's, seen from above: the trajectory points straight down.
 SETTING = ArmSetting(
-    arm_model("kr6_r900_sixx"),
+    kr6_r900("kr6_r900_sixx"),
     Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(650.0, 0.0, 300.0)),
     Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
     OrientationCorrection(),
@@ -102,7 +103,7 @@ def _leaning(x_mm: float) -> Trajectory:
 def _wrist_at(trajectory: Trajectory, turn_rad: float) -> WristState | None:
     turned = replace(trajectory, free_angle_rad=trajectory.free_angle_rad + turn_rad)
     check = check_paths(SETTING, (turned,), FREE)
-    return WristState.of(check) if check.passed else None
+    return WristState.of(SETTING.kinematics, check) if check.passed else None
 
 
 def test_an_angle_that_turns_the_wrist_far_gives_way_to_the_next_good_one() -> None:
@@ -111,7 +112,7 @@ def test_an_angle_that_turns_the_wrist_far_gives_way_to_the_next_good_one() -> N
     assert own is not None
     assert not own.good
     turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
-    assert WristState.of(turned.check).good
+    assert WristState.of(SETTING.kinematics, turned.check).good
     assert turned.turns_rad == pytest.approx((math.radians(10.0),))
 
 
@@ -119,9 +120,9 @@ def test_the_wrist_is_turned_away_from_its_singularity() -> None:
     leaning = _leaning(-20.0)  # along the forearm
     own = _wrist_at(leaning, 0.0)
     assert own is not None
-    assert own.least_A5_rad < math.radians(5.0)
+    assert own.least_bend_rad < math.radians(5.0)
     turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
-    assert WristState.of(turned.check).least_A5_rad >= LEAST_A5_RAD
+    assert WristState.of(SETTING.kinematics, turned.check).least_bend_rad >= LEAST_BEND_RAD
 
 
 def test_where_no_angle_is_good_the_clearest_of_the_singularity_is_taken() -> None:
@@ -130,9 +131,9 @@ def test_where_no_angle_is_good_the_clearest_of_the_singularity_is_taken() -> No
     assert not any(wrist.good for wrist in wrists)
     turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
     assert turned.check.passed
-    best_rad = max(wrist.least_A5_rad for wrist in wrists)
-    assert best_rad > 1.5 * wrists[0].least_A5_rad
-    assert WristState.of(turned.check).least_A5_rad == pytest.approx(best_rad)
+    best_rad = max(wrist.least_bend_rad for wrist in wrists)
+    assert best_rad > 1.5 * wrists[0].least_bend_rad
+    assert WristState.of(SETTING.kinematics, turned.check).least_bend_rad == pytest.approx(best_rad)
 
 
 def test_the_wrist_of_each_trajectory_is_judged_by_itself() -> None:
@@ -143,6 +144,6 @@ def test_the_wrist_of_each_trajectory_is_judged_by_itself() -> None:
 
 
 def test_a_wrist_is_good_only_away_from_the_singularity_and_alike_at_all_poses() -> None:
-    assert WristState(LEAST_A5_RAD, math.radians(44.0)).good
-    assert not WristState(LEAST_A5_RAD - 0.01, 0.0).good
+    assert WristState(LEAST_BEND_RAD, math.radians(44.0)).good
+    assert not WristState(LEAST_BEND_RAD - 0.01, 0.0).good
     assert not WristState(math.radians(60.0), math.radians(46.0)).good

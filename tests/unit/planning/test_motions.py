@@ -20,8 +20,8 @@ from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import arm_model, radians6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
 from ronna_hw.frames import Frame, Transform
 
@@ -45,7 +45,7 @@ MIDDLE_MM = np.array([760.0, 0.0, 200.0])
 def _setting(cell: CollisionConfig | None = None) -> ArmSetting:
     origin_mm = MIDDLE_MM - AXES.apply(HEAD.centre_mm)
     return ArmSetting(
-        model=arm_model("kr6_r900_sixx"),
+        kinematics=kr6_r900("kr6_r900_sixx"),
         robot_from_ct=Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(origin_mm, AXES)),
         flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
         strategy=strategy_named("ocs"),
@@ -120,7 +120,7 @@ def test_another_angle_about_the_axis_is_taken_when_the_own_one_is_not_clear() -
 
 def test_a_body_at_home_is_told_by_the_pose_that_the_way_leads_from() -> None:
     """The search for angles drops the poses that are named; home is none of them."""
-    above = forward(arm_model("kr6_r900_sixx"), CASE_HOME).apply((220.0, 60.0, 60.0))
+    above = kr6_r900("kr6_r900_sixx").forward(CASE_HOME).apply((220.0, 60.0, 60.0))
     setting = _setting(_with_body("lamp", above, 40.0))
     check = check_paths(setting, TRAJECTORIES[:1], FIDUCIALS[:1])
     assert not check.passed

@@ -14,9 +14,7 @@ from procedures.planning.posture import ranked_branches
 from procedures.planning.reach import check_paths
 from procedures.planning.visits import VisitKind, visits_of
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.inverse import branch_of
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import radians6
+from ronna_hw.arm.angles import radians6
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 FIDUCIALS = [[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0]]
@@ -60,31 +58,27 @@ def test_the_joints_reach_the_poses(checked, make_arm):
     tool = make_arm().flange_from_tool
     for one in checked.reached:
         for joints, wanted in ((one.at_rad, one.visit.pose), (one.approach_rad, one.visit.approach)):
-            reached = forward(make_arm().model, joints).to_transform() @ tool
+            reached = make_arm().kinematics.flange_pose(joints) @ tool
             assert np.allclose(reached.as_matrix(), wanted.as_matrix(), atol=1e-6)
 
 
 def test_one_branch_holds_over_the_whole_procedure(checked, make_arm):
-    model = make_arm().model
+    kinematics = make_arm().kinematics
     for one in checked.reached:
-        assert branch_of(model, one.approach_rad) == branch_of(model, one.at_rad) == checked.branch
+        assert kinematics.branch_of(one.approach_rad) == kinematics.branch_of(one.at_rad) == checked.branch
     assert len(checked.reached) == 8
 
 
 def test_joints_stay_within_the_ranges_and_the_ranges_are_told(checked, make_arm):
-    model = make_arm().model
-    for (low, high), lower, upper in zip(
-        checked.joint_ranges_rad, model.lower_rad, model.upper_rad, strict=True
-    ):
+    arm = make_arm().kinematics
+    for (low, high), lower, upper in zip(checked.joint_ranges_rad, arm.lower_rad, arm.upper_rad, strict=True):
         assert lower <= low <= high <= upper
 
 
 def test_moves_lead_from_one_approach_point_to_the_next(checked):
     assert checked.moves[0].start == "start"
     assert all(a.end == b.start for a, b in pairwise(checked.moves))
-    second = checked.moves[1].change_rad
     difference = np.subtract(checked.reached[1].approach_rad, checked.reached[0].approach_rad)
-    assert np.allclose(second, difference)
     assert checked.moves[1].largest_rad == pytest.approx(np.abs(difference).max())
 
 
@@ -92,16 +86,16 @@ def test_another_starting_branch_is_kept_when_it_serves(make_arm, checked):
     flipped = radians6(0.0, -90.0, 90.0, 180.0, -90.0, 180.0)
     result = check_paths(make_arm(start_rad=flipped), TRAJECTORIES, FIDUCIALS)
     assert result.passed
-    assert result.branch == branch_of(make_arm().model, flipped)
+    assert result.branch == make_arm().kinematics.branch_of(flipped)
     assert result.branch != checked.branch
 
 
 def test_the_branch_that_serves_most_poses_is_tried_first(make_arm, checked):
     setting = make_arm()
     flanges = [one.visit.pose @ setting.flange_from_tool.inverse() for one in checked.reached]
-    assert ranked_branches(setting.model, flanges, setting.start_rad)[0] == checked.branch
+    assert ranked_branches(setting.kinematics, flanges, setting.start_rad)[0] == checked.branch
     overhead = radians6(180.0 - 15.0, -90.0, 90.0, 0.0, 90.0, 0.0)
-    assert len(set(ranked_branches(setting.model, flanges, overhead))) == 8
+    assert len(set(ranked_branches(setting.kinematics, flanges, overhead))) == 8
 
 
 @pytest.mark.hazard(23)
@@ -133,8 +127,8 @@ def test_the_stereo_head_and_the_guide_may_differ(make_arm):
     setting = make_arm(flange_from_tool=tip, flange_from_stereo=make_arm().flange_from_tool)
     result = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     stereo, guide = result.at("T1/fiducial 0"), result.at("T1/target")
-    by_stereo = forward(setting.model, stereo.at_rad).to_transform() @ make_arm().flange_from_tool
-    by_guide = forward(setting.model, guide.at_rad).to_transform() @ tip
+    by_stereo = setting.kinematics.flange_pose(stereo.at_rad) @ make_arm().flange_from_tool
+    by_guide = setting.kinematics.flange_pose(guide.at_rad) @ tip
     assert np.allclose(by_stereo.translation_mm, stereo.visit.pose.translation_mm, atol=1e-6)
     assert np.allclose(by_guide.translation_mm, guide.visit.pose.translation_mm, atol=1e-6)
 

@@ -10,7 +10,7 @@ from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.model import arm_model
+from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame
 from sim.theatre.rigid import apply, inverse, matrix_of
 from sim.theatre.scene.model import Scene
@@ -48,7 +48,8 @@ def test_the_planner_agrees(seed: int) -> None:
     scene = built_in_scene("default", seed=seed)
     robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
     tool = scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
-    setting = ArmSetting(arm_model(scene.arm.variant), robot_from_ct, tool, strategy_named("ocs"))
+    arm = kr6_r900(scene.arm.variant)
+    setting = ArmSetting(arm, robot_from_ct, tool, strategy_named("ocs"), arm.home_rad)
     trajectories = [
         Trajectory(target.identifier, target.entry_ct_mm, target.target_ct_mm)
         for target in scene.head.targets

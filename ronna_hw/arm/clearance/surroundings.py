@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from math import dist, inf
 from typing import Any, NamedTuple
 
-from ronna_hw.arm.capsule import Capsule
-from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.links import ArmPart
 from ronna_hw.devices.readings import Vector3
 
-COLUMN, UPPER_ARM, FOREARM, WRIST, HAND = "base column", "upper arm", "forearm", "wrist", "hand"
-OF_THE_ARM = 4  # moving bodies; those of the tool follow
-FOREARM_SHARE = 0.65  # of the way from elbow to wrist centre: behind it the drives, before it the slim wrist
 DEEPER_THAN_TARGET_MM = 3.0  # the corridor ends so far beyond the target: a registration may move it
 
 
@@ -82,20 +78,14 @@ class ArmRadii(NamedTuple):
     wrist_mm: float = 45.0
     hand_mm: float = 45.0
 
+    def of(self, part: ArmPart) -> float:
+        """The radius of a part."""
+        return self[_PARTS.index(part)]
+
+
+_PARTS = (ArmPart.COLUMN, ArmPart.UPPER_ARM, ArmPart.FOREARM, ArmPart.WRIST, ArmPart.HAND)
 
 DEFAULT_RADII = ArmRadii()
-
-
-class Pair(NamedTuple):
-    """Two bodies that must not come close: index of the moving one, and of the other one.
-
-    `other` counts obstacles when it is not negative; -1 - k is the moving body k.
-    """
-
-    moving: int
-    other: int
-    enters_head: bool
-    is_head: bool
 
 
 @dataclass(frozen=True)
@@ -114,58 +104,6 @@ class Surroundings:
     def into(self, corridor: Corridor | None) -> Surroundings:
         """The same with this way into the head open, or with none."""
         return replace(self, corridor=corridor)
-
-    def names(self, pair: Pair) -> tuple[str, str]:
-        """What people call the two bodies."""
-        other = self.moving_names[-1 - pair.other] if pair.other < 0 else self.all_obstacles[pair.other].name
-        return self.moving_names[pair.moving], other
-
-    @cached_property
-    def moving_names(self) -> tuple[str, ...]:
-        """Names of the moving bodies: those of the arm, then the parts of the tool."""
-        return (UPPER_ARM, FOREARM, WRIST, HAND, *(part.name for part in self.tool))
-
-    @cached_property
-    def moving_radii_mm(self) -> tuple[float, ...]:
-        """Radii of the moving bodies."""
-        radii = self.radii
-        return (
-            radii.upper_arm_mm,
-            radii.forearm_mm,
-            radii.wrist_mm,
-            radii.hand_mm,
-            *(part.capsule.radius_mm for part in self.tool),
-        )
-
-    @cached_property
-    def all_obstacles(self) -> tuple[Obstacle, ...]:
-        """The arm's own column first, then what stands around."""
-        return (
-            Obstacle(COLUMN, Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), self.radii.column_mm)),
-            *self.obstacles,
-        )
-
-    def fixed_capsules(self, model: ArmModel) -> tuple[Capsule, ...]:
-        """Capsules of `all_obstacles`; the column reaches from the base to a little below A2."""
-        top = max(model.base_height_mm - self.radii.column_mm, 0.0)
-        column = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, top), self.radii.column_mm)
-        return (column, *(obstacle.capsule for obstacle in self.obstacles))
-
-    @cached_property
-    def pairs(self) -> tuple[Pair, ...]:
-        """Every pair that can meet. Neighbours in the chain touch by construction and are left out."""
-        count = len(self.moving_names)
-        enters = (*(False,) * OF_THE_ARM, *(part.enters_head for part in self.tool))
-        found = [
-            Pair(moving, number, enters[moving], obstacle.is_head)
-            for moving in range(count)
-            for number, obstacle in enumerate(self.all_obstacles)
-            if not (number == 0 and moving == 0)
-        ]
-        found += [Pair(moving, -1, False, False) for moving in range(2, count)]
-        found += [Pair(part, -2, False, False) for part in range(OF_THE_ARM, count)]
-        found += [Pair(part, -3, False, False) for part in range(OF_THE_ARM, count)]
-        return tuple(found)
 
     def cap_mm_s(self, distance_mm: float) -> float:
         """Largest speed of anything that moves at a distance from the head."""

@@ -1,67 +1,38 @@
 """Judges set-points by where they bring the bodies: distances to everything, and speed near the head.
 
-Part of the monitor, so it shares no formula with planning: the chain is written out, distances are the scalar
-ones. A pair is measured again only when the arm may have moved enough since to bring it to its limit, and the
-bodies are placed only when a bound from the joint angles alone does not already say that all is well.
+Part of the monitor, so it shares no formula with planning: links come from the arm's closed form, distances
+are the scalar ones. A pair is measured again only when the arm may have moved enough since to bring it to its
+limit, and the bodies are placed only when a bound from the joint angles alone does not already clear them.
 """
 
 from __future__ import annotations
 
 from heapq import heapify, heappop, heappush
-from math import cos, dist, hypot, inf, sin
+from math import dist, inf
 from typing import NamedTuple
 
-from ronna_hw.arm.capsule import segment_distance_mm
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import ArmModel
-from ronna_hw.arm.surroundings import FOREARM_SHARE, Surroundings
-from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.capsule import segment_distance_mm
+from ronna_hw.arm.links import Segment
+from ronna_hw.devices.readings import JointVector
 
 SPEED_MARGIN = 1.05  # over the cap: planning keeps below it, rounding is no violation
 LEAVING_MM = 0.5  # a body that stands too near may stay or leave; planning leaves open less than this
-
-Segment = tuple[Vector3, Vector3]
 
 
 class Encounter(NamedTuple):
     """What is wrong with a set-point: a pair too close (mm), or a speed over its cap (mm/s)."""
 
     is_speed: bool
-    pair: int  # index in `Surroundings.pairs`
+    pair: int  # index in `Bodies.pairs`
     value: float
     limit: float
 
 
-def levers_mm(model: ArmModel, surroundings: Surroundings) -> JointVector:
-    """How far any point of any moving body can go, at most, per radian of each axis, in every posture."""
-    ends = [end for part in surroundings.tool for end in (part.capsule.start_mm, part.capsule.end_mm)]
-    about_wrist = max((hypot(x, y, z + model.flange_mm) for x, y, z in ends), default=0.0)
-    about_wrist = max(about_wrist, model.flange_mm)
-    about_A6 = max((hypot(x, y) for x, y, _ in ends), default=0.0)
-    about_A3 = about_wrist + model.elbow_to_wrist_mm
-    about_A2 = about_A3 + model.upper_arm_mm
-    return (about_A2 + model.shoulder_offset_mm, about_A2, about_A3, about_wrist, about_wrist, about_A6)
-
-
-def body_segments(model: ArmModel, surroundings: Surroundings, joints_rad: JointVector) -> list[Segment]:
-    """Axes of all moving bodies in $ROBROOT, in the order of `Surroundings.moving_names`."""
-    A1, A2, A3, _, _, _ = joints_rad
-    c1, s1, s2 = cos(A1), sin(A1), sin(A2)
-    c23, s23 = cos(A2 + A3), sin(A2 + A3)
-    height, near, across = model.base_height_mm, model.shoulder_offset_mm, model.elbow_offset_mm
-    out = near + model.upper_arm_mm * cos(A2)
-    up = height - model.upper_arm_mm * s2
-    shoulder = (c1 * near, -s1 * near, height)
-    elbow = (c1 * out, -s1 * out, up)
-    beside_out, beside_up = out + across * s23, up + across * c23
-    beside = (c1 * beside_out, -s1 * beside_out, beside_up)
-    reach = FOREARM_SHARE * model.forearm_mm
-    slim_out, slim_up = beside_out + reach * c23, beside_up - reach * s23
-    slim = (c1 * slim_out, -s1 * slim_out, slim_up)
-    flange = forward(model, joints_rad)
-    wrist = flange.apply((0.0, 0.0, -model.flange_mm))
-    found: list[Segment] = [(shoulder, elbow), (beside, slim), (slim, wrist), (wrist, flange.position_mm)]
-    for part in surroundings.tool:
+def body_segments(bodies: Bodies, joints_rad: JointVector) -> list[Segment]:
+    """Axes of all moving bodies in the robot base, in the order of `Bodies.moving_names`."""
+    found, flange = bodies.arm.link_segments(joints_rad)
+    for part in bodies.surroundings.tool:
         start, end, _ = part.capsule
         found.append((flange.apply(start), flange.apply(end)))
     return found
@@ -72,25 +43,25 @@ class LiveWatch:
 
     def __init__(
         self,
-        model: ArmModel,
-        surroundings: Surroundings,
+        bodies: Bodies,
         cycle_s: float,
         joints_rad: JointVector,
     ) -> None:
         """`joints_rad` is where the arm rests; what stands too near there may only leave."""
-        self._model = model
-        self._surroundings = surroundings
+        self._bodies = bodies
+        self._surroundings = surroundings = bodies.surroundings
         self._cycle_s = cycle_s
-        self._pairs = surroundings.pairs
-        self._fixed = tuple((one.start_mm, one.end_mm) for one in surroundings.fixed_capsules(model))
-        fixed_radii = tuple(one.radius_mm for one in surroundings.fixed_capsules(model))
-        radii = surroundings.moving_radii_mm
+        self._pairs = bodies.pairs
+        self._fixed = tuple((one.start_mm, one.end_mm) for one in bodies.fixed)
+        fixed_radii = tuple(one.radius_mm for one in bodies.fixed)
+        radii = bodies.moving_radii_mm
         self._thick = tuple(
             radii[pair.moving] + (radii[-1 - pair.other] if pair.other < 0 else fixed_radii[pair.other])
             for pair in self._pairs
         )
-        self._levers = levers_mm(model, surroundings)
-        segments = body_segments(model, surroundings, joints_rad)
+        tool = [end for part in surroundings.tool for end in part.capsule[:2]]
+        self._levers = bodies.arm.levers_mm(tool)
+        segments = body_segments(bodies, joints_rad)
         self._segments: list[Segment] | None = segments  # where `_joints` puts the bodies, once worked out
         self._joints = joints_rad
         self._tried: tuple[JointVector, list[Segment] | None, float] | None = None
@@ -113,7 +84,7 @@ class LiveWatch:
         if self._plainly_well(most):
             self._tried = (joints_rad, None, most)
             return None
-        segments = body_segments(self._model, self._surroundings, joints_rad)
+        segments = body_segments(self._bodies, joints_rad)
         moved = self._moved(segments)
         self._tried = (joints_rad, segments, moved)
         return self._too_near(segments, moved) or self._too_fast(segments, moved)
@@ -133,15 +104,15 @@ class LiveWatch:
     def _at_most(self, joints_rad: JointVector) -> float:
         """Bound of the largest motion of any body since the last set-point, mm."""
         a, b, c, d, e, f = self._levers
-        A1, A2, A3, A4, A5, A6 = joints_rad
-        B1, B2, B3, B4, B5, B6 = self._joints
+        p1, p2, p3, p4, p5, p6 = joints_rad
+        q1, q2, q3, q4, q5, q6 = self._joints
         return (
-            a * abs(A1 - B1)
-            + b * abs(A2 - B2)
-            + c * abs(A3 - B3)
-            + d * abs(A4 - B4)
-            + e * abs(A5 - B5)
-            + f * abs(A6 - B6)
+            a * abs(p1 - q1)
+            + b * abs(p2 - q2)
+            + c * abs(p3 - q3)
+            + d * abs(p4 - q4)
+            + e * abs(p5 - q5)
+            + f * abs(p6 - q6)
         )
 
     def _plainly_well(self, most: float) -> bool:
@@ -193,7 +164,7 @@ class LiveWatch:
     def _moved(self, segments: list[Segment]) -> float:
         """The largest motion of an end of any body since the last set-point."""
         if self._segments is None:
-            self._segments = body_segments(self._model, self._surroundings, self._joints)
+            self._segments = body_segments(self._bodies, self._joints)
         return max(
             max(dist(now[0], before[0]), dist(now[1], before[1]))
             for now, before in zip(segments, self._segments, strict=True)

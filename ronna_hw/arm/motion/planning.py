@@ -7,14 +7,12 @@ from itertools import pairwise
 from math import cbrt, ceil, degrees, hypot, inf, pi, radians, sqrt
 
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
-from ronna_hw.arm.inverse import RANGE_SLACK_RAD
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.model import AXES, ArmModel
-from ronna_hw.arm.path import JointPath, LinePath
+from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.path import JointPath, LinePath
+from ronna_hw.arm.motion.progress import PathLimits as PathLimits
+from ronna_hw.arm.motion.progress import SpeedStep
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.progress import PathLimits as PathLimits
-from ronna_hw.arm.progress import SpeedStep
 from ronna_hw.devices.readings import JointVector, Vector3
 
 SAMPLE_MM = 0.5  # spacing of the checks along a line
@@ -45,11 +43,11 @@ class MotionPlan:
     tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0)
     speed_steps: tuple[SpeedStep, ...] = ()
 
-    def path(self, model: ArmModel) -> JointPath | LinePath:
+    def path(self, kinematics: Kinematics) -> JointPath | LinePath:
         """The path of this plan."""
         if self.target is None:
             return JointPath(self.start_rad, self.target_rad)
-        return LinePath(model, self.start_rad, self.target, self.tool_in_flange_mm)
+        return LinePath(kinematics, self.start_rad, self.target, self.tool_in_flange_mm)
 
     @property
     def is_standstill(self) -> bool:
@@ -57,44 +55,47 @@ class MotionPlan:
         return max(abs(a - b) for a, b in zip(self.start_rad, self.target_rad, strict=True)) < STANDSTILL_RAD
 
 
-def require_in_range(model: ArmModel, joints_rad: JointVector) -> None:
+def require_in_range(arm: JointRanges, joints_rad: JointVector) -> None:
     """Raise ARM-003 naming the first axis that is out of its range, ARM-006 when a value is no number."""
-    _require_within((model.lower_rad, model.upper_rad), joints_rad)
+    _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
 
 
-def _require_within(ranges: tuple[JointVector, JointVector], joints_rad: JointVector) -> None:
+def _require_within(
+    arm: JointRanges, ranges: tuple[JointVector, JointVector], joints_rad: JointVector
+) -> None:
     lower_rad, upper_rad = ranges
     if len(joints_rad) != len(lower_rad):
+        names = f"{arm.axis_names[0]} to {arm.axis_names[-1]}"
         raise MotionInvalid(
-            f"a joint vector of {len(joints_rad)} values", expected=f"{len(lower_rad)}, A1 to A6 in rad"
+            f"a joint vector of {len(joints_rad)} values", expected=f"{len(lower_rad)}, {names} in rad"
         )
     for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
         if angle != angle:
-            raise MotionInvalid(f"A{axis + 1} is not a number")
+            raise MotionInvalid(f"{arm.axis_names[axis]} is not a number")
         if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
             raise OutOfJointRange(
-                f"A{axis + 1} would leave its range",
+                f"{arm.axis_names[axis]} would leave its range",
                 limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg",
                 got=f"{degrees(angle):.3f} deg",
             )
 
 
 def plan_joint_move(
-    model: ArmModel, start_rad: JointVector, target_rad: JointVector, limits: MotionLimits
+    arm: JointRanges, start_rad: JointVector, target_rad: JointVector, limits: MotionLimits
 ) -> MotionPlan:
     """All joints straight to the target, together. Raises ARM-003 when an end is out of range.
 
     A straight line between two vectors within the ranges, which form a box, stays within them. The target
     keeps the limits' margin from their ends.
     """
-    require_in_range(model, start_rad)
-    _require_within(limits.ranges(model, start_rad), target_rad)
-    reach = [abs(b - a) for a, b in zip(start_rad, target_rad, strict=True)]
-    return MotionPlan(start_rad, target_rad, _scaled(reach, limits))
+    require_in_range(arm, start_rad)
+    _require_within(arm, limits.ranges(arm, start_rad), target_rad)
+    travel = [abs(b - a) for a, b in zip(start_rad, target_rad, strict=True)]
+    return MotionPlan(start_rad, target_rad, _scaled(travel, limits))
 
 
 def plan_line(
-    model: ArmModel,
+    kinematics: Kinematics,
     start_rad: JointVector,
     target: Pose,
     limits: MotionLimits,
@@ -106,19 +107,19 @@ def plan_line(
     ARM-002, ARM-003 when a point of it has no solution, ARM-005 when it would have to be slower than
     a twentieth of the line speed asked for.
     """
-    require_in_range(model, start_rad)
-    ranges = limits.ranges(model, start_rad)
-    line = LinePath(model, start_rad, target, tool_in_flange_mm)
+    require_in_range(kinematics, start_rad)
+    ranges = limits.ranges(kinematics, start_rad)
+    line = LinePath(kinematics, start_rad, target, tool_in_flange_mm)
     count = max(LEAST_SAMPLES, ceil(line.length_mm / SAMPLE_MM), ceil(line.angle_rad / SAMPLE_RAD))
     points = [start_rad]
     for k in range(1, count + 1):
         joints = line.joints(k / count, points[-1])
-        _require_within(ranges, joints)
-        for axis in (3, 5):
-            if abs(joints[axis] - points[-1][axis]) > pi:
+        _require_within(kinematics, ranges, joints)
+        for axis, (before, after) in enumerate(zip(points[-1], joints, strict=True)):
+            if abs(after - before) > pi:
                 raise OutOfJointRange(
-                    f"A{axis + 1} would have to turn beyond its range on the line",
-                    got=f"{degrees(points[-1][axis]):.1f} deg at {k / count:.0%} of the line",
+                    f"{kinematics.axis_names[axis]} would have to turn beyond its range on the line",
+                    got=f"{degrees(before):.1f} deg at {k / count:.0%} of the line",
                 )
         points.append(joints)
     asked = _cartesian(line, limits)
@@ -133,7 +134,7 @@ def plan_line(
 
 
 def plan_along_tool(
-    model: ArmModel,
+    kinematics: Kinematics,
     start_rad: JointVector,
     distance_mm: float,
     limits: MotionLimits,
@@ -144,12 +145,12 @@ def plan_along_tool(
 
     Raises as `pose_along_tool` and `plan_line`.
     """
-    goal = pose_along_tool(model, start_rad, distance_mm, flange_from_tool, axis)
-    return plan_line(model, start_rad, goal, limits, flange_from_tool.position_mm)
+    goal = pose_along_tool(kinematics, start_rad, distance_mm, flange_from_tool, axis)
+    return plan_line(kinematics, start_rad, goal, limits, flange_from_tool.position_mm)
 
 
 def pose_along_tool(
-    model: ArmModel,
+    kinematics: Kinematics,
     start_rad: JointVector,
     distance_mm: float,
     flange_from_tool: Pose,
@@ -163,13 +164,13 @@ def pose_along_tool(
     if not STANDSTILL_RAD < length < inf:
         raise MotionInvalid("the tool axis has no direction", got=repr(axis))
     x, y, z = (distance_mm * part / length for part in axis)
-    tool = forward(model, start_rad).compose(flange_from_tool)
+    tool = kinematics.forward(start_rad).compose(flange_from_tool)
     return Pose(tool.apply((x, y, z)), tool.rotation).compose(flange_from_tool.inverse())
 
 
-def _scaled(reach: list[float], limits: MotionLimits) -> PathLimits:
-    """Limits of s for joints that travel `reach` rad over s = 0..1, so that each keeps its own."""
-    longest = [max(r, STANDSTILL_RAD) for r in reach]
+def _scaled(travel: list[float], limits: MotionLimits) -> PathLimits:
+    """Limits of s for joints that go `travel` rad over s = 0..1, so that each keeps its own."""
+    longest = [max(r, STANDSTILL_RAD) for r in travel]
     return PathLimits(
         min(v / r for v, r in zip(limits.speed_rad_s, longest, strict=True)),
         PLANNED_SHARE * min(a / r for a, r in zip(limits.acceleration_rad_s2, longest, strict=True)),
@@ -195,8 +196,7 @@ def _slowed_for_joints(
     """
     v, a, j = asked
     slower = 1.0
-    for axis in range(AXES):
-        angles = [point[axis] for point in points]
+    for axis, angles in enumerate(zip(*points, strict=True)):
         first = [(y - x) * count for x, y in pairwise(angles)]
         second = [(y - x) * count for x, y in pairwise(first)]
         third = [(y - x) * count for x, y in pairwise(second)]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ronna_hw.arm.errors import MotionInvalid
-from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.wire.kuka_eki import OperationMode
 
 WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed one lost packet stays a small step for the controller
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations
@@ -21,8 +20,8 @@ WORKING_LINE_SPEED_MM_S = 100.0  # below half of what a controller allows beside
 WORKING_LINE_ACCELERATION_MM_S2 = 400.0
 WORKING_ROTATION_RAD_S = math.radians(30.0)
 WORKING_ROTATION_RAD_S2 = math.radians(120.0)
-T1_SPEED_MM_S = 250.0  # of anything that moves, with a person beside the arm (ISO 10218-1)
-T1_SPEED_FRACTION = 0.10  # of the full axis speed
+REDUCED_SPEED_MM_S = 250.0  # of anything that moves, with a person beside the arm (ISO 10218-1)
+REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 
 
 @dataclass(frozen=True)
@@ -40,19 +39,19 @@ class MotionLimits:
     body_speed_mm_s: float = math.inf  # of any body that moves
     range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis's range
 
-    def ranges(self, model: ArmModel, start_rad: Sequence[float]) -> tuple[JointVector, JointVector]:
+    def ranges(self, arm: JointRanges, start_rad: Sequence[float]) -> tuple[JointVector, JointVector]:
         """Lowest and highest angles (rad) of a motion: the axes' ranges less the margin.
 
         An axis that stands nearer to an end already may stay there or leave.
         """
         margin = self.range_margin_rad
-        L1, L2, L3, L4, L5, L6 = (
-            max(low, min(low + margin, at)) for low, at in zip(model.lower_rad, start_rad, strict=True)
+        lower = _vector(
+            max(low, min(low + margin, at)) for low, at in zip(arm.lower_rad, start_rad, strict=True)
         )
-        U1, U2, U3, U4, U5, U6 = (
-            min(high, max(high - margin, at)) for high, at in zip(model.upper_rad, start_rad, strict=True)
+        upper = _vector(
+            min(high, max(high - margin, at)) for high, at in zip(arm.upper_rad, start_rad, strict=True)
         )
-        return (L1, L2, L3, L4, L5, L6), (U1, U2, U3, U4, U5, U6)
+        return lower, upper
 
     def slowed(self, fraction: float) -> MotionLimits:
         """The same with all speeds times `fraction` (0 < fraction <= 1); raises ARM-006 outside that."""
@@ -66,32 +65,33 @@ class MotionLimits:
             body_speed_mm_s=self.body_speed_mm_s * fraction,
         )
 
-    def in_mode(self, model: ArmModel, mode: OperationMode) -> MotionLimits:
-        """The same in an operating mode: T1 allows 250 mm/s and a tenth of the full axis speed."""
-        if mode is not OperationMode.T1:
-            return self
-        A1, A2, A3, A4, A5, A6 = (
-            min(speed, T1_SPEED_FRACTION * full)
-            for speed, full in zip(self.speed_rad_s, model.full_speed_rad_s, strict=True)
-        )
+    def at_reduced_speed(self, arm: JointRanges) -> MotionLimits:
+        """The same with a person beside the arm: 250 mm/s and a tenth of the full axis speed."""
         return replace(
             self,
-            speed_rad_s=(A1, A2, A3, A4, A5, A6),
-            line_speed_mm_s=min(self.line_speed_mm_s, T1_SPEED_MM_S),
-            body_speed_mm_s=min(self.body_speed_mm_s, T1_SPEED_MM_S),
+            speed_rad_s=_vector(
+                min(speed, REDUCED_SPEED_FRACTION * full)
+                for speed, full in zip(self.speed_rad_s, arm.full_speed_rad_s, strict=True)
+            ),
+            line_speed_mm_s=min(self.line_speed_mm_s, REDUCED_SPEED_MM_S),
+            body_speed_mm_s=min(self.body_speed_mm_s, REDUCED_SPEED_MM_S),
         )
 
 
-def working_limits(model: ArmModel, speed_fraction: float = WORKING_SPEED_FRACTION) -> MotionLimits:
-    """The limits the driver works with; `speed_fraction` is of the full axis speed."""
-    acceleration = _times(model.acceleration_rad_s2, WORKING_ACCELERATION_FRACTION)
+def working_limits(arm: JointRanges, speed_fraction: float = WORKING_SPEED_FRACTION) -> MotionLimits:
+    """The limits a driver works with; `speed_fraction` is of the full axis speed."""
+    acceleration = _times(arm.acceleration_rad_s2, WORKING_ACCELERATION_FRACTION)
     return MotionLimits(
-        _times(model.full_speed_rad_s, speed_fraction),
+        _times(arm.full_speed_rad_s, speed_fraction),
         acceleration,
         _times(acceleration, 1.0 / ACCELERATION_RAMP_S),
     )
 
 
 def _times(values: Sequence[float], factor: float) -> JointVector:
-    A1, A2, A3, A4, A5, A6 = (value * factor for value in values)
-    return (A1, A2, A3, A4, A5, A6)
+    return _vector(value * factor for value in values)
+
+
+def _vector(values: Iterable[float]) -> JointVector:
+    a, b, c, d, e, f = values
+    return (a, b, c, d, e, f)

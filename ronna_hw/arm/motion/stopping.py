@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from math import hypot
 from typing import NamedTuple
 
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.model import AXES
-from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.motion_profile import Bounds, Profile, Profiler, State
 from ronna_hw.devices.readings import JointVector
 
 RESTING_RAD_S = 1e-9  # slower is no direction
@@ -37,11 +36,11 @@ class Parabola(NamedTuple):
     def at(self, length_rad: float) -> JointVector:
         """The joints so far along."""
         half = 0.5 * length_rad * length_rad
-        A1, A2, A3, A4, A5, A6 = (
+        a, b, c, d, e, f = (
             q + u * length_rad + k * half
             for q, u, k in zip(self.origin_rad, self.direction, self.bend_per_rad, strict=True)
         )
-        return (A1, A2, A3, A4, A5, A6)
+        return (a, b, c, d, e, f)
 
 
 class Halt(NamedTuple):
@@ -86,7 +85,7 @@ def _braking(
     """Deceleration and jerk along a way with which every joint keeps its own, for the shortest stop."""
     most = min(
         (SHARE * limits.acceleration_rad_s2[i] - abs(bend[i]) * speed * speed) / abs(direction[i])
-        for i in range(AXES)
+        for i in range(len(direction))
         if direction[i]
     )
     found: tuple[float, float, float] | None = None
@@ -98,7 +97,7 @@ def _braking(
         jerk = min(
             (SHARE * limits.jerk_rad_s3[i] - 3.0 * abs(bend[i]) * speed * deceleration)
             / (abs(direction[i]) + abs(bend[i]) * length)
-            for i in range(AXES)
+            for i in range(len(direction))
             if direction[i] or bend[i]
         )
         if jerk <= 0.0:

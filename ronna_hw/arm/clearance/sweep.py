@@ -7,12 +7,14 @@ in both: here the chain is multiplied out joint by joint.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ronna_hw.arm.model import ArmModel
-from ronna_hw.arm.surroundings import FOREARM_SHARE, Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.surroundings import Corridor
+from ronna_hw.devices.readings import Vector3
 
 Array = NDArray[np.float64]
 
@@ -32,17 +34,16 @@ class Swept:
     to_head_mm: Array
 
 
-def sweep(model: ArmModel, surroundings: Surroundings, joints_rad: ArrayLike) -> Swept:
-    """Bodies and distances at joint vectors (n, 6)."""
+def sweep(bodies: Bodies, joints_rad: ArrayLike) -> Swept:
+    """Bodies and distances at joint vectors (n, axes)."""
     joints = np.atleast_2d(np.asarray(joints_rad, dtype=float))
-    ends = moving_ends(model, surroundings, joints)
-    pairs = surroundings.pairs
-    capsules = surroundings.fixed_capsules(model)
-    fixed = np.array([(capsule.start_mm, capsule.end_mm) for capsule in capsules])
-    radii = np.array([capsule.radius_mm for capsule in capsules])
+    ends = moving_ends(bodies, joints)
+    pairs = bodies.pairs
+    fixed = np.array([(capsule.start_mm, capsule.end_mm) for capsule in bodies.fixed])
+    radii = np.array([capsule.radius_mm for capsule in bodies.fixed])
     moving = np.array([pair.moving for pair in pairs])
     other = np.array([pair.other for pair in pairs])
-    moving_radii = np.array(surroundings.moving_radii_mm)
+    moving_radii = np.array(bodies.moving_radii_mm)
     own = other < 0
     thick = moving_radii[moving]
     thick[own] += moving_radii[-1 - other[own]]
@@ -57,34 +58,35 @@ def sweep(model: ArmModel, surroundings: Surroundings, joints_rad: ArrayLike) ->
     to_head = np.full(len(joints), np.inf)
     if head.any():
         to_head = np.maximum(gaps[:, head].min(axis=1), 0.0)
-    if surroundings.corridor is not None:
+    corridor = bodies.surroundings.corridor
+    if corridor is not None:
         for column, pair in enumerate(pairs):
             if pair.enters_head and pair.is_head:
-                gaps[_in_corridor(surroundings, ends[:, pair.moving]), column] = np.inf
+                gaps[_in_corridor(corridor, ends[:, pair.moving]), column] = np.inf
     return Swept(ends, gaps, to_head)
 
 
-def moving_ends(model: ArmModel, surroundings: Surroundings, joints: Array) -> Array:
+def moving_ends(bodies: Bodies, joints: Array) -> Array:
     """Ends of the axes of the arm's bodies and of the tool's, (n, bodies, 2, 3) mm."""
-    A1, A2, A3, A4, A5, A6 = joints.T
-    turn = _turn("z", -A1)
-    shoulder = _reach(turn, (model.shoulder_offset_mm, 0.0, 0.0))
-    shoulder[:, 2] += model.base_height_mm
-    turn = turn @ _turn("y", A2)
-    elbow = shoulder + _reach(turn, (model.upper_arm_mm, 0.0, 0.0))
-    turn = turn @ _turn("y", A3)
-    beside = elbow + _reach(turn, (0.0, 0.0, model.elbow_offset_mm))
-    wrist = beside + _reach(turn, (model.forearm_mm, 0.0, 0.0))
-    turn = turn @ _turn("x", -A4) @ _turn("y", A5) @ _turn("x", -A6)
-    flange = wrist + _reach(turn, (model.flange_mm, 0.0, 0.0))
-    # The flange frame is turned by 90 degrees about y: its x is the link's -z, its z the link's x.
-    turn = turn @ np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    slim = beside + FOREARM_SHARE * (wrist - beside)
-    bodies = [(shoulder, elbow), (beside, slim), (slim, wrist), (wrist, flange)]
-    for part in surroundings.tool:
+    chain = bodies.arm.chain
+    origin = np.tile(np.array(chain.base_mm), (len(joints), 1))
+    turn: Array | None = None
+    frames = []
+    for number, joint in enumerate(chain.joints):
+        own = _rotation(joint.axis, joints[:, number])
+        turn = own if turn is None else turn @ own
+        frames.append((origin, turn))
+        origin = _placed(origin, turn, joint.to_next_mm)
+    assert turn is not None
+    flange = origin, turn @ np.reshape(chain.flange_rotation, (3, 3))
+    axes = [
+        (_placed(*frames[link.joint], link.start_mm), _placed(*frames[link.joint], link.end_mm))
+        for link in bodies.arm.links
+    ]
+    for part in bodies.surroundings.tool:
         start, end, _ = part.capsule
-        bodies.append((flange + _reach(turn, start), flange + _reach(turn, end)))
-    return np.stack([np.stack(body, axis=1) for body in bodies], axis=1)
+        axes.append((_placed(*flange, start), _placed(*flange, end)))
+    return np.stack([np.stack(axis, axis=1) for axis in axes], axis=1)
 
 
 def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
@@ -111,27 +113,29 @@ def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
     return np.asarray(np.sqrt(least))
 
 
-def _in_corridor(surroundings: Surroundings, ends: Array) -> NDArray[np.bool_]:
+def _in_corridor(corridor: Corridor, ends: Array) -> NDArray[np.bool_]:
     """Which of (n, 2, 3) segments lie wholly in the corridor."""
-    corridor = surroundings.corridor
-    assert corridor is not None
     return np.array([corridor.holds(tuple(start), tuple(end)) for start, end in ends])
 
 
-def _turn(axis: str, angles: Array) -> Array:
+@cache
+def _rotation_parts(axis: Vector3) -> tuple[Array, Array, Array]:
+    """What stays of a rotation about a unit vector, what its cosine and what its sine scales, (3, 3, 1)."""
+    x, y, z = axis
+    along = np.outer(axis, axis)
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return along[:, :, None], (np.eye(3) - along)[:, :, None], across[:, :, None]
+
+
+def _rotation(axis: Vector3, angles: Array) -> Array:
     """Rotation matrices (n, 3, 3) about one axis."""
-    c, s = np.cos(angles), np.sin(angles)
-    zero, one = np.zeros_like(c), np.ones_like(c)
-    rows = {
-        "x": [[one, zero, zero], [zero, c, -s], [zero, s, c]],
-        "y": [[c, zero, s], [zero, one, zero], [-s, zero, c]],
-        "z": [[c, -s, zero], [s, c, zero], [zero, zero, one]],
-    }[axis]
-    return np.moveaxis(np.array(rows), 2, 0)
+    along, plane, across = _rotation_parts(axis)
+    return np.moveaxis(along + np.cos(angles) * plane + np.sin(angles) * across, 2, 0)
 
 
-def _reach(turn: Array, vector: ArrayLike) -> Array:
-    return np.asarray(turn @ np.asarray(vector, dtype=float))
+def _placed(origin: Array, turn: Array, point_mm: Vector3) -> Array:
+    """A point of a moving frame in the robot base, (n, 3)."""
+    return origin + turn @ np.array(point_mm) if any(point_mm) else origin
 
 
 def _dot(a: Array, b: Array) -> Array:

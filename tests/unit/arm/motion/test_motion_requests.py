@@ -5,9 +5,10 @@ from collections import Counter
 import pytest
 from motion_requests import CYCLE_S, MODEL, Driven, drive, faults_of
 
-from ronna_hw.arm.live_watch import LiveWatch
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.monitor import Monitor, monitor_limits
-from ronna_hw.arm.motion import PathMotion
+from ronna_hw.arm.motion.set_points import PathMotion
 
 BATCH = 100
 PAST_THE_HEAD = (46, 66, 67)  # requests that must be much slower on a part of their way
@@ -72,7 +73,7 @@ def _without_steps(driven: Driven) -> str:
     assert surroundings is not None
     start = plan.start_rad
     monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, start), start)
-    monitor.watch(LiveWatch(MODEL, surroundings, CYCLE_S, start))
+    monitor.watch(LiveWatch(Bodies(MODEL, surroundings), CYCLE_S, start))
     motion = PathMotion(plan.path(MODEL), start, plan.limits, CYCLE_S)
     while not motion.finished:
         point = motion.prepare().go_rad

@@ -51,10 +51,6 @@ class Profile:
         position, velocity, acceleration = self.raw.at_time(min(max(time_s, 0.0), self.duration_s))
         return State(position, velocity, acceleration)
 
-    def extrema(self) -> list[tuple[float, float]]:
-        """Least and greatest position per axis over the whole profile."""
-        return [(float(bound.min), float(bound.max)) for bound in self.raw.position_extrema]
-
 
 class Profiler:
     """Computes profiles for a fixed number of axes."""
@@ -79,7 +75,7 @@ class Profiler:
     def move(self, start: State, target: Values, bounds: Bounds) -> Profile:
         """All axes to rest at `target` at the same time, from any state. Raises ARM-006.
 
-        The profile may swing beyond start and target when it starts in motion: check `extrema`.
+        The profile may swing beyond start and target when it starts in motion.
         """
         self._check(target)
         self._move.target_position = list(target)

@@ -1,14 +1,14 @@
-"""The nominal KR 6 R900 in two variants: link lengths, joint ranges, speeds. Millimetres and radians."""
+"""Link lengths, joint ranges and speeds of the nominal KR 6 R900 in its two variants."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
-from ronna_hw.devices.readings import JointVector as JointVector
-
-AXES = 6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.devices.readings import JointVector
 
 
 class ArmVariant(StrEnum):
@@ -19,10 +19,10 @@ class ArmVariant(StrEnum):
 
 
 @dataclass(frozen=True)
-class ArmModel:
-    """Six axes with a spherical wrist. Names follow the chain from $ROBROOT to the flange.
+class Dimensions:
+    """One variant in numbers; names follow the chain from $ROBROOT to the flange.
 
-    A1 turns about -z, A2, A3, A5 about +y, A4, A6 about -x. At all zeros the arm lies along x.
+    A1 turns about -z, A2, A3, A5 about +y, A4, A6 about -x. With all axes at zero the arm lies along x.
     """
 
     variant: ArmVariant
@@ -37,33 +37,20 @@ class ArmModel:
     full_speed_rad_s: JointVector
     acceleration_rad_s2: JointVector
 
-    @property
+    @cached_property
     def elbow_to_wrist_mm(self) -> float:
         """Straight distance from A3 to the wrist centre."""
         return math.hypot(self.forearm_mm, self.elbow_offset_mm)
 
-    @property
+    @cached_property
     def stretched_A3_rad(self) -> float:
         """Angle of A3 at which upper arm and wrist centre are in one line."""
         return math.atan2(self.elbow_offset_mm, self.forearm_mm)
 
-    @property
+    @cached_property
     def reach_mm(self) -> float:
         """Largest distance of the wrist centre from the axis of A1, at the height of A2."""
         return self.shoulder_offset_mm + self.upper_arm_mm + self.elbow_to_wrist_mm
-
-
-def radians6(A1: float, A2: float, A3: float, A4: float, A5: float, A6: float) -> JointVector:
-    """Six angles from degrees."""
-    r = math.radians
-    return (r(A1), r(A2), r(A3), r(A4), r(A5), r(A6))
-
-
-def degrees6(joints_rad: JointVector) -> JointVector:
-    """Six angles in degrees, for the wire and for people."""
-    A1, A2, A3, A4, A5, A6 = joints_rad
-    d = math.degrees
-    return (d(A1), d(A2), d(A3), d(A4), d(A5), d(A6))
 
 
 # Geometry and ranges: public robot descriptions of both arms. Accelerations: planner limits published for
@@ -72,8 +59,8 @@ _LOWER = radians6(-170, -190, -120, -185, -120, -350)
 _UPPER = radians6(170, 45, 156, 185, 120, 350)
 _ACCELERATION: JointVector = (21.67, 6.89, 31.42, 133.1, 135.6, 268.4)
 
-_MODELS = {
-    ArmVariant.SIXX: ArmModel(
+DIMENSIONS = {
+    ArmVariant.SIXX: Dimensions(
         variant=ArmVariant.SIXX,
         base_height_mm=400.0,
         shoulder_offset_mm=25.0,
@@ -86,7 +73,7 @@ _MODELS = {
         full_speed_rad_s=radians6(360, 300, 360, 381, 388, 615),
         acceleration_rad_s2=_ACCELERATION,
     ),
-    ArmVariant.R900_2: ArmModel(
+    ArmVariant.R900_2: Dimensions(
         variant=ArmVariant.R900_2,
         base_height_mm=400.0,
         shoulder_offset_mm=25.0,
@@ -100,8 +87,3 @@ _MODELS = {
         acceleration_rad_s2=_ACCELERATION,
     ),
 }
-
-
-def arm_model(variant: ArmVariant | str) -> ArmModel:
-    """The nominal model of a variant; a name that is none raises ValueError."""
-    return _MODELS[ArmVariant(variant)]

@@ -1,4 +1,4 @@
-"""Inverse kinematics in closed form: every branch, and an explicit choice between them.
+"""Inverse kinematics of the KR 6 R900 in closed form, branch by branch.
 
 The wrist is spherical, so A1..A3 follow from the wrist centre (two sides of A1, two bends of the elbow) and
 A4..A6 from the orientation that is left (two flips of the wrist). A4 and A6 turn further than a circle: each
@@ -7,60 +7,53 @@ branch comes with all its whole turns that fit the joint range.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from math import acos, atan2, cos, degrees, hypot, pi, sin
 from typing import NamedTuple
 
-from ronna_hw.arm.errors import BranchUnavailable, OutOfJointRange, Singular, Unreachable
-from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
+from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, Branch, Solution
+from ronna_hw.arm.kr6_r900.dimensions import Dimensions
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 
 TURN = 2.0 * pi
-EQUAL_WEIGHTS: JointVector = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-RANGE_SLACK_RAD = 1e-9  # rounding at an end switch is not an excess
 SINGULAR_A5_RAD = 1e-7  # below, rounding decides A4 - A6; how near a path may come is a matter of joint speed
 SINGULAR_AXIS_MM = 1e-3  # wrist centre on the axis of A1
 STRETCH_COSINE = 5e-13  # one minus the cosine of 1e-6 rad: the two bends of the elbow are one
 
 
-class Branch(NamedTuple):
-    """Which of the eight configurations; the three bits of KUKA's status S."""
-
-    overhead: bool  # bit 0: the wrist centre is behind the axis of A1
-    elbow: bool  # bit 1: A3 at or above its stretched angle
-    flipped: bool  # bit 2: A5 not positive
-
-    @property
-    def status(self) -> int:
-        """KUKA's S."""
-        return self.overhead + 2 * self.elbow + 4 * self.flipped
+# The branch is KUKA's status S; its bits:
+OVERHEAD = 1  # the wrist centre is behind the axis of A1
+ELBOW = 2  # A3 at or above its stretched angle
+FLIPPED = 4  # A5 not positive
 
 
-class Solution(NamedTuple):
-    """Joint angles that bring the flange to a pose, with their branch."""
-
-    branch: Branch
-    joints_rad: JointVector
+def branch(*, overhead: bool, elbow: bool, flipped: bool) -> Branch:
+    """The branch with these bits."""
+    return Branch(OVERHEAD * overhead + ELBOW * elbow + FLIPPED * flipped)
 
 
-def branch_of(model: ArmModel, joints_rad: JointVector) -> Branch:
+BRANCHES = tuple(
+    branch(overhead=overhead, elbow=elbow, flipped=flipped)
+    for overhead in (False, True)
+    for elbow in (True, False)
+    for flipped in (False, True)
+)
+
+
+def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
     """The branch a joint vector lies in."""
     _, A2, A3, _, A5, _ = joints_rad
     ahead_mm = (
-        model.shoulder_offset_mm
-        + model.upper_arm_mm * cos(A2)
-        + model.elbow_to_wrist_mm * cos(A2 + A3 - model.stretched_A3_rad)
+        arm.shoulder_offset_mm
+        + arm.upper_arm_mm * cos(A2)
+        + arm.elbow_to_wrist_mm * cos(A2 + A3 - arm.stretched_A3_rad)
     )
-    return Branch(ahead_mm < 0.0, model.stretched_A3_rad <= A3, A5 <= 0.0)
+    return branch(overhead=ahead_mm < 0.0, elbow=arm.stretched_A3_rad <= A3, flipped=A5 <= 0.0)
 
 
-def turn_of(joints_rad: JointVector) -> int:
-    """KUKA's T: bit i is set when axis A(i+1) is negative."""
-    return sum(1 << axis for axis, angle in enumerate(joints_rad) if angle < 0.0)
-
-
-def solutions(model: ArmModel, pose: Pose) -> tuple[Solution, ...]:
+def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
     """All joint vectors within range that reach the flange pose, branch by branch.
 
     Raises ARM-001 when the wrist centre is out of reach; ARM-002 when A1, A4 and A6 or the bend of the elbow
@@ -71,23 +64,23 @@ def solutions(model: ArmModel, pose: Pose) -> tuple[Solution, ...]:
     reached = False
     for overhead in (False, True):
         try:
-            shoulder = _shoulder(model, pose, overhead)
+            shoulder = _shoulder(arm, pose, overhead)
         except Unreachable:
             continue
         reached = True
         for elbow in (True, False):
-            arm = _into_range(model, _bend(model, shoulder, elbow))
-            if arm is None:
+            first = _into_range(arm, _bend(arm, shoulder, elbow))
+            if first is None:
                 continue
             try:
                 for flipped in (False, True):
-                    branch = Branch(overhead, elbow, flipped)
-                    wrist = _wrist(pose, arm, flipped)
-                    found += [Solution(branch, (*arm, *rest)) for rest in _turns(model, wrist)]
+                    here = branch(overhead=overhead, elbow=elbow, flipped=flipped)
+                    wrist = _wrist(pose, first, flipped)
+                    found += [Solution(here, (*first, *rest)) for rest in _turns(arm, wrist)]
             except Singular as error:
                 singular = error
     if not reached:
-        raise _unreachable(model, pose)
+        raise _unreachable(arm, pose)
     if singular is not None:
         raise singular
     if not found:
@@ -95,52 +88,25 @@ def solutions(model: ArmModel, pose: Pose) -> tuple[Solution, ...]:
     return tuple(found)
 
 
-def solve_branch(model: ArmModel, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
+def solve_branch(arm: Dimensions, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
     """The one solution in `branch` whose turns lie nearest to `near`; for use along a path.
 
     Raises ARM-001, ARM-002 or ARM-003 as `solutions` does, for this branch alone.
     """
     try:
-        shoulder = _shoulder(model, pose, branch.overhead)
+        shoulder = _shoulder(arm, pose, bool(branch & OVERHEAD))
     except Unreachable:
-        raise _unreachable(model, pose) from None
-    bent = _bend(model, shoulder, branch.elbow)
-    arm = _into_range(model, bent)
-    if arm is None:
-        raise _out_of_range(model, bent)
-    A4, A5, A6 = _wrist(pose, arm, branch.flipped)
-    A4 = _nearest_turn(A4, near[3], model.lower_rad[3], model.upper_rad[3])
-    A6 = _nearest_turn(A6, near[5], model.lower_rad[5], model.upper_rad[5])
-    if not model.lower_rad[4] - RANGE_SLACK_RAD <= A5 <= model.upper_rad[4] + RANGE_SLACK_RAD:
-        raise _out_of_range(model, (*arm, A4, A5, A6))
-    return (*arm, A4, A5, A6)
-
-
-def nearest(
-    candidates: Iterable[Solution], reference_rad: JointVector, weights: JointVector = EQUAL_WEIGHTS
-) -> Solution:
-    """The candidate with the least weighted sum of squared joint differences to a reference.
-
-    Raises ARM-004 when there is no candidate.
-    """
-
-    def cost(solution: Solution) -> float:
-        return sum(
-            w * (a - b) ** 2 for w, a, b in zip(weights, solution.joints_rad, reference_rad, strict=True)
-        )
-
-    best = min(candidates, key=cost, default=None)
-    if best is None:
-        raise BranchUnavailable("there is no solution to choose from")
-    return best
-
-
-def in_branch(candidates: Iterable[Solution], branch: Branch) -> tuple[Solution, ...]:
-    """The candidates of one branch (they differ by whole turns of A4 and A6). Raises ARM-004 when none."""
-    chosen = tuple(s for s in candidates if s.branch == branch)
-    if not chosen:
-        raise BranchUnavailable(f"no solution in the branch with status {branch.status}")
-    return chosen
+        raise _unreachable(arm, pose) from None
+    bent = _bend(arm, shoulder, bool(branch & ELBOW))
+    first = _into_range(arm, bent)
+    if first is None:
+        raise _out_of_range(arm, bent)
+    A4, A5, A6 = _wrist(pose, first, bool(branch & FLIPPED))
+    A4 = _nearest_turn(A4, near[3], arm.lower_rad[3], arm.upper_rad[3])
+    A6 = _nearest_turn(A6, near[5], arm.lower_rad[5], arm.upper_rad[5])
+    if not arm.lower_rad[4] - RANGE_SLACK_RAD <= A5 <= arm.upper_rad[4] + RANGE_SLACK_RAD:
+        raise _out_of_range(arm, (*first, A4, A5, A6))
+    return (*first, A4, A5, A6)
 
 
 class _Shoulder(NamedTuple):
@@ -150,20 +116,20 @@ class _Shoulder(NamedTuple):
     bend: float  # angle of A3 away from stretched, not negative
 
 
-def _shoulder(model: ArmModel, pose: Pose, overhead: bool) -> _Shoulder:
-    (px, py, pz), r, reach = pose.position_mm, pose.rotation, model.flange_mm
-    x, y, z = px - reach * r[2], py - reach * r[5], pz - reach * r[8]
+def _shoulder(arm: Dimensions, pose: Pose, overhead: bool) -> _Shoulder:
+    (px, py, pz), r, hand = pose.position_mm, pose.rotation, arm.flange_mm
+    x, y, z = px - hand * r[2], py - hand * r[5], pz - hand * r[8]
     radius = hypot(x, y)
     if radius < SINGULAR_AXIS_MM:
         raise Singular("the wrist centre is on the axis of A1", limit=f"{SINGULAR_AXIS_MM} mm")
     if overhead:
         A1 = atan2(y, -x)
-        ahead = -radius - model.shoulder_offset_mm
+        ahead = -radius - arm.shoulder_offset_mm
     else:
         A1 = -atan2(y, x)
-        ahead = radius - model.shoulder_offset_mm
-    below = model.base_height_mm - z
-    upper, lower = model.upper_arm_mm, model.elbow_to_wrist_mm
+        ahead = radius - arm.shoulder_offset_mm
+    below = arm.base_height_mm - z
+    upper, lower = arm.upper_arm_mm, arm.elbow_to_wrist_mm
     square = ahead * ahead + below * below
     cosine = (square - upper * upper - lower * lower) / (2.0 * upper * lower)
     excess = abs(cosine) - 1.0
@@ -175,21 +141,21 @@ def _shoulder(model: ArmModel, pose: Pose, overhead: bool) -> _Shoulder:
     return _Shoulder(A1, atan2(below, ahead), atan2(lower * sin(bend), upper + lower * cosine), bend)
 
 
-def _bend(model: ArmModel, shoulder: _Shoulder, elbow: bool) -> tuple[float, float, float]:
+def _bend(arm: Dimensions, shoulder: _Shoulder, elbow: bool) -> tuple[float, float, float]:
     if elbow:
         return (
             shoulder.A1,
             shoulder.elevation - shoulder.inner,
-            model.stretched_A3_rad + shoulder.bend,
+            arm.stretched_A3_rad + shoulder.bend,
         )
-    return (shoulder.A1, shoulder.elevation + shoulder.inner, model.stretched_A3_rad - shoulder.bend)
+    return (shoulder.A1, shoulder.elevation + shoulder.inner, arm.stretched_A3_rad - shoulder.bend)
 
 
-def _into_range(model: ArmModel, arm: tuple[float, float, float]) -> tuple[float, float, float] | None:
+def _into_range(arm: Dimensions, first: tuple[float, float, float]) -> tuple[float, float, float] | None:
     """A1..A3 brought into their ranges by whole turns, or None. Their ranges are shorter than a circle."""
     result = []
-    for axis, angle in enumerate(arm):
-        low, high = model.lower_rad[axis] - RANGE_SLACK_RAD, model.upper_rad[axis] + RANGE_SLACK_RAD
+    for axis, angle in enumerate(first):
+        low, high = arm.lower_rad[axis] - RANGE_SLACK_RAD, arm.upper_rad[axis] + RANGE_SLACK_RAD
         if angle > high:
             angle -= TURN
         elif angle < low:
@@ -200,8 +166,8 @@ def _into_range(model: ArmModel, arm: tuple[float, float, float]) -> tuple[float
     return (result[0], result[1], result[2])
 
 
-def _wrist(pose: Pose, arm: tuple[float, float, float], flipped: bool) -> tuple[float, float, float]:
-    A1, A2, A3 = arm
+def _wrist(pose: Pose, first: tuple[float, float, float], flipped: bool) -> tuple[float, float, float]:
+    A1, A2, A3 = first
     r = pose.rotation
     c1, s1 = cos(A1), sin(A1)
     c23, s23 = cos(A2 + A3), sin(A2 + A3)
@@ -220,9 +186,9 @@ def _wrist(pose: Pose, arm: tuple[float, float, float], flipped: bool) -> tuple[
     return (atan2(-zy, -zz), atan2(sine, zx), atan2(-yx, -xx))
 
 
-def _turns(model: ArmModel, wrist: tuple[float, float, float]) -> Iterator[tuple[float, float, float]]:
+def _turns(arm: Dimensions, wrist: tuple[float, float, float]) -> Iterator[tuple[float, float, float]]:
     A4, A5, A6 = wrist
-    low, high = model.lower_rad, model.upper_rad
+    low, high = arm.lower_rad, arm.upper_rad
     if not low[4] - RANGE_SLACK_RAD <= A5 <= high[4] + RANGE_SLACK_RAD:
         return
     for fourth in (A4, A4 - TURN, A4 + TURN):
@@ -241,12 +207,12 @@ def _nearest_turn(angle: float, near: float, low: float, high: float) -> float:
     return angle
 
 
-def _unreachable(model: ArmModel, pose: Pose) -> Unreachable:
-    (px, py, pz), r, reach = pose.position_mm, pose.rotation, model.flange_mm
-    x, y, z = px - reach * r[2], py - reach * r[5], pz - reach * r[8]
-    distance = hypot(hypot(x, y) - model.shoulder_offset_mm, z - model.base_height_mm)
-    longest = model.upper_arm_mm + model.elbow_to_wrist_mm
-    shortest = abs(model.upper_arm_mm - model.elbow_to_wrist_mm)
+def _unreachable(arm: Dimensions, pose: Pose) -> Unreachable:
+    (px, py, pz), r, hand = pose.position_mm, pose.rotation, arm.flange_mm
+    x, y, z = px - hand * r[2], py - hand * r[5], pz - hand * r[8]
+    distance = hypot(hypot(x, y) - arm.shoulder_offset_mm, z - arm.base_height_mm)
+    longest = arm.upper_arm_mm + arm.elbow_to_wrist_mm
+    shortest = abs(arm.upper_arm_mm - arm.elbow_to_wrist_mm)
     return Unreachable(
         "the wrist centre is out of reach of A2",
         limit=f"{shortest:.1f} to {longest:.1f} mm",
@@ -254,9 +220,9 @@ def _unreachable(model: ArmModel, pose: Pose) -> Unreachable:
     )
 
 
-def _out_of_range(model: ArmModel, joints_rad: tuple[float, ...]) -> OutOfJointRange:
+def _out_of_range(arm: Dimensions, joints_rad: tuple[float, ...]) -> OutOfJointRange:
     for axis, angle in enumerate(joints_rad):
-        low, high = model.lower_rad[axis], model.upper_rad[axis]
+        low, high = arm.lower_rad[axis], arm.upper_rad[axis]
         if angle > high and angle - TURN >= low:
             angle -= TURN
         elif angle < low and angle + TURN <= high:

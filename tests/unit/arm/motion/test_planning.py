@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import pytest
 
+from ronna_hw.arm.angles import degrees6, radians6
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, Singular, TooFast, Unreachable
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import ArmVariant, arm_model, degrees6, radians6
-from ronna_hw.arm.planning import plan_joint_move, plan_line, require_in_range
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.pose import Pose
 
-MODEL = arm_model(ArmVariant.SIXX)
+MODEL = kr6_r900(ArmVariant.SIXX)
 LIMITS = working_limits(MODEL)
 START = radians6(0, -90, 90, 0, 60, 0)
 
@@ -39,7 +39,7 @@ def test_motions_keep_a_margin_from_the_ends_of_the_ranges() -> None:
         plan_joint_move(MODEL, START, beyond, LIMITS)
     plan_joint_move(MODEL, START, beyond, replace(LIMITS, range_margin_rad=math.radians(0.2)))
     bent = radians6(0, -90, 90, 0, 110, 0)
-    nearer = forward(MODEL, radians6(0, -90, 90, 0, 119.6, 0))
+    nearer = MODEL.forward(radians6(0, -90, 90, 0, 119.6, 0))
     with pytest.raises(OutOfJointRange, match=r"A5 would leave its range; limit -119\.5"):
         plan_line(MODEL, bent, nearer, LIMITS)
 
@@ -81,21 +81,21 @@ def test_half_the_speed_fraction_gives_half_the_speed() -> None:
 
 def test_a_line_out_of_reach_is_refused() -> None:
     with pytest.raises(Unreachable):
-        plan_line(MODEL, START, _shifted(forward(MODEL, START), 900, 0, 0), LIMITS)
+        plan_line(MODEL, START, _shifted(MODEL.forward(START), 900, 0, 0), LIMITS)
 
 
 @pytest.mark.hazard(22)
 def test_a_line_through_the_stretched_hand_is_refused() -> None:
     start = radians6(0, -90, 90, 0, 10, 0)
-    target = forward(MODEL, radians6(0, -90, 90, 0, -10, 0))
+    target = MODEL.forward(radians6(0, -90, 90, 0, -10, 0))
     with pytest.raises((Singular, TooFast, OutOfJointRange)):
         plan_line(MODEL, start, target, LIMITS)
 
 
 def test_a_line_close_past_the_stretched_hand_is_too_fast_for_the_joints() -> None:
     start = radians6(0, -90, 90, 1.0, 10, 0)
-    begin = forward(MODEL, start)
-    target = forward(MODEL, radians6(0, -90, 90, 1.0, -10, 0))
+    begin = MODEL.forward(start)
+    target = MODEL.forward(radians6(0, -90, 90, 1.0, -10, 0))
     with pytest.raises(TooFast, match="singular") as caught:
         plan_line(MODEL, start, Pose(begin.position_mm, target.rotation), LIMITS)
     assert caught.value.code == "ARM-005"
@@ -104,24 +104,24 @@ def test_a_line_close_past_the_stretched_hand_is_too_fast_for_the_joints() -> No
 @pytest.mark.hazard(22)
 def test_a_line_beside_a_singularity_is_slowed_for_the_joints() -> None:
     start = radians6(0, -90, 90, 30, 12, 0)
-    target = _shifted(forward(MODEL, start), 0, 60, 0)
+    target = _shifted(MODEL.forward(start), 0, 60, 0)
     plan = plan_line(MODEL, start, target, LIMITS)
     assert plan.limits.velocity * 60.0 < 0.9 * LIMITS.line_speed_mm_s
 
 
 def test_a_line_that_needs_a_whole_turn_of_the_hand_is_refused() -> None:
     start = radians6(0, -90, 90, 0, 60, 340)
-    target = forward(MODEL, start).compose(Pose.from_kuka(0, 0, 0, -30, 0, 0))
+    target = MODEL.forward(start).compose(Pose.from_kuka(0, 0, 0, -30, 0, 0))
     to_the_ends = replace(LIMITS, range_margin_rad=0.0)
     with pytest.raises(OutOfJointRange, match="A6 would have to turn beyond"):
         plan_line(MODEL, start, target, to_the_ends)
     with pytest.raises(OutOfJointRange, match=r"A6 would leave its range; limit -349\.5 to 349\.5 deg"):
         plan_line(MODEL, start, target, LIMITS)
-    back = forward(MODEL, start).compose(Pose.from_kuka(0, 0, 0, 30, 0, 0))
+    back = MODEL.forward(start).compose(Pose.from_kuka(0, 0, 0, 30, 0, 0))
     assert degrees6(plan_line(MODEL, start, back, LIMITS).target_rad)[5] == pytest.approx(310)
 
 
 def test_going_nowhere_is_a_standstill() -> None:
     assert plan_joint_move(MODEL, START, START, LIMITS).is_standstill
-    assert plan_line(MODEL, START, forward(MODEL, START), LIMITS).is_standstill
-    assert not plan_line(MODEL, START, _shifted(forward(MODEL, START), 0, 0, 1e-3), LIMITS).is_standstill
+    assert plan_line(MODEL, START, MODEL.forward(START), LIMITS).is_standstill
+    assert not plan_line(MODEL, START, _shifted(MODEL.forward(START), 0, 0, 1e-3), LIMITS).is_standstill

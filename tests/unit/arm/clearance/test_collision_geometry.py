@@ -7,24 +7,25 @@ import coal
 import numpy as np
 import pytest
 
-from ronna_hw.arm.capsule import Capsule, covering_ellipsoid, gap_mm
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.live_watch import LiveWatch, body_segments, levers_mm
-from ronna_hw.arm.model import ArmVariant, arm_model, radians6
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid, gap_mm
+from ronna_hw.arm.clearance.live_watch import LiveWatch, body_segments
+from ronna_hw.arm.clearance.surroundings import Corridor, Surroundings
+from ronna_hw.arm.clearance.sweep import segment_distances, sweep
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.surroundings import Corridor, Surroundings
-from ronna_hw.arm.swept import segment_distances, sweep
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices.readings import JointVector, Vector3
 
-MODEL = arm_model(ArmVariant.R900_2)
+MODEL = kr6_r900(ArmVariant.R900_2)
 CYCLE_S = 0.004
 CELL = CollisionConfig()
 TOOL = Pose((220.0, 0.0, 60.0))
 HEAD = Pose.from_kuka(760.0, 10.0, 200.0, 90.0, 0.0, 30.0)
 SEMI_AXES_MM = (75.0, 95.0, 90.0)
 AROUND = CELL.surroundings(CELL.guide, TOOL, HEAD, SEMI_AXES_MM, ((700.0, 30.0, 290.0),))
-HOME = radians6(0, -75, 99, 0, 66, 180)
+BODIES = Bodies(MODEL, AROUND)
+HOME = MODEL.home_rad
 
 
 def _point(rng: random.Random, spread_mm: float = 200.0) -> Vector3:
@@ -118,17 +119,17 @@ def test_planning_and_live_watch_see_the_same_bodies() -> None:
             rng.uniform(low, high) for low, high in zip(MODEL.lower_rad, MODEL.upper_rad, strict=True)
         )
         joints.append((A1, A2, A3, A4, A5, A6))
-    swept = sweep(MODEL, AROUND, joints)
+    swept = sweep(BODIES, joints)
     for row, vector in enumerate(joints):
-        assert np.allclose(swept.ends_mm[row], body_segments(MODEL, AROUND, vector), atol=1e-8)
-        watch = LiveWatch(MODEL, AROUND, CYCLE_S, vector)
-        live = [watch._gap(number, watch._segments) for number in range(len(AROUND.pairs))]
+        assert np.allclose(swept.ends_mm[row], body_segments(BODIES, vector), atol=1e-8)
+        watch = LiveWatch(BODIES, CYCLE_S, vector)
+        live = [watch._gap(number, watch._segments) for number in range(len(BODIES.pairs))]
         assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
 
 
 def test_no_body_moves_farther_than_the_levers_of_the_joints_say() -> None:
     rng = random.Random(6)
-    levers = levers_mm(MODEL, AROUND)
+    levers = MODEL.levers_mm([end for part in AROUND.tool for end in part.capsule[:2]])
     largest = 0.0
     for _ in range(2000):
         start = tuple(rng.uniform(a, b) for a, b in zip(MODEL.lower_rad, MODEL.upper_rad, strict=True))
@@ -137,9 +138,7 @@ def test_no_body_moves_farther_than_the_levers_of_the_joints_say() -> None:
         bound = sum(lever * abs(b - a) for lever, a, b in zip(levers, start, end, strict=True))
         moved = max(
             math.dist(before, now)
-            for was, is_now in zip(
-                body_segments(MODEL, AROUND, start), body_segments(MODEL, AROUND, end), strict=True
-            )
+            for was, is_now in zip(body_segments(BODIES, start), body_segments(BODIES, end), strict=True)
             for before, now in zip(was, is_now, strict=True)
         )
         assert moved <= bound * (1.0 + 1e-9)
@@ -148,9 +147,9 @@ def test_no_body_moves_farther_than_the_levers_of_the_joints_say() -> None:
 
 
 def test_the_hand_ends_at_the_flange() -> None:
-    hand = body_segments(MODEL, AROUND, HOME)[3]
-    assert hand[1] == pytest.approx(forward(MODEL, HOME).position_mm)
-    assert math.dist(*hand) == pytest.approx(MODEL.flange_mm)
+    hand = body_segments(BODIES, HOME)[3]
+    assert hand[1] == pytest.approx(MODEL.forward(HOME).position_mm)
+    assert math.dist(*hand) == pytest.approx(MODEL.dimensions.flange_mm)
 
 
 def test_surroundings_travel_as_one_line() -> None:
@@ -171,5 +170,5 @@ def test_a_corridor_is_straight_narrow_and_ends_behind_the_target() -> None:
 
 def test_the_arm_at_home_is_clear_of_itself_and_of_the_patient() -> None:
     for tool in (CELL.guide, CELL.stereo_head):
-        swept = sweep(MODEL, CELL.surroundings(tool, TOOL, HEAD, SEMI_AXES_MM), [HOME])
+        swept = sweep(Bodies(MODEL, CELL.surroundings(tool, TOOL, HEAD, SEMI_AXES_MM)), [HOME])
         assert swept.gaps_mm.min() > CELL.margin_mm

@@ -5,9 +5,7 @@ from __future__ import annotations
 from math import acos, sin
 from typing import Protocol
 
-from ronna_hw.arm.inverse import branch_of, solve_branch
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.model import ArmModel
+from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector, Quaternion, Vector3
 
@@ -47,14 +45,14 @@ class LinePath:
 
     def __init__(
         self,
-        model: ArmModel,
+        kinematics: Kinematics,
         start_rad: JointVector,
         target: Pose,
         tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0),
     ) -> None:
-        self.model = model
-        self.branch = branch_of(model, start_rad)
-        begin = forward(model, start_rad)
+        self.kinematics = kinematics
+        self.branch = kinematics.branch_of(start_rad)
+        begin = kinematics.forward(start_rad)
         self._tool = tool_in_flange_mm
         self._from_mm = begin.apply(tool_in_flange_mm)
         self._to_mm = target.apply(tool_in_flange_mm)
@@ -88,4 +86,4 @@ class LinePath:
         )
 
     def joints(self, s: float, near: JointVector) -> JointVector:
-        return solve_branch(self.model, self.flange(s), self.branch, near)
+        return self.kinematics.solve_branch(self.flange(s), self.branch, near)

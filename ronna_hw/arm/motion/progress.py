@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import NamedTuple
 
-from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
+from ronna_hw.arm.motion.motion_profile import Bounds, Profile, Profiler, State
 
 MOST_STEPS = 12  # of a path; so many have a place in the block that carries a plan to the real-time process
 ROUNDING = 1e-9  # relative; a speed that was braked to is met to the last digits only

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from ronna_hw.arm.kinematics import forward, jacobian
-from ronna_hw.arm.model import ArmModel, ArmVariant, arm_model, radians6
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import ArmVariant, Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
@@ -42,7 +42,7 @@ GOLDEN = [
 def test_the_flange_reaches_the_golden_pose(variant: ArmVariant, row: tuple[tuple[float, ...], ...]) -> None:
     axes, sixx, second, abc = row
     xyz = sixx if variant is ArmVariant.SIXX else second
-    flange = forward(arm_model(variant), radians6(*axes))
+    flange = kr6_r900(variant).forward(radians6(*axes))
     golden = Pose.from_kuka(*xyz, *abc)
     assert flange.distance_mm(golden) < 0.001
     assert math.degrees(flange.angle_rad(golden)) < 0.001
@@ -50,18 +50,18 @@ def test_the_flange_reaches_the_golden_pose(variant: ArmVariant, row: tuple[tupl
 
 @pytest.mark.parametrize("variant", list(ArmVariant))
 def test_the_jacobian_is_the_derivative_of_the_flange_pose(variant: ArmVariant) -> None:
-    model = arm_model(variant)
+    model = kr6_r900(variant)
     random = np.random.default_rng(3)
     step = 1e-6
     for _ in range(20):
         joints = random.uniform(model.lower_rad, model.upper_rad)
-        analytic = jacobian(model, tuple(joints.tolist()))
+        analytic = model.jacobian(tuple(joints.tolist()))
         for axis in range(6):
             before, after = joints.copy(), joints.copy()
             before[axis] -= step
             after[axis] += step
-            a = forward(model, tuple(before.tolist()))
-            b = forward(model, tuple(after.tolist()))
+            a = model.forward(tuple(before.tolist()))
+            b = model.forward(tuple(after.tolist()))
             linear = (np.array(b.position_mm) - a.position_mm) / (2 * step)
             spin = np.reshape(b.rotation, (3, 3)) @ np.reshape(a.rotation, (3, 3)).T
             angular = np.array([spin[2, 1] - spin[1, 2], spin[0, 2] - spin[2, 0], spin[1, 0] - spin[0, 1]])
@@ -70,25 +70,25 @@ def test_the_jacobian_is_the_derivative_of_the_flange_pose(variant: ArmVariant) 
 
 
 def test_reach_of_both_variants_is_the_published_one() -> None:
-    reach = {v: arm_model(v).reach_mm for v in ArmVariant}
+    reach = {v: kr6_r900(v).dimensions.reach_mm for v in ArmVariant}
     assert reach[ArmVariant.SIXX] == pytest.approx(901.5, abs=0.05)
     assert reach[ArmVariant.R900_2] == pytest.approx(900.7, abs=0.05)
 
 
 def test_an_unknown_variant_is_refused() -> None:
     with pytest.raises(ValueError, match="kr16"):
-        arm_model("kr16")
+        kr6_r900("kr16")
 
 
-def _random_poses(model: ArmModel, count: int) -> list[Pose]:
+def _random_poses(model: Kr6R900, count: int) -> list[Pose]:
     random = np.random.default_rng(5)
     return [
-        forward(model, tuple(random.uniform(model.lower_rad, model.upper_rad).tolist())) for _ in range(count)
+        model.forward(tuple(random.uniform(model.lower_rad, model.upper_rad).tolist())) for _ in range(count)
     ]
 
 
 def test_a_pose_survives_every_notation() -> None:
-    for pose in _random_poses(arm_model(ArmVariant.SIXX), 200):
+    for pose in _random_poses(kr6_r900(ArmVariant.SIXX), 200):
         for back in (
             Pose.from_kuka(*pose.to_kuka()),
             Pose.from_quaternion(pose.position_mm, pose.quaternion()),
@@ -100,7 +100,7 @@ def test_a_pose_survives_every_notation() -> None:
 
 
 def test_a_pose_agrees_with_the_checked_transform() -> None:
-    a, b = _random_poses(arm_model(ArmVariant.SIXX), 2)
+    a, b = _random_poses(kr6_r900(ArmVariant.SIXX), 2)
     matrix = a.to_transform().as_matrix() @ b.to_transform().as_matrix()
     assert Pose.from_matrix(matrix.tolist()).distance_mm(a.compose(b)) < 1e-9
     assert a.apply((1.0, 2.0, 3.0)) == pytest.approx(a.to_transform().apply([1.0, 2.0, 3.0]))

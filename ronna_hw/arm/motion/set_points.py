@@ -7,17 +7,13 @@ is left to compute, and a stop is never a jump.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import degrees
 from typing import NamedTuple, Protocol
 
-from ronna_hw.arm.errors import OutOfJointRange
-from ronna_hw.arm.inverse import RANGE_SLACK_RAD
-from ronna_hw.arm.limits import MotionLimits
-from ronna_hw.arm.model import AXES, ArmModel
-from ronna_hw.arm.path import Path
-from ronna_hw.arm.profile import Bounds, Profile, Profiler, State
-from ronna_hw.arm.progress import PathLimits, PathProgress, SpeedStep
-from ronna_hw.arm.stopping import halt
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.motion_profile import Bounds, Profiler, State
+from ronna_hw.arm.motion.path import Path
+from ronna_hw.arm.motion.progress import PathLimits, PathProgress, SpeedStep
+from ronna_hw.arm.motion.stopping import halt
 from ronna_hw.devices.readings import JointVector
 
 LONGER_TOGETHER = 2.0  # times as long may a stop take that keeps the way; planned motions need 1.2
@@ -47,24 +43,6 @@ class Motion(Protocol):
     def take_stop(self) -> None:
         """The stop point was sent; from now on both points are those of the stop."""
         ...
-
-
-class Rest:
-    """Stays where it is."""
-
-    finished = True
-
-    def __init__(self, joints_rad: JointVector) -> None:
-        self._prepared = Prepared(joints_rad, joints_rad)
-
-    def prepare(self) -> Prepared:
-        return self._prepared
-
-    def take_go(self) -> None:
-        pass
-
-    def take_stop(self) -> None:
-        pass
 
 
 class PathMotion:
@@ -138,62 +116,6 @@ class PathMotion:
         return self._path.joints(min(max(state.position[0], 0.0), 1.0), self._joints)
 
 
-class JointMotion:
-    """A synchronised joint move to rest from any state of motion, as for a new target on the way.
-
-    From rest prefer `PathMotion`: here the joints end together but the way between is not a straight line.
-    """
-
-    def __init__(
-        self, model: ArmModel, start: State, target_rad: JointVector, limits: MotionLimits, cycle_s: float
-    ) -> None:
-        """Raises ARM-003 when the swing of the motion would leave a joint range, ARM-006 for bad numbers."""
-        self._cycle_s = cycle_s
-        self._profiler = Profiler(AXES)
-        self._bounds = joint_bounds(limits)
-        self._state = start
-        self._profile = self._profiler.move(start, target_rad, self._bounds)
-        lower, upper = limits.ranges(model, start.position)
-        for axis, (low, high) in enumerate(self._profile.extrema()):
-            if low < lower[axis] - RANGE_SLACK_RAD or high > upper[axis] + RANGE_SLACK_RAD:
-                raise OutOfJointRange(
-                    f"A{axis + 1} would swing beyond its range",
-                    limit=f"{degrees(lower[axis]):.1f} to {degrees(upper[axis]):.1f} deg",
-                    got=f"{degrees(low):.3f} to {degrees(high):.3f} deg",
-                )
-        self._time_s = 0.0
-        self._stopping = False
-        self._next: tuple[State, Profile, State] | None = None
-
-    @property
-    def finished(self) -> bool:
-        return self._time_s >= self._profile.duration_s
-
-    def prepare(self) -> Prepared:
-        go = self._profile.at(self._time_s + self._cycle_s)
-        if self._stopping:
-            self._next = (go, self._profile, go)
-        else:
-            stop_profile = self._profiler.stop(self._state, self._bounds)
-            self._next = (go, stop_profile, stop_profile.at(self._cycle_s))
-        return Prepared(_vector(go), _vector(self._next[2]))
-
-    def take_go(self) -> None:
-        if self._next is not None:
-            self._state = self._next[0]
-            self._time_s += self._cycle_s
-            self._next = None
-
-    def take_stop(self) -> None:
-        if self._stopping:
-            self.take_go()
-        elif self._next is not None:
-            _, self._profile, self._state = self._next
-            self._time_s = self._cycle_s
-            self._stopping = True
-            self._next = None
-
-
 class StopMotion:
     """To rest from any state, trusting no path: straight on along the way the arm goes.
 
@@ -203,7 +125,7 @@ class StopMotion:
 
     def __init__(self, start: State, limits: MotionLimits, cycle_s: float) -> None:
         self._cycle_s = cycle_s
-        self._profile = Profiler(AXES).stop(start, joint_bounds(limits))
+        self._profile = Profiler(len(start.position)).stop(start, joint_bounds(limits))
         self._halt = halt(start, limits)
         if self._halt is not None:
             if self._halt.profile.duration_s <= LONGER_TOGETHER * self._profile.duration_s:
@@ -255,10 +177,10 @@ def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> St
 
 
 def joint_bounds(limits: MotionLimits) -> Bounds:
-    """Limits of the joints as bounds of a six-axis profile."""
+    """Limits of the joints as bounds of a profile of all axes."""
     return Bounds(list(limits.speed_rad_s), list(limits.acceleration_rad_s2), list(limits.jerk_rad_s3))
 
 
 def _vector(state: State) -> JointVector:
-    A1, A2, A3, A4, A5, A6 = state.position
-    return (A1, A2, A3, A4, A5, A6)
+    a, b, c, d, e, f = state.position
+    return (a, b, c, d, e, f)

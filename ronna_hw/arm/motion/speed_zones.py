@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.arm.clearance import SweptPath, motion_mm
-from ronna_hw.arm.planning import MotionPlan
-from ronna_hw.arm.progress import MOST_STEPS, SpeedStep
+from ronna_hw.arm.clearance.swept_path import SweptPath, motion_mm
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
 
 Array = NDArray[np.float64]
 
@@ -48,6 +48,6 @@ def allowed_speed(path: SweptPath) -> Array:
     with np.errstate(invalid="ignore"):
         nearest = np.where(np.isinf(to_head[:-1]), np.inf, (to_head[:-1] + to_head[1:] - moved) / 2.0)
     nearest = np.maximum(np.minimum(nearest, np.minimum(to_head[:-1], to_head[1:])), 0.0)
-    caps = np.array([path.surroundings.cap_mm_s(distance) for distance in nearest.tolist()])
+    caps = np.array([path.bodies.surroundings.cap_mm_s(distance) for distance in nearest.tolist()])
     with np.errstate(divide="ignore"):
         return np.asarray(np.where(rates > 0.0, SHARE_OF_CAP * caps / rates, np.inf))

@@ -5,21 +5,21 @@ from itertools import pairwise
 
 import pytest
 
-from ronna_hw.arm.kinematics import forward
-from ronna_hw.arm.limits import working_limits
-from ronna_hw.arm.model import ArmVariant, arm_model, radians6
-from ronna_hw.arm.motion import PathMotion, StopMotion, state_from_history
-from ronna_hw.arm.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.profile import State
-from ronna_hw.arm.stopping import halt
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.motion_profile import State
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
+from ronna_hw.arm.motion.stopping import halt
 from ronna_hw.devices.readings import JointVector
 
-MODEL = arm_model(ArmVariant.SIXX)
+MODEL = kr6_r900(ArmVariant.SIXX)
 LIMITS = working_limits(MODEL)
 CYCLE_S = 0.004
 START = radians6(0, -90, 90, 0, 60, 0)
 TOOL_MM = (10.0, 0.0, 200.0)
-LINE = plan_line(MODEL, START, forward(MODEL, radians6(8, -82, 84, 5, 70, 20)), LIMITS, TOOL_MM)
+LINE = plan_line(MODEL, START, MODEL.forward(radians6(8, -82, 84, 5, 70, 20)), LIMITS, TOOL_MM)
 JOINT_MOVE = plan_joint_move(MODEL, START, radians6(40, -70, 70, 20, 50, 30), LIMITS)
 BESIDE_THE_LINE_MM = 0.02  # the third order of some millimetres of stopping distance
 
@@ -44,8 +44,8 @@ def _interrupted(plan: MotionPlan, cycles: int) -> tuple[list[JointVector], list
 @pytest.mark.parametrize("cycles", [10, 40, 120, 300])
 def test_the_tool_goes_on_along_its_line_and_never_faster(cycles: int) -> None:
     _, stopped = _interrupted(LINE, cycles)
-    begin, end = forward(MODEL, START).apply(TOOL_MM), forward(MODEL, LINE.target_rad).apply(TOOL_MM)
-    tips = [forward(MODEL, joints).apply(TOOL_MM) for joints in stopped]
+    begin, end = MODEL.forward(START).apply(TOOL_MM), MODEL.forward(LINE.target_rad).apply(TOOL_MM)
+    tips = [MODEL.forward(joints).apply(TOOL_MM) for joints in stopped]
     for tip in tips:
         along = sum((t - b) * (e - b) for t, b, e in zip(tip, begin, end, strict=True)) / math.dist(
             begin, end

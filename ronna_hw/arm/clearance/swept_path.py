@@ -12,12 +12,13 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.sweep import Swept, sweep
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.arm.model import ArmModel
-from ronna_hw.arm.path import JointPath, LinePath
-from ronna_hw.arm.planning import MotionPlan
-from ronna_hw.arm.surroundings import Surroundings
-from ronna_hw.arm.swept import Swept, sweep
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.motion.path import JointPath, LinePath
+from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 
 Array = NDArray[np.float64]
@@ -42,9 +43,9 @@ class Closest:
 
 @dataclass(frozen=True)
 class SweptPath:
-    """Samples of a path with everything that was found there; parameters (n) from 0 to 1, joints (n, 6)."""
+    """Samples of a path and what was found there; parameters (n) from 0 to 1, joints (n, axes)."""
 
-    surroundings: Surroundings
+    bodies: Bodies
     parameters: Array
     joints_rad: Array
     swept: Swept
@@ -63,7 +64,7 @@ class SweptPath:
 
         A pair that is too near at the start already must not come nearer than it stands there.
         """
-        lacking = self.swept.gaps_mm - floors_mm(self.surroundings, self.swept.gaps_mm[0])
+        lacking = self.swept.gaps_mm - floors_mm(self.bodies.surroundings, self.swept.gaps_mm[0])
         if not lacking.size or lacking.min() >= 0.0:
             return None
         return self._at(*np.unravel_index(int(np.argmin(lacking)), lacking.shape))
@@ -76,12 +77,12 @@ class SweptPath:
         raise NotClear(
             f"on {what} the {bad.first} would come too near to the {bad.second}, "
             f"{bad.parameter:.0%} of the way",
-            limit=f"{self.surroundings.margin_mm:g} mm",
+            limit=f"{self.bodies.surroundings.margin_mm:g} mm",
             got=f"{bad.distance_mm:.1f} mm",
         )
 
     def _at(self, row: np.intp, column: np.intp) -> Closest:
-        first, second = self.surroundings.names(self.surroundings.pairs[column])
+        first, second = self.bodies.names(self.bodies.pairs[column])
         gap = float(self.swept.gaps_mm[row, column])
         return Closest(first, second, gap, float(self.parameters[row]))
 
@@ -92,17 +93,18 @@ def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
 
 
 def sweep_path(
-    model: ArmModel, plan: MotionPlan, surroundings: Surroundings, *, to_the_worst: bool = True
+    kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, to_the_worst: bool = True
 ) -> SweptPath:
     """Follow a planned path with all bodies. Raises ARM-001 to ARM-004 where the path has no solution.
 
     A path that is not clear is followed to where it is worst, which people want to know; without
     `to_the_worst` only until that is certain.
     """
-    path = plan.path(model)
+    path = plan.path(kinematics)
+    bodies = Bodies(kinematics, surroundings)
     parameters = np.linspace(0.0, 1.0, FIRST_SAMPLES)
     joints = _joints(path, plan.start_rad, parameters)
-    found = sweep(model, surroundings, joints)
+    found = sweep(bodies, joints)
     count = max(
         FIRST_SAMPLES,
         ceil(float(_moved(found).max(axis=1).sum()) / STEP_MM) + 1,
@@ -111,20 +113,20 @@ def sweep_path(
     if count > FIRST_SAMPLES:
         parameters = np.linspace(0.0, 1.0, count)
         joints = _joints(path, plan.start_rad, parameters)
-        found = sweep(model, surroundings, joints)
+        found = sweep(bodies, joints)
     floors = floors_mm(surroundings, found.gaps_mm[0])
     while True:
         if not to_the_worst and (found.gaps_mm < floors).any():
             break
         wanted = np.minimum(floors, found.gaps_mm.min(axis=0))
-        open_rows = np.flatnonzero(_unsettled(surroundings, found, wanted))
+        open_rows = np.flatnonzero(_unsettled(bodies, found, wanted))
         if not len(open_rows):
             break
         middles = (parameters[open_rows] + parameters[open_rows + 1]) / 2.0
         between = np.array(
             [path.joints(float(s), _vector(joints[row])) for s, row in zip(middles, open_rows, strict=True)]
         )
-        more = sweep(model, surroundings, between)
+        more = sweep(bodies, between)
         parameters = np.insert(parameters, open_rows + 1, middles)
         joints = np.insert(joints, open_rows + 1, between, axis=0)
         found = Swept(
@@ -132,7 +134,7 @@ def sweep_path(
             np.insert(found.gaps_mm, open_rows + 1, more.gaps_mm, axis=0),
             np.insert(found.to_head_mm, open_rows + 1, more.to_head_mm),
         )
-    return SweptPath(surroundings, parameters, joints, found)
+    return SweptPath(bodies, parameters, joints, found)
 
 
 def motion_mm(swept: Swept) -> Array:
@@ -140,10 +142,10 @@ def motion_mm(swept: Swept) -> Array:
     return _moved(swept) * ARC_FACTOR
 
 
-def _unsettled(surroundings: Surroundings, found: Swept, floors: Array) -> NDArray[np.bool_]:
+def _unsettled(bodies: Bodies, found: Swept, floors: Array) -> NDArray[np.bool_]:
     """Which intervals (n - 1) may hide a distance below its floor."""
     moved = motion_mm(found)
-    pairs = surroundings.pairs
+    pairs = bodies.pairs
     own = np.array([pair.other < 0 for pair in pairs])
     relative = moved[:, [pair.moving for pair in pairs]]
     relative[:, own] += moved[:, [-1 - pair.other for pair in pairs if pair.other < 0]]
@@ -170,5 +172,5 @@ def _joints(path: JointPath | LinePath, start_rad: JointVector, parameters: Arra
 
 
 def _vector(row: Array) -> JointVector:
-    A1, A2, A3, A4, A5, A6 = row.tolist()
-    return (A1, A2, A3, A4, A5, A6)
+    a, b, c, d, e, f = row.tolist()
+    return (a, b, c, d, e, f)

@@ -1,0 +1,11 @@
+"""The arms whose kinematics come with this package, by the name that calibration records give them."""
+
+from __future__ import annotations
+
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+
+
+def kinematics_named(name: str) -> Kinematics:
+    """The arm with this `Kinematics.name`; raises ValueError."""
+    return kr6_r900(ArmVariant(name))
