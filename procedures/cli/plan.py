@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple, cast
 
 import typer
 
@@ -149,8 +149,8 @@ def _theatre(
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
         raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")
-    driver: RobotArm = make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock())  # opens nothing
-    kinematics = driver.kinematics
+    opens_nothing = make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock())
+    kinematics = cast("RobotArm", opens_nothing).kinematics
     start_rad = kinematics.home_rad if home_deg is None else radians6(*home_deg)
     require_in_range(kinematics, start_rad)
     pose = Pose.from_kuka(*robot_from_ct)
