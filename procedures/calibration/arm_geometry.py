@@ -10,14 +10,11 @@ size per axis limits any calibration with a ball and an uncalibrated arm.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.links import Chain
-from ronna_hw.devices.readings import JointVector
 
 Array = NDArray[np.float64]
 
@@ -33,11 +30,11 @@ UNCALIBRATED_MM = 0.10
 X, Y, Z = np.eye(3)
 
 
-def error_columns(chain: Chain, joints_rad: Sequence[JointVector], ball_mm: Array) -> Array:
+def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
     """Displacement (n, 3, k), mm, of a point at `ball_mm` (robot frame) fixed to the flange.
 
     One column per error of one standard deviation: six of every link at its far end, offset and harmonics
-    of every joint.
+    of every joint. `joints_rad` is (n, axes).
     """
     angles = np.asarray(joints_rad, dtype=float)
     place = np.tile(chain.base_mm, (len(angles), 1))

@@ -1,1 +1,1 @@
-"""The arm: nominal kinematics, inverse kinematics, jerk-limited motion, limits, monitor."""
+"""The arm: kinematics behind a neutral interface, motion, clearance, and the independent monitor."""
