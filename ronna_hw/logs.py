@@ -44,7 +44,7 @@ class Logger:
 
     def _log(self, level: int, event: str, facts: dict[str, Any]) -> None:
         if self._channel.isEnabledFor(level):
-            self._bound.log(level, event, **facts)
+            getattr(self._bound, logging.getLevelName(level).lower())(event, **facts)
 
     @cached_property
     def _bound(self) -> Any:

@@ -7,6 +7,7 @@ error about a CT, a plan or a file is logged by its code alone, and so is every 
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import PurePath
@@ -63,7 +64,9 @@ def redacted(key: str, value: Any) -> Any:
     """One value of an event, fit for the log: numbers as they are, text scrubbed, errors by `error_text`."""
     if _PATIENT_KEY.search(key):
         return REDACTED
-    if value is None or isinstance(value, bool | int | float):
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)  # JSON has no NaN
+    if value is None or isinstance(value, bool | int):
         return value
     if isinstance(value, BaseException):
         return error_text(value)

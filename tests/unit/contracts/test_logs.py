@@ -58,6 +58,13 @@ def test_each_line_of_a_kept_log_says_when_who_and_what(tmp_path: Path) -> None:
     assert "ronna-hw" in opened["versions"]  # type: ignore[operator]
 
 
+def test_any_fact_makes_a_line_of_json(tmp_path: Path) -> None:
+    with keep_log(tmp_path):
+        logger(device="robot").info("moved", level=3, error_mm=float("nan"), at=object, path=tmp_path)
+    _, moved = lines_of(tmp_path)
+    assert (moved["level"], moved["error_mm"], moved["path"]) == ("info", "nan", "[redacted]")
+
+
 def test_after_the_block_nothing_more_is_written(tmp_path: Path) -> None:
     with keep_log(tmp_path):
         pass
