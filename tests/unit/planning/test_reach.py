@@ -8,11 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from ur5 import Ur5
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.posture import ranked_branches
 from procedures.planning.reach import check_paths
 from procedures.planning.visits import VisitKind, visits_of
+from procedures.planning.wrist import WristState
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.frames import Frame, FrameMismatch, Transform
@@ -60,6 +62,18 @@ def test_the_joints_reach_the_poses(checked, make_arm):
         for joints, wanted in ((one.at_rad, one.visit.pose), (one.approach_rad, one.visit.approach)):
             reached = make_arm().kinematics.flange_pose(joints) @ tool
             assert np.allclose(reached.as_matrix(), wanted.as_matrix(), atol=1e-6)
+
+
+def test_an_arm_with_an_offset_wrist_drives_the_whole_procedure(make_arm):
+    arm = Ur5()
+    setting = make_arm(kinematics=arm, start_rad=arm.home_rad)
+    result = check_paths(setting, TRAJECTORIES, FIDUCIALS)
+    result.require()
+    for one in result.reached:
+        assert arm.branch_of(one.at_rad) == result.branch
+        reached = arm.flange_pose(one.at_rad) @ setting.flange_from_tool
+        assert np.allclose(reached.as_matrix(), one.visit.pose.as_matrix(), atol=1e-6)
+    assert WristState.of(arm, result).least_bend_rad > 0.0
 
 
 def test_one_branch_holds_over_the_whole_procedure(checked, make_arm):

@@ -6,12 +6,14 @@ import random
 import coal
 import numpy as np
 import pytest
+from ur5 import Ur5
 
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid, gap_mm
 from ronna_hw.arm.clearance.live_watch import LiveWatch, body_segments
 from ronna_hw.arm.clearance.surroundings import Corridor, Surroundings
 from ronna_hw.arm.clearance.sweep import segment_distances, sweep
+from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig
@@ -111,34 +113,38 @@ def test_the_capsules_of_a_head_hold_its_ellipsoid_and_little_more(axes: Vector3
     assert overshoot <= 0.4 * (max(axes) - min(axes)) + 1e-9
 
 
-def test_planning_and_live_watch_see_the_same_bodies() -> None:
+@pytest.mark.parametrize("arm", [MODEL, Ur5()], ids=lambda arm: arm.name)
+def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
     rng = random.Random(5)
+    bodies = Bodies(arm, AROUND)
     joints: list[JointVector] = []
     for _ in range(100):
         A1, A2, A3, A4, A5, A6 = (
-            rng.uniform(low, high) for low, high in zip(MODEL.lower_rad, MODEL.upper_rad, strict=True)
+            rng.uniform(low, high) for low, high in zip(arm.lower_rad, arm.upper_rad, strict=True)
         )
         joints.append((A1, A2, A3, A4, A5, A6))
-    swept = sweep(BODIES, joints)
+    swept = sweep(bodies, joints)
     for row, vector in enumerate(joints):
-        assert np.allclose(swept.ends_mm[row], body_segments(BODIES, vector), atol=1e-8)
-        watch = LiveWatch(BODIES, CYCLE_S, vector)
-        live = [watch._gap(number, watch._segments) for number in range(len(BODIES.pairs))]
+        assert np.allclose(swept.ends_mm[row], body_segments(bodies, vector), atol=1e-8)
+        watch = LiveWatch(bodies, CYCLE_S, vector)
+        live = [watch._gap(number, watch._segments) for number in range(len(bodies.pairs))]
         assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
 
 
-def test_no_body_moves_farther_than_the_levers_of_the_joints_say() -> None:
+@pytest.mark.parametrize("arm", [MODEL, Ur5()], ids=lambda arm: arm.name)
+def test_no_body_moves_farther_than_the_levers_of_the_joints_say(arm: Kinematics) -> None:
     rng = random.Random(6)
-    levers = MODEL.levers_mm([end for part in AROUND.tool for end in part.capsule[:2]])
+    bodies = Bodies(arm, AROUND)
+    levers = arm.levers_mm([end for part in AROUND.tool for end in part.capsule[:2]])
     largest = 0.0
     for _ in range(2000):
-        start = tuple(rng.uniform(a, b) for a, b in zip(MODEL.lower_rad, MODEL.upper_rad, strict=True))
+        start = tuple(rng.uniform(a, b) for a, b in zip(arm.lower_rad, arm.upper_rad, strict=True))
         size = 10.0 ** rng.uniform(-5.0, 0.0)
         end = tuple(angle + rng.uniform(-size, size) for angle in start)
         bound = sum(lever * abs(b - a) for lever, a, b in zip(levers, start, end, strict=True))
         moved = max(
             math.dist(before, now)
-            for was, is_now in zip(body_segments(BODIES, start), body_segments(BODIES, end), strict=True)
+            for was, is_now in zip(body_segments(bodies, start), body_segments(bodies, end), strict=True)
             for before, now in zip(was, is_now, strict=True)
         )
         assert moved <= bound * (1.0 + 1e-9)

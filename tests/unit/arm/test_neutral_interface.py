@@ -1,0 +1,218 @@
+"""The neutral interface holds for a spherical wrist and for an offset one, and planning works with both."""
+
+from __future__ import annotations
+
+import math
+import random
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from ur5 import Ur5
+
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.live_watch import LiveWatch
+from ronna_hw.arm.clearance.surroundings import Obstacle, Part, Surroundings
+from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
+from ronna_hw.arm.kinematics import Kinematics, nearest
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.monitor import Monitor, monitor_limits
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.set_points import PathMotion
+from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.preview import preview
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Frame
+
+ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), Ur5())
+SINGULAR = {
+    "kr6_r900_sixx": {
+        "wrist": radians6(10, -80, 100, 30, 0, 50),
+        "elbow": (0.2, -1.0, math.atan2(35.0, 420.0), 0.3, 0.5, 0.1),
+    },
+    "ur5": {
+        "wrist": radians6(10, -80, -100, 30, 180, 50),
+        "elbow": radians6(10, -80, 0, 30, 70, 50),
+    },
+}
+CYCLE_S = 0.004
+TOOL = (Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 120.0), 3.0)),)
+TIP_MM = (0.0, 0.0, 120.0)
+
+each_arm = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+
+
+def _postures(arm: Kinematics, count: int, seed: int) -> list[JointVector]:
+    rng = random.Random(seed)
+    found = []
+    for _ in range(count):
+        a, b, c, d, e, f = (rng.uniform(*ends) for ends in zip(arm.lower_rad, arm.upper_rad, strict=True))
+        found.append((a, b, c, d, e, f))
+    return found
+
+
+def _largest_difference(a: JointVector, b: JointVector) -> float:
+    return max(abs(x - y) for x, y in zip(a, b, strict=True))
+
+
+@each_arm
+def test_every_solution_reaches_the_pose_and_the_true_one_is_among_them(
+    arm: Kinematics,
+) -> None:
+    seen = set()
+    for joints in _postures(arm, 200, 1):
+        pose = arm.forward(joints)
+        found = arm.solutions(pose)
+        assert _largest_difference(nearest(found, joints).joints_rad, joints) < 1e-6
+        firsts = {branch: angles for branch, angles in reversed(found)}
+        for branch, angles in firsts.items():
+            assert arm.branch_of(angles) == branch
+            assert arm.forward(angles).distance_mm(pose) < 1e-6
+            assert arm.forward(angles).angle_rad(pose) < 1e-8
+        for _, angles in found:
+            assert all(
+                low - 1e-8 <= angle <= high + 1e-8
+                for low, angle, high in zip(arm.lower_rad, angles, arm.upper_rad, strict=True)
+            )
+        seen.update(firsts)
+    assert seen == set(arm.branches)
+
+
+@each_arm
+def test_along_a_path_one_branch_is_solved_with_the_nearest_turns(arm: Kinematics) -> None:
+    for joints in _postures(arm, 300, 2):
+        found = arm.solve_branch(arm.forward(joints), arm.branch_of(joints), joints)
+        assert _largest_difference(found, joints) < 1e-6
+
+
+@each_arm
+def test_the_framed_pose_is_the_plain_one(arm: Kinematics) -> None:
+    pose = arm.flange_pose(arm.home_rad)
+    assert (pose.target, pose.source) == (Frame.ROBOT, Frame.FLANGE)
+    assert pose.translation_mm == pytest.approx(arm.forward(arm.home_rad).position_mm)
+
+
+@each_arm
+def test_the_jacobian_is_the_derivative_of_the_forward_kinematics(arm: Kinematics) -> None:
+    step = 1e-6
+    for joints in _postures(arm, 20, 3):
+        analytic = arm.jacobian(joints)
+        for axis in range(len(joints)):
+            ends = [tuple(q + side * step * (k == axis) for k, q in enumerate(joints)) for side in (-1, 1)]
+            before, after = (arm.flange_pose(one) for one in ends)  # type: ignore[arg-type]
+            moved = (after.translation_mm - before.translation_mm) / (2 * step)
+            turned = (after.rigid.rotation * before.rigid.rotation.inv()).as_rotvec() / (2 * step)
+            assert analytic[:3, axis] == pytest.approx(moved, abs=1e-3)
+            assert analytic[3:, axis] == pytest.approx(turned, abs=1e-6)
+
+
+@pytest.mark.hazard(22)
+@each_arm
+def test_singular_postures_measure_nothing_and_have_no_solution(arm: Kinematics) -> None:
+    for kind, joints in SINGULAR.get(arm.name, {}).items():
+        measure = arm.singular_measure(joints)
+        assert getattr(measure, kind) == pytest.approx(0.0, abs=1e-9)
+        assert measure.least < 1e-9
+        with pytest.raises(Singular):
+            arm.solve_branch(arm.forward(joints), arm.branch_of(joints), joints)
+    assert 0.2 < arm.singular_measure(arm.home_rad).least <= 1.0
+
+
+@each_arm
+def test_a_pose_out_of_reach_is_refused_in_every_branch(arm: Kinematics) -> None:
+    far = Pose((3000.0, 0.0, 500.0))
+    with pytest.raises(Unreachable):
+        arm.solutions(far)
+    for branch in arm.branches:
+        with pytest.raises(Unreachable):
+            arm.solve_branch(far, branch, arm.home_rad)
+
+
+def test_the_offset_wrist_has_the_published_figures_and_two_to_eight_branches() -> None:
+    arm = Ur5()
+    assert arm.forward((0.0,) * 6).position_mm == pytest.approx((-817.25, -191.45, -5.49), abs=1e-2)
+    counts = {
+        len({branch for branch, _ in arm.solutions(arm.forward(joints))}) for joints in _postures(arm, 200, 4)
+    }
+    assert counts == {2, 4, 6, 8}
+
+
+@each_arm
+def test_a_joint_move_and_a_line_please_the_monitor_and_end_where_they_should(arm: Kinematics) -> None:
+    start = arm.home_rad
+    limits = working_limits(arm)
+    away: JointVector = (start[0] + 0.3, start[1] - 0.1, *start[2:])
+    end = arm.forward(away)
+    x, y, z = end.position_mm
+    target = Pose((x, y + 40.0, z - 30.0), end.rotation)
+    assert _driven(arm, plan_joint_move(arm, start, away, limits)) == pytest.approx(away)
+    line = plan_line(arm, away, target, limits, TIP_MM)
+    assert arm.forward(_driven(arm, line)).distance_mm(target) < 1e-6
+    path, begin = line.path(arm), end.apply(TIP_MM)
+    for s in (0.25, 0.5, 0.75):
+        on_line = [a + s * (b - a) for a, b in zip(begin, target.apply(TIP_MM), strict=True)]
+        assert arm.forward(path.joints(s, away)).apply(TIP_MM) == pytest.approx(on_line, abs=1e-6)
+
+
+def _driven(arm: Kinematics, plan: MotionPlan) -> JointVector:
+    monitor = Monitor(monitor_limits(arm, working_limits(arm), CYCLE_S, plan.start_rad), plan.start_rad)
+    monitor.watch(LiveWatch(Bodies(arm, Surroundings(tool=TOOL)), CYCLE_S, plan.start_rad))
+    motion = PathMotion(plan.path(arm), plan.start_rad, plan.limits, CYCLE_S)
+    while not motion.finished:
+        go_rad, stop_rad = motion.prepare()
+        assert monitor.check(stop_rad) is None
+        assert monitor.check(go_rad) is None
+        motion.take_go()
+        monitor.sent(go_rad)
+    return monitor.last_rad
+
+
+@each_arm
+def test_ranges_name_the_axis_as_this_arm_calls_it(arm: Kinematics) -> None:
+    beyond: JointVector = (*arm.home_rad[:5], arm.upper_rad[5] + 0.1)
+    with pytest.raises(OutOfJointRange, match=f"ARM-003: {arm.axis_names[5]} would leave its range"):
+        plan_joint_move(arm, arm.home_rad, beyond, working_limits(arm))
+
+
+@each_arm
+def test_a_preview_sees_what_the_tool_and_the_links_meet(arm: Kinematics) -> None:
+    start, limits = arm.home_rad, working_limits(arm)
+    away: JointVector = (start[0] + 0.6, *start[1:])
+    plan = plan_joint_move(arm, start, away, limits)
+    free = preview(arm, plan, Surroundings(tool=TOOL), limits)
+    assert free.clear
+    assert free.duration_s > 0.3
+    halfway: JointVector = (start[0] + 0.3, *start[1:])
+    tip = arm.forward(halfway).apply(TIP_MM)
+    post = Obstacle("post", Capsule(tip, (tip[0], tip[1], 0.0), 10.0))
+    met = preview(arm, plan, Surroundings(tool=TOOL, obstacles=(post,)), limits)
+    assert met.refused is not None
+    assert (met.refused.first, met.refused.second) == ("needle", "post")
+    assert 0.3 < met.refused.parameter < 0.7
+
+
+@each_arm
+def test_the_chain_ends_at_the_flange(arm: Kinematics) -> None:
+    for joints in _postures(arm, 20, 5):
+        place, turn = np.array(arm.chain.base_mm), np.eye(3)
+        for joint, angle in zip(arm.chain.joints, joints, strict=True):
+            x, y, z = joint.axis
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            turn = turn @ (np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)
+            place = place + turn @ joint.to_next_mm
+        pose = arm.flange_pose(joints)
+        assert place == pytest.approx(pose.translation_mm, abs=1e-8)
+        flange = turn @ np.reshape(arm.chain.flange_rotation, (3, 3))
+        assert np.allclose(flange, pose.rotation_matrix, atol=1e-10)
+
+
+@each_arm
+def test_links_follow_one_another_from_the_base_outwards(arm: Kinematics) -> None:
+    joints = [link.joint for link in arm.links]
+    assert all(inner <= outer for inner, outer in pairwise(joints))
+    segments, flange = arm.link_segments(arm.home_rad)
+    assert len(segments) == len(arm.links)
+    assert segments[-1][1] == pytest.approx(flange.position_mm)
