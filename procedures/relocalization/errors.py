@@ -1,4 +1,4 @@
-"""What can go wrong between an image of a sphere and its position. All are data errors: also `ValueError`."""
+"""Errors between a sphere's image and its position, STE-001 to STE-013; data errors are `ValueError`s."""
 
 from __future__ import annotations
 
@@ -13,59 +13,59 @@ class BadImage(DataError):
 
 
 class NoContrast(DataError):
-    """The image is dark or even: nothing stands out of it."""
+    """The image is dark or uniform: nothing stands out."""
 
     code = "STE-002"
-    action = "Bring a lit sphere into view; else check lens caps and lights, then lengthen the exposure."
+    action = "Bring a lit sphere into view; check lens caps and lights, then lengthen the exposure."
 
 
 class NoSphere(DataError):
-    """There is structure in the image, but no bright disc with enough of its rim in view."""
+    """The image has structure, but no bright disc with enough of its rim in view."""
 
     code = "STE-003"
-    action = "Search around this pose; if that fails too, check that the sphere is there, clean and lit."
+    action = "Search around this pose; if that fails, check that the sphere is present, clean and lit."
 
 
 class BadMeasurement(DataError):
-    """Numbers handed to a computation are not finite, or not of the right shape."""
+    """Input numbers are not finite or have the wrong shape."""
 
     code = "STE-004"
-    action = "Measure again; do not repair the numbers."
+    action = "Measure again; do not edit the numbers."
 
 
 class RaysDoNotMeet(DataError):
-    """The two lines of sight pass each other too far apart to belong to one sphere."""
+    """The two lines of sight are too far apart to belong to the same sphere."""
 
     code = "STE-005"
     action = "Check that both cameras see the same sphere, then check the stereo calibration."
 
 
 class WrongSize(DataError):
-    """What both cameras see is at a distance that makes it too large or too small for the sphere."""
+    """At its distance, what both cameras see is too large or too small for the sphere."""
 
     code = "STE-006"
-    action = "Check what is in view: a glare, another sphere, or a marker of another diameter."
+    action = "Check what is in view: glare, another sphere, or a marker of another diameter."
 
 
 class ServoDiverges(DataError):
-    """The residual does not shrink from step to step."""
+    """The servo's residual does not decrease from step to step."""
 
     code = "STE-007"
-    action = "Stop here: check the stereo calibration and that the head stands still, then start again."
+    action = "Check the stereo calibration and that the patient's head is still, then start again."
 
 
 class ServoExhausted(DataError):
-    """The residual is still above the end condition after the last allowed step."""
+    """The servo's residual is still above its tolerance after the last allowed step."""
 
     code = "STE-008"
-    action = "Mark this sphere as failed, or check lens, light and arm and start again."
+    action = "Mark this sphere as failed, or check lens, light and arm, then start again."
 
 
 class SphereNotInView(DataError):
-    """The whole search pattern was looked at without finding the sphere."""
+    """The whole search pattern was covered without finding the sphere."""
 
     code = "STE-009"
-    action = "Check the global localization of this sphere; skip it when enough others remain."
+    action = "Check the global localization of this sphere; skip it if enough others remain."
 
 
 class WrongCamera(DataError):
@@ -77,21 +77,21 @@ class WrongCamera(DataError):
 
 
 class Saturated(DataError):
-    """The image is as bright as it can be all over: nothing can be seen in it, wherever the head looks."""
+    """The whole image is saturated, so a search elsewhere would not help."""
 
     code = "STE-011"
-    action = "Shorten the exposure or lower the gain; look for a lamp or window that shines into the lens."
+    action = "Shorten the exposure or lower the gain; look for a lamp or window shining into the lens."
 
 
 class PairNotUsable(DataError):
-    """Again and again the two images are not whole, not of one moment, or one of them does not come."""
+    """Repeatedly, images are incomplete or missing, or left and right come from different triggers."""
 
     code = "STE-012"
-    action = "Look at both cameras with ronna-procedure doctor; check cables, trigger and network load."
+    action = "Check both cameras with ronna-procedure doctor; check cables, trigger and network load."
 
 
 class NotTrusted(DataError):
-    """A sphere is in view, but too little of it, or too poorly, for a centre that can be trusted."""
+    """A sphere is in view, but too little of it, or too poorly, for a reliable centre."""
 
     code = "STE-013"
-    action = "Remove what hides it, clean sphere and lens, check focus and light; or look from elsewhere."
+    action = "Remove what hides it, clean sphere and lens, check focus and light, or view it from elsewhere."

@@ -1,4 +1,4 @@
-"""The only place that calls OpenCV here: its shapes, borders and dtypes end in this module."""
+"""Reduced images and edge points; the only module here that calls OpenCV."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
 
 @contextmanager
 def _in_this_thread() -> Iterator[None]:
-    """OpenCV's other threads wait actively: on images this small they cost more than they do."""
+    """OpenCV's worker threads busy-wait: on images this small they cost more than they gain."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

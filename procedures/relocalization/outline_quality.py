@@ -1,7 +1,7 @@
-"""Is a fitted outline a sphere's, how good is its centre, and may it be trusted?
+"""Whether a fitted outline is a sphere's, how good its centre is, and whether it is reliable.
 
-Where a stain dims the film up to the rim, the outline is still seen: such rays do not carry the ellipse, but
-those that fall off on it count as rim in view.
+Where a stain dims the film up to the rim, the outline is still visible: such rays do not support the ellipse,
+but those whose edge lies on it count as visible rim.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ DIM_OFF_RIM_PX = 0.7  # the stain's inner edge pulls the steepest place by about
 LEAST_RIM = 0.25  # below this it is not a sphere at all
 RELIABLE_RIM = 0.625  # of the rim in view; 38 % lost must never pass
 CARRYING_RIM = 0.5  # of the rim must carry the ellipse, without what a stain dims
-RELIABLE_AXIS_RATIO = 0.99  # a sphere in the corner of the sensor has 0.996: then two things are one outline
+RELIABLE_AXIS_RATIO = (
+    0.99  # a sphere in the corner of the sensor has 0.996; below, two things share an outline
+)
 SPHERE_AXIS_RATIO = 0.75
 RELIABLE_SCATTER_PX = 0.6
 RELIABLE_CONTRAST_TO_NOISE = 6.0

@@ -1,4 +1,4 @@
-"""Where to look when the sphere is not in view: rings around the first pose, from near to far."""
+"""Search pattern when the sphere is not in view: rings around the first pose, from near to far."""
 
 from __future__ import annotations
 

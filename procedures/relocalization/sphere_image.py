@@ -1,4 +1,4 @@
-"""What is known of a sphere in one image, and whether its centre may be used."""
+"""Measurement of a sphere in one image, and whether its centre may be used."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class SphereStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SphereImage:
-    """A sphere in an image. (0, 0) is the centre of the top-left pixel; perspective bias is still in it.
+    """A sphere in an image. (0, 0) is the centre of the top-left pixel; perspective bias not removed.
 
     `axes_px` are semi-axes, major first. `quality` 0..1 falls with lost rim, scatter and noise.
     `covariance_px2` is that of the centre, x and y. `rim_fraction` is the share of the rim that was seen.
-    `doubt` says why it is UNRELIABLE.
+    `doubt` is the reason for UNRELIABLE.
     """
 
     centre_px: tuple[float, float]

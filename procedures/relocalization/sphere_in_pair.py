@@ -1,7 +1,7 @@
-"""One sphere in both images of a pair: what a single image takes for a sphere, the other must agree to.
+"""Locates one sphere in both images of a pair: what looks like the sphere in one must agree with the other.
 
-A glare or a second sphere can look like the sphere in one image. The lines of sight to two different things
-do not meet, or meet at a distance at which the size is wrong; then the other round shapes are tried.
+Glare or a second sphere can look like the sphere in one image. The lines of sight to two different things do
+not meet, or meet at a distance that makes the size wrong; then the other round shapes are tried.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class AreaImage:
 
 @dataclass(frozen=True)
 class Sighting:
-    """The outlines in both images, pixels of the full sensors; the point when both can be trusted."""
+    """The outlines in both images, pixels of the full sensors; the point when both are reliable."""
 
     left: SphereImage
     right: SphereImage
@@ -44,7 +44,7 @@ class Sighting:
 
     @property
     def doubt(self) -> str:
-        """What in which image keeps it from having a point; empty when it has one."""
+        """Why there is no point, per camera; empty when there is one."""
         sides = zip(SIDES, (self.left, self.right), strict=True)
         return "; ".join(f"{side} camera: {one.doubt}" for side, one in sides if one.doubt)
 
@@ -56,10 +56,10 @@ def locate_sphere(
     *,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
 ) -> Sighting:
-    """The sphere that both cameras see, without a point when one of them sees too little of it.
+    """The sphere that both cameras see; without a point when one of them sees too little of it.
 
     Raises what `measure_sphere` raises, with the name of the camera, and STE-005 or STE-006 when no two
-    round shapes belong together.
+    round shapes match.
     """
     images = (left, right)
     ranges = tuple(
@@ -104,7 +104,7 @@ def _outlines(
 
 
 def _named(problems: dict[str, DataError]) -> DataError:
-    """One error for one or both cameras; too much light is the more urgent one."""
+    """One error for one or both cameras; saturation takes precedence."""
     worst = min(problems.values(), key=lambda one: not isinstance(one, Saturated))
     words = {one.what for one in problems.values()}
     if len(problems) == len(SIDES) and len(words) == 1:
@@ -119,7 +119,7 @@ def _agreeing(
     calibration: StereoHeadCalibration,
     sphere_diameter_mm: float,
 ) -> Sighting | None:
-    """The pair of reliable outlines whose lines of sight pass nearest to each other; None without any."""
+    """The pair of reliable outlines with the smallest gap between lines of sight; None without any."""
     found: list[list[SphereImage]] = []
     for image, limits in zip(images, ranges, strict=True):
         shapes = measure_spheres(image.pixels, radius_range_px=limits)

@@ -1,4 +1,4 @@
-"""Where a retro-reflective sphere stands in one image: centre, semi-axes, quality.
+"""Measures a retro-reflective sphere in one image: centre, semi-axes, quality.
 
 Reduce the image, guess circles from edges, then refine and judge them on the full image, the best first.
 """
@@ -52,7 +52,9 @@ def measure_sphere(
             best = sphere
     if best is None:
         raise NoSphere(
-            "no sphere in view", expected="a bright disc", got=f"{round_shapes} round shape(s), none a sphere"
+            "no sphere in view",
+            expected="a bright disc",
+            got=f"{round_shapes} round shape(s), none of them a sphere",
         )
     return best
 
@@ -62,9 +64,9 @@ def measure_spheres(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> tuple[SphereImage, ...]:
-    """Every distinct disc in the image that may be a sphere, the one with the longest visible rim first.
+    """Every distinct disc in the image that may be a sphere, longest visible rim first.
 
-    Takes and raises what `measure_sphere` does, except that nothing found is no error.
+    As `measure_sphere`, except that finding none is not an error.
     """
     return tuple(sphere for sphere in _spheres(image, radius_range_px) if sphere is not None)
 
@@ -72,7 +74,7 @@ def measure_spheres(
 def _spheres(
     image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
 ) -> Iterator[SphereImage | None]:
-    """Each round shape, measured only when it is asked for; None where it is no disc."""
+    """Each round shape, measured lazily; None where it is not a disc."""
     grey = _checked(image)
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
     factor, reduced = 2**halvings, halved(grey, halvings)
@@ -94,7 +96,7 @@ def _refuse_even(dark: float, bright: float, full_range: float) -> NoReturn:
     limit, last = f"{CONTRAST_FLOOR * full_range:.0f} grey values apart", f"{dark:.0f} to {bright:.0f}"
     if dark >= SATURATED_LEVEL * full_range:
         raise Saturated("the image is saturated", limit=limit, got=last)
-    evenness = "dark all over" if bright <= DARK_LEVEL * full_range else "even: it has no contrast"
+    evenness = "dark all over" if bright <= DARK_LEVEL * full_range else "uniform: it has no contrast"
     raise NoContrast(f"the image is {evenness}", limit=limit, got=last)
 
 
@@ -107,12 +109,14 @@ def _checked(image: object) -> GreyImage:
         raise BadImage("the image is not an array", got=type(image).__name__)
     native = image.dtype.newbyteorder("=")
     if image.ndim != 2 or native not in (np.dtype(np.uint8), np.dtype(np.uint16)):
-        raise BadImage("the image is not a grey image", got=f"{image.ndim}-D {image.dtype}")
+        raise BadImage("the image is not a greyscale image", got=f"{image.ndim}-D {image.dtype}")
     if min(image.shape) < SMALLEST_SIDE_PX:
         raise BadImage("the image is too small", limit=f"{SMALLEST_SIDE_PX} px", got=str(image.shape))
     if native == np.uint16 and int(image.max()) > TWELVE_BIT_LIMIT:
-        raise BadImage("values of more than 12 bits", limit=str(TWELVE_BIT_LIMIT), got=str(image.max()))
-    return image.astype(native, copy=False)  # OpenCV takes the byte order of this machine only
+        raise BadImage(
+            "the image has values of more than 12 bits", limit=str(TWELVE_BIT_LIMIT), got=str(image.max())
+        )
+    return image.astype(native, copy=False)  # OpenCV accepts only the byte order of this machine
 
 
 def _enlarged(guess: Circle, factor: int) -> Circle:

@@ -17,9 +17,9 @@ from ronna_hw.frames import Frame
 Array = NDArray[np.float64]
 
 SPHERE_DIAMETER_MM = 11.5  # the thesis' retro-reflective spheres
-RAY_GAP_LIMIT_MM = 0.3  # a mount twisted by 0.07 degrees, or two things that are not one sphere
-SIZE_TOLERANCE = 0.04  # of the radius: film and lens cost less, another thing in one image costs more
-LIKENESS_TOLERANCE = 0.015  # between the radii that both images say: it is one sphere
+RAY_GAP_LIMIT_MM = 0.3  # a mount twisted by 0.07 degrees, or two different things
+SIZE_TOLERANCE = 0.04  # of the radius: more than film and lens cause, less than a wrong match does
+LIKENESS_TOLERANCE = 0.015  # between the radii from both images, for the same sphere
 ITERATIONS = 5
 STEP_END_MM = 1e-9
 
@@ -28,8 +28,8 @@ STEP_END_MM = 1e-9
 class StereoPoint:
     """Centre of a sphere in the tool frame, mm, with covariance (3, 3) and two checks on itself.
 
-    `ray_gap_mm` is the distance at which the two lines of sight pass each other; `radius_mm` what the
-    outlines say at that distance. `reliable` is False when either outline was UNRELIABLE.
+    `ray_gap_mm` is the gap between the two lines of sight; `radius_mm` follows from the outlines at that
+    distance. `reliable` is False when either outline was UNRELIABLE.
     """
 
     position_mm: Array
@@ -55,8 +55,8 @@ def triangulate(
     """Centre of the sphere in the tool frame; both outlines in pixels of the full sensors.
 
     Removes distortion and the perspective bias, then finds the point with the least weighted distance to
-    both pixels. Raises STE-005 when the lines of sight pass each other by more than the limit, STE-006
-    when the outlines do not fit a sphere of this diameter, STE-004 for numbers that are none.
+    both pixels. Raises STE-005 when the gap between the lines of sight exceeds the limit, STE-006
+    when the outlines do not fit a sphere of this diameter, STE-004 for numbers that are not finite.
     """
     cameras = (
         Camera(calibration.left, Frame.CAMERA_LEFT),
@@ -87,8 +87,8 @@ def triangulate(
             )
     if abs(radii[0] - radii[1]) > LIKENESS_TOLERANCE * expected:
         raise WrongSize(
-            "the two images do not show one sphere",
-            expected="radii that agree",
+            "the two images do not show the same sphere",
+            expected="equal radii",
             limit=f"{LIKENESS_TOLERANCE:.1%}",
             got=f"{radii[0]:.2f} and {radii[1]:.2f} mm",
         )
@@ -99,18 +99,18 @@ def triangulate(
 def check_serial(calibration: CameraCalibration, serial: str) -> None:
     """Raise STE-010 unless the calibration is that of the camera with this serial number."""
     if calibration.serial != serial:
-        raise WrongCamera("calibration of another camera", expected=calibration.serial, got=serial)
+        raise WrongCamera("calibration belongs to another camera", expected=calibration.serial, got=serial)
 
 
 def _check(outlines: tuple[SphereImage, SphereImage]) -> None:
     for outline in outlines:
         numbers = np.array([*outline.centre_px, *outline.axes_px, *np.ravel(outline.covariance_px2)])
         if not np.all(np.isfinite(numbers)) or min(outline.axes_px) <= 0:
-            raise BadMeasurement("an outline has numbers that are none", got=str(numbers))
+            raise BadMeasurement("an outline has invalid numbers", got=str(numbers))
 
 
 def _nearest_point(cameras: tuple[Camera, Camera], centres: list[Array]) -> tuple[Array, float]:
-    """Middle of the shortest connection of both lines of sight, and its length."""
+    """Midpoint of the shortest segment between the lines of sight, and its length."""
     (first, second), (a, b) = cameras, [c.direction(p) for c, p in zip(cameras, centres, strict=True)]
     between = second.centre_mm - first.centre_mm
     across = np.cross(a, b)

@@ -172,7 +172,7 @@ def test_a_sphere_of_another_diameter_is_refused(head, radius_mm):
 def test_outlines_whose_sizes_do_not_agree_are_not_one_sphere(head):
     left, right = exact_pair(head, np.zeros(3))
     larger = replace(right, axes_px=tuple(1.02 * axis for axis in right.axes_px))
-    with pytest.raises(WrongSize, match="STE-006: the two images do not show one sphere"):
+    with pytest.raises(WrongSize, match="STE-006: the two images do not show the same sphere"):
         triangulate(left, larger, head.calibration)
 
 
