@@ -1,4 +1,4 @@
-"""Where in a whole volume could a sphere be? A matched filter on a coarse grid.
+"""Detects possible spheres in a whole volume: a matched filter on a coarse grid.
 
 The volume is resampled to about a millimetre, clipped so that bone and metal do not outshine a polymer
 sphere, and correlated with a kernel that compares the mean inside a ball with the mean of a shell around

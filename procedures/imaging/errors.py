@@ -1,4 +1,4 @@
-"""What can be wrong with a CT series or with what was asked of it."""
+"""Errors of CT series and sphere localization, CT-001 to CT-022."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class FramesMixed(DataError):
 
 
 class GantryTilted(DataError):
-    """The slices are sheared against each other."""
+    """The slices are sheared relative to each other."""
 
     code = "CT-007"
     action = "Scan without gantry tilt, or export a reconstruction without it."
@@ -70,10 +70,10 @@ class OrientationUnusable(DataError):
 
 
 class SliceDuplicated(DataError):
-    """Two slices lie at the same place."""
+    """Two slices have the same position."""
 
     code = "CT-009"
-    action = "Remove the copies; if the two differ, export the series again."
+    action = "Remove the duplicates; if they differ, export the series again."
 
 
 class SpacingUneven(DataError):
@@ -91,14 +91,14 @@ class SlicesDiffer(DataError):
 
 
 class AttributeMissing(DataError):
-    """A DICOM attribute that the geometry or the intensities need is missing or unusable."""
+    """A DICOM attribute needed for geometry or intensities is missing or unusable."""
 
     code = "CT-012"
     action = "Export the series again with complete headers."
 
 
 class CompressionUnknown(DataError):
-    """The pixel data are compressed and nothing installed here can decompress them."""
+    """The pixel data are compressed and no installed decoder can decompress them."""
 
     code = "CT-013"
     action = "Export without compression, or install the decoders: pip install 'ronna-hw[compressed]'."
@@ -119,7 +119,7 @@ class SeriesTooShort(DataError):
 
 
 class MarkerCountWrong(DataError):
-    """Not as many markers as expected; `candidates` holds everything that was looked at."""
+    """The number of markers is not the expected one; `candidates` holds everything that was examined."""
 
     code = "CT-016"
     action = "Compare the candidates with the images; scan again, correct the expected count, or --pick."
@@ -136,7 +136,7 @@ class MarkerCountWrong(DataError):
 
 
 class LocalizationMisused(DataError):
-    """The localizer was asked for something impossible."""
+    """The localizer was given an impossible diameter or count."""
 
     code = "CT-017"
     action = "Give a marker diameter that the voxels can resolve, and a count that is not negative."
@@ -146,33 +146,33 @@ class PicksUnreadable(DataError):
     """The file of picks is missing or is not a list of points."""
 
     code = "CT-018"
-    action = "Give CSV rows or a JSON list of L, P, S in mm, a file of --write, or a point list of 3D Slicer."
+    action = "Give CSV rows or a JSON list of L, P, S in mm, a file from --write, or a 3D Slicer point list."
 
 
 class PickRefused(DataError):
     """There is no sphere at a pick."""
 
     code = "CT-019"
-    action = "Look at the images there; pick the middle of the sphere, or leave this sphere out."
+    action = "Check the images there; pick the middle of the sphere, or omit this sphere."
     exit_code = EXIT_REFUSED
 
 
 class RescaleUnusable(DataError):
-    """The stored values cannot be made into Hounsfield units."""
+    """The stored values cannot be converted to Hounsfield units."""
 
     code = "CT-020"
-    action = "Export the series again in Hounsfield units, with the intensities of the scanner."
+    action = "Export the series again in Hounsfield units, with the scanner's intensities."
 
 
 class ScoutView(DataError):
-    """A file is a scout view (localizer radiograph), which is no slice."""
+    """A file is a scout view (localizer radiograph), not a slice."""
 
     code = "CT-021"
-    action = "Export the slices alone, without the scout view."
+    action = "Export the slices only, without the scout view."
 
 
 class VolumeMalformed(DataError):
-    """A volume that was not read from a series, and whose voxels or geometry are not those of a CT."""
+    """A volume not read from a series has voxels or geometry that are not those of a CT."""
 
     code = "CT-022"
-    action = "Give int16 voxels (slices, rows, columns) in HU and the geometry that belongs to them."
+    action = "Give int16 voxels (slices, rows, columns) in HU and their geometry."

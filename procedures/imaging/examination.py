@@ -1,4 +1,4 @@
-"""Is this candidate a marker? Its surface is looked for, its size compared, both estimators are run."""
+"""Decides whether a candidate is a marker: finds its surface, compares its size, runs both estimators."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Find every marker sphere of a volume and say where its centre is, and how surely.
+"""Finds every marker sphere in a volume, with its centre and covariance.
 
 Detection looks over the whole volume; each candidate must then show the surface of a sphere of the right
 size. Two estimators that fail differently measure the centre. They are combined, and a marker on which
@@ -90,7 +90,7 @@ def check_request(geometry: VoxelGeometry, diameter_mm: float, expected: int | N
     if diameter_mm > float((geometry.spacing_mm * geometry.shape).min()):
         raise LocalizationMisused(f"spheres of {diameter_mm:g} mm do not fit into this series")
     if expected is not None and expected < 0:
-        raise LocalizationMisused(f"{expected} markers cannot be expected")
+        raise LocalizationMisused(f"{expected} is not a possible number of markers")
 
 
 def _flagged(marker: Marker, overlaps: Sequence[tuple[float, ...]], diameter_mm: float) -> Marker:
@@ -115,4 +115,4 @@ def head_to_foot(marker: Marker) -> tuple[float, ...]:
 
 
 def _silent(share: float) -> None:
-    """Progress nobody watches."""
+    """Ignores progress."""

@@ -1,4 +1,4 @@
-"""What the localizer hands on: markers, and the candidates it looked at."""
+"""Results of the localizer: markers, and the candidates it examined."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Manual fallback: a person says roughly where the spheres are, the estimators say where exactly.
+"""Manual fallback: a person picks the spheres roughly, the estimators measure them.
 
 A pick replaces the detection, and a marker on it may show less of its surface than one that was detected.
 It never replaces the measurement: where no sphere shows, the pick is refused with the reason.

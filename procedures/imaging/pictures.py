@@ -1,4 +1,4 @@
-"""What a marker looks like: three planes through its centre with the fitted sphere drawn on them."""
+"""Pictures of a marker: three planes through its centre with the fitted sphere drawn in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A DICOM CT series from a folder, all of its geometry checked."""
+"""Reads a DICOM CT series from a folder and checks all of its geometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Registration of clouds whose points have no partners: principal axes for a start, then closest points.
+"""Registers point clouds without correspondence: principal axes to start, then iterative closest points.
 
 For surfaces and dense scans; fiducials are paired by `match`, which says how sure it is. Nearest neighbours
 come from SciPy's k-d tree, every step is the rigid fit of the fiducials. Closest points: Besl and McKay 1992,

@@ -1,4 +1,4 @@
-"""Which pairings of two point sets can be true together: the consistency graph and its cliques.
+"""Which pairs of two point sets are compatible: the consistency graph and its cliques.
 
 A node is one possible pair (image i, physical j). Two nodes are joined when the distance between the two
 image points equals the distance between the two physical points, within what the noise allows. Pairs that

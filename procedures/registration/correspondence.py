@@ -1,4 +1,4 @@
-"""What a correspondence is, how sure it is, and the coarse orientation that may be known beforehand."""
+"""A correspondence with its certainty, and the coarse orientation that may be known in advance."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Prior:
             raise BadParameter("a prior needs one SciPy Rotation physical <- image")
         if not (isinstance(self.tolerance_rad, int | float) and 0.0 < self.tolerance_rad <= math.pi):
             raise BadParameter(
-                "the prior's tolerance is impossible", limit="0 to pi rad", got=f"{self.tolerance_rad}"
+                "the prior's tolerance is out of range", limit="0 to pi rad", got=f"{self.tolerance_rad}"
             )
 
     def allows(self, rotation: Array) -> bool:
@@ -66,7 +66,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Match:
-    """The answer of `match`.
+    """The result of `match`.
 
     UNIQUE: `pairs` (k, 2) image and physical indices, ordered by image index, and `transform`
     physical <- image; `runner_up` is the best contradicting hypothesis, if any was near. AMBIGUOUS: the

@@ -1,4 +1,4 @@
-"""The search behind `match`: cliques, fits, leave-one-out subsets, and the verdict on the best of them."""
+"""The search behind `match`: cliques, fits, leave-one-out subsets, and the verdict on the best."""
 
 from __future__ import annotations
 

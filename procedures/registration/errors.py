@@ -1,4 +1,4 @@
-"""What can go wrong when points are paired and registered.
+"""Errors of pairing and registering points, REG-001 to REG-011.
 
 BadPoints            REG-001  an array is not (n, 3) finite millimetres, or the counts differ
 TooFewPoints         REG-002  a rigid fit needs three points
@@ -19,7 +19,7 @@ from ronna_hw.errors import DataError, RefusedError
 
 
 class BadPoints(DataError):
-    """A point array is not (n, 3) finite millimetres, or two arrays that belong together differ in length."""
+    """A point array is not (n, 3) finite millimetres, or paired arrays differ in length."""
 
     code = "REG-001"
     action = "Give finite points in mm as an (n, 3) array, one row per pair in both sets."
@@ -40,10 +40,10 @@ class CollinearPoints(DataError):
 
 
 class DuplicatePoints(DataError):
-    """Two points of one set are nearer than two spheres can be: one sphere was taken twice."""
+    """Two points of one set are closer than two spheres can be: one sphere was measured twice."""
 
     code = "REG-004"
-    action = "Remove the repeated point; it would silently count double."
+    action = "Remove the duplicate point; it would silently count twice."
 
 
 class BadCovariance(DataError):
@@ -54,10 +54,12 @@ class BadCovariance(DataError):
 
 
 class NotConverged(DataError):
-    """A weighted fit or a fit of clouds did not settle: points, covariances or start contradict."""
+    """A weighted fit or a cloud registration did not converge: points, covariances or start contradict."""
 
     code = "REG-006"
-    action = "Check pairing and covariances, for clouds the start; without covariances the residuals show."
+    action = (
+        "Check pairing and covariances, for clouds the start; fit without covariances to see the residuals."
+    )
 
 
 class BadParameter(DataError):
@@ -68,28 +70,28 @@ class BadParameter(DataError):
 
 
 class NoUniqueMatch(RefusedError):
-    """A correspondence that is not unique was about to be used."""
+    """An attempt to use a correspondence that is not unique."""
 
     code = "REG-008"
     action = "Add fiducials, give the patient's orientation as a prior, or pair by hand and confirm."
 
 
 class UnsoundRegistration(RefusedError):
-    """A registration that is mirrored or ill-posed was about to be used."""
+    """An attempt to use a mirrored or ill-posed registration."""
 
     code = "REG-009"
-    action = "Check left and right in the series and the pairing; measure a fiducial outside the plane."
+    action = "Check left and right in the series and in the pairing; measure a fiducial outside the plane."
 
 
 class ResidualTooLarge(RefusedError):
     """The residuals are larger than the known localization errors explain."""
 
     code = "REG-010"
-    action = "Look for a fiducial that moved (leave-one-out residuals), or localize again."
+    action = "Find the fiducial that moved (leave-one-out residuals), or localize again."
 
 
 class SymmetricCloud(DataError):
-    """A cloud without partners fits in several orientations."""
+    """A cloud without correspondence fits in several orientations."""
 
     code = "REG-011"
     action = "Give an approximate transform as the start, or register paired fiducials."

@@ -1,4 +1,4 @@
-"""Correspondence of two unordered point sets with outliers in both: which point is which, or an honest no.
+"""Correspondence of two unordered point sets with outliers in both, or the reason why there is none.
 
 The largest sets of pairs with matching distances are fitted and scored; the best must be 10,000 times more
 likely than any contradicting one, or the answer is AMBIGUOUS.
@@ -72,7 +72,7 @@ def _variance_mm2(name: str, sigma_mm: Any) -> float:
     real = given.dtype.kind in REAL_KINDS and given.shape in ((), (3,))
     if not (real and np.all(np.isfinite(given)) and np.all(given >= 0)):
         raise BadParameter(
-            f"sigma_{name}_mm is no standard deviation",
+            f"sigma_{name}_mm is not a standard deviation",
             expected="one number or three (x, y, z), finite, not negative",
             got=" ".join(str(sigma_mm).split()),
         )

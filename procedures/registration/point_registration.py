@@ -1,4 +1,4 @@
-"""Register paired points: the transform, what is left over, and what that means at a target."""
+"""Registers paired points: transform, residuals, and the predicted error at a target."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ILL_POSED_MARGIN = (
 
 
 class Caveat(StrEnum):
-    """What a registration says against itself; none of these can be seen in its FRE."""
+    """What speaks against a registration and does not show in its FRE."""
 
     NEARLY_COLLINEAR = "nearly collinear"
     MIRRORED = "a mirror image fits better than any rotation"
@@ -64,7 +64,7 @@ class TargetError:
 
 @dataclass(frozen=True)
 class Registration:
-    """A rigid registration physical <- image with its residuals and its predicted error.
+    """A rigid registration physical <- image with residuals and predicted error.
 
     `residuals_mm` (n, 3) is measured minus mapped, in the physical frame. `leave_one_out_mm` holds, per
     pair, the distance between its measured place and the place the other pairs predict; None where the

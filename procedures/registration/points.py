@@ -1,4 +1,4 @@
-"""Checks of point sets and covariances before any arithmetic touches them."""
+"""Validation of point sets and covariances before any arithmetic."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from procedures.registration.errors import BadCovariance, BadPoints, DuplicatePo
 Array = NDArray[np.float64]
 
 COORDINATE_LIMIT_MM = 1e6  # one kilometre: no theatre is larger, and squares stay far from overflow
-NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be nearer; a repeated detection is
+NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be closer; a repeated detection is
 FEWEST_PAIRS = 3  # a rigid transform has six unknowns, two points leave one of them free
 SYMMETRY_TOLERANCE = 1e-9  # relative; covariances come from products and are symmetric to rounding
 
@@ -30,7 +30,7 @@ def checked_points(points_mm: ArrayLike, name: str) -> Array:
     farthest_mm = float(np.abs(values).max(initial=0.0))
     if farthest_mm > COORDINATE_LIMIT_MM:
         raise BadPoints(
-            f"the {name} points are out of any theatre",
+            f"the {name} points are farther away than any theatre is large",
             limit=f"{COORDINATE_LIMIT_MM:g} mm",
             got=f"{farthest_mm:g} mm",
         )

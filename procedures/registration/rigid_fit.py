@@ -1,4 +1,4 @@
-"""The rigid transform that best maps one point set on another, by singular value decomposition.
+"""Least-squares rigid transform between two point sets, by singular value decomposition.
 
 Works on stacks of sets at once, because a correspondence search fits hundreds of candidates.
 Arun, Huang, Blostein 1987 with the determinant guard of Umeyama 1991: never a reflection.

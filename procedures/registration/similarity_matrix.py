@@ -1,4 +1,4 @@
-"""The thesis' correspondence by a similarity matrix: a baseline to measure against, not for clinical use.
+"""The thesis' correspondence by a similarity matrix: a baseline for comparison, not for clinical use.
 
 A cell (i, j) counts how many distances from image point i equal one from physical point j within e. Points
 whose best cell is lowest are dropped one by one until every point left agrees with all the others, or too

@@ -1,4 +1,4 @@
-"""Correspondence through a template: a rigid frame of spheres whose distances are known beforehand.
+"""Correspondence through a template: a rigid frame of spheres with known distances.
 
 Each side is paired with the template on its own, so that the distances of the template, not those of noisy
 points, decide; what belongs to no template point is left out on both sides.

@@ -1,4 +1,4 @@
-"""Rigid fit that weighs every pair by its own error ellipsoid.
+"""Rigid fit that weights every pair by its own error ellipsoid.
 
 No closed form exists for unequal, direction-dependent errors, so the SVD solution is the start of a
 Gauss-Newton iteration on the rotation vector and the translation (Balachandran and Fitzpatrick 2009,

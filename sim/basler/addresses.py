@@ -1,4 +1,4 @@
-"""Where the cameras listen: UDP port 3956 is fixed by the standard, so each needs an address of its own."""
+"""Addresses of the cameras: UDP port 3956 is fixed by the standard, so each camera needs its own address."""
 
 from __future__ import annotations
 

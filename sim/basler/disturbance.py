@@ -1,4 +1,4 @@
-"""What the faults that act now do to the sight of one camera."""
+"""Optical disturbances of one camera from the active faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the fault script does to one camera now, in the words of the parts that it concerns."""
+"""The fault script's current effects on one camera, for each affected part."""
 
 from __future__ import annotations
 

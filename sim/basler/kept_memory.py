@@ -1,4 +1,4 @@
-"""Keeps freed memory in the process, so that the next image finds it there.
+"""Keeps freed memory in the process, so that the next image reuses it.
 
 An image needs some arrays of a few megabytes. The C library gives such memory back to the kernel when it
 is freed, and the kernel clears it page by page when it is asked for again. What can be drawn some rows at a

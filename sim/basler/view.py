@@ -1,4 +1,4 @@
-"""Which spheres a camera has before it, and where: the one place that knows the theatre's geometry."""
+"""Spheres in front of a camera and their positions; the only module that knows the theatre's geometry."""
 
 from __future__ import annotations
 

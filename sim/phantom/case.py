@@ -1,4 +1,4 @@
-"""A whole phantom case: CT series, plan, and the truth for whoever checks."""
+"""Writes a whole phantom case: CT series, plan, and the truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One scan: what lies in the field, where the voxels are, and what the truth says besides the scene."""
+"""One scan: contents of the field, voxel grid, and the truth beyond the scene."""
 
 from __future__ import annotations
 

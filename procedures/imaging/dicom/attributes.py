@@ -1,4 +1,4 @@
-"""Attributes of DICOM files, each checked where it is read; what is wrong names the file."""
+"""Attributes of DICOM files, checked where they are read; errors name the file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whose series is it? Read only for who asks: volumes, markers, logs and reports hold no identity."""
+"""Patient identity of a series, read only on request: volumes, markers, logs and reports hold none."""
 
 from __future__ import annotations
 

@@ -239,14 +239,14 @@ def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
 
 
 def _oddities(path: Path, header: FileDataset) -> tuple[str, ...]:
-    told = []
+    warnings = []
     if _image_type(path, header)[:1] == (_DERIVED,):
-        told.append("derived images: another program resampled or filtered what the scanner made")
+        warnings.append("derived images: resampled or filtered by another program after the scanner")
     if text(path, header, "LossyImageCompression") == _LOSSY:
-        told.append("images that were compressed with loss: edges are not where the scanner saw them")
+        warnings.append("lossy compression: edges may have moved")
     if text(path, header, "RescaleType").upper() in _UNSPECIFIED:
-        told.append("intensities of an unspecified unit: they are taken for Hounsfield units")
-    return tuple(told)
+        warnings.append("the unit of the intensities is unspecified: assuming Hounsfield units")
+    return tuple(warnings)
 
 
 def _image_type(path: Path, header: FileDataset) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Do the slices make a straight, even stack? Order and geometry of a series, from positions alone.
+"""Order and geometry of a series from slice positions alone; refuses anything but a straight, even stack.
 
 Slice thickness and instance numbers are never used for the geometry: positions and orientations are
 (DICOM PS3.3 C.7.6.2.1.1).
@@ -124,7 +124,7 @@ def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
     closest = int(np.argmin(steps_mm))
     if steps_mm[closest] < SAME_PLACE_MM:
         raise SliceDuplicated(
-            f"{slices[closest].path.name} and {slices[closest + 1].path.name} lie at the same place",
+            f"{slices[closest].path.name} and {slices[closest + 1].path.name} have the same position",
             got=f"{steps_mm[closest]:.4f} mm apart",
         )
     usual_mm = float(np.median(steps_mm))
@@ -143,7 +143,7 @@ def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
     worst = int(np.argmax(deviation_mm))
     if deviation_mm[worst] > POSITION_TOLERANCE_MM:
         raise SpacingUneven(
-            f"{slices[worst].path.name} is off the even spacing of {spacing_mm:.3f} mm",
+            f"{slices[worst].path.name} deviates from the even spacing of {spacing_mm:.3f} mm",
             limit=f"{POSITION_TOLERANCE_MM} mm",
             got=f"{deviation_mm[worst]:.3f} mm",
         )
@@ -171,7 +171,7 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
     worst = int(np.argmax(deviation_mm))
     if deviation_mm[worst] > POSITION_TOLERANCE_MM:
         raise SpacingUneven(
-            f"{slices[worst].path.name} is shifted sideways against the other slices",
+            f"{slices[worst].path.name} is shifted sideways relative to the other slices",
             limit=f"{POSITION_TOLERANCE_MM} mm",
             got=f"{deviation_mm[worst]:.3f} mm",
         )

@@ -1,4 +1,4 @@
-"""What a scanner makes of a ball on a background that is smooth but not even.
+"""Model of a scanned ball on a smooth but uneven background.
 
 Near the surface of a ball of radius R, blurred by a Gaussian of covariance S = diag(sz², sxy², sxy²),
 

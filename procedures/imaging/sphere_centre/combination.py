@@ -1,4 +1,4 @@
-"""Two estimates of one centre made into one, with an honest covariance.
+"""Combines two estimates of one centre, with a realistic covariance.
 
 The estimators see the same noise, so their errors are correlated; where they differ by more than their
 noise explains, something in the image fits neither model, and the covariance grows by that difference.

@@ -1,4 +1,4 @@
-"""The noise of neighbouring voxels is correlated: how much of it is slow, and what does it do to a fit?
+"""Covariance of the noise of neighbouring voxels, and its effect on a fit.
 
 Treating voxels as independent would promise two to three times too much, and weigh slow noise, of which
 there is much, like fast noise, of which there is little. The spectrum is measured on the residuals of a fit

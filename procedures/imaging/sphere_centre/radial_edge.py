@@ -1,4 +1,4 @@
-"""First estimator of a sphere's centre: where rays from the centre cross its edge.
+"""First estimator of a sphere's centre: where rays from the centre cross the edge.
 
 Rays go out in many directions. On each the edge is where the intensity falls through the middle between
 polymer and surroundings. A sphere of free radius is fitted to the edge points with Cauchy weights, so that

@@ -1,4 +1,4 @@
-"""Least squares that outliers cannot pull: Cauchy weights, Gauss-Newton with a damping that adapts."""
+"""Robust least squares: Cauchy weights, Gauss-Newton with adaptive damping."""
 
 from __future__ import annotations
 

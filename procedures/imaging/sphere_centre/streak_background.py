@@ -1,4 +1,4 @@
-"""How much do streaks of metal bend the background of a ball? The image itself says it.
+"""How much metal streaks bend the background of a ball, estimated from the image itself.
 
 Terms up to the third degree are drawn towards 0 as strongly as the image allows (empirical Bayes, a ridge):
 without streaks they cost no accuracy, with them they take most of the error away. What terms beyond the third

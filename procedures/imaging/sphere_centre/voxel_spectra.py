@@ -1,4 +1,4 @@
-"""Values at the voxels of a fit as spectra, and back. Where the voxels end there is nothing."""
+"""Values at the voxels of a fit as spectra, and back; zero outside those voxels."""
 
 from __future__ import annotations
 

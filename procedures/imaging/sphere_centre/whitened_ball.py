@@ -1,4 +1,4 @@
-"""From a robust fit of a ball to the best one: noise and streaks are taken from the image and allowed for.
+"""Refines the robust ball fit: noise and streaks are estimated from the image and accounted for.
 
 The noise's spectrum is measured on the residuals of a fit whose background is free to bend. How much it does
 bend tells how strong streaks of metal are; bends are then drawn towards 0 as far as that allows, and slopes

@@ -1,4 +1,4 @@
-"""The last step of a fit: each detail of the residuals counts as much as its noise lets it.
+"""The last step of the fit: every spatial frequency of the residuals is weighted by its noise.
 
 CT noise is slow: its spectrum falls where that of a sharp edge still has something to say. Least squares that
 counts all voxels alike therefore loses accuracy to it. Generalized least squares weighs the residuals by the

@@ -1,4 +1,4 @@
-"""The thesis' localizer as a whole, to be measured beside ours on the same data. Not for patients.
+"""The complete localizer of the thesis, for comparison with ours on the same data. Not for patients.
 
 It has no estimate of its own error: its covariance is the FLE that the thesis reports, shared out evenly.
 """

@@ -1,4 +1,4 @@
-"""When a camera exposes: started and stopped, by trigger or running free, never faster than it can."""
+"""Acquisition control: start and stop, triggered or free-running, within the camera's maximum rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Takes the pictures: one for a trigger, or from a ring of ready ones when the camera runs free."""
+"""Takes images: one per trigger, or from a ring of prepared ones when the camera runs free."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be set on a camera: the values behind its features, and what one frame takes of them."""
+"""Settings of a camera: the values behind its features, and those that one frame uses."""
 
 from __future__ import annotations
 

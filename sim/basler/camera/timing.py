@@ -1,4 +1,4 @@
-"""How long a frame takes: exposure, read-out, transfer. And which moment a trigger belongs to."""
+"""Timing of a frame: exposure, read-out, transfer, and the time of its trigger."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The control side of a camera (GVCP): registers, privileges, answers, and the XML that describes them."""
+"""The control side of a camera (GVCP): registers, privilege, acknowledges, and the GenICam XML."""

@@ -1,4 +1,4 @@
-"""The part of the description that tells what events carry, and where in a message it is.
+"""The events in the GenICam description: what they carry, and where in a message.
 
 The nodes live on ports of their own, one per kind of event, which a client fills from its messages; their
 addresses are offsets in an item of the message.

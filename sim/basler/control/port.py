@@ -1,4 +1,4 @@
-"""Answers the commands of the control protocol: one datagram in, at most one out. Knows no socket."""
+"""Executes GVCP commands: one datagram in, at most one out. No sockets."""
 
 from __future__ import annotations
 

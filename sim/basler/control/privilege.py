@@ -1,4 +1,4 @@
-"""Who may command a camera, and how long it goes on without a sign of life."""
+"""Control privilege of a camera, and its heartbeat time-out."""
 
 from __future__ import annotations
 

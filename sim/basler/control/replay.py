@@ -1,4 +1,4 @@
-"""Remembers the last answers, so that a command that is sent again is answered again but not done again."""
+"""Keeps the last acknowledges, so that a repeated command is acknowledged again but not executed again."""
 
 from __future__ import annotations
 

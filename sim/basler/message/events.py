@@ -1,4 +1,4 @@
-"""What a camera can report, by the family's names, and how a report looks on the wire."""
+"""Events of the camera family by name, and their form on the wire."""
 
 from __future__ import annotations
 

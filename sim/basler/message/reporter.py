@@ -1,4 +1,4 @@
-"""Which of the things that happen in a camera are reported: those whose notification is on."""
+"""Reports those events of a camera whose notification is on."""
 
 from __future__ import annotations
 

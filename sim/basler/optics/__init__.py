@@ -1,1 +1,1 @@
-"""What a camera of the stereo head sees: spheres on posts, light, lens and sensor. Knows no network."""
+"""The image of a stereo camera: spheres on posts, light, lens and sensor. No networking here."""

@@ -1,4 +1,4 @@
-"""What covers a sphere: retro-reflective film with its grain, and what has dried on it.
+"""The surface of a sphere: retro-reflective film with its grain and stains.
 
 Blood and liquid keep the beads from sending the light back. A stain is a round spot that is fixed to the
 sphere, so both cameras see the same one, each from its side.

@@ -1,4 +1,4 @@
-"""What comes between the spheres and the sensor: an edge of a drape or hand, and the glare of a lamp."""
+"""Objects between the spheres and the sensor: the edge of a drape or hand, and glare from a lamp."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How evenly a camera's ring of light and its lens light the sensor, and what the dark background returns."""
+"""Illumination across the sensor from ring light and lens, and the light from the dark background."""
 
 from __future__ import annotations
 

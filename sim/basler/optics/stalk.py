@@ -1,4 +1,4 @@
-"""What holds a sphere: post, flange and base on the skull, all darker than the film.
+"""The post of a sphere with flange and base on the skull, all darker than the film.
 
 A stalk runs from below into the sphere. Seen from the side its flange covers a part of the sphere's rim;
 seen from above it lies behind the sphere and its outer edge touches the image of the rim.

@@ -1,4 +1,4 @@
-"""The stream channel of a camera: where packets go, at which size and pace, and what is kept to repeat."""
+"""The stream channel of a camera: destination, packet size and pace, and blocks kept for resend."""
 
 from __future__ import annotations
 

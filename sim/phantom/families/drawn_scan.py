@@ -1,4 +1,4 @@
-"""Draw one scan of a family: head, markers, what lies around them, and the field."""
+"""Draws one random scan of a family: head, markers, their surroundings, and the field."""
 
 from __future__ import annotations
 

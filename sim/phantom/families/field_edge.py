@@ -1,4 +1,4 @@
-"""A field that ends beside one sphere and cuts another."""
+"""A scan field that ends close to one sphere and cuts another."""
 
 from __future__ import annotations
 

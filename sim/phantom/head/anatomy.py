@@ -1,4 +1,4 @@
-"""What else a head CT shows: ventricles, sinuses, teeth with fillings, headrest, a cable, and the markers."""
+"""Anatomy beyond the layers, and the rest: ventricles, sinuses, teeth, fillings, headrest, cable, markers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The head in layers: intensity as a function of the depth below the skin."""
+"""The layers of the head: intensity as a function of depth below the skin."""
 
 from __future__ import annotations
 

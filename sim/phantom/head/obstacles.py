@@ -1,4 +1,4 @@
-"""What lies around the head in the families: cushion, clamp, electrodes, bolts, bandage, distractors."""
+"""Objects around the head in the families: cushion, clamp, electrodes, bolts, bandage, distractors."""
 
 from __future__ import annotations
 

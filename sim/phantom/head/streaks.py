@@ -1,4 +1,4 @@
-"""Streaks of metal: dark and bright rays in the slices that hold it, fading with the distance."""
+"""Metal artefacts: dark and bright rays in the slices with metal, fading with distance."""
 
 from __future__ import annotations
 

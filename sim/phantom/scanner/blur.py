@@ -1,4 +1,4 @@
-"""The scanner's blur, exactly: from a fine grid to voxels by one matrix per axis.
+"""The scanner's exact blur: from a fine grid to voxels by one matrix per axis.
 
 A voxel is the average, over its own box, of the object blurred by a Gaussian. Along each axis the weight of
 a fine sample is the Gaussian integrated over the voxel, so that the blur costs three matrix products.

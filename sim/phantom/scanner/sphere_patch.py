@@ -1,4 +1,4 @@
-"""The voxels around one marker, painted on a fine grid and blurred exactly: here hundredths of mm count."""
+"""The voxels around one marker, painted on a fine grid and blurred exactly: exact to 0.01 mm."""
 
 from __future__ import annotations
 

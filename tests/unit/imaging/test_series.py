@@ -153,8 +153,8 @@ def test_thick_slices_gaps_and_large_pixels_are_warned_about(dicom_series: Write
     ("attributes", "words"),
     [
         ({"ImageType": ["DERIVED", "SECONDARY", "REFORMATTED"]}, "derived images"),
-        ({"LossyImageCompression": "01"}, "compressed with loss"),
-        ({"RescaleType": "US"}, "unspecified unit"),
+        ({"LossyImageCompression": "01"}, "lossy compression"),
+        ({"RescaleType": "US"}, "unit of the intensities is unspecified"),
         ({"RescaleIntercept": "0"}, "no air in the scan, the darkest voxel has 24 HU"),
     ],
     ids=["derived", "lossy", "unit", "no air"],
