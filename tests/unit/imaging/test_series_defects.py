@@ -309,7 +309,7 @@ def test_slices_that_another_toolkit_compressed_are_read_or_refused_with_the_ext
         pytest.importorskip("gdcm", reason="proof not made: install the extra `compressed`")
         np.testing.assert_array_equal(read_series(folder).voxels, HU)
         return
-    monkeypatch.setattr("procedures.imaging.slice_pixels._can_decode", lambda syntax: False)
+    monkeypatch.setattr("procedures.imaging.dicom.slice_pixels._can_decode", lambda syntax: False)
     monkeypatch.setattr(pydicom.FileDataset, "pixel_array", property(_no_decoder))
     with pytest.raises(errors.CompressionUnknown, match=r"ronna-hw\[compressed\]"):
         read_series(folder)

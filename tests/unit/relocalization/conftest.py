@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
@@ -22,6 +22,7 @@ WORKING_DISTANCE_MM = 250.0
 HALF_ANGLE_DEG = 27.5
 RADIUS_MM = 5.75
 SUBSAMPLES = 8
+RIM_PX = 2  # to each side of the outline: where shading changes within a pixel
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,10 @@ class Renderer:
         u0 = focal_px * centre_mm[0] / centre_mm[2] + cx
         v0 = focal_px * centre_mm[1] / centre_mm[2] + cy
         r0 = focal_px * radius_mm / centre_mm[2]
-        reach = int(1.9 * r0 + 8 * look.blur_px + 4)
+        beside = (
+            1.9 if look.post or look.occluded_width else 1.15
+        )  # radii, with what is drawn beside the sphere
+        reach = int(beside * r0 + 8 * look.blur_px + 4)
         left, right = max(0, int(u0) - reach), min(width, int(u0) + reach)
         top, bottom = max(0, int(v0) - reach), min(height, int(v0) + reach)
         if left >= right or top >= bottom:
@@ -89,8 +93,10 @@ class Renderer:
         texture = 1.0 + look.grain * gaussian_filter(self.random.standard_normal(u.shape), 1.5) * 5.0
         patch = radiance[top:bottom, left:right]
         patch = np.where(value >= 0, look.bright * value * texture, patch)
-        near = np.abs(np.hypot(u - u0, v - v0) - r0) < 3.0 + 0.02 * r0
-        rows, columns = np.nonzero(near)
+        hit = value >= 0
+        rows, columns = np.nonzero(
+            binary_dilation(hit, iterations=RIM_PX) & ~binary_erosion(hit, iterations=RIM_PX)
+        )
         steps = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
         sub_x, sub_y = (grid.ravel() for grid in np.meshgrid(steps, steps))
         fine = shade(u[rows, columns][:, None] + sub_x, v[rows, columns][:, None] + sub_y)
@@ -133,12 +139,12 @@ class Renderer:
 
     def _exposed(self, radiance: NDArray[np.float64], look: Look) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Shot and read noise of an 11.9 ke- pixel, then 8 or 12 bits."""
-        electrons = radiance * (11_900.0 / 255.0)
+        electrons = radiance.astype(np.float32) * np.float32(11_900.0 / 255.0)
         if look.noise:
-            spread = np.sqrt(np.maximum(electrons, 0.0) + 13.5**2)
-            electrons = electrons + spread * self.random.standard_normal(radiance.shape)
+            spread = np.sqrt(np.maximum(electrons, 0.0) + np.float32(13.5**2))
+            electrons += spread * self.random.standard_normal(radiance.shape, dtype=np.float32)
         top = 2**look.bits - 1
-        grey = np.clip(np.rint(electrons / 11_900.0 * top), 0, top)
+        grey = np.clip(np.rint(electrons * np.float32(top / 11_900.0)), 0, top)
         return grey.astype(np.uint8 if look.bits == 8 else np.uint16)
 
 
