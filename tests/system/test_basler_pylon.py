@@ -188,7 +188,7 @@ class LonelyLibrary:
 
 def test_a_real_camera_is_sought_at_its_address_whatever_its_serial_number(make_pair, monkeypatch):
     library = LonelyLibrary()
-    monkeypatch.setattr("drivers.basler_stereo.pylon_camera.load_pylon", lambda: (library, library))
+    monkeypatch.setattr("drivers.basler_stereo.pylon.camera.load_pylon", lambda: (library, library))
     with pytest.raises(NoCamera, match=r"GEV-001: no camera at 127\.0\.0\.1: No device is available\."):
         make_pair(device_class="BaslerGigE").connect()
     assert library.asked == {"DeviceClass": "BaslerGigE", "IpAddress": "127.0.0.1"}
