@@ -1,4 +1,4 @@
-"""What every device owes, of whatever kind: its interface, its life, and how it refuses and ends."""
+"""Checks that the suites of all kinds share: interface, lifecycle, refusals, closing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SLACK_S = 1.5  # beyond a time limit, for a busy computer
 
 @contextmanager
 def ends_within(limit_s: float) -> Iterator[None]:
-    """What is done inside must have ended within `limit_s` of host time."""
+    """The block must end within `limit_s` of host time."""
     began_s = time.monotonic()
     yield
     elapsed_s = time.monotonic() - began_s
@@ -28,15 +28,15 @@ def ends_within(limit_s: float) -> Iterator[None]:
 
 
 def offers(dut: DeviceUnderTest, interface: type[Any]) -> None:
-    """A new driver has every call of its interface and the name it was given, and is not connected."""
+    """A new driver has all calls of its interface, has the name it was given, and is not connected."""
     device = dut.make()
     check(isinstance(device, interface), f"all calls of {interface.__name__}", type(device).__name__)
     check(device.state is Lifecycle.DISCONNECTED, "state disconnected", device.state)
     check(device.name == dut.name, f"the name {dut.name}", device.name)
 
 
-def tells_who_answers(dut: DeviceUnderTest) -> tuple[Any, Identity]:
-    """The device and what it told of itself; it must name vendor and model."""
+def identifies_device(dut: DeviceUnderTest) -> tuple[Any, Identity]:
+    """The connected device and its identity, which must name vendor and model."""
     device = dut.make()
     identity: Identity = device.connect()
     check(bool(identity.vendor and identity.model), "vendor and model", identity)
@@ -45,7 +45,7 @@ def tells_who_answers(dut: DeviceUnderTest) -> tuple[Any, Identity]:
 
 
 def refuses_early(dut: DeviceUnderTest, disconnected: Sequence[str], connected: Sequence[str]) -> Any:
-    """Each call is refused in the state that its list is named after. Returns the connected device."""
+    """Calls are refused while disconnected and while connected. Returns the connected device."""
     device = dut.make()
     for call in disconnected:
         refused(getattr(device, call), StateError, f"{call} while disconnected")
@@ -64,17 +64,21 @@ def closes(device: Device, limit_s: float) -> None:
     refused(device.connect, StateError, "connect after close")
 
 
-def finds_nobody(device: Device, limit_s: float) -> None:
-    """Where nobody answers, connecting ends in time with a code and advice."""
+def fails_to_connect(device: Device, limit_s: float) -> None:
+    """Without a device at the endpoint, connecting fails in time with a code and advice."""
     try:
         with ends_within(limit_s + SLACK_S):
-            error = refused(lambda: device.connect(limit_s), ConnectError, "connect to nobody")
+            error = refused(lambda: device.connect(limit_s), ConnectError, "connecting without a device")
     finally:
         device.close()
-    check(isinstance(error, ConnectError) and bool(error.code and error.advice), "a code and advice", error)
+    check(
+        isinstance(error, ConnectError) and bool(error.code and error.advice),
+        "an error with code and advice",
+        error,
+    )
 
 
 def refuses_unknown_options(dut: DeviceUnderTest) -> None:
-    """An option that no driver knows is refused before anything is opened."""
+    """An unknown option is refused by the constructor."""
     options = {**dut.config.options, "no_such_option": 1}
     refused(lambda: dut.make(options=options), ConfigurationError, "an unknown option")

@@ -114,7 +114,7 @@ class Suite(CaseList):
 def check(condition: bool, expected: str, found: object = "") -> None:
     """Raise Nonconformity unless `condition` holds, with what was expected and what was found."""
     if not condition:
-        raise Nonconformity(f"expected {expected}" + (f", found {found}" if found != "" else ""))
+        raise Nonconformity(f"expected {expected}" + (f", got {found}" if found != "" else ""))
 
 
 def refused(call: Callable[[], object], kind: type[Exception], what: str) -> Exception:
@@ -124,5 +124,5 @@ def refused(call: Callable[[], object], kind: type[Exception], what: str) -> Exc
     except kind as error:
         return error
     except Exception as error:
-        raise Nonconformity(f"expected {what} to raise {kind.__name__}, found {error!r}") from error
+        raise Nonconformity(f"expected {what} to raise {kind.__name__}, got {error!r}") from error
     raise Nonconformity(f"expected {what} to raise {kind.__name__}, but it was carried out")

@@ -1,4 +1,4 @@
-"""A numbered checklist of what a device and its driver owe, and which cases look at which line."""
+"""A numbered checklist of a wire protocol, and which cases check which line."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class Checklist:
     """The lines of one protocol, numbered from 1.
 
     A case belongs to a line by its number: one of `letters`, the line, and a small letter where a line has
-    several cases. `also` names cases of any device of the kind that look at a line as well. A line without a
-    case stands in `elsewhere`, which says where it is shown. `remarks` say what a line's cases leave out.
+    several cases. `also` names generic cases that check a line too. `elsewhere` says where a line without a
+    case is tested. `remarks` say what a line's cases leave out.
     """
 
     letters: str
@@ -28,12 +28,12 @@ class Checklist:
         return re.compile(rf"[{self.letters}](\d+)[a-z]?")
 
     def line_of(self, number: str) -> int | None:
-        """The line that a case looks at; None for a case that belongs to none."""
+        """The line that a case checks; None for a generic case."""
         match = self._number.fullmatch(number)
         return int(match[1]) if match else None
 
     def cases_by_line(self, numbers: Iterable[str]) -> dict[int, tuple[str, ...]]:
-        """Line -> numbers of the cases that look at it, for every line."""
+        """Line -> numbers of the cases that check it, for every line."""
         known = tuple(numbers)
         own = {line: [number for number in known if self.line_of(number) == line] for line in self.lines}
         return {
@@ -42,5 +42,5 @@ class Checklist:
         }
 
     def remark(self, line: int) -> str:
-        """Where a line is shown, or what its cases leave out; empty when there is nothing to say."""
+        """Where a line is tested, or what its cases leave out; empty without a remark."""
         return self.elsewhere.get(line) or self.remarks.get(line, "")

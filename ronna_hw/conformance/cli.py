@@ -1,4 +1,4 @@
-"""`ronna-conformance`: hold a driver and its device against the suite of its kind."""
+"""`ronna-conformance`: run the conformance suite on a driver and its device."""
 
 from __future__ import annotations
 
@@ -32,39 +32,42 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ronna-conformance",
-    help="Hold a driver and its device against the suite of its kind. Safe by default: no motion, no reset.",
+    help="Run the conformance suite on a driver and its device. Safe by default: no motion, no reset.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
 )
 
-SimOption = Annotated[bool, typer.Option("--sim", help="Start the simulator of this kind and test on it.")]
-ConfigOption = Annotated[Path | None, typer.Option("--config", help="Take the device of this theatre file.")]
+SimOption = Annotated[bool, typer.Option("--sim", help="Start the simulator and test on it.")]
+ConfigOption = Annotated[Path | None, typer.Option("--config", help="Test the device of this theatre file.")]
 EndpointOption = Annotated[
     list[str] | None,
-    typer.Option("--endpoint", help="Test what answers there: URI, or NAME=URI for each of several."),
+    typer.Option("--endpoint", help="Test the device at this URI, or NAME=URI for each of several."),
 ]
-DriverOption = Annotated[str | None, typer.Option("--driver", help="Driver to test, by its entry point.")]
+DriverOption = Annotated[
+    str | None, typer.Option("--driver", help="Driver to test, by its entry point.")
+]
 DeviceOption = Annotated[str | None, typer.Option("--device", help="Which robot of the theatre file.")]
 AllowOption = Annotated[
-    list[str] | None, typer.Option("--allow", help="Also run cases that need this: motion, destructive.")
+    list[str] | None, typer.Option("--allow", help="Also run cases that need this: motion or destructive.")
 ]
 OnlyOption = Annotated[
-    list[str] | None, typer.Option("--only", help="Run only cases whose number begins so, such as P or T2.")
+    list[str] | None,
+    typer.Option("--only", help="Run only cases whose number starts so, such as P or T2."),
 ]
 ControlOption = Annotated[
     str | None,
-    typer.Option(
-        "--control", help="Control port of the device at --endpoint, by which it can be made to fail."
-    ),
+    typer.Option("--control", help="Control port of the device at --endpoint, for injecting faults."),
 ]
 ConfirmedOption = Annotated[
     str | None,
     typer.Option(
-        "--confirmed-by", help="Who stands beside an arm that is allowed to move; asked when not given."
+        "--confirmed-by", help="Who stands by an arm that is allowed to move; prompted for when not given."
     ),
 ]
-ReportOption = Annotated[Path | None, typer.Option("--report", help="Write the whole report as JSON here.")]
+ReportOption = Annotated[
+    Path | None, typer.Option("--report", help="Write the whole report here, as JSON.")
+]
 
 
 @app.command()
@@ -156,7 +159,7 @@ def _run(
     from ronna_hw.records import write_whole
 
     if report_file is not None:
-        write_whole(report_file, b"")  # a place that cannot be written is told before the work, not after
+        write_whole(report_file, b"")  # fail before the run, not after it
     target = resolve(kind, choice)
     suite = target.suite.only(only or [])
     with stand(target) as dut:
@@ -177,15 +180,15 @@ def _run(
 
 
 def _who_confirms(motions: str, moves: list[str], dut: DeviceUnderTest, given: str | None) -> str:
-    """The name of the person who lets the device be moved; raises CNF-005 when there is none."""
+    """The name of the person who confirms that the device may move; raises CNF-005 without one."""
     from ronna_hw.conformance.errors import NotConfirmed
 
     where = dut.config.endpoint or ", ".join(dut.config.endpoints.values())
     tell(f"{dut.name} at {where} will be moved by {', '.join(moves)}: {motions}.")
     name = given
     if name is None and on_terminal(sys.stdin):
-        tell("Look that nobody and nothing is within its reach, and hold the emergency stop.")
-        name = typer.prompt("Who confirms this?", default="", show_default=False, err=True)
+        tell("Make sure that nobody and nothing is within its reach, and hold the emergency stop.")
+        name = typer.prompt("Confirmed by", default="", show_default=False, err=True)
     if not name or not name.strip():
         raise NotConfirmed(f"nobody has confirmed that {dut.name} may move", expected="a person's name")
     return name.strip()

@@ -1,6 +1,6 @@
-"""A line that misbehaves on command: stands between a driver and its device, on TCP, and passes bytes on.
+"""A TCP line between a driver and its device that can misbehave.
 
-Only what the device says is touched, never what the driver says, so it is safe in front of hardware.
+It changes only what the device sends, never what the driver sends, so it is safe in front of hardware.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ronna_hw.endpoints import Endpoint
 
 CHUNK_BYTES = 65536
 OPEN_TIMEOUT_S = 5.0
-LOOK_EVERY_S = 0.02  # between two looks at whether the line should end
+LOOK_EVERY_S = 0.02  # how often the thread checks whether to end
 
 Disturbance = Callable[[bytes], list[tuple[float, bytes]]]  # one chunk -> (delay in seconds, bytes), in order
 
@@ -30,13 +30,13 @@ class _End(Protocol):
 
 
 class DisturbedLine:
-    """Use as a context manager. `endpoint` is where the driver connects; one client at a time."""
+    """A context manager; the driver connects to `endpoint`. One client at a time."""
 
     def __init__(self, device: Endpoint) -> None:
         self._device = device.require("tcp", "serial")
         self._server = socket.create_server(("127.0.0.1", 0))
         self._next: Disturbance | None = None
-        self._unasked: list[bytes] = []
+        self._injected: list[bytes] = []
         self._silent = False
         self._cut = False
         self._ended = False
@@ -44,7 +44,7 @@ class DisturbedLine:
 
     @property
     def endpoint(self) -> str:
-        """Where the driver is to connect."""
+        """Endpoint for the driver."""
         return f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
 
     def flip_next(self) -> None:
@@ -52,23 +52,23 @@ class DisturbedLine:
         self._next = lambda data: [(0.0, data[:-1] + bytes([data[-1] ^ 0x01]))]
 
     def lose_next_byte(self) -> None:
-        """Lose the last byte of the next chunk."""
+        """Drop the last byte of the next chunk."""
         self._next = lambda data: [(0.0, data[:-1])]
 
     def delay_next(self, delay_s: float) -> None:
-        """Hold the next chunk back, and all that follows it."""
+        """Delay the next chunk and everything after it."""
         self._next = lambda data: [(delay_s, data)]
 
-    def say(self, data: bytes) -> None:
-        """Say something to the driver that the device never said."""
-        self._unasked.append(data)
+    def inject(self, data: bytes) -> None:
+        """Send the driver bytes that the device never sent."""
+        self._injected.append(data)
 
     def silence(self, silent: bool = True) -> None:
-        """Swallow everything that the device says, until switched off."""
+        """Swallow everything that the device sends, until switched off."""
         self._silent = silent
 
     def cut(self) -> None:
-        """Close the present connection; the next one is served again."""
+        """Close the connection; a new one is accepted."""
         self._cut = True
 
     def __enter__(self) -> Self:
@@ -98,7 +98,7 @@ class DisturbedLine:
         ends = selectors.DefaultSelector()
         ends.register(client, selectors.EVENT_READ)
         ends.register(device, selectors.EVENT_READ)
-        held: list[tuple[float, bytes]] = []  # due moment, bytes; in the order they were said
+        held: list[tuple[float, bytes]] = []  # (due, bytes), in the order in which they came
         with ends:
             while not (self._ended or self._cut):
                 wait_s = LOOK_EVERY_S
@@ -109,17 +109,17 @@ class DisturbedLine:
                     if not data:
                         return
                     if key.fileobj is client:
-                        self._heard(data)
+                        self._from_driver(data)
                         _write_all(device.fileno(), data)
                     elif not self._silent:
                         held += self._in_order(self._disturbed(data), held)
-                while self._unasked:
-                    held += self._in_order([(0.0, self._unasked.pop(0))], held)
+                while self._injected:
+                    held += self._in_order([(0.0, self._injected.pop(0))], held)
                 while held and held[0][0] <= time.monotonic():
                     client.sendall(held.pop(0)[1])
 
-    def _heard(self, data: bytes) -> None:
-        """What the driver says passes here, and is never changed."""
+    def _from_driver(self, data: bytes) -> None:
+        """Hook for subclasses: what the driver sends, which is passed on unchanged."""
 
     def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
         disturbance, self._next = self._next, None
@@ -130,7 +130,7 @@ class DisturbedLine:
         deliveries: list[tuple[float, bytes]], held: list[tuple[float, bytes]]
     ) -> list[tuple[float, bytes]]:
         now_s = time.monotonic()
-        earliest_s = held[-1][0] if held else now_s  # nothing overtakes what was said before
+        earliest_s = held[-1][0] if held else now_s  # nothing overtakes what came before
         return [(max(earliest_s, now_s + delay_s), part) for delay_s, part in deliveries]
 
     def _open_device(self) -> _End:

@@ -1,4 +1,4 @@
-"""What keeps a conformance run from starting."""
+"""Reasons why a conformance run does not start."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ronna_hw.errors import ConfigurationError, RefusedError
 
 
 class NoDeviceChosen(ConfigurationError):
-    """The command line does not say, or says twice, what to test."""
+    """The command line names no device to test, or several."""
 
     code = "CNF-001"
     action = "Give one of --sim, --config FILE and --endpoint [NAME=]URI."
@@ -16,28 +16,28 @@ class DeviceNotInFile(ConfigurationError):
     """The theatre file has no such device."""
 
     code = "CNF-002"
-    action = "Name a device that the theatre file holds, with --device for one of several robots."
+    action = "Name a device of the theatre file, with --device for one of several robots."
 
 
 class NoSuchCase(ConfigurationError):
-    """The command line names cases that the suite does not have."""
+    """No case of the suite has a number that starts as --only says."""
 
     code = "CNF-003"
     action = "Run the suite without --only to see the numbers of its cases."
 
 
 class NotConfirmed(RefusedError):
-    """A device that is no simulator of ours would be moved, and nobody has confirmed it."""
+    """The suite would move a device that is not our simulator, and nobody has confirmed that."""
 
     code = "CNF-005"
     action = (
-        "Stand beside the arm with the emergency stop in hand, and give your name when asked, or by "
-        "--confirmed-by where nobody can be asked."
+        "Stand by the arm with the emergency stop in hand and give your name at the prompt, or with "
+        "--confirmed-by where there is no terminal."
     )
 
 
 class NoSimulator(ConfigurationError):
-    """`--sim` is asked for a driver whose wire protocol has no simulator."""
+    """`--sim` was given for a driver whose wire protocol has no simulator."""
 
     code = "CNF-006"
     action = "Name the device with --endpoint or --config."

@@ -1,4 +1,4 @@
-"""Run the cases of a suite on a dut, and say what came of each."""
+"""Run the cases of a suite on a device under test and report the outcome of each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True)
 class CaseResult:
-    """What came of one case; `reason` says why it failed or was left out."""
+    """Outcome of one case; `reason` says why it failed or was skipped."""
 
     number: str
     statement: str
@@ -32,7 +32,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class Report:
-    """A whole run: on what, when, and every case in the order of the suite."""
+    """One run: the device, the time, and every case in the order of the suite."""
 
     suite: str
     driver: str
@@ -40,15 +40,15 @@ class Report:
     identity: Identity
     started: str
     results: tuple[CaseResult, ...]
-    confirmed_by: str = ""  # who stood beside a device that was moved
+    confirmed_by: str = ""  # who stood by while the device was moved
 
     def count(self, outcome: Outcome) -> int:
-        """How many cases ended so."""
+        """Number of cases with this outcome."""
         return sum(result.outcome is outcome for result in self.results)
 
     @property
     def passed(self) -> bool:
-        """True when no case failed and at least one was run."""
+        """True when no case failed and at least one passed."""
         return self.count(Outcome.FAIL) == 0 and self.count(Outcome.PASS) > 0
 
     def as_document(self) -> dict[str, Any]:
@@ -77,8 +77,8 @@ def run_suite(
 ) -> Report:
     """Run every case that the device under test allows.
 
-    The device is connected once first; raises ConnectError and the like when that is not possible, because
-    then no case says anything.
+    The device is connected once first; raises ConnectError and the like when that fails, because no case
+    would mean anything then.
     """
     started = datetime.now(UTC).isoformat(timespec="seconds")
     device = dut.make()
@@ -96,7 +96,7 @@ def run_suite(
 
 
 def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
-    """Run one case, or say why not. Never raises; a session that a case left in FAULT is ended."""
+    """Run one case or skip it with the reason. Never raises; closes the sessions of a failed case."""
     began_s = time.monotonic()
     needs = sorted(case.needs, key=lambda need: need.name)
     outcome, reason = Outcome.PASS, ""
@@ -110,7 +110,7 @@ def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
         except (Nonconformity, RonnaError) as problem:
             outcome, reason = Outcome.FAIL, str(problem)
         except Exception as problem:
-            outcome, reason = Outcome.FAIL, f"raised {problem!r}, which is no error of the tree"
+            outcome, reason = Outcome.FAIL, f"raised {problem!r}, which is not a RonnaError"
         if outcome is Outcome.FAIL:
             dut.release()
     elapsed_s = round(time.monotonic() - began_s, 3)

@@ -1,7 +1,7 @@
-"""What every robot arm must do, whatever protocol is behind it.
+"""Cases that every robot arm must pass, whatever its protocol.
 
-Without `--allow motion` nothing is commanded to move: the stream is started with corrections of zero, which
-hold the arm where it stands. The motions of the suite are small and return to where they began.
+Without `--allow motion` nothing moves: the stream starts with corrections of zero, which hold the arm
+where it is. The motions of the suite are small and return to their start.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any
 
 from ronna_hw.conformance.any_device import (
     closes,
-    finds_nobody,
+    fails_to_connect,
+    identifies_device,
     offers,
     refuses_early,
     refuses_unknown_options,
-    tells_who_answers,
 )
 from ronna_hw.conformance.case import MOTION, Suite, check, refused
 from ronna_hw.conformance.device_cases import DeviceCases, Interruption, observe
@@ -34,7 +34,7 @@ from ronna_hw.errors import LimitError, RonnaError, StateError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.registry import make_device
 
-HOLDING_S = 0.2  # theatre time over which an arm with zero corrections is watched
+HOLDING_S = 0.2  # theatre time for which an arm with zero corrections is watched
 STANDS_STILL_RAD = radians(0.001)  # ten of the last digits of the usual wire
 REACHED_RAD = radians(0.01)  # of a settled joint move
 REACHED_MM = 0.05  # of a settled straight line; repeatability of small arms is 0.03 mm
@@ -80,17 +80,17 @@ def apart_rad(a: JointVector, b: JointVector) -> float:
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
-@SUITE.case("R01", "the driver offers the interface of a robot arm, and starts disconnected")
+@SUITE.case("R01", "the driver implements RobotArm and starts disconnected")
 def offers_the_interface(dut: DeviceUnderTest) -> None:
     offers(dut, RobotArm)
 
 
-@SUITE.case("R02", "connecting says who answers")
+@SUITE.case("R02", "connecting identifies the device")
 def identity_is_answered(dut: DeviceUnderTest) -> None:
-    tells_who_answers(dut)
+    identifies_device(dut)
 
 
-@SUITE.case("R03", "calls that come too early are refused")
+@SUITE.case("R03", "calls in the wrong state are refused")
 def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     arm = refuses_early(
         dut,
@@ -101,7 +101,7 @@ def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     refused(lambda: arm.move_joints(here), StateError, "move_joints while connected")
 
 
-@SUITE.case("R04", "the axes can be read before anything is started, and are numbers an arm can have")
+@SUITE.case("R04", "the axes can be read before the stream is started, and are plausible")
 def state_is_readable(dut: DeviceUnderTest) -> None:
     reading: ArmReading = dut.at(Lifecycle.CONNECTED).read_state()
     check(reading.validity is Validity.OK, "validity ok", reading.validity)
@@ -114,7 +114,7 @@ def tool_is_readable(dut: DeviceUnderTest) -> None:
     check(dut.at(Lifecycle.CONNECTED).read_tool_identity().number >= 0, "a number of 0 or more")
 
 
-@SUITE.case("R06", "the first correction is zero: starting the stream moves nothing")
+@SUITE.case("R06", "starting the stream moves nothing: the first correction is zero")
 def first_correction_is_zero(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.CONFIGURED)
     before = arm.read_state().joints_rad
@@ -132,7 +132,7 @@ def first_correction_is_zero(dut: DeviceUnderTest) -> None:
         check(lag < STANDS_STILL_RAD, "commanded axes where the arm is", f"{degrees(lag):.5f} deg")
 
 
-@SUITE.case("R07", "readings are counted one by one, their times never run back, the device's clock advances")
+@SUITE.case("R07", "readings are numbered, times never go backwards, the device's clock advances")
 def stamps_are_in_order(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     stamps = []
@@ -145,20 +145,20 @@ def stamps_are_in_order(dut: DeviceUnderTest) -> None:
         check(after.device_clock > before.device_clock, "a later device clock", after.device_clock)
 
 
-@SUITE.case("R08", "the statistics of the link agree with themselves")
+@SUITE.case("R08", "the link statistics are consistent")
 def statistics_agree(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     dut.clock.sleep(HOLDING_S)
     s = arm.link_statistics()
     check(s.cycles > 0, "cycles while the stream runs", s.cycles)
     edges = s.histogram_edges_us
-    check(len(edges) == len(s.histogram_counts) + 1, "one edge more than counts", len(edges))
-    check(all(b > a for a, b in itertools.pairwise(edges)), "edges that rise")
+    check(len(edges) == len(s.histogram_counts) + 1, "one more edge than counts", len(edges))
+    check(all(b > a for a, b in itertools.pairwise(edges)), "increasing edges")
     check(sum(s.histogram_counts) > 0, "turnarounds counted", s.histogram_counts)
     check(0 < s.turnaround_median_us <= s.turnaround_p99_us, "a median below the 99th percentile", s)
 
 
-@SUITE.case("R09", "a speed fraction outside 0..1 is refused before motion")
+@SUITE.case("R09", "a speed fraction outside (0, 1] is refused before any motion")
 def speed_fraction_is_checked(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     here = arm.read_state().commanded_rad
@@ -170,7 +170,7 @@ def speed_fraction_is_checked(dut: DeviceUnderTest) -> None:
         )
 
 
-@SUITE.case("R10", "the stream can be ended and started again without a jump")
+@SUITE.case("R10", "the stream can be stopped and restarted without a jump")
 def stop_and_start_again(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     before = arm.read_state().joints_rad
@@ -183,18 +183,18 @@ def stop_and_start_again(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
 
 
-@SUITE.case("R11", "a small joint move ends where it was told to, and leads back", needs=(MOTION,))
+@SUITE.case("R11", "a small joint move reaches its target, and the start again", needs=(MOTION,))
 def small_joint_move(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
     for target in (turned(start, SMALL_TURN_RAD), start):
         reading: ArmReading = arm.move_joints(target, speed_fraction=SLOW)
         missed = apart_rad(reading.joints_rad, target)
-        check(missed < REACHED_RAD, "the target", f"{degrees(missed):.4f} deg beside it")
+        check(missed < REACHED_RAD, "the target", f"{degrees(missed):.4f} deg off")
         check(not reading.moving, "an arm at rest")
 
 
-@SUITE.case("R12", "a small straight line ends where it was told to, and leads back", needs=(MOTION,))
+@SUITE.case("R12", "a small straight line reaches its target, and the start again", needs=(MOTION,))
 def small_line(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
@@ -203,11 +203,11 @@ def small_line(dut: DeviceUnderTest) -> None:
         reading: ArmReading = arm.move_linear(target, speed_fraction=SLOW)
         reached: Transform = arm.kinematics.flange_pose(reading.joints_rad)
         missed_mm = math.dist(reached.translation_mm, target.translation_mm)
-        check(missed_mm < REACHED_MM, "the target", f"{missed_mm:.4f} mm beside it")
+        check(missed_mm < REACHED_MM, "the target", f"{missed_mm:.4f} mm off")
     check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
 
 
-@SUITE.case("R13", "a target outside the joint ranges is refused before motion", needs=(MOTION,))
+@SUITE.case("R13", "a target outside the joint ranges is refused before any motion", needs=(MOTION,))
 def target_out_of_range(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     here = arm.read_state().commanded_rad
@@ -218,7 +218,9 @@ def target_out_of_range(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
 
 
-@SUITE.case("R14", "a hold brings the moving arm to rest on its way; resume moves nothing", needs=(MOTION,))
+@SUITE.case(
+    "R14", "hold stops the moving arm before its target; resume moves nothing", needs=(MOTION,)
+)
 def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
@@ -235,7 +237,7 @@ def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     arm.move_joints(start, speed_fraction=SLOW)
 
 
-@SUITE.case("R15", "a protective stop is latched, and recover leaves it without motion", needs=(MOTION,))
+@SUITE.case("R15", "a protective stop is latched; recover clears it without motion", needs=(MOTION,))
 def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
@@ -250,12 +252,12 @@ def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
     arm.move_joints(start, speed_fraction=SLOW)
 
 
-@SUITE.case("R16", "closing is bounded, final, and may be repeated")
+@SUITE.case("R16", "closing ends in bounded time, is final and may be repeated")
 def close_is_bounded(dut: DeviceUnderTest) -> None:
     closes(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 
 
-@SUITE.case("R17", "connecting again is a full new session with the same device, in the same place")
+@SUITE.case("R17", "reconnecting opens a new session with the same device, in the same pose")
 def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
     first = dut.make()
     identity = first.connect()
@@ -269,8 +271,8 @@ def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
     dut.release()
 
 
-@SUITE.case("R18", "an endpoint where nobody is gives a connect error with code and advice, in time")
-def nobody_there(dut: DeviceUnderTest) -> None:
+@SUITE.case("R18", "connecting to an endpoint without a device fails in time, with code and advice")
+def no_device_there(dut: DeviceUnderTest) -> None:
     dut.release()
     with socket.create_server(("127.0.0.1", 0)) as free:
         nowhere = f"tcp://127.0.0.1:{free.getsockname()[1]}"
@@ -280,10 +282,10 @@ def nobody_there(dut: DeviceUnderTest) -> None:
         for name, address in dut.config.endpoints.items()
     }
     config = dut.config.model_copy(update={"endpoint": nowhere if single else None, "endpoints": elsewhere})
-    finds_nobody(make_device(dut.name, config, dut.clock), CONNECT_LIMIT_S)
+    fails_to_connect(make_device(dut.name, config, dut.clock), CONNECT_LIMIT_S)
 
 
-@SUITE.case("R19", "an unknown option is refused before anything is opened")
+@SUITE.case("R19", "an unknown option is refused by the constructor")
 def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
     refuses_unknown_options(dut)
 

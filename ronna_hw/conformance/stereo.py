@@ -1,4 +1,4 @@
-"""What every stereo pair of cameras must do, whatever protocol is behind it."""
+"""Cases that every stereo pair of cameras must pass, whatever its protocol."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ronna_hw.conformance.any_device import closes, finds_nobody, offers, refuses_early, tells_who_answers
+from ronna_hw.conformance.any_device import closes, fails_to_connect, identifies_device, offers, refuses_early
 from ronna_hw.conformance.case import NotShown, Suite, check, refused
 from ronna_hw.conformance.device_cases import DeviceCases
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
@@ -23,7 +23,7 @@ CLOSE_LIMIT_S = 5.0
 CONNECT_LIMIT_S = 2.0
 AREA_STEP_PX = 32  # a multiple of what cameras allow
 NOBODY = "gev://127.0.0.251"
-EXPOSURES_US = (0.0, 1e9)  # no camera does that
+EXPOSURES_US = (0.0, 1e9)  # beyond every camera
 GAIN_RAW = 64
 
 SUITE = Suite("stereo", driver="basler_stereo")
@@ -36,10 +36,10 @@ def pairs_of(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
 
 
 def both(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
-    """Both images of a pair that must be complete."""
+    """Both images of a pair, which must be complete."""
     check(reading.validity is Validity.OK, "a complete pair", reading.validity)
     if reading.left is None or reading.right is None:
-        check(False, "an image on both sides of a pair that calls itself complete")
+        check(False, "an image from both cameras in a complete pair")
         raise AssertionError("check has raised")
     return reading.left, reading.right
 
@@ -49,20 +49,20 @@ def beside(dut: DeviceUnderTest, **changes: Any) -> Any:
     return make_device(dut.name, dut.config.model_copy(update=changes), dut.clock)
 
 
-@SUITE.case("S01", "the driver offers the interface of a stereo pair, and starts disconnected")
+@SUITE.case("S01", "the driver implements StereoPair and starts disconnected")
 def offers_the_interface(dut: DeviceUnderTest) -> None:
     offers(dut, StereoPair)
 
 
-@SUITE.case("S02", "connecting says who answers, and which camera is on which side")
+@SUITE.case("S02", "connecting identifies the cameras, and which is left and right")
 def identity_is_answered(dut: DeviceUnderTest) -> None:
-    pair, identity = tells_who_answers(dut)
+    pair, identity = identifies_device(dut)
     left, right = pair.serials
     check(bool(left and right) and left != right, "two serial numbers", pair.serials)
     check(left in identity.serial and right in identity.serial, "both in the identity", identity.serial)
 
 
-@SUITE.case("S03", "calls that come too early are refused")
+@SUITE.case("S03", "calls in the wrong state are refused")
 def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     pair = refuses_early(
         dut,
@@ -73,7 +73,7 @@ def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     refused(pair.grab_pair, StateError, "grab_pair before activate")
 
 
-@SUITE.case("S04", "one trigger gives one complete pair, each image from its own side's camera")
+@SUITE.case("S04", "one trigger gives one complete pair, each image from the camera of its side")
 def one_pair_per_trigger(dut: DeviceUnderTest) -> None:
     for reading in pairs_of(dut):
         images = both(reading)
@@ -81,7 +81,7 @@ def one_pair_per_trigger(dut: DeviceUnderTest) -> None:
         check(serials == dut.at(Lifecycle.ACTIVE).serials, "the serial numbers of the sides", serials)
 
 
-@SUITE.case("S05", "readings are counted one by one, and every clock goes forward")
+@SUITE.case("S05", "readings are numbered consecutively, and every clock advances")
 def stamps_are_in_order(dut: DeviceUnderTest) -> None:
     for before, after in itertools.pairwise(pairs_of(dut)):
         check(after.stamp.sequence == before.stamp.sequence + 1, "the next number", after.stamp.sequence)
@@ -90,7 +90,7 @@ def stamps_are_in_order(dut: DeviceUnderTest) -> None:
             check(later.stamp.device_clock > earlier.stamp.device_clock, "a later camera time", later.stamp)
 
 
-@SUITE.case("S06", "an image has the shape of its area, 8 or 12 bits, and cannot be changed")
+@SUITE.case("S06", "an image has the shape of its area and 8 or 12 bits, and is read-only")
 def images_have_their_shape(dut: DeviceUnderTest) -> None:
     for image in both(pairs_of(dut, 1)[0]):
         area = image.area
@@ -100,7 +100,7 @@ def images_have_their_shape(dut: DeviceUnderTest) -> None:
         check(not image.pixels.flags.writeable, "a read-only array")
 
 
-@SUITE.case("S07", "the area that is set is the area that is read, also on a running stream")
+@SUITE.case("S07", "images have the area that was set, also on a running stream")
 def areas_are_honoured(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
     whole = [image.area for image in both(pair.grab_pair())]
@@ -113,18 +113,18 @@ def areas_are_honoured(dut: DeviceUnderTest) -> None:
     check(found == whole, f"the areas {whole}", found)
 
 
-@SUITE.case("S08", "an area beside the sensor is refused, and the present one stays")
+@SUITE.case("S08", "an area beyond the sensor is refused, and the old one stays")
 def impossible_areas_are_refused(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
     whole = [image.area for image in both(pair.grab_pair())]
     beyond = AreaOfInterest(0, 0, 64 * whole[0].width, whole[0].height)
     refused(lambda: pair.set_areas(beyond, whole[1]), LimitError, "an area wider than the sensor")
-    refused(lambda: pair.set_areas(_part(whole[0]), beyond), LimitError, "such an area on the right")
+    refused(lambda: pair.set_areas(_part(whole[0]), beyond), LimitError, "such an area for the right camera")
     found = [image.area for image in both(pair.grab_pair())]
     check(found == whole, f"the areas {whole}", found)
 
 
-@SUITE.case("S09", "an exposure that no camera can do is refused")
+@SUITE.case("S09", "an exposure out of range is refused")
 def impossible_exposures_are_refused(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
     for exposure_us in EXPOSURES_US:
@@ -132,7 +132,7 @@ def impossible_exposures_are_refused(dut: DeviceUnderTest) -> None:
     both(pair.grab_pair())
 
 
-@SUITE.case("S10", "a stream that was stopped starts again")
+@SUITE.case("S10", "a stopped stream can be started again")
 def stream_starts_again(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
     pair.deactivate()
@@ -141,7 +141,7 @@ def stream_starts_again(dut: DeviceUnderTest) -> None:
     both(pair.grab_pair())
 
 
-@SUITE.case("S11", "a second controller is refused, and the first goes on")
+@SUITE.case("S11", "a second controller is refused, and the first keeps control")
 def second_controller_is_refused(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
     second = beside(dut)
@@ -153,7 +153,7 @@ def second_controller_is_refused(dut: DeviceUnderTest) -> None:
     both(pair.grab_pair())
 
 
-@SUITE.case("S12", "cameras at each other's address are noticed when their serial numbers are bound")
+@SUITE.case("S12", "swapped cameras are noticed when serial numbers are given")
 def swapped_cameras_are_noticed(dut: DeviceUnderTest) -> None:
     pair = dut.make()
     pair.connect()
@@ -167,7 +167,7 @@ def swapped_cameras_are_noticed(dut: DeviceUnderTest) -> None:
         bound = beside(dut, options=options)
         swapped = beside(dut, options=options, endpoints={"left": roles["right"], "right": roles["left"]})
     except ConfigurationError as error:
-        raise NotShown("the driver has no options to bind serial numbers") from error
+        raise NotShown("the driver has no options for serial numbers") from error
     try:
         bound.connect()
         refused(swapped.connect, ConnectError, "connect with swapped addresses")
@@ -176,15 +176,15 @@ def swapped_cameras_are_noticed(dut: DeviceUnderTest) -> None:
         swapped.close()
 
 
-@SUITE.case("S13", "an address where nobody is is told in time")
-def nobody_there(dut: DeviceUnderTest) -> None:
+@SUITE.case("S13", "connecting to an address without a camera fails in time")
+def no_camera_there(dut: DeviceUnderTest) -> None:
     if set(dut.config.endpoints) != {"left", "right"}:
         raise NotShown("the two cameras have no endpoint each")
     lonely = beside(dut, endpoints={**dut.config.endpoints, "right": NOBODY})
-    finds_nobody(lonely, CONNECT_LIMIT_S)
+    fails_to_connect(lonely, CONNECT_LIMIT_S)
 
 
-@SUITE.case("S14", "closing is bounded in time, final, and leaves the cameras to the next")
+@SUITE.case("S14", "closing ends in bounded time, is final, and gives up control")
 def closing_is_bounded(dut: DeviceUnderTest) -> None:
     pair = dut.make()
     dut.brought_to(Lifecycle.ACTIVE, pair)

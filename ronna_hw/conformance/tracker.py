@@ -1,4 +1,4 @@
-"""What every optical tracker must do, whatever protocol is behind it."""
+"""Cases that every optical tracker must pass, whatever its protocol."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ronna_hw.conformance.any_device import (
     SLACK_S,
     closes,
     ends_within,
-    finds_nobody,
+    fails_to_connect,
+    identifies_device,
     offers,
     refuses_early,
     refuses_unknown_options,
-    tells_who_answers,
 )
 from ronna_hw.conformance.case import CHECKED_REPLIES, LINE_FAULTS, NotShown, Suite, check, refused
 from ronna_hw.conformance.device_cases import DeviceCases, observe
@@ -33,13 +33,13 @@ PAUSE_S = 0.4
 CONNECT_LIMIT_S = 3.0
 CARRY_POSE = frozenset({Validity.OK, Validity.PARTIAL})
 WITHOUT_POSE = frozenset({Validity.MISSING, Validity.CORRUPT})
-RECOVERY_READS = 12  # lost readings after which a line that is whole again must give frames
+RECOVERY_READS = 12  # readings after which a cut line must have been noticed
 
 SUITE = Suite("tracker", driver="ndi_polaris")
 
 
 def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
-    """Consecutive readings of the shared session, not faster than the device measures."""
+    """Consecutive readings of the shared session, no faster than the tracker measures."""
     tracker: OpticalTracker = dut.at(Lifecycle.ACTIVE)
     frames = []
     for _ in range(count):
@@ -49,24 +49,24 @@ def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
 
 
 def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
-    """All readings of all tools; left undecided when no tool is configured."""
+    """All readings of all tools; undecided when no tool is configured."""
     readings = [reading for frame in frames_of(dut) for reading in frame.tools]
     if not readings:
         raise NotShown("no tool is configured")
     return readings
 
 
-@SUITE.case("T01", "the driver offers the interface of an optical tracker, and starts disconnected")
+@SUITE.case("T01", "the driver implements OpticalTracker and starts disconnected")
 def offers_the_interface(dut: DeviceUnderTest) -> None:
     offers(dut, OpticalTracker)
 
 
-@SUITE.case("T02", "connecting says who answers")
+@SUITE.case("T02", "connecting identifies the device")
 def identity_is_answered(dut: DeviceUnderTest) -> None:
-    tells_who_answers(dut)
+    identifies_device(dut)
 
 
-@SUITE.case("T03", "calls that come too early are refused")
+@SUITE.case("T03", "calls in the wrong state are refused")
 def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     refuses_early(
         dut,
@@ -75,30 +75,30 @@ def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     )
 
 
-@SUITE.case("T04", "configuring loads the tools that the theatre file names")
+@SUITE.case("T04", "configuring loads the tools of the theatre file")
 def configure_loads_tools(dut: DeviceUnderTest) -> None:
     tracker = dut.at(Lifecycle.CONFIGURED)
     check(tracker.state is Lifecycle.CONFIGURED, "state configured", tracker.state)
     names = tracker.tools
-    check(len(set(names)) == len(names), "every tool name once", names)
+    check(len(set(names)) == len(names), "unique tool names", names)
     refused(tracker.read_frame, StateError, "read_frame before activate")
 
 
-@SUITE.case("T05", "starting to track twice is refused")
+@SUITE.case("T05", "activating twice is refused")
 def second_start_is_refused(dut: DeviceUnderTest) -> None:
     tracker = dut.at(Lifecycle.ACTIVE)
     refused(tracker.activate, StateError, "activate while active")
     tracker.read_frame()
 
 
-@SUITE.case("T06", "the frame number advances and never goes backwards")
+@SUITE.case("T06", "the frame number increases and never goes backwards")
 def frame_number_advances(dut: DeviceUnderTest) -> None:
     numbers = [frame.stamp.device_clock for frame in frames_of(dut)]
-    check(all(b >= a for a, b in itertools.pairwise(numbers)), "numbers that never fall", numbers)
-    check(numbers[-1] > numbers[0], "numbers that rise", numbers)
+    check(all(b >= a for a, b in itertools.pairwise(numbers)), "numbers that never decrease", numbers)
+    check(numbers[-1] > numbers[0], "numbers that increase", numbers)
 
 
-@SUITE.case("T07", "readings are counted one by one, and theatre time never goes backwards")
+@SUITE.case("T07", "readings are numbered consecutively, and theatre time never goes backwards")
 def stamps_are_in_order(dut: DeviceUnderTest) -> None:
     stamps = [frame.stamp for frame in frames_of(dut)]
     for before, after in itertools.pairwise(stamps):
@@ -115,7 +115,7 @@ def every_tool_is_listed(dut: DeviceUnderTest) -> None:
         check(found == names, f"the tools {names}", found)
 
 
-@SUITE.case("T09", "a pose is there exactly when the validity carries one; missing data is never a number")
+@SUITE.case("T09", "a reading has a pose exactly when its validity says so; missing data is never a number")
 def pose_and_validity_agree(dut: DeviceUnderTest) -> None:
     for reading in tool_readings(dut):
         parts = (reading.rotation, reading.position_mm, reading.fit_error_mm)
@@ -127,11 +127,11 @@ def pose_and_validity_agree(dut: DeviceUnderTest) -> None:
         check(all(math.isfinite(number) for number in numbers), "finite numbers", reading)
 
 
-@SUITE.case("T10", "a pose is possible: everything tracked has a negative z, rotations have norm 1")
+@SUITE.case("T10", "poses are plausible: z is negative, quaternions have norm 1")
 def poses_are_possible(dut: DeviceUnderTest) -> None:
     seen = [reading for reading in tool_readings(dut) if reading.position_mm and reading.rotation]
     if not seen:
-        raise NotShown("no tool is in sight")
+        raise NotShown("no tool is in view")
     for reading in seen:
         norm = math.sqrt(sum(value * value for value in reading.rotation or ()))
         check(abs(norm - 1.0) <= NORM_TOLERANCE, "a quaternion of norm 1", norm)
@@ -142,18 +142,18 @@ def poses_are_possible(dut: DeviceUnderTest) -> None:
 def fit_error_is_not_negative(dut: DeviceUnderTest) -> None:
     errors = [reading.fit_error_mm for reading in tool_readings(dut) if reading.fit_error_mm is not None]
     if not errors:
-        raise NotShown("no tool is in sight")
+        raise NotShown("no tool is in view")
     check(min(errors) >= 0, "errors of 0 or more", min(errors))
 
 
-@SUITE.case("T12", "strays have a place and a validity, never NaN")
+@SUITE.case("T12", "strays have a position and a validity, never NaN")
 def strays_have_places(dut: DeviceUnderTest) -> None:
     strays = [stray for frame in frames_of(dut) for stray in frame.strays]
     if not strays:
-        raise NotShown("no stray marker is in sight")
+        raise NotShown("no stray marker is in view")
     for stray in strays:
         check(all(math.isfinite(value) for value in stray.position_mm), "finite numbers", stray)
-        check(stray.validity in (Validity.OK, Validity.OUT_OF_VOLUME), "a validity of a place", stray)
+        check(stray.validity in (Validity.OK, Validity.OUT_OF_VOLUME), "validity OK or OUT_OF_VOLUME", stray)
 
 
 @SUITE.case("T13", "tracking can be stopped and started again in one session")
@@ -166,12 +166,12 @@ def stop_and_start_again(dut: DeviceUnderTest) -> None:
     tracker.read_frame()
 
 
-@SUITE.case("T14", "closing is bounded, final, and may be repeated")
+@SUITE.case("T14", "closing ends in bounded time, is final and may be repeated")
 def close_is_bounded(dut: DeviceUnderTest) -> None:
     closes(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 
 
-@SUITE.case("T15", "connecting again is a full new session with the same device")
+@SUITE.case("T15", "reconnecting opens a new session with the same device")
 def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
     first = dut.brought_to(Lifecycle.ACTIVE, dut.make())
     first.read_frame()
@@ -183,21 +183,21 @@ def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
     dut.at(Lifecycle.ACTIVE).read_frame()
 
 
-@SUITE.case("T16", "an endpoint where nobody is gives a connect error with code and advice, in time")
-def nobody_there(dut: DeviceUnderTest) -> None:
+@SUITE.case("T16", "connecting to an endpoint without a device fails in time, with code and advice")
+def no_device_there(dut: DeviceUnderTest) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     scheme = (dut.config.endpoint or "tcp://").partition("://")[0]
     nowhere = "serial:///dev/no-such-port" if scheme == "serial" else f"tcp://127.0.0.1:{port}"
-    finds_nobody(dut.make(endpoint=nowhere), CONNECT_LIMIT_S)
+    fails_to_connect(dut.make(endpoint=nowhere), CONNECT_LIMIT_S)
 
 
-@SUITE.case("T17", "an unknown option is refused before anything is opened")
+@SUITE.case("T17", "an unknown option is refused by the constructor")
 def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
     refuses_unknown_options(dut)
 
 
-@SUITE.case("T18", "a reading from a silent line ends at its time limit", needs=(LINE_FAULTS,))
+@SUITE.case("T18", "a reading on a silent line ends at its time limit", needs=(LINE_FAULTS,))
 def silence_ends_a_reading(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
         tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
@@ -208,7 +208,7 @@ def silence_ends_a_reading(dut: DeviceUnderTest) -> None:
         dut.release()
 
 
-@SUITE.case("T19", "closing on a silent line is bounded and raises nothing", needs=(LINE_FAULTS,))
+@SUITE.case("T19", "closing on a silent line ends in bounded time and raises nothing", needs=(LINE_FAULTS,))
 def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
         tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
@@ -218,23 +218,27 @@ def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
         check(tracker.state is Lifecycle.CLOSED, "state closed", tracker.state)
 
 
-@SUITE.case("T20", "a late reply costs one reading and is never taken for the next", needs=(LINE_FAULTS,))
+@SUITE.case(
+    "T20",
+    "a late reply costs one reading and never answers the next request",
+    needs=(LINE_FAULTS,),
+)
 def late_reply(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
         tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         tracker.read_frame()
         line.delay_next(READ_LIMIT_S + 0.1)
-        refused(lambda: tracker.read_frame(READ_LIMIT_S), RonnaError, "a reading that comes too late")
+        refused(lambda: tracker.read_frame(READ_LIMIT_S), RonnaError, "a reading whose reply is late")
         tracker.read_frame(2.0)
         first = tracker.read_frame(2.0).stamp.device_clock
         dut.clock.sleep(PAUSE_S)
         second, third = (tracker.read_frame(2.0).stamp.device_clock for _ in range(2))
-        # Were each answer the one to the request before, the pause would show one reading too late.
+        # If every reply belonged to the previous request, the pause would show one reading late.
         check(third - second <= second - first, "a fresh frame after a pause", (first, second, third))
         dut.release()
 
 
-@SUITE.case("T21", "a broken connection is a latched fault that recover leaves", needs=(LINE_FAULTS,))
+@SUITE.case("T21", "a broken connection latches a fault that only recover clears", needs=(LINE_FAULTS,))
 def broken_connection(dut: DeviceUnderTest) -> None:
     with dut.disturbed_line() as line:
         tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
@@ -254,7 +258,7 @@ def broken_connection(dut: DeviceUnderTest) -> None:
 
 @SUITE.case(
     "T22",
-    "a reply with one wrong bit or a lost byte is never a reading",
+    "a reply with a flipped bit or a lost byte never becomes a reading",
     needs=(LINE_FAULTS, CHECKED_REPLIES),
 )
 def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
@@ -263,7 +267,7 @@ def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
         for disturb in (line.flip_next, line.lose_next_byte):
             before = tracker.read_frame().stamp
             disturb()
-            # one retry is allowed, a wrong reading is not
+            # a retry is allowed, a wrong reading is not
             with contextlib.suppress(ProtocolError, LinkTimeout):
                 after = tracker.read_frame(2.0).stamp
                 check(after.device_clock >= before.device_clock, "a later frame", after)

@@ -25,7 +25,7 @@ from ronna_hw.conformance.case import (
 )
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.kuka.rsi_client import AXES, eki_line
-from ronna_hw.conformance.kuka.tap import Heard, PiecewiseLine, RsiTap, wait_for
+from ronna_hw.conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
@@ -113,7 +113,7 @@ def one_reply_each(dut: DeviceUnderTest) -> None:
         unanswered = min(_unanswered(tap) for _ in range(WINDOWS))
         check(unanswered <= CYCLES // 4, "telegrams answered one by one", f"{unanswered} unanswered")
         _stall(tap)
-        late = tap.heard()
+        late = tap.traffic()
         replies = _stamps(late.replies)
         answered = [stamp for stamp in _stamps(late.telegrams[:HELD]) if stamp in replies]
         # The next ones on the schedule may have come so close behind that one of them was the newest.
@@ -142,7 +142,7 @@ def replies_have_the_type(dut: DeviceUnderTest) -> None:
 def first_correction_is_zero(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         for _ in range(2):
-            tap.heard()
+            tap.traffic()
             streaming(dut, arm)
             first = _exchanges(tap).replies[0]
             check(not any(corrections(first)), "zero", corrections(first))
@@ -154,11 +154,11 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
         start: JointVector = arm.read_state().commanded_rad
-        tap.heard()
+        tap.traffic()
         mover = threading.Thread(target=_there_and_back, args=(arm, start))
         mover.start()
         mover.join()
-        replies = [corrections(reply) for reply in tap.heard().replies]
+        replies = [corrections(reply) for reply in tap.traffic().replies]
         cycle_s = load_context().program.cycle_ms / 1000.0
         limits = [
             speed * math.degrees(1.0) * cycle_s * LARGEST_STEP_SHARE
@@ -201,10 +201,10 @@ def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
         under_way = wait_for(lambda: abs(arm.read_state().joints_rad[5] - start[5]) > SEEN_RAD, LIMIT_S)
         tap.hold()
         mover.join()
-        tap.heard()
+        tap.traffic()
         tap.discard()  # the controller may have ended the run by now, or may not
         wait_for(lambda: tap.replies >= HELD, SILENCE_SLACK_S)
-        later = [tuple(corrections(reply)) for reply in tap.heard().replies]
+        later = [tuple(corrections(reply)) for reply in tap.traffic().replies]
         check(under_way, "an arm that moves")
         check(len(ends) == 1, "a motion that says why it ended", ends)
         check(len(set(later)) <= 1, "one correction from then on", later)
@@ -275,7 +275,7 @@ def starts_only_when_ready(dut: DeviceUnderTest) -> None:
             with tapped(dut) as (arm, tap):
                 dut.brought_to(Lifecycle.CONFIGURED, arm)
                 refused(arm.activate, RefusedError, f"a start with {fault}")
-                check(not tap.heard().telegrams, "no program that runs")
+                check(not tap.traffic().telegrams, "no program that runs")
         finally:
             dut.clear_faults()
     with tapped(dut) as (arm, _):
@@ -303,10 +303,10 @@ def _stall(tap: RsiTap) -> None:
     check(wait_for(lambda: tap.replies >= HELD, LIMIT_S), "answers after a stall")
 
 
-def _exchanges(tap: RsiTap) -> Heard:
+def _exchanges(tap: RsiTap) -> Traffic:
     """What passes while at least `CYCLES` replies come."""
     check(wait_for(lambda: tap.replies >= CYCLES, LIMIT_S), f"{CYCLES} replies")
-    return tap.heard()
+    return tap.traffic()
 
 
 def _there_and_back(arm: Any, start: JointVector) -> None:

@@ -1,6 +1,6 @@
-"""A listener between a KUKA controller and its driver: sees every telegram and reply, and can hold them back.
+"""A tap between a KUKA controller and its driver: sees every telegram and reply, and can hold telegrams back.
 
-Nothing is ever changed or invented; holding telegrams back is what a stalled computer or network does.
+It changes and invents nothing; a stalled computer or network holds telegrams back too.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LOOPBACK = "127.0.0.1"
 
 
 @dataclass
-class Heard:
+class Traffic:
     """What has passed, in order: telegrams as the driver got them, and its replies."""
 
     telegrams: list[bytes] = field(default_factory=list)
@@ -43,40 +43,40 @@ class RsiTap:
         self._held: list[bytes] = []
         self._holding = self._ended = False
         self._lock = threading.Lock()
-        self._heard = Heard()
+        self._passed = Traffic()
         self._thread = threading.Thread(target=self._serve, name="RSI tap", daemon=True)
 
-    def heard(self) -> Heard:
+    def traffic(self) -> Traffic:
         """What has passed since the last call."""
         with self._lock:
-            heard, self._heard = self._heard, Heard()
-        return heard
+            passed, self._passed = self._passed, Traffic()
+        return passed
 
     @property
     def replies(self) -> int:
-        """How many replies have passed since the last `heard`."""
-        return len(self._heard.replies)
+        """How many replies have passed since the last `traffic`."""
+        return len(self._passed.replies)
 
     @property
     def holds(self) -> int:
-        """How many telegrams are kept back."""
+        """How many telegrams are held back."""
         return len(self._held)
 
     def hold(self) -> None:
-        """Keep the controller's telegrams back."""
+        """Hold the controller's telegrams back."""
         self._holding = True
 
     def release(self) -> None:
-        """Pass on at once all that was kept back, in order."""
+        """Pass on everything held back at once, in order."""
         with self._lock:
             held, self._held = self._held, []
             self._holding = False
-            self._heard = Heard(telegrams=held)
+            self._passed = Traffic(telegrams=held)
             for telegram in held:
                 self._inside.sendto(telegram, self._driver)
 
     def discard(self) -> None:
-        """Pass telegrams on again, but not those that were kept back."""
+        """Drop what was held back, and pass telegrams on again."""
         with self._lock:
             self._held.clear()
             self._holding = False
@@ -112,25 +112,25 @@ class RsiTap:
         if self._holding:
             self._held.append(telegram)
             return
-        self._heard.telegrams.append(telegram)
+        self._passed.telegrams.append(telegram)
         self._inside.sendto(telegram, self._driver)
 
     def _from_driver(self, reply: bytes) -> None:
-        self._heard.replies.append(reply)
+        self._passed.replies.append(reply)
         if self._controller is not None:
             self._outside.sendto(reply, self._controller)
 
 
 class PiecewiseLine(DisturbedLine):
-    """A line on which every byte of the device arrives on its own, or several elements at once."""
+    """A line on which the device's bytes arrive one by one, or several elements at once."""
 
-    gather_s = 0.0  # what comes within this time arrives as one
+    gather_s = 0.0  # bytes within this time arrive together
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__(device)
-        self.asked: list[bytes] = []  # what the driver has said, read by read
+        self.asked: list[bytes] = []  # what the driver has sent, read by read
 
-    def _heard(self, data: bytes) -> None:
+    def _from_driver(self, data: bytes) -> None:
         self.asked.append(data)
 
     def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
@@ -140,7 +140,7 @@ class PiecewiseLine(DisturbedLine):
 
 
 def wait_for(condition: Callable[[], bool], limit_s: float) -> bool:
-    """True as soon as `condition()` is; False when it never is in time."""
+    """True as soon as `condition()` is; False when the time is over."""
     until_s = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > until_s:

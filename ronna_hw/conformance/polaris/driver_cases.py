@@ -88,7 +88,7 @@ def stale_input_is_dropped(dut: DeviceUnderTest) -> None:
         name = reading_command(tap)
         for stale in (STALE_TEXT, tap.replies[name], b"\xc4\xa5\x00", b"\xff" * 40):
             before = tracker.read_frame(PATIENT_S).stamp.device_clock
-            tap.say(stale)
+            tap.inject(stale)
             time.sleep(ARRIVAL_S)
             dut.clock.sleep(ARRIVAL_S)
             asked = tap.count(name)

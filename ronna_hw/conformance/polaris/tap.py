@@ -45,7 +45,7 @@ class PolarisTap(DisturbedLine):
         """How many commands began so."""
         return sum(command.startswith(beginning) for command in self.commands)
 
-    def _heard(self, data: bytes) -> None:
+    def _from_driver(self, data: bytes) -> None:
         *lines, self._said = (self._said + data).split(CR)
         for line in lines:
             text = line.decode("latin-1")

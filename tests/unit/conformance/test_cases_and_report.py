@@ -120,11 +120,11 @@ def test_a_part_of_a_suite_is_chosen_by_the_prefix_of_its_numbers() -> None:
 
 
 def test_a_check_says_what_was_expected_and_found() -> None:
-    with pytest.raises(AssertionError, match="expected 1, found 2"):
+    with pytest.raises(AssertionError, match="expected 1, got 2"):
         check(False, "1", 2)
     check(True, "1", 2)
     assert isinstance(refused(lambda: int("x"), ValueError, "a word"), ValueError)
     with pytest.raises(AssertionError, match="carried out"):
         refused(lambda: 1, ValueError, "a number")
-    with pytest.raises(AssertionError, match="found KeyError"):
+    with pytest.raises(AssertionError, match="got KeyError"):
         refused(lambda: {}[1], ValueError, "a key")

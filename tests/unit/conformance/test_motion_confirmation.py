@@ -57,7 +57,7 @@ def test_a_person_at_the_terminal_is_asked(
     monkeypatch.setattr(sys, "stdin", Terminal(" Ana \n"))
     _run("--allow", "motion")
     assert confirmed == ["Ana"]
-    assert "Who confirms this?" in capsys.readouterr().err
+    assert "Confirmed by" in capsys.readouterr().err
 
 
 def test_who_just_presses_return_has_not_confirmed(

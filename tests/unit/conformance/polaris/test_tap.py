@@ -99,5 +99,5 @@ def test_a_binary_reply_is_changed_as_a_whole(tap: PolarisTap, client: socket.so
 
 def test_words_that_the_unit_never_said(tap: PolarisTap, client: socket.socket) -> None:
     ask(client, b"PENA 01D\r", 9)
-    tap.say(b"RESETBE6F\r")
+    tap.inject(b"RESETBE6F\r")
     assert client.recv(100) == b"RESETBE6F\r"
