@@ -44,9 +44,7 @@ EndpointOption = Annotated[
     list[str] | None,
     typer.Option("--endpoint", help="Test the device at this URI, or NAME=URI for each of several."),
 ]
-DriverOption = Annotated[
-    str | None, typer.Option("--driver", help="Driver to test, by its entry point.")
-]
+DriverOption = Annotated[str | None, typer.Option("--driver", help="Driver to test, by its entry point.")]
 DeviceOption = Annotated[str | None, typer.Option("--device", help="Which robot of the theatre file.")]
 AllowOption = Annotated[
     list[str] | None, typer.Option("--allow", help="Also run cases that need this: motion or destructive.")
@@ -65,9 +63,7 @@ ConfirmedOption = Annotated[
         "--confirmed-by", help="Who stands by an arm that is allowed to move; prompted for when not given."
     ),
 ]
-ReportOption = Annotated[
-    Path | None, typer.Option("--report", help="Write the whole report here, as JSON.")
-]
+ReportOption = Annotated[Path | None, typer.Option("--report", help="Write the whole report here, as JSON.")]
 
 
 @app.command()

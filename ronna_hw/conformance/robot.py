@@ -218,9 +218,7 @@ def target_out_of_range(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
 
 
-@SUITE.case(
-    "R14", "hold stops the moving arm before its target; resume moves nothing", needs=(MOTION,)
-)
+@SUITE.case("R14", "hold stops the moving arm before its target; resume moves nothing", needs=(MOTION,))
 def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
@@ -290,7 +288,7 @@ def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
     refuses_unknown_options(dut)
 
 
-@SUITE.case("R20", "a straight line to a pose between other frames is refused before anything moves")
+@SUITE.case("R20", "a straight line to a pose between the wrong frames is refused before any motion")
 def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     before = arm.read_state().joints_rad
@@ -313,7 +311,7 @@ def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
 
 
-@SUITE.case("R21", "on a straight line it is the tool that keeps to the line", needs=(MOTION,))
+@SUITE.case("R21", "with a tool, it is the tool point that follows the straight line", needs=(MOTION,))
 def line_is_the_tools(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
@@ -331,7 +329,7 @@ def line_is_the_tools(dut: DeviceUnderTest) -> None:
         for joints in seen:
             at: Transform = arm.kinematics.flange_pose(joints) @ tool
             beside_mm = math.dist(at.translation_mm, here.translation_mm)
-            check(beside_mm < REACHED_MM, "the tool on its line", f"{beside_mm:.4f} mm beside it")
+            check(beside_mm < REACHED_MM, "the tool on its line", f"{beside_mm:.4f} mm off")
         check(len(seen) > 1, "readings on the way", len(seen))
     check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
 

@@ -1,4 +1,4 @@
-"""The tables of the conformance checklists: each line, the cases that look at it, what they leave out."""
+"""The tables of the conformance checklists: each line, the cases that check it, what they leave out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ hardware. By default it has no lasting effect: no stored parameter is changed, n
 left idle at 9600 baud. Cases that reset the unit need `--allow destructive`. The report gives a reason for
 every skipped case.
 
-S is about the unit, D about its driver; T cases belong to any tracker.
+S lines are about the unit, D lines about its driver; T cases belong to any tracker.
 """
 KUKA_HEAD = """# Checklist of KUKA's RSI and EKI
 
@@ -22,7 +22,7 @@ Cases that move the arm need `--allow motion` and, except on our simulator, the 
 given at the prompt or by `--confirmed-by`. Cases that end in a fault need `--allow destructive`. The report
 gives a reason for every skipped case, and names who confirmed the motion.
 
-S is about the controller (cases K), D about the driver (cases L); R cases belong to any robot.
+S lines are about the controller (cases K), D lines about the driver (cases L); R cases belong to any robot.
 """
 GIGE_HEAD = """# Checklist of a GigE Vision camera
 
@@ -32,7 +32,7 @@ application. The report gives a reason for every skipped case. S cases apply to 
 listed here.
 """
 TABLE = """
-| line | what it asks | cases | |
+| line | requirement | cases | |
 |---|---|---|---|
 """
 

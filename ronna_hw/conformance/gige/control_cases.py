@@ -1,4 +1,4 @@
-"""More of what a camera's control channel must do: finding, several writes, exclusive access, heartbeat."""
+"""Cases for a camera's control channel: broadcast discovery, several writes, privileges, heartbeat."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ronna_hw.wire.gige_vision import (
     GvcpCommand,
 )
 
-EVERYBODY = "255.255.255.255"
+BROADCAST = "255.255.255.255"
 FOUND_LIMIT_S = 2.0
 BEATS, BEAT_S = 8, 0.2  # three times the shortest heartbeat time-out
 HEARTBEAT_SLACK = 0.1  # of the set time, plus a busy computer's
@@ -34,7 +34,7 @@ CASES = CaseList()
 case = CASES.case
 
 
-@case("G01", "cameras answer a discovery that is sent to everybody, each from its own address")
+@case("G01", "every camera answers a broadcast discovery from its own address")
 def broadcast_discovery(dut: DeviceUnderTest) -> None:
     question = struct.pack(">BBHHH", GVCP_KEY, 1, GvcpCommand.DISCOVERY, 0, 11)
     for camera in cameras(dut):
@@ -42,18 +42,18 @@ def broadcast_discovery(dut: DeviceUnderTest) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller:
             caller.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             caller.settimeout(FOUND_LIMIT_S)
-            caller.bind((camera.local_address, 0))  # the network card on which the camera is
+            caller.bind((camera.local_address, 0))  # the network card of the camera
             try:
-                caller.sendto(question, (EVERYBODY, GVCP_PORT))
+                caller.sendto(question, (BROADCAST, GVCP_PORT))
                 while camera.address not in found:
                     found.add(caller.recvfrom(1024)[1][0])
             except TimeoutError:
                 check(False, f"an answer from {camera.address}", ", ".join(sorted(found)) or "none")
             except OSError as error:
-                raise NotShown(f"{camera.local_address} cannot ask everybody: {error.strerror}") from error
+                raise NotShown(f"{camera.local_address} cannot broadcast: {error.strerror}") from error
 
 
-@case("G11", "of several writes the first failure ends the command and its index is told")
+@case("G11", "the first failure of several writes ends the command, with its index")
 def several_writes(dut: DeviceUnderTest) -> None:
     pairs = ((Bootstrap.SCPD, 7), (Bootstrap.VERSION, 1), (Bootstrap.SCPD, 9))
     for camera in cameras(dut):
@@ -63,26 +63,26 @@ def several_writes(dut: DeviceUnderTest) -> None:
             answer = camera.exchange(GvcpCommand.WRITEREG, payload)
             camera.expect(answer, GevStatus.WRITE_PROTECT, "the second of three writes")
             index = struct.unpack(">HH", answer.payload)[1] if len(answer.payload) == 4 else None
-            check(index == 1, "the index 1 of the failure", index)
-            check(camera.registers(Bootstrap.SCPD) == [7], "the first write done, the third not")
+            check(index == 1, "index 1", index)
+            check(camera.registers(Bootstrap.SCPD) == [7], "only the first write carried out")
             camera.write(Bootstrap.SCPD, before)
 
 
-@case("G13", "under exclusive access others may not even read; under control access they may")
+@case("G13", "others may read under control access, but not under exclusive access")
 def exclusive_access(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with GigeLink(camera.address) as other:
             with controlled(camera):
-                check(other.registers(Bootstrap.VERSION) != [], "a value for a reader beside the controller")
+                check(other.registers(Bootstrap.VERSION) != [], "a value for another reader")
             check(camera.write(Bootstrap.CCP, CCP_EXCLUSIVE) == GevStatus.SUCCESS, "exclusive access")
             try:
                 answer = other.exchange(GvcpCommand.READREG, struct.pack(">I", Bootstrap.VERSION))
-                other.expect(answer, GevStatus.ACCESS_DENIED, "reading under another's exclusive access")
+                other.expect(answer, GevStatus.ACCESS_DENIED, "reading under exclusive access of another")
             finally:
                 camera.write(Bootstrap.CCP, CCP_OPEN)
 
 
-@case("G14", "every command of the controller is a sign of life", needs=(HOST_TIME,))
+@case("G14", "every command of the controller restarts the heartbeat timer", needs=(HOST_TIME,))
 def every_command_is_life(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with controlled(camera):
@@ -90,12 +90,12 @@ def every_command_is_life(dut: DeviceUnderTest) -> None:
             for _ in range(BEATS):
                 time.sleep(BEAT_S)
                 camera.registers(Bootstrap.VERSION)
-            check(camera.registers(Bootstrap.CCP) == [CCP_CONTROL], "control, held by reading anything")
+            check(camera.registers(Bootstrap.CCP) == [CCP_CONTROL], "control, kept by reading")
 
 
 @case(
     "G15",
-    "a controller that falls silent loses control after its heartbeat time-out, and its stream ends",
+    "a silent controller loses control and its stream after the heartbeat time-out",
     needs=(HOST_TIME,),
 )
 def silence_ends_control(dut: DeviceUnderTest) -> None:
@@ -123,7 +123,7 @@ def silence_ends_control(dut: DeviceUnderTest) -> None:
             after.features.execute("UserSetLoad")
 
 
-@case("G40", "a client that is gone never keeps the next one out", needs=(HOST_TIME,))
+@case("G40", "a client that vanished does not block the next one", needs=(HOST_TIME,))
 def a_dead_client_is_forgotten(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with GigeLink(camera.address) as gone:

@@ -1,4 +1,4 @@
-"""What a camera's features must do: names, limits, locks, rates, user sets."""
+"""Cases for a camera's features: names, limits, locks, rates, user sets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ronna_hw.conformance.gige.link import cameras
 from ronna_hw.conformance.gige.stream import GigeStream, controlled_stream, leader_of, started
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 
-# without these no client can work
+# no client works without these
 ESSENTIAL = (
     "PayloadSize", "TLParamsLocked", "AcquisitionStart", "AcquisitionStop", "AcquisitionMode", "Width",
     "Height", "PixelFormat", "TriggerSelector", "TriggerMode",
@@ -33,7 +33,7 @@ def streams(dut: DeviceUnderTest) -> Iterator[GigeStream]:
             yield stream
 
 
-@case("G17a", "every register that the description names exists")
+@case("G17a", "every register of the description exists")
 def described_registers_exist(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         for address in stream.features.addresses():
@@ -41,7 +41,7 @@ def described_registers_exist(dut: DeviceUnderTest) -> None:
             check(answer.status != GevStatus.INVALID_ADDRESS, f"a register at 0x{address:X}", "none")
 
 
-@case("G18", "the description has what every client needs")
+@case("G18", "the description has the essential features")
 def essential_names(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         missing = [name for name in ESSENTIAL if not stream.features.has(name)]
@@ -60,7 +60,7 @@ def payload_follows(dut: DeviceUnderTest) -> None:
                 check(found == width * height * bits // 8, f"{width}x{height} at {bits} bits", found)
 
 
-@case("G20", "values outside the limits are refused or brought within them, never kept")
+@case("G20", "values out of range are refused or clamped, never stored")
 def limits_hold(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         features = stream.features
@@ -96,10 +96,10 @@ def format_is_locked(dut: DeviceUnderTest) -> None:
         pixel_format = stream.features.entry("PixelFormat", "Mono12")
         for name, value in (("Width", 512), ("Height", 32), ("PixelFormat", pixel_format)):
             status = stream.features.write(name, value)
-            check(status in REFUSALS, f"{name} to be refused", f"status 0x{status:04X}")
+            check(status in REFUSALS, f"{name} refused", f"status 0x{status:04X}")
 
 
-@case("G37", "an exposure longer than the frame period lowers the rate, and the camera says so")
+@case("G37", "an exposure longer than the frame period lowers the rate, and the camera reports it")
 def long_exposures_lower_the_rate(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         stream.features.set("TriggerMode", "Off")
@@ -114,7 +114,7 @@ def long_exposures_lower_the_rate(dut: DeviceUnderTest) -> None:
         check(rate <= most * (1 + RATE_SLACK), f"images at no more than {most:g} frames/s", f"{rate:.1f}")
 
 
-@case("G39", "the default user set brings the power-on values back")
+@case("G39", "the default user set restores the power-on values")
 def default_user_set(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         features = stream.features

@@ -1,6 +1,6 @@
-"""Features of a camera by name, as far as its description leads from a name to one fixed register.
+"""Features of a camera by name, where the description leads to one fixed register.
 
-Written a second time, and much smaller than a driver's: nodes with formulas are left alone.
+Independent of any driver, and much smaller: nodes with formulas are not supported.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class GigeFeatures:
 
     @cached_property
     def description(self) -> Element:
-        """The description as the camera delivers it, as plain XML or packed; fails when it is neither."""
+        """The camera's description, plain or zipped XML; raises Nonconformity when it is neither."""
         block = self._link.memory(Bootstrap.FIRST_URL, TEXT_BYTES[Bootstrap.FIRST_URL])
         url = block.split(b"\0", 1)[0].decode("ascii", errors="replace")
         if not url.startswith(URL_LOCAL):
@@ -42,7 +42,7 @@ class GigeFeatures:
         try:
             return ElementTree.fromstring(_unpacked(name, data[:count]))
         except (ElementTree.ParseError, zipfile.BadZipFile, IndexError) as error:
-            raise Nonconformity(f"expected XML in the {count} bytes of {url}, found {error}") from error
+            raise Nonconformity(f"expected XML in the {count} bytes of {url}, got {error}") from error
 
     @cached_property
     def nodes(self) -> dict[str, Element]:
@@ -54,7 +54,7 @@ class GigeFeatures:
         }
 
     def has(self, name: str) -> bool:
-        """True when the camera describes a node of that name."""
+        """True when the description has a node of that name."""
         return name in self.nodes
 
     def entry(self, name: str, entry: str) -> int:
@@ -97,25 +97,25 @@ class GigeFeatures:
         return self._link.write_memory(self._address(register), data)
 
     def set(self, name: str, value: int | float | str) -> None:
-        """Set a feature, an enumeration by its entry; fails when the camera refuses."""
+        """Set a feature, an enumeration by its entry; raises Nonconformity when the camera refuses."""
         number = self.entry(name, value) if isinstance(value, str) else value
         status = self.write(name, number)
-        check(status == GevStatus.SUCCESS, f"{name} = {value} to be taken", f"status 0x{status:04X}")
+        check(status == GevStatus.SUCCESS, f"{name} = {value} accepted", f"status 0x{status:04X}")
 
     def execute(self, name: str) -> None:
-        """Carry out a command; fails when the camera refuses."""
+        """Execute a command; raises Nonconformity when the camera refuses."""
         status = self._link.write(*self.command(name))
-        check(status == GevStatus.SUCCESS, f"{name} to be carried out", f"status 0x{status:04X}")
+        check(status == GevStatus.SUCCESS, f"{name} executed", f"status 0x{status:04X}")
 
     def command(self, name: str) -> tuple[int, int]:
-        """Register and value that carry out a command."""
+        """Register and value that execute a command."""
         value = int(_text(self._node(name), "CommandValue") or "1", 0)
         return self._address(self._register(name)), value
 
     def addresses(self) -> list[int]:
-        """Every fixed register address on the camera that the description names.
+        """Every fixed register address in the description.
 
-        What lies on the port of an event is a place in a message.
+        Nodes on the port of an event are skipped: their addresses are offsets in a message.
         """
         events = {name for name, node in self.nodes.items() if _text(node, "EventID") is not None}
         return [

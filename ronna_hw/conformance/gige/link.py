@@ -1,7 +1,6 @@
-"""Plain datagrams to a camera that speaks GigE Vision, past every driver.
+"""A plain GVCP client of a camera that bypasses every driver.
 
-What an answer should look like is written here from the protocol's reference a second time, so that a
-driver's misreading cannot hide in it.
+It decodes answers by itself, from the protocol's reference, so that a driver's misreading cannot hide.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ from ronna_hw.wire.gige_vision import (
 
 ANSWER_LIMIT_S = 0.5
 TRIES = 3  # a datagram may be lost
-SILENCE_S = 0.15  # how long no answer must come to say that there is none
+SILENCE_S = 0.15  # without a datagram for so long there is no answer
 
 
 @dataclass(frozen=True)
 class Answer:
-    """An acknowledge as it came."""
+    """An acknowledge as received."""
 
     status: int
     code: int
@@ -58,7 +57,7 @@ class GigeLink:
         self._socket.close()
 
     def exchange(self, command: int, payload: bytes = b"") -> Answer:
-        """Send a command and return its answer, whatever its status; fails when none comes."""
+        """Send a command and return its answer, whatever its status; raises Nonconformity without one."""
         self._request_id = self._request_id % 0xFFFF + 1
         datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
         self._last = datagram
@@ -70,7 +69,7 @@ class GigeLink:
         raise AssertionError("check has raised")
 
     def silent_after(self, datagram: bytes) -> bool:
-        """Send any datagram; True when nothing comes back."""
+        """Send a datagram; True when nothing comes back."""
         self._socket.send(datagram)
         self._socket.settimeout(SILENCE_S)
         try:
@@ -88,7 +87,7 @@ class GigeLink:
         return answer.payload[4:]
 
     def registers(self, *addresses: int) -> list[int]:
-        """Values of registers, asked for in one command."""
+        """Values of registers, read in one command."""
         answer = self.exchange(GvcpCommand.READREG, struct.pack(f">{len(addresses)}I", *addresses))
         self.expect(answer, GevStatus.SUCCESS, f"reading {len(addresses)} register(s)")
         check(len(answer.payload) == 4 * len(addresses), f"{len(addresses)} values", len(answer.payload))
@@ -103,24 +102,24 @@ class GigeLink:
         return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
 
     def repeat_last(self) -> bool:
-        """Send the last command once more, as a client does whose answer was lost; True when answered."""
+        """Send the last command again, as a client does when an answer is lost; True when answered."""
         self._socket.send(self._last)
         return self._answer(self._request_id) is not None
 
-    def tell(self, command: int, payload: bytes) -> None:
-        """Send a command that gets no answer."""
+    def send(self, command: int, payload: bytes) -> None:
+        """Send a command without the acknowledge flag."""
         self._request_id = self._request_id % 0xFFFF + 1
         head = struct.pack(">BBHHH", GVCP_KEY, 0, command, len(payload), self._request_id)
         self._socket.send(head + payload)
 
     @property
     def local_address(self) -> str:
-        """The host's address on the way to the camera."""
+        """The host's address towards the camera."""
         return str(self._socket.getsockname()[0])
 
     @staticmethod
     def expect(answer: Answer, status: GevStatus, what: str) -> None:
-        """Fail unless the answer has that status."""
+        """Raise Nonconformity unless the answer has that status."""
         check(answer.status == status, f"{what}: status 0x{status:04X}", f"0x{answer.status:04X}")
 
     def _answer(self, request_id: int) -> Answer | None:
@@ -134,15 +133,13 @@ class GigeLink:
             check(len(datagram) >= 8, "a header of 8 bytes", len(datagram))
             status, code, length, came_id = struct.unpack_from(">HHHH", datagram)
             if came_id == request_id and code != GvcpCommand.PENDING_ACK:
-                check(
-                    len(datagram) == 8 + length, f"the {length} bytes that the header says", len(datagram) - 8
-                )
+                check(len(datagram) == 8 + length, f"{length} bytes, as the header says", len(datagram) - 8)
                 return Answer(status, code, came_id, datagram[8:])
         return None
 
 
 def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
-    """A link to each camera in turn, with no session of the driver beside it."""
+    """A link to each camera in turn; closes every session of the driver first."""
     dut.release()
     for text in dut.config.endpoints.values():
         with GigeLink(parse_endpoint(text).require("gev").host) as link:
@@ -151,7 +148,7 @@ def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
 
 @contextmanager
 def controlled(link: GigeLink) -> Iterator[GigeLink]:
-    """Hold control of a camera, and give it back."""
+    """Control of a camera, given up after the block."""
     GigeLink.expect(Answer(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
     try:
         yield link

@@ -1,7 +1,7 @@
-"""What a camera that speaks GigE Vision must do, datagram by datagram, past the driver.
+"""Cases for the registers of a GigE Vision camera, bypassing the driver.
 
-The number of a case is G and a line of the protocol's checklist. Every case is tried on each camera and
-leaves it without a controller.
+The number of a case is G and a line of the protocol's checklist. Every case runs on each camera
+and leaves it without a controller.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class TellsBlockIds(StereoPair, Protocol):
         ...
 
 
-@case("G02", "a discovery answer is the bootstrap memory, with the request id of the command")
+@case("G02", "discovery returns the bootstrap memory, with the request id of the command")
 def discovery_is_bootstrap_memory(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         answer = camera.exchange(GvcpCommand.DISCOVERY)
@@ -56,22 +56,22 @@ def discovery_is_bootstrap_memory(dut: DeviceUnderTest) -> None:
         check(answer.payload == camera.memory(0, DISCOVERY_BYTES), "what READMEM gives from address 0")
 
 
-@case("G03", "discovery is answered while somebody else is in control")
+@case("G03", "discovery is answered while another application has control")
 def discovery_beside_a_controller(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with controlled(camera), GigeLink(camera.address) as other:
             other.expect(other.exchange(GvcpCommand.DISCOVERY), GevStatus.SUCCESS, "discovery")
 
 
-@case("G04", "datagrams that are no command are left unanswered")
-def rubbish_is_left_unanswered(dut: DeviceUnderTest) -> None:
+@case("G04", "datagrams that are not commands get no answer")
+def invalid_datagrams(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         for datagram in (b"", b"\x42\x01\x00", struct.pack(">BBHHH", GVCP_KEY + 1, 1, 2, 0, 9)):
-            check(camera.silent_after(datagram), "no answer to a datagram that is no command")
+            check(camera.silent_after(datagram), "no answer to a datagram that is not a command")
         camera.expect(camera.exchange(GvcpCommand.DISCOVERY), GevStatus.SUCCESS, "discovery afterwards")
 
 
-@case("G05", "an unknown command is not implemented; one without the acknowledge flag gets no answer")
+@case("G05", "an unknown command gives NOT_IMPLEMENTED; without the acknowledge flag there is no answer")
 def unknown_commands(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         answer = camera.exchange(UNKNOWN_COMMAND)
@@ -80,7 +80,7 @@ def unknown_commands(dut: DeviceUnderTest) -> None:
         check(camera.silent_after(quiet), "no answer without the acknowledge flag")
 
 
-@case("G06", "several registers are read in one command, in order")
+@case("G06", "several registers can be read in one command, in order")
 def registers_in_order(dut: DeviceUnderTest) -> None:
     wanted = (Bootstrap.TICK_FREQUENCY_LOW, Bootstrap.CCP, Bootstrap.VERSION)
     for camera in cameras(dut):
@@ -88,7 +88,7 @@ def registers_in_order(dut: DeviceUnderTest) -> None:
         check(camera.registers(*wanted) == single, f"the values {single}", camera.registers(*wanted))
 
 
-@case("G07", "memory is read in pieces of up to 536 bytes, at addresses that are multiples of 4")
+@case("G07", "memory can be read in blocks of up to 536 bytes, at multiples of 4")
 def memory_pieces(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         camera.memory(Bootstrap.FIRST_URL, READMEM_LIMIT - READMEM_LIMIT % 4)
@@ -96,7 +96,7 @@ def memory_pieces(dut: DeviceUnderTest) -> None:
         camera.expect(answer, GevStatus.BAD_ALIGNMENT, "a misaligned address")
 
 
-@case("G08", "absent addresses are invalid, for reading and for writing")
+@case("G08", "nonexistent addresses are invalid, for reading and writing")
 def absent_addresses(dut: DeviceUnderTest) -> None:
     absent = struct.pack(">I", ABSENT_ADDRESS)
     for camera in cameras(dut):
@@ -108,7 +108,7 @@ def absent_addresses(dut: DeviceUnderTest) -> None:
                 (GvcpCommand.WRITEMEM, absent + bytes(4)),
             ):
                 answer = camera.exchange(command, payload)
-                camera.expect(answer, GevStatus.INVALID_ADDRESS, f"{command.name} of an absent address")
+                camera.expect(answer, GevStatus.INVALID_ADDRESS, f"{command.name} of a nonexistent address")
 
 
 @case("G09", "read-only registers are write-protected")
@@ -119,7 +119,7 @@ def read_only_registers(dut: DeviceUnderTest) -> None:
             check(status == GevStatus.WRITE_PROTECT, "write protect", hex(status))
 
 
-@case("G10", "without control nothing is written")
+@case("G10", "nothing can be written without control")
 def no_write_without_control(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         for status in (
@@ -129,16 +129,16 @@ def no_write_without_control(dut: DeviceUnderTest) -> None:
             check(status == GevStatus.ACCESS_DENIED, "access denied", hex(status))
 
 
-@case("G12", "a second applicant is refused, and may still read")
+@case("G12", "a second application is refused control, but may read")
 def second_applicant(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with controlled(camera), GigeLink(camera.address) as other:
             status = other.write(Bootstrap.CCP, CCP_CONTROL)
             check(status == GevStatus.ACCESS_DENIED, "access denied", hex(status))
-            check(other.registers(Bootstrap.CCP) == [CCP_CONTROL], "the first one's privilege")
+            check(other.registers(Bootstrap.CCP) == [CCP_CONTROL], "control of the first application")
 
 
-@case("G16", "a heartbeat time-out below the minimum is raised to it")
+@case("G16", "a heartbeat time-out below the minimum is raised to the minimum")
 def shortest_heartbeat(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with controlled(camera):
@@ -149,18 +149,18 @@ def shortest_heartbeat(dut: DeviceUnderTest) -> None:
             check(found == HEARTBEAT_MINIMUM_MS, f"{HEARTBEAT_MINIMUM_MS} ms", found)
 
 
-@case("G17", "the description on the camera has the length its address tells, and is XML")
+@case("G17", "the description is XML of the length that its URL says")
 def description_is_xml(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         root = GigeFeatures(camera).description
         check(root.tag.endswith("RegisterDescription"), "a RegisterDescription", root.tag)
 
 
-@case("G27", "block ids begin at 1 and step by 1")
+@case("G27", "block ids start at 1 and increase by 1")
 def block_ids_step_by_one(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.CONFIGURED)
     if not isinstance(pair, TellsBlockIds):
-        raise NotShown("the driver does not tell block ids")
+        raise NotShown("the driver does not expose block ids")
     pair.activate()
     for number in range(1, PAIRS + 1):
         pair.grab_pair()

@@ -1,4 +1,4 @@
-"""A camera's stream, packet by packet, with nothing repaired: what the cases about images look at."""
+"""A camera's stream, packet by packet, without any resends of its own."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ronna_hw.conformance.gige.features import GigeFeatures
 from ronna_hw.conformance.gige.link import GigeLink, controlled
 from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
 
-FRAME_LIMIT_S = 10.0  # for an image; a busy computer may take its time to draw it
-SILENCE_S = 0.3  # how long no packet must come to say that there is none
+FRAME_LIMIT_S = 10.0  # for an image; a busy computer may draw it slowly
+SILENCE_S = 0.3  # a stream without a packet for so long is silent
 WIDTH_PX, HEIGHT_PX = 256, 64
 PACKET_BYTES = 1500
 BUFFER_BYTES = 4 << 20
@@ -36,7 +36,7 @@ class Packet:
 
 @dataclass(frozen=True)
 class Leader:
-    """What the leader says."""
+    """Content of a leader."""
 
     payload_type: int
     ticks: int
@@ -48,7 +48,7 @@ class Leader:
 
 
 class GigeStream:
-    """A socket that the camera streams to."""
+    """A socket to which the camera streams."""
 
     def __init__(self, link: GigeLink) -> None:
         self.link = link
@@ -64,22 +64,22 @@ class GigeStream:
         self.close()
 
     def latched(self) -> int:
-        """The camera's count of ticks now."""
+        """The camera's tick counter now."""
         self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         high, low = self.link.registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
         return high << 32 | low
 
     @property
     def port(self) -> int:
-        """Where the camera has to send."""
+        """UDP port to which the camera must send."""
         return int(self._socket.getsockname()[1])
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()
 
     def open_channel(self, destination: str | None = None) -> None:
-        """Tell the camera where to send; by default the host's own address."""
+        """Set the camera's destination; the host's own address by default."""
         address = socket.inet_aton(destination or self.link.local_address)
         self.link.write(Bootstrap.SCDA, int.from_bytes(address, "big"))
         self.link.write(Bootstrap.SCP, self.port)
@@ -116,7 +116,7 @@ class GigeStream:
         return Packet(status, block_id, word >> 24 & 0x7F, word & 0xFFFFFF, data[8:], data[2:])
 
     def datagram(self, limit_s: float) -> bytes | None:
-        """Whatever comes next."""
+        """The next datagram."""
         self._socket.settimeout(limit_s)
         try:
             return self._socket.recv(65536)
@@ -124,7 +124,7 @@ class GigeStream:
             return None
 
     def frame(self) -> list[Packet]:
-        """All packets up to the next trailer; fails when none comes."""
+        """All packets up to the next trailer; raises Nonconformity when none comes."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while not found or found[-1].kind != TRAILER:
@@ -135,11 +135,11 @@ class GigeStream:
         return found
 
     def silent(self) -> bool:
-        """True when no packet comes for a while."""
+        """True when no packet comes for `SILENCE_S`."""
         return self.datagram(SILENCE_S) is None
 
     def last_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
-        """What still comes until nothing does for so long; fails when it does not end."""
+        """The packets until none comes for so long; raises Nonconformity when they do not end."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while (packet := self.packet(silence_s)) is not None:
@@ -147,9 +147,9 @@ class GigeStream:
             check(time.monotonic() < deadline_s, "an end of the stream", f"{len(found)} more packets")
         return found
 
-    def ask_again(self, block_id: int, first: int, last: int) -> None:
-        """Ask for packets of a block."""
-        self.link.tell(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
+    def request_resend(self, block_id: int, first: int, last: int) -> None:
+        """Request packets of a block again."""
+        self.link.send(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
 
 
 def leader_of(frame: list[Packet]) -> Leader:
@@ -159,7 +159,7 @@ def leader_of(frame: list[Packet]) -> Leader:
 
 
 def decode_leader(packet: Packet) -> Leader:
-    """What a leader says."""
+    """Decode a leader."""
     _, payload_type, ticks, pixel_format, width, height, x, y, _, _ = struct.unpack_from(
         ">HHQIIIIIHH", packet.content
     )
@@ -168,7 +168,7 @@ def decode_leader(packet: Packet) -> Leader:
 
 @contextmanager
 def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
-    """A camera under control with an open channel and small frames; left with power-on settings."""
+    """The stream of a controlled camera with small frames; the camera is left with power-on settings."""
     with controlled(link):
         stream = GigeStream(link)
         try:

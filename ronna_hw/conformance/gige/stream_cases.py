@@ -1,4 +1,4 @@
-"""What a camera's stream and triggers must do, packet by packet."""
+"""Cases for a camera's stream and triggers, packet by packet."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ FRAMES = 4
 TEST_LIMIT_S = 1.0
 GONE = (GevStatus.PACKET_UNAVAILABLE, GevStatus.PACKET_REMOVED)
 TRIGGERS = 5
-LONG_EXPOSURE_US = 250_000.0  # longer than so many commands take
-LATE_S = 1.5  # how long an image of such an exposure is waited for
+LONG_EXPOSURE_US = 250_000.0  # longer than the trigger commands take
+LATE_S = 1.5  # time limit for an image of such an exposure
 DEVICE_KEY, GROUP_KEY, GROUP_MASK = 0x1234_5678, 3, 2
 
 CASES = CaseList()
@@ -49,7 +49,7 @@ case = CASES.case
 
 
 def frames(stream: GigeStream, count: int) -> list[list[Packet]]:
-    """Frames of one trigger each."""
+    """Frames, one trigger each."""
     taken = []
     for _ in range(count):
         stream.trigger()
@@ -57,7 +57,7 @@ def frames(stream: GigeStream, count: int) -> list[list[Packet]]:
     return taken
 
 
-@case("G23", "a test packet has the wished size, comes once, and clears its bit")
+@case("G23", "a test packet has the requested size, comes once and clears its bit")
 def test_packets(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         for size in TEST_PACKET_BYTES:
@@ -70,14 +70,14 @@ def test_packets(dut: DeviceUnderTest) -> None:
             check(not found & SCPS_FIRE_TEST, "the bit cleared", hex(found))
 
 
-@case("G24", "destination 0.0.0.0 means the application in control")
+@case("G24", "destination 0.0.0.0 is the application in control")
 def nameless_destination(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         stream.open_channel("0.0.0.0")
         frames(started(stream), 1)
 
 
-@case("G25", "images come only with an open channel, control, and a running acquisition")
+@case("G25", "images need an open channel, control and a running acquisition")
 def three_conditions(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         stream.trigger()
@@ -91,7 +91,7 @@ def three_conditions(dut: DeviceUnderTest) -> None:
         frames(started(stream), 1)
 
 
-@case("G25a", "giving control back ends the stream")
+@case("G25a", "giving up control ends the stream")
 def release_ends_the_stream(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with controlled_stream(camera) as stream:
@@ -100,10 +100,10 @@ def release_ends_the_stream(dut: DeviceUnderTest) -> None:
             camera.write(Bootstrap.CCP, CCP_OPEN)
             stream.last_packets()
             check(camera.registers(Bootstrap.SCP) == [0], "the channel closed")
-            camera.write(Bootstrap.CCP, 2)  # for the way out
+            camera.write(Bootstrap.CCP, 2)  # which the end of the block expects
 
 
-@case("G26", "leader, payload and trailer are numbered 0, 1 to n, n+1; only the last payload is short")
+@case("G26", "leader, payload and trailer have ids 0, 1 to n, n+1; only the last payload is short")
 def packets_are_numbered(dut: DeviceUnderTest) -> None:
     full = PACKET_BYTES - GVSP_OVERHEAD_BYTES
     for stream in streams(dut):
@@ -116,8 +116,8 @@ def packets_are_numbered(dut: DeviceUnderTest) -> None:
         check(sum(sizes) == WIDTH_PX * HEIGHT_PX, "the whole image", sum(sizes))
 
 
-@case("G28", "the leader tells geometry, format and offset as they are set")
-def leader_tells_the_truth(dut: DeviceUnderTest) -> None:
+@case("G28", "the leader has the geometry, format and offset that were set")
+def leader_agrees(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         stream.features.set("OffsetX", 64)
         stream.features.set("OffsetY", 32)
@@ -130,16 +130,16 @@ def leader_tells_the_truth(dut: DeviceUnderTest) -> None:
         check(leader.pixel_format == pixel_format, hex(pixel_format), hex(leader.pixel_format))
 
 
-@case("G29", "time stamps are counted at the told frequency and always grow")
+@case("G29", "time stamps count at the given frequency and always increase")
 def stamps_grow(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         high, low = stream.link.registers(Bootstrap.TICK_FREQUENCY_HIGH, Bootstrap.TICK_FREQUENCY_LOW)
-        check(high << 32 | low > 0, "a frequency")
+        check(high << 32 | low > 0, "a nonzero frequency")
         ticks = [leader_of(frame).ticks for frame in frames(started(stream), FRAMES)]
-        check(ticks == sorted(set(ticks)), "growing stamps", ticks)
+        check(ticks == sorted(set(ticks)), "increasing stamps", ticks)
 
 
-@case("G30", "the counter can be latched and reset, and leads the images' stamps")
+@case("G30", "the counter can be latched and reset, and agrees with the images' stamps")
 def latch_and_reset(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         started(stream)
@@ -152,23 +152,23 @@ def latch_and_reset(dut: DeviceUnderTest) -> None:
         check(stream.latched() < after, "a smaller count after the reset")
 
 
-@case("G31", "packets of the last 16 images are repeated byte by byte")
+@case("G31", "packets of the last 16 images are resent byte by byte")
 def packets_are_repeated(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         taken = frames(started(stream), KEPT_FRAMES)
         for frame in (taken[0], taken[-1]):
             for first in (frame[0], frame[2], frame[-1]):
-                stream.ask_again(first.block_id, first.packet_id, first.packet_id)
+                stream.request_resend(first.block_id, first.packet_id, first.packet_id)
                 again = stream.packet(TEST_LIMIT_S)
                 check(again is not None and again.raw == first.raw, f"packet {first.packet_id} again")
-                check(again is not None and again.status in (0, GevStatus.PACKET_RESEND), "a repetition")
+                check(again is not None and again.status in (0, GevStatus.PACKET_RESEND), "a resent packet")
 
 
-@case("G32", "a packet that is gone is answered by a header that says so")
-def gone_packets_are_told(dut: DeviceUnderTest) -> None:
+@case("G32", "a request for a discarded packet is answered by a header that says so")
+def discarded_packets(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         frames(started(stream), 1)
-        stream.ask_again(0x7000, 1, 1)
+        stream.request_resend(0x7000, 1, 1)
         answer = stream.packet(TEST_LIMIT_S)
         if answer is None:
             check(False, "a header with 0x800C or 0x8012", "nothing")
@@ -176,7 +176,7 @@ def gone_packets_are_told(dut: DeviceUnderTest) -> None:
         check(answer.status in GONE and not answer.content, "0x800C or 0x8012", hex(answer.status))
 
 
-@case("G33", "one software trigger gives one image, none gives none, and one to a busy camera is counted")
+@case("G33", "one software trigger gives one image; a trigger while busy is dropped and counted")
 def software_trigger(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         check(started(stream).silent(), "nothing without a trigger")
@@ -186,49 +186,49 @@ def software_trigger(dut: DeviceUnderTest) -> None:
         for _ in range(TRIGGERS):
             stream.trigger()
         taken = sum(packet.kind == TRAILER for packet in stream.last_packets(LATE_S))
-        check(0 < taken < TRIGGERS, "triggers to a busy camera dropped", f"{taken} images for {TRIGGERS}")
+        check(0 < taken < TRIGGERS, "triggers while busy dropped", f"{taken} images for {TRIGGERS}")
         if stream.features.has("OvertriggerCount"):
             missed = stream.features.whole("OvertriggerCount")
-            check(missed == TRIGGERS - taken, f"{TRIGGERS - taken} counted triggers to a busy camera", missed)
+            check(missed == TRIGGERS - taken, f"{TRIGGERS - taken} counted triggers while busy", missed)
 
 
-@case("G34", "a command that is repeated with its request id acts once")
+@case("G34", "a command repeated with its request id is executed once")
 def repeated_commands_act_once(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         started(stream)
         trigger = struct.pack(">II", *stream.features.command("TriggerSoftware"))
         stream.link.exchange(GvcpCommand.WRITEREG, trigger)
-        stream.frame()  # only then the camera would obey another one
-        check(stream.link.repeat_last(), "an answer to the repetition", "none")
+        stream.frame()  # only then would the camera take another one
+        check(stream.link.repeat_last(), "an answer to the repeated command", "none")
         check(stream.silent(), "one image for a repeated trigger")
 
 
-@case("G35", "an action with the right keys and mask takes one image; others take none")
+@case("G35", "an action with matching keys and mask takes one image; others take none")
 def actions(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         if not stream.features.has("ActionDeviceKey"):
-            raise NotShown("the camera knows no actions")
+            raise NotShown("the camera does not support actions")
         stream.features.set("TriggerSource", "Action1")
         stream.features.set("ActionDeviceKey", DEVICE_KEY)
         stream.features.set("ActionGroupKey", GROUP_KEY)
         stream.features.set("ActionGroupMask", GROUP_MASK)
         started(stream)
         for keys in ((1, GROUP_KEY, GROUP_MASK), (DEVICE_KEY, 4, GROUP_MASK), (DEVICE_KEY, GROUP_KEY, 1)):
-            stream.link.tell(GvcpCommand.ACTION, struct.pack(">III", *keys))
+            stream.link.send(GvcpCommand.ACTION, struct.pack(">III", *keys))
         check(stream.silent(), "nothing for other keys, groups or masks")
-        stream.link.tell(GvcpCommand.ACTION, struct.pack(">III", DEVICE_KEY, GROUP_KEY, GROUP_MASK))
+        stream.link.send(GvcpCommand.ACTION, struct.pack(">III", DEVICE_KEY, GROUP_KEY, GROUP_MASK))
         stream.frame()
         check(stream.silent(), "one image for one action")
 
 
-@case("G38", "AcquisitionStop ends the stream after at most the image under way")
+@case("G38", "AcquisitionStop ends the stream after at most the image in progress")
 def stop_ends_the_stream(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         stream.features.set("TriggerMode", "Off")
         started(stream).frame()
         stream.features.execute("AcquisitionStop")
         stopped = stream.latched()
-        # what was exposed before the stop may still be on its way
+        # an image exposed before the stop may still be on its way
         begun = [decode_leader(packet).ticks for packet in stream.last_packets() if packet.kind == LEADER]
         late = [ticks for ticks in begun if ticks > stopped]
-        check(not late, f"no image that begins after the stop at {stopped}", late)
+        check(not late, f"no image that starts after the stop at {stopped}", late)

@@ -1,7 +1,7 @@
-"""What the driver of a KUKA controller must do on the wire, seen from between the two.
+"""Cases for the driver of a KUKA controller, seen by a tap between the two.
 
 The number of a case is L and a line of the protocol's checklist. The stream is tapped, and telegrams may be
-held back, as a stalled computer would; nothing is changed or invented.
+held back, as by a stalled computer; nothing is changed or invented.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ WINDOWS = 3  # of so many cycles
 HELD = 5  # telegrams that arrive at once after a stall
 LIMIT_S = 10.0
 SILENCE_LIMIT_S = 0.25  # of the driver in host time, unless the theatre file says otherwise
-SILENCE_SLACK_S = 1.5  # for a busy computer; both are below what EKI may be silent for
+SILENCE_SLACK_S = 1.5  # for a busy computer; both are below the silence that EKI may keep
 GATHERED_S = 0.05
 TURN_RAD = 0.0175  # one degree of the last axis
-LONG_TURN_RAD = 20 * TURN_RAD  # interrupted as soon as it is seen to move
+LONG_TURN_RAD = 20 * TURN_RAD  # interrupted as soon as it moves visibly
 SEEN_RAD = TURN_RAD / 10
 SLOW = 0.1  # of the driver's working speed
-LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed: beyond, a controller may take it for a fault
-# What forbids a start, and what the state tells of it.
+LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed; a controller may treat a larger one as a fault
+# What prevents a start, and how the state reports it.
 NOT_READY = (
     ("emergency stop", "EStop", "1"),
     ("guard open", "Guard", "1"),
@@ -65,7 +65,7 @@ case = CASES.case
 
 @contextmanager
 def tapped(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
-    """A driver whose RSI passes through a tap, and perhaps its other endpoints through other lines."""
+    """A driver whose RSI passes through a tap, with other endpoints replaced as given."""
     config = dut.config
     dut.release()
     inside = own_udp_endpoint(TAPPED_PORT)
@@ -79,7 +79,7 @@ def tapped(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap
 
 
 def streaming(dut: DeviceUnderTest, arm: Any) -> None:
-    """Bring the arm to where it streams."""
+    """Start the stream."""
     dut.brought_to(Lifecycle.ACTIVE, arm)
 
 
@@ -97,33 +97,33 @@ def corrections(reply: bytes) -> list[float]:
     return found
 
 
-@case("L11", "every reply carries the IPOC of its telegram, as it came")
+@case("L11", "every reply echoes the IPOC of its telegram")
 def echoes_the_time_stamp(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
         heard = _exchanges(tap)
-    check(set(_stamps(heard.replies)) <= set(_stamps(heard.telegrams)), "stamps that were sent")
+    check(set(_stamps(heard.replies)) <= set(_stamps(heard.telegrams)), "only IPOCs of telegrams")
 
 
-@case("L12", "one reply to a telegram; after a stall only the newest is answered")
+@case("L12", "one reply per telegram; after a stall only the newest is answered")
 def one_reply_each(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
-        # On a busy computer telegrams come in bunches, and then the newest only is answered.
+        # On a busy computer telegrams come in bunches, and only the newest is answered.
         unanswered = min(_unanswered(tap) for _ in range(WINDOWS))
         check(unanswered <= CYCLES // 4, "telegrams answered one by one", f"{unanswered} unanswered")
         _stall(tap)
         late = tap.traffic()
         replies = _stamps(late.replies)
         answered = [stamp for stamp in _stamps(late.telegrams[:HELD]) if stamp in replies]
-        # The next ones on the schedule may have come so close behind that one of them was the newest.
+        # A later scheduled telegram may have come so soon that it was the newest.
         newest = _stamps(late.telegrams[HELD - 1 :])
         check(any(stamp in replies for stamp in newest), "an answer to the newest telegram")
         check(len(answered) <= HELD - 2, "no answers to those before it", f"{len(answered)} of {HELD}")
 
 
 def _unanswered(tap: RsiTap) -> int:
-    """Telegrams of a while that were not answered; none is answered twice."""
+    """How many of at least `CYCLES` telegrams were not answered; none may be answered twice."""
     heard = _exchanges(tap)
     stamps = _stamps(heard.replies)
     check(len(set(stamps)) == len(stamps), "no telegram answered twice")
@@ -170,14 +170,14 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
             check(abs(b - a) <= limit, f"{axis} to step at most {limit:.4f} deg", f"{abs(b - a):.4f}")
 
 
-@case("L30", "silence of the controller is noticed in time, and latched", needs=(DESTRUCTIVE, HOST_TIME))
+@case("L30", "silence of the controller is noticed in time and latched", needs=(DESTRUCTIVE, HOST_TIME))
 def silence_is_noticed(dut: DeviceUnderTest) -> None:
     dut.release()
     with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
         line.gather_s = 0.001
         with tapped(dut, eki_project=line.endpoint) as (arm, tap):
             streaming(dut, arm)
-            line.silence()  # else the controller itself tells that it has ended the run
+            line.silence()  # or the controller itself would report the end of the run
             tap.hold()
             limit_s = SILENCE_LIMIT_S + SILENCE_SLACK_S
             noticed = wait_for(lambda: arm.state is Lifecycle.FAULT, limit_s)
@@ -188,7 +188,7 @@ def silence_is_noticed(dut: DeviceUnderTest) -> None:
 
 @case(
     "L30b",
-    "a motion that silence has ended does not go on when telegrams come again",
+    "a motion ended by silence does not resume when telegrams return",
     needs=(MOTION, DESTRUCTIVE, HOST_TIME),
 )
 def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
@@ -202,31 +202,31 @@ def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
         tap.hold()
         mover.join()
         tap.traffic()
-        tap.discard()  # the controller may have ended the run by now, or may not
+        tap.discard()  # whether or not the controller has ended the run by now
         wait_for(lambda: tap.replies >= HELD, SILENCE_SLACK_S)
         later = [tuple(corrections(reply)) for reply in tap.traffic().replies]
         check(under_way, "an arm that moves")
-        check(len(ends) == 1, "a motion that says why it ended", ends)
-        check(len(set(later)) <= 1, "one correction from then on", later)
+        check(len(ends) == 1, "a motion that reports why it ended", ends)
+        check(len(set(later)) <= 1, "a constant correction from then on", later)
         arm.recover("conformance suite", LIMIT_S)
         arm.activate(LIMIT_S)
         arm.move_joints(start, speed_fraction=SLOW)
 
 
-@case("L31", "the growth of D and our own turnaround are told")
-def losses_are_told(dut: DeviceUnderTest) -> None:
+@case("L31", "late cycles by D and our own turnaround are reported")
+def losses_are_reported(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
         before = arm.link_statistics()
         tap.hold()
         dut.clock.sleep(2 * HELD * load_context().program.cycle_ms / 1000.0)
         tap.release()
-        told = wait_for(lambda: arm.link_statistics().late_cycles > before.late_cycles, LIMIT_S)
-        check(told, "late cycles in the statistics", arm.link_statistics().late_cycles)
+        grew = wait_for(lambda: arm.link_statistics().late_cycles > before.late_cycles, LIMIT_S)
+        check(grew, "late cycles in the statistics", arm.link_statistics().late_cycles)
         check(arm.link_statistics().turnaround_median_us > 0, "a turnaround")
 
 
-@case("L38", "elements are told apart by their ends, however the bytes arrive")
+@case("L38", "elements are delimited by their end tags, however the bytes arrive")
 def elements_in_pieces(dut: DeviceUnderTest) -> None:
     for gather_s in (0.0, GATHERED_S):
         dut.release()
@@ -238,8 +238,8 @@ def elements_in_pieces(dut: DeviceUnderTest) -> None:
                 check(len(reading.joints_rad) == len(AXES), "six axes", reading)
 
 
-@case("L40", "a lost conversation is taken up again or latched, and the state is read anew")
-def conversation_is_lost(dut: DeviceUnderTest) -> None:
+@case("L40", "a lost connection is restored or latched, and the state is read again")
+def connection_is_lost(dut: DeviceUnderTest) -> None:
     dut.release()
     with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
         line.gather_s = 0.001
@@ -259,13 +259,13 @@ def conversation_is_lost(dut: DeviceUnderTest) -> None:
             if arm.state is Lifecycle.FAULT:
                 line.asked.clear()
                 arm.recover("conformance suite", LIMIT_S)
-            check(any(b"STATUS" in data for data in line.asked), "a state that is asked for anew", line.asked)
+            check(any(b"STATUS" in data for data in line.asked), "a new STATUS request", line.asked)
             check(arm.read_state().joints_rad == before, "the same axes", arm.read_state())
 
 
 @case(
     "L44",
-    "no program is started outside EXT, nor with emergency stop, open guard or a message",
+    "no program is started outside EXT, or with emergency stop, open guard or a message",
     needs=(LIVE_FAULTS,),
 )
 def starts_only_when_ready(dut: DeviceUnderTest) -> None:
@@ -275,28 +275,28 @@ def starts_only_when_ready(dut: DeviceUnderTest) -> None:
             with tapped(dut) as (arm, tap):
                 dut.brought_to(Lifecycle.CONFIGURED, arm)
                 refused(arm.activate, RefusedError, f"a start with {fault}")
-                check(not tap.traffic().telegrams, "no program that runs")
+                check(not tap.traffic().telegrams, "no running program")
         finally:
             dut.clear_faults()
     with tapped(dut) as (arm, _):
         arm.connect(LIMIT_S)
-        arm.recover("conformance suite")  # of the message
+        arm.recover("conformance suite")  # acknowledges the message
         arm.configure()
         streaming(dut, arm)
 
 
 def _brought_about(dut: DeviceUnderTest, fault: str, attribute: str, value: str) -> None:
-    """Inject a fault where nothing else is wrong, and wait until the controller tells it."""
+    """Inject a fault into a controller without others, and wait until it is reported."""
     with eki_line(dut) as line:
         clean = wait_for(lambda: line.ask("ACK_ERRORS") == 0, LIMIT_S)
         check(clean, "a controller whose messages can be acknowledged")
         dut.fault(f"now: robot {fault}")
-        told = wait_for(lambda: line.state().get(attribute) == value, LIMIT_S)
-        check(told, f"{attribute} {value} in the state", line.state().get(attribute))
+        reported = wait_for(lambda: line.state().get(attribute) == value, LIMIT_S)
+        check(reported, f"{attribute} {value} in the state", line.state().get(attribute))
 
 
 def _stall(tap: RsiTap) -> None:
-    """Hold telegrams back until there are some, pass them on at once, and wait until more are answered."""
+    """Hold `HELD` telegrams back, pass them on at once, and wait until more are answered."""
     tap.hold()
     check(wait_for(lambda: tap.holds >= HELD, LIMIT_S), f"{HELD} telegrams during a stall")
     tap.release()
@@ -321,7 +321,7 @@ def _away(start: JointVector, turn_rad: float) -> JointVector:
 
 
 def _move(arm: Any, target: JointVector, ends: list[RonnaError]) -> None:
-    """Move; what it raised is added to `ends`."""
+    """Move; add what it raises to `ends`."""
     try:
         arm.move_joints(target, speed_fraction=SLOW)
     except RonnaError as error:

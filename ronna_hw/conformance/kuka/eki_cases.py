@@ -1,4 +1,4 @@
-"""What a KUKA controller must do on EKI, past the driver: the project's channel and that of the C++ SDK.
+"""Cases for a KUKA controller on EKI, bypassing the driver: our channel and that of the C++ SDK.
 
 The number of a case is K and a line of the protocol's checklist.
 """
@@ -18,19 +18,19 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.wire.kuka_eki import RsiState
 
 SDK = "eki"
-PADDED_BYTES = 500  # every request of the SDK has this length, whatever it says
-QUIET_S = 0.15  # after which a controller that wants to say nothing has said nothing
+PADDED_BYTES = 500  # length of every request of the SDK
+QUIET_S = 0.15  # a controller that has sent nothing for so long sends nothing
 BETWEEN_SPLITS_S = 0.03
 LIMIT_S = 4.0
 CYCLES = 50
-STEP_DEG = 0.0025  # of A6 in a cycle: next to nothing, and seen within a few cycles
-WATCHED = 20  # cycles over which an arm must be seen at rest, or moving
+STEP_DEG = 0.0025  # of A6 per cycle: tiny, but visible within a few cycles
+WATCHED = 20  # cycles to tell an arm at rest from a moving one
 BRAKING = 50  # cycles, generous for an arm that hardly moves
 STANDS_STILL_DEG = 0.001
-TOLD_WITHIN = 1000  # cycles after which a fault is not told any more
+REPORTED_WITHIN = 1000  # cycles
 STATE_CYCLES, LEAST_STATES = 100, 3  # one comes every 100 ms: at 4 ms every 25 cycles
 MOST_OLD_STATES = 2
-# What stops the arm, and what the state tells of it.
+# What stops the arm, and how the state reports it.
 STOPS = (
     ("emergency stop", "EStop", "1"),
     ("guard open", "Guard", "1"),
@@ -62,18 +62,18 @@ def request(kind: int) -> bytes:
     return text.encode().ljust(PADDED_BYTES, b"\0")
 
 
-@case("K34", "one client per channel; nothing but elements is written")
+@case("K34", "one client per channel; nothing is written between elements")
 def one_client(dut: DeviceUnderTest) -> None:
     with eki_line(dut) as first:
         first.state()
         with EkiLine(project_channel(dut)) as second:
             second.command("STATUS")
-            check(second.hung_up_on(), "a second client that is refused")
+            check(second.closed_by_controller(), "a second client that is refused")
         first.state()
         check(first.between == b"", "no byte between elements", first.between)
 
 
-@case("K35", "requests are understood padded with NUL, in pieces, and several at once")
+@case("K35", "requests may be padded with NUL, split, or sent several at once")
 def requests_by_element_end(dut: DeviceUnderTest) -> None:
     with eki_line(dut) as line:
         line.send(command("padded", "STATUS").ljust(PADDED_BYTES, b"\0"))
@@ -87,7 +87,7 @@ def requests_by_element_end(dut: DeviceUnderTest) -> None:
         _answered(line, "two")
 
 
-@case("K36", "elements have end tags of their own; Status and Init have their attributes in the SDK's order")
+@case("K36", "elements have separate end tags; attributes of Status and Init are in the SDK's order")
 def sdk_layout(dut: DeviceUnderTest) -> None:
     with eki_line(dut, SDK) as line:
         line.send(request(CONNECT))
@@ -100,22 +100,22 @@ def sdk_layout(dut: DeviceUnderTest) -> None:
             status = line.element("Robot")[1].find("Status")
         check(list(status.attrib) == STATUS_ATTRIBUTES, " ".join(STATUS_ATTRIBUTES), list(status.attrib))
         numbers = [value for value in status.attrib.values() if re.fullmatch(r"-?\d+", value) is None]
-        check(not numbers, "whole numbers", numbers)
+        check(not numbers, "integers", numbers)
 
 
-@case("K37", "what does not fit the state is answered by event 7, in time")
+@case("K37", "a request that is invalid in the present state gets event 7, in time")
 def invalid_request(dut: DeviceUnderTest) -> None:
     with eki_line(dut, SDK) as line:
         line.send(request(CONNECT))
         _response(line, EVENT_CONNECTED)
-        line.send(request(START))  # not before a control mode is chosen
+        line.send(request(START))  # invalid until a control mode is chosen
         _response(line, EVENT_INVALID)
 
 
-@case("K39", "the SDK's client is told the status once, unasked, and not again while nothing changes")
+@case("K39", "the SDK's client gets one unsolicited status, and no other until something changes")
 def status_once(dut: DeviceUnderTest) -> None:
     with eki_line(dut, SDK) as line:
-        told = 0
+        statuses = 0
         until_s = time.monotonic() + 4 * QUIET_S
         line.send(request(CONNECT))
         while time.monotonic() < until_s:
@@ -123,11 +123,11 @@ def status_once(dut: DeviceUnderTest) -> None:
                 _, root = line.element("Robot", limit_s=QUIET_S)
             except AssertionError:  # quiet
                 continue
-            told += root.find("Status") is not None and root.find("Response") is None
-        check(told <= 1, "at most one unasked status", told)
+            statuses += root.find("Status") is not None and root.find("Response") is None
+        check(statuses <= 1, "at most one unsolicited status", statuses)
 
 
-@case("K39b", "a change is told to the SDK's client unasked, and once", needs=(LIVE_FAULTS,))
+@case("K39b", "a change is reported to the SDK's client once, unsolicited", needs=(LIVE_FAULTS,))
 def status_on_change(dut: DeviceUnderTest) -> None:
     with eki_line(dut, SDK) as line:
         line.send(request(CONNECT))
@@ -141,21 +141,21 @@ def status_on_change(dut: DeviceUnderTest) -> None:
     check((opened, closed) == (["1"], ["0"]), "one status for each change", f"{opened}, then {closed}")
 
 
-@case("K40", "losing the conversation ends neither the stream nor the truth about it")
-def conversation_is_lost(dut: DeviceUnderTest) -> None:
+@case("K40", "the stream outlives a lost connection, and the state still reports it")
+def connection_is_lost(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         line.cycles(5)
-        line.eki.begin_anew()
+        line.eki.reconnect()
         line.cycles(CYCLES)
         check(line.eki.state().get("RSI") == "2", "RSI still in MOVECORR after a new connection")
 
 
 @case(
     "K42",
-    "emergency stop, guard, mode and drives are told within a period of the state, and end RSI's motion",
+    "emergency stop, guard, mode and drives show in the next state and stop RSI's motion",
     needs=(MOTION, LIVE_FAULTS),
 )
-def stops_are_told(dut: DeviceUnderTest) -> None:
+def stops_are_reported(dut: DeviceUnderTest) -> None:
     for sign, (fault, attribute, value) in zip(itertools.cycle((1, -1)), STOPS, strict=False):
         with stream(dut) as line:
             line.eki.already("State")
@@ -164,7 +164,7 @@ def stops_are_told(dut: DeviceUnderTest) -> None:
             check(len(states) >= LEAST_STATES, f"{LEAST_STATES} states in {STATE_CYCLES} cycles", len(states))
             try:
                 dut.fault(f"now: robot {fault}")
-                _require_told(line, attribute, value, sign * STEP_DEG)
+                _require_reported(line, attribute, value, sign * STEP_DEG)
                 state = line.eki.state()
             finally:
                 dut.clear_faults()
@@ -172,30 +172,30 @@ def stops_are_told(dut: DeviceUnderTest) -> None:
         check(int(state.get("RSI", -1)) in ends, f"no corrections with {fault}", state.get("RSI"))
 
 
-def _require_told(line: RsiLine, attribute: str, value: str, step_deg: float) -> None:
-    """Turn A6 evenly until the state tells `value`, and go on: the arm must come to rest all the same."""
-    told = [state.get(attribute) for state in line.eki.already("State")][-1:]  # by now it is injected
+def _require_reported(line: RsiLine, attribute: str, value: str, step_deg: float) -> None:
+    """Turn A6 evenly until the state reports `value`, and go on: the arm must come to rest anyway."""
+    seen = [state.get(attribute) for state in line.eki.already("State")][-1:]  # the fault is active by now
     angles: list[float] = []
-    ends_at = TOLD_WITHIN
+    ends_at = REPORTED_WITHIN
     for cycle in itertools.count(1):
         telegram = line.next_if_any()
         if telegram is None or cycle > ends_at:
             break
         line.answer(telegram, {**HOLD, "A6": cycle * step_deg})
         angles.append(telegram.values("AIPos")["A6"])
-        told += [state.get(attribute) for state in line.eki.already("State")]
-        if value in told:
+        seen += [state.get(attribute) for state in line.eki.already("State")]
+        if value in seen:
             ends_at = min(ends_at, cycle + BRAKING + WATCHED)
-    check(value in told, f"{attribute} {value} in the state", told[-1:] or "no state")
-    # One may have been under way, and one due before the controller knew.
-    old = told.index(value)
+    check(value in seen, f"{attribute} {value} in the state", seen[-1:] or "no state")
+    # One may have been on its way, and one due before the controller noticed.
+    old = seen.index(value)
     check(old <= MOST_OLD_STATES, f"{attribute} {value} in the next state", f"{old} others before it")
     moved = max(abs(angle - angles[-1]) for angle in angles[-WATCHED:])
     check(moved < STANDS_STILL_DEG, "an arm at rest", f"{moved:.5f} deg of motion")
 
 
 def project_channel(dut: DeviceUnderTest) -> Endpoint:
-    """The project's channel."""
+    """The endpoint of our own channel."""
     return parse_endpoint(dut.config.endpoints["eki_project"])
 
 
@@ -218,7 +218,7 @@ def _statuses(line: EkiLine) -> list[Element]:
 
 
 def _response(line: EkiLine, event: str) -> tuple[bytes, Element]:
-    """The next response; it must tell that event."""
+    """The next response, which must have that event."""
     while True:
         raw, root = line.element("Robot", limit_s=LIMIT_S)
         found = root.find("Response")

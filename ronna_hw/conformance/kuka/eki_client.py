@@ -1,7 +1,6 @@
-"""Plain EKI to a KUKA controller, past every driver: elements as text, one command and its answers.
+"""A plain EKI client of a KUKA controller that bypasses every driver.
 
-What an element should look like is written here from the protocol's reference a second time, so that a
-driver's misreading cannot hide in it.
+It decodes elements by itself, from the protocol's reference, so that a driver's misreading cannot hide.
 """
 
 from __future__ import annotations
@@ -15,18 +14,18 @@ from xml.etree import ElementTree
 from ronna_hw.conformance.case import NotShown, check
 from ronna_hw.endpoints import Endpoint
 
-ANSWER_LIMIT_S = 4.0  # what the maker's own client waits
+ANSWER_LIMIT_S = 4.0  # as long as the vendor's client waits
 MOST_BYTES = 65536
 _ELEMENT = re.compile(rb"<([A-Za-z]\w*)\b[^>]*>.*?</\1>", re.DOTALL)
 
 
 class EkiLine:
-    """One client of one channel. `between` keeps the bytes that belonged to no element."""
+    """One client of one channel. `between` keeps the bytes between elements."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
         self._socket = self._connected()
-        self._heard = b""
+        self._received = b""
         self._number = 0
         self.between = b""
 
@@ -37,13 +36,13 @@ class EkiLine:
         self.close()
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
-    def begin_anew(self) -> None:
-        """Hang up and connect again."""
+    def reconnect(self) -> None:
+        """Close the connection and connect again."""
         self._socket.close()
-        self._heard = b""
+        self._received = b""
         self._socket = self._connected()
 
     def send(self, data: bytes) -> None:
@@ -51,45 +50,47 @@ class EkiLine:
         self._socket.sendall(data)
 
     def command(self, name: str, **attributes: object) -> str:
-        """Write a project command; the identifier by which its answers are known."""
+        """Send a command of our channel; returns the identifier that its answers carry."""
         self._number += 1
         identifier = str(self._number)
         self.send(command(identifier, name, **attributes))
         return identifier
 
     def element(self, *tags: str, limit_s: float = ANSWER_LIMIT_S) -> tuple[bytes, ElementTree.Element]:
-        """The next element with one of these tags, as text and parsed; others are passed over."""
+        """The next element with one of these tags, as text and parsed; skips others."""
         until_s = time.monotonic() + limit_s
         while True:
             raw = self._cut_off()
             if raw is None:
                 left_s = until_s - time.monotonic()
-                check(left_s > 0, f"{' or '.join(tags)} within {limit_s:g} s", self._heard[-80:] or "nothing")
+                check(
+                    left_s > 0, f"{' or '.join(tags)} within {limit_s:g} s", self._received[-80:] or "nothing"
+                )
                 self._socket.settimeout(left_s)
                 try:
                     data = self._socket.recv(MOST_BYTES)
                 except TimeoutError:
                     continue
-                check(bool(data), f"{' or '.join(tags)}", "that the controller hung up")
-                self._heard += data
+                check(bool(data), f"{' or '.join(tags)}", "the connection closed by the controller")
+                self._received += data
                 continue
             root = ElementTree.fromstring(raw)
             if root.tag in tags:
                 return raw, root
 
     def already(self, *tags: str) -> list[ElementTree.Element]:
-        """The elements with one of these tags that have come by now; waits for none."""
+        """The elements with one of these tags that have already come."""
         self._socket.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             while data := self._socket.recv(MOST_BYTES):
-                self._heard += data
+                self._received += data
         roots = []
         while (raw := self._cut_off()) is not None:
             roots.append(ElementTree.fromstring(raw))
         return [root for root in roots if root.tag in tags]
 
     def ask(self, name: str, **attributes: object) -> int:
-        """Write a project command and return the code of its acknowledgement."""
+        """Send a command of our channel and return the code of its acknowledgement."""
         identifier = self.command(name, **attributes)
         while True:
             root = self.element("Ack")[1]
@@ -104,8 +105,8 @@ class EkiLine:
             if root.get("Id") == identifier:
                 return root
 
-    def hung_up_on(self, limit_s: float = ANSWER_LIMIT_S) -> bool:
-        """True when the controller ends the connection in time."""
+    def closed_by_controller(self, limit_s: float = ANSWER_LIMIT_S) -> bool:
+        """True when the controller closes the connection in time."""
         until_s = time.monotonic() + limit_s
         while (left_s := until_s - time.monotonic()) > 0:
             self._socket.settimeout(left_s)
@@ -119,24 +120,24 @@ class EkiLine:
         return False
 
     def _cut_off(self) -> bytes | None:
-        """The next whole element of what was heard."""
-        match = _ELEMENT.search(self._heard)
+        """The next complete element received."""
+        match = _ELEMENT.search(self._received)
         if match is None:
             return None
-        self.between += self._heard[: match.start()]
-        self._heard = self._heard[match.end() :]
+        self.between += self._received[: match.start()]
+        self._received = self._received[match.end() :]
         return match[0]
 
     def _connected(self) -> socket.socket:
         try:
             opened = socket.create_connection((self._endpoint.host, self._endpoint.port), ANSWER_LIMIT_S)
         except OSError as error:
-            raise NotShown(f"nobody answers at {self._endpoint}: {error.strerror or error}") from error
+            raise NotShown(f"no connection to {self._endpoint}: {error.strerror or error}") from error
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return opened
 
 
 def command(identifier: str, name: str, **attributes: object) -> bytes:
-    """A project command with a separate end tag."""
-    told = "".join(f' {key}="{value}"' for key, value in attributes.items())
-    return f'<Cmd Id="{identifier}" Name="{name}"{told}></Cmd>'.encode()
+    """A command of our channel with a separate end tag."""
+    text = "".join(f' {key}="{value}"' for key, value in attributes.items())
+    return f'<Cmd Id="{identifier}" Name="{name}"{text}></Cmd>'.encode()

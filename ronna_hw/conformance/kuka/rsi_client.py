@@ -1,6 +1,6 @@
-"""Plain RSI to a KUKA controller, past every driver: telegrams as bytes, replies that hold the arm.
+"""A plain RSI client of a KUKA controller that bypasses every driver.
 
-A reply of this module corrects nothing unless a case says so.
+Its replies hold the arm unless a case gives corrections.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ronna_hw.wire.kuka_context import RsiContext, context_hash, load_context
 
 FIRST_LIMIT_S = 4.0  # from RSI_START to the first telegram; a real controller computes its way in first
 NEXT_LIMIT_S = 1.0  # between two telegrams; a busy computer may stall
-SILENT_S = 0.3  # after which a stream that was told to end has ended
+SILENT_S = 0.3  # a stream without a telegram for so long has ended
 END_LIMIT_S = 4.0
 MOST_BYTES = 65536
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -33,7 +33,7 @@ _DELAY = re.compile(rb'<Delay D="([^"]*)"')
 
 @dataclass(frozen=True)
 class Telegram:
-    """One telegram of the controller as it came."""
+    """One telegram of the controller as received."""
 
     raw: bytes
     sender: tuple[str, int]
@@ -53,7 +53,7 @@ class Telegram:
         match = _DELAY.search(self.raw)
         if match is None:
             raise NotShown("the controller sends no Delay")
-        check(match[1].isdigit(), "a whole number in D", match[1])
+        check(match[1].isdigit(), "an integer D", match[1])
         return int(match[1])
 
     def values(self, tag: str) -> dict[str, float]:
@@ -66,14 +66,14 @@ class Telegram:
 
 @dataclass
 class RsiLine:
-    """Our end of a running stream, and the conversation by which it was started."""
+    """Our end of a running stream, and the EKI connection that started it."""
 
     socket: socket.socket
     eki: EkiLine
     context: RsiContext
 
     def next(self, limit_s: float = NEXT_LIMIT_S) -> Telegram:
-        """The next telegram; not conforming when none comes."""
+        """The next telegram; raises Nonconformity when none comes."""
         telegram = self._receive(limit_s)
         check(telegram is not None, f"a telegram within {limit_s:g} s", "nothing")
         assert telegram is not None
@@ -90,7 +90,7 @@ class RsiLine:
         self.send(telegram, self.reply(telegram.ipoc, corrections, stop=stop))
 
     def send(self, telegram: Telegram, reply: bytes) -> None:
-        """Bytes to where a telegram came from."""
+        """Send bytes to the sender of a telegram."""
         self.socket.sendto(reply, telegram.sender)
 
     def reply(
@@ -108,16 +108,16 @@ class RsiLine:
         tags = [self.context.wired_tag("AXISCORR", axis) for axis in AXES]
         if all(tags):
             name = str(tags[0]).partition(".")[0]
-            told = " ".join(
+            attributes = " ".join(
                 f'{str(tag).partition(".")[2]}="{corrections[axis]:.4f}"'
                 for tag, axis in zip(tags, AXES, strict=True)
             )
-            body += f"<{name} {told}/>"
+            body += f"<{name} {attributes}/>"
         sentype = sentype or self.context.ethernet.sentype
         return f'<Sen Type="{sentype}">{body}<IPOC>{ipoc}</IPOC></Sen>'.encode()
 
     def cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
-        """Answer that many telegrams rightly; the telegrams."""
+        """Answer that many telegrams; returns them."""
         telegrams = []
         for _ in range(count):
             telegrams.append(self.next())
@@ -125,7 +125,7 @@ class RsiLine:
         return telegrams
 
     def until_silent(self, limit_s: float = END_LIMIT_S, *, answered: bool = True) -> list[Telegram]:
-        """Go on until the stream ends; the telegrams that still came."""
+        """Wait for the end of the stream; returns the telegrams that still came."""
         telegrams: list[Telegram] = []
         until_s = time.monotonic() + limit_s
         while (telegram := self.next_if_any()) is not None:
@@ -146,7 +146,7 @@ class RsiLine:
 
 @contextmanager
 def eki_line(dut: DeviceUnderTest, channel: str = "eki_project") -> Iterator[EkiLine]:
-    """A plain client of an EKI channel, with the driver away."""
+    """A plain client of an EKI channel; closes every session of the driver first."""
     endpoint = _endpoint(dut, channel)
     dut.release()
     with EkiLine(parse_endpoint(endpoint).require("tcp")) as line:
@@ -155,7 +155,7 @@ def eki_line(dut: DeviceUnderTest, channel: str = "eki_project") -> Iterator[Eki
 
 @contextmanager
 def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.socket]]:
-    """A controller without a message, which may start its program, and the socket that the stream reaches."""
+    """A controller that is ready to start its program, and the socket to which it will stream."""
     where = parse_endpoint(_endpoint(dut, "rsi")).require("udp")
     with eki_line(dut) as eki, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         ours.bind((where.host, where.port))
@@ -175,7 +175,7 @@ def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.sock
 
 @contextmanager
 def stream(dut: DeviceUnderTest, prepare: Callable[[socket.socket], None] | None = None) -> Iterator[RsiLine]:
-    """A stream that was just started; it is ended again, with the arm where it was left."""
+    """A freshly started stream, which is ended after the block."""
     with idle_controller(dut) as (eki, ours):
         if prepare is not None:
             prepare(ours)

@@ -1,7 +1,7 @@
-"""What a KUKA controller must do on RSI, telegram by telegram, past the driver.
+"""Cases for a KUKA controller on RSI, telegram by telegram, bypassing the driver.
 
 The number of a case is K and a line of the protocol's checklist. Without `--allow motion` all corrections are
-zero: the program starts, streams and ends, and the arm stands where it stood.
+zero: the program starts, streams and ends, and the arm stays where it is.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from ronna_hw.conformance.kuka.rsi_client import (
 
 PERIODS = 1000
 PERIOD_TOLERANCE = 0.01
-FEW = 20  # cycles, where a handful shows it
-MISSED = 4  # replies left out: far below any Timeout
+FEW = 20  # cycles, where a handful is enough
+MISSED = 4  # replies omitted: far below any Timeout
 SETTLING = 250  # cycles until the arm has followed a small correction, one second at 4 ms
 TURN_DEG = 0.05
 FOLLOWED_DEG = 0.01  # of a small turn; backlash and repeatability stay below
@@ -48,12 +48,12 @@ case = CASES.case
 
 
 def layout_is_that_of_a_kr_c4(raw: bytes) -> bool:
-    """True for a telegram that a parser which counts positions reads rightly."""
+    """True for a telegram that a position-counting parser reads correctly."""
     return _WHOLE.fullmatch(raw) is not None
 
 
-@case("K01", "the controller speaks first")
-def controller_speaks_first(dut: DeviceUnderTest) -> None:
+@case("K01", "the controller sends first")
+def controller_sends_first(dut: DeviceUnderTest) -> None:
     with idle_controller(dut) as (eki, ours):
         check(eki.ask("RSI_START") == 0, "a program that starts")
         ours.settimeout(FIRST_LIMIT_S)
@@ -65,7 +65,7 @@ def controller_speaks_first(dut: DeviceUnderTest) -> None:
         eki.ask("RSI_STOP")
 
 
-@case("K02", "telegrams come every cycle: the median period is within 1 % over 1,000", needs=(HOST_TIME,))
+@case("K02", "telegrams come every cycle: the median period over 1,000 is within 1 %", needs=(HOST_TIME,))
 def period_is_kept(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         telegrams = line.cycles(PERIODS + 1)
@@ -76,7 +76,7 @@ def period_is_kept(dut: DeviceUnderTest) -> None:
     check(off < PERIOD_TOLERANCE, f"a period of {cycle_ms} ms", f"{median_ms:.3f} ms")
 
 
-@case("K03", "within a run all telegrams come from one port")
+@case("K03", "all telegrams of a run come from one port")
 def one_sender(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         senders = {telegram.sender for telegram in line.cycles(FEW)}
@@ -90,7 +90,7 @@ def layout_is_exact(dut: DeviceUnderTest) -> None:
             check(layout_is_that_of_a_kr_c4(telegram.raw), "the layout of a KR C4", telegram.raw[:120])
 
 
-@case("K05", "elements come in the order of the configuration, IPOC last")
+@case("K05", "elements are in the order of the configuration, IPOC last")
 def order_is_kept(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         (telegram,) = line.cycles(1)
@@ -100,7 +100,7 @@ def order_is_kept(dut: DeviceUnderTest) -> None:
     check(found == wanted, f"the order {' '.join(wanted)}", " ".join(found))
 
 
-@case("K06", "the root says Type KUKA")
+@case("K06", "the root has Type KUKA")
 def root_type(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         (telegram,) = line.cycles(1)
@@ -114,23 +114,23 @@ def six_external_axes(dut: DeviceUnderTest) -> None:
     check(len(telegram.values("EIPos")) == len(AXES), "six values", telegram.values("EIPos"))
 
 
-@case("K08", "numbers have the digits that Precision asks for")
+@case("K08", "numbers have as many decimals as Precision says")
 def precision_is_kept(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         (telegram,) = line.cycles(1)
     digits = {len(match) for match in _NUMBER.findall(telegram.raw)}
     wanted = line.context.ethernet.precision
-    check(digits == {wanted}, f"{wanted} digits", digits)
+    check(digits == {wanted}, f"{wanted} decimals", digits)
 
 
-@case("K09", "the delay D is a whole number")
+@case("K09", "the delay D is an integer")
 def delay_is_whole(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         for telegram in line.cycles(FEW):
-            check(telegram.late >= 0, "0 or more", telegram.late)
+            check(telegram.late >= 0, "at least 0", telegram.late)
 
 
-@case("K10", "IPOC grows by the cycle in every telegram")
+@case("K10", "IPOC increases by the cycle time in every telegram")
 def time_stamps_grow(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         stamps = [telegram.ipoc for telegram in line.cycles(PERIODS // 10)]
@@ -138,7 +138,7 @@ def time_stamps_grow(dut: DeviceUnderTest) -> None:
     check(steps == {line.context.program.cycle_ms}, f"{line.context.program.cycle_ms} each time", steps)
 
 
-@case("K14", "a wrong Type, a wrong IPOC and broken XML count as no reply")
+@case("K14", "a reply with a wrong Type, a wrong IPOC or broken XML does not count")
 def wrong_replies_count_as_none(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         wrong: dict[str, Callable[[Telegram], bytes]] = {
@@ -150,22 +150,22 @@ def wrong_replies_count_as_none(dut: DeviceUnderTest) -> None:
         }
         for what, reply in wrong.items():
             line.cycles(FEW)
-            # Each by itself: a busy computer adds late replies of its own over many cycles.
+            # One at a time: over many cycles a busy computer adds late replies of its own.
             for _ in range(MISSED):
                 telegram = line.next()
                 line.send(telegram, reply(telegram))
                 after = line.next()
                 line.answer(after)
-                check(after.late > telegram.late, f"{what} to be counted as late", after.late)
+                check(after.late > telegram.late, f"{what} counted as late", after.late)
 
 
-@case("K15", "one late reply does not make every later one late")
+@case("K15", "one late reply does not make the following ones late")
 def late_reply_shifts_nothing(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         before = line.cycles(FEW)[-1]
         missed = line.next()
         current = line.next()
-        line.answer(missed)  # one cycle late, right before the one that is awaited
+        line.answer(missed)  # one cycle late, right before the current one
         line.answer(current)
         after = line.cycles(5 * FEW)[-1]
     check(after.late - before.late < FEW, "one late reply, not one each cycle", after.late - before.late)
@@ -177,7 +177,7 @@ def correction_is_held(dut: DeviceUnderTest) -> None:
         if any(element.holdon != 1 for element in line.context.receive if element.tag.startswith("AK")):
             raise NotShown("the context's corrections do not have HOLDON 1")
         base, turn = _turned(line)
-        # An arm that is let go of is back on its way after some cycles, and there again some cycles later.
+        # Without the hold the arm would turn back within some cycles, and return some cycles later.
         seen = [line.next() for _ in range(MISSED)] + line.cycles(FEW, turn)
         held = [telegram.values("AIPos")["A6"] - base for telegram in seen]
         _back(line)
@@ -185,24 +185,24 @@ def correction_is_held(dut: DeviceUnderTest) -> None:
         check(abs(angle - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", angle)
 
 
-@case("K17", "replies that fail to come are counted in D; at the Timeout the run ends", needs=(DESTRUCTIVE,))
+@case("K17", "missing replies are counted in D; at the Timeout the run ends", needs=(DESTRUCTIVE,))
 def timeout_ends_the_run(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         line.cycles(FEW)
         rest = line.until_silent(answered=False)
         limit = line.context.ethernet.timeout_packets
         check(limit // 2 <= len(rest) <= limit + FEW, f"about {limit} more telegrams", len(rest))
-        check(rest[-1].late - rest[0].late >= limit // 2, "a D that grows", rest[-1].late)
+        check(rest[-1].late - rest[0].late >= limit // 2, "an increasing D", rest[-1].late)
         state = line.eki.state()
         check(state.get("RSI") == "3", "RSI in fault", state.get("RSI"))
         check(state.get("Err") != "0", "a message", state.get("Err"))
 
 
-@case("K20", "ABSOLUTE: the arm goes to its start plus the correction, and back with zero", needs=(MOTION,))
+@case("K20", "ABSOLUTE: the arm goes to its start plus the correction, and back at zero", needs=(MOTION,))
 def correction_is_absolute(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         if line.context.program.corrections != "absolute":
-            raise NotShown("the context corrects relatively")
+            raise NotShown("the context uses relative corrections")
         base, turn = _turned(line)
         there = line.cycles(SETTLING, turn)[-1].values("AIPos")["A6"]
         back = _back(line)
@@ -210,7 +210,7 @@ def correction_is_absolute(dut: DeviceUnderTest) -> None:
     check(abs(back - base) < FOLLOWED_DEG, "A6 back at its start", back - base)
 
 
-@case("K21", "the first telegram tells the axes that the controller told before the start")
+@case("K21", "the first telegram has the axes that the controller reported before the start")
 def starts_where_it_stands(dut: DeviceUnderTest) -> None:
     with idle_controller(dut) as (eki, _):
         axis = eki.state().find("Axis")
@@ -222,7 +222,7 @@ def starts_where_it_stands(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_DEG, "the same axes", f"{moved:.5f} deg apart")
 
 
-@case("K24", "a step that no arm can follow is a fault, not a jump", needs=(LIVE_FAULTS,))
+@case("K24", "a step that no arm can follow causes a fault, not a jump", needs=(LIVE_FAULTS,))
 def step_too_large(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         base = line.cycles(FEW)[-1].values("AIPos")
@@ -243,18 +243,20 @@ def pose_agrees_with_axes(dut: DeviceUnderTest) -> None:
     if state.get("Base") != "0":
         raise NotShown("a base is active")
     model = kr6_r900(ArmVariant(state.get("Variant", "")))
-    axes, told = telegram.values("AIPos"), telegram.values("RIst")
+    axes, tool = telegram.values("AIPos"), telegram.values("RIst")
     flange = model.forward(radians6(*(axes[name] for name in AXES)))
-    pose = Pose.from_kuka(*(told[name] for name in ("X", "Y", "Z", "A", "B", "C")))
+    pose = Pose.from_kuka(*(tool[name] for name in ("X", "Y", "Z", "A", "B", "C")))
     apart_mm, turned_deg = flange.distance_mm(pose), math.degrees(flange.angle_rad(pose))
     if apart_mm > 1.0:
-        raise NotShown("a tool is active, and its frame is not told")
+        raise NotShown("a tool is active, and its frame is unknown")
     rounding = 10.0**-line.context.ethernet.precision * 20  # a digit of an axis, at a metre's reach
-    check(apart_mm < FRAME_TOLERANCE + rounding, "the flange's place", f"{apart_mm:.4f} mm beside it")
-    check(turned_deg < FRAME_TOLERANCE + rounding, "the flange's orientation", f"{turned_deg:.4f} deg off it")
+    check(apart_mm < FRAME_TOLERANCE + rounding, "the position of the flange", f"{apart_mm:.4f} mm off")
+    check(
+        turned_deg < FRAME_TOLERANCE + rounding, "the orientation of the flange", f"{turned_deg:.4f} deg off"
+    )
 
 
-@case("K27", "Stop on its rising edge ends the stream within a few cycles")
+@case("K27", "a rising edge of Stop ends the stream within a few cycles")
 def stop_ends_the_stream(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         line.cycles(FEW)
@@ -263,7 +265,7 @@ def stop_ends_the_stream(dut: DeviceUnderTest) -> None:
     check(len(rest) <= LONGEST_END, f"at most {LONGEST_END} more telegrams", len(rest))
 
 
-@case("K28", "a new run has a new time base and a new port, and begins without a jump")
+@case("K28", "a new run has a new time base and a new port, and starts without a jump")
 def new_run_new_base(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         first = line.cycles(FEW)
@@ -278,7 +280,7 @@ def new_run_new_base(dut: DeviceUnderTest) -> None:
 
 
 def _turned(line: RsiLine) -> tuple[float, dict[str, float]]:
-    """Turn A6 a little, one even step per cycle; its angle before, and the correction that holds it there."""
+    """Turn A6 a little, in even steps; returns its angle before, and the correction that holds it there."""
     telegrams: list[Telegram] = line.cycles(FEW)
     base = telegrams[-1].values("AIPos")["A6"]
     for share in range(1, FEW + 1):
@@ -289,7 +291,7 @@ def _turned(line: RsiLine) -> tuple[float, dict[str, float]]:
 
 
 def _back(line: RsiLine) -> float:
-    """Take the turn back; the angle of A6 afterwards."""
+    """Undo the turn; returns the angle of A6 afterwards."""
     for share in range(FEW, -1, -1):
         line.cycles(1, {**HOLD, "A6": TURN_DEG * share / FEW})
     return line.cycles(SETTLING)[-1].values("AIPos")["A6"]

@@ -1,4 +1,4 @@
-"""Lines 42 and 43 of the checklist: what the driver makes of the system status."""
+"""Checklist lines 42 and 43: how the driver handles the system status."""
 
 from __future__ import annotations
 
@@ -14,34 +14,38 @@ CASES = CaseList()
 case = CASES.case
 
 
-@case("D42", "on system status 0100 the driver reads the alerts; a bump is a latched fault", needs=TAPPED)
+@case("D42", "on system status 0100 the driver reads the alerts; a bump latches a fault", needs=TAPPED)
 def bump_is_a_fault(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         name = reading_command(tap)
         tap.change(name, lambda reply: with_system_status(reply, SystemStatus.DIAGNOSTICS_PENDING))
         tap.answer("GET", f"{PARAMETER_NEW_ALERTS}={int(Alert.BUMP)}")
-        error = refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading of a bumped unit")
+        error = refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading from a bumped unit")
         check(bool(getattr(error, "code", "")), "an error with a code", repr(error))
-        check(tap.count(f"GET:{PARAMETER_NEW_ALERTS}") > 0, "the alerts read", tap.commands[-3:])
+        check(tap.count(f"GET:{PARAMETER_NEW_ALERTS}") > 0, "a read of the alerts", tap.commands[-3:])
         check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)
         refused(lambda: tracker.read_frame(PATIENT_S), StateError, "read_frame in fault")
 
 
-@case("D43", "on system status 0200 poses are withheld until it passes", needs=TAPPED)
+@case("D43", "on system status 0200 poses are withheld until it clears", needs=TAPPED)
 def temperature_is_a_hold(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         tap.change(reading_command(tap), lambda reply: with_system_status(reply, SystemStatus.TEMPERATURE))
-        refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading of a unit too cold or too hot")
+        refused(
+            lambda: tracker.read_frame(PATIENT_S),
+            DeviceError,
+            "a reading from a unit that is too cold or too hot",
+        )
         check(tracker.state is Lifecycle.HOLD, "state hold", tracker.state)
         tracker.read_frame(PATIENT_S)
-        check(tracker.state is Lifecycle.ACTIVE, "state active when it has passed", tracker.state)
+        check(tracker.state is Lifecycle.ACTIVE, "state active when it has cleared", tracker.state)
 
 
-@case("D43b", "on system status 0010 no pose is used any more", needs=TAPPED)
+@case("D43b", "on system status 0010 no more poses are used", needs=TAPPED)
 def hardware_failure_is_a_fault(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         tap.change(
             reading_command(tap), lambda reply: with_system_status(reply, SystemStatus.HARDWARE_FAILURE)
         )
-        refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading of a unit with a fault")
+        refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading from a faulty unit")
         check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)

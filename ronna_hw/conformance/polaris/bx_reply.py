@@ -1,4 +1,4 @@
-"""What a BX reply says, read a second time from the protocol's reference: options 0001, 0002, 0800, 1000."""
+"""BX replies decoded independently of any driver: options 0001, 0002, 0800, 1000."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ class HandleSeen:
 
     @property
     def outside(self) -> bool:
-        """True when the unit says that the tool is out of its volume."""
+        """True when the unit reports the tool out of its volume."""
         return bool(self.port_status & PortStatus.OUT_OF_VOLUME)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One whole reply; `strays_at` is where in the body their first position begins.
+    """One whole reply; `strays_at` is the offset of the first stray's position in the body.
 
-    `strays_outside` holds the flags with the low bit of the first byte first, as most clients read them;
-    `strays_outside_mirrored` with the high bit of each byte first: no paper tells.
+    `strays_outside` holds the flags with the low bit of each byte first, as most clients read them,
+    `strays_outside_mirrored` with the high bit first: the order is undocumented.
     """
 
     handles: tuple[HandleSeen, ...]
@@ -56,7 +56,7 @@ class Seen:
 
 
 def read_body(body: bytes, options: int) -> Seen:
-    """Read a body that holds option 0001; a Nonconformity when it does not end where it should."""
+    """Decode a body with option 0001; raises Nonconformity when its length is wrong."""
     at, handles = 1, []
     for _ in range(body[0]):
         handle, status = f"{body[at]:02X}", body[at + 1]
@@ -82,8 +82,8 @@ def read_body(body: bytes, options: int) -> Seen:
         outside = tuple(bool(bits[index // 8] & 1 << index % 8) for index in range(count))
         mirrored = tuple(bool(bits[index // 8] & 0x80 >> index % 8) for index in range(count))
         strays_at = at = at + 1 + len(bits)
-        told = count if options & OPTION_OUT_OF_VOLUME else outside.count(False)
-        for _ in range(told):
+        positions = count if options & OPTION_OUT_OF_VOLUME else outside.count(False)
+        for _ in range(positions):
             x, y, z = struct.unpack_from("<3f", body, at)
             strays.append((x, y, z))
             at += POSITION_BYTES

@@ -1,4 +1,4 @@
-"""Tool definitions for the cases: bytes changed in one that is known, and one from published numbers."""
+"""Tool definitions for the cases: variants of a given one, and one made from published numbers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import struct
 from ronna_hw.conformance.polaris.bx_reply import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
-# Numbers of a real four-sphere rigid body, part 8700339, as its maker's file gives them.
+# A real four-sphere rigid body, part 8700339, with the numbers of the manufacturer's file.
 PUBLISHED_PART = b"8700339"
 PUBLISHED_MAKER = b"NDI"
 PUBLISHED_SERIAL = 0x34801403  # sequence 3 of 2005-01-06
@@ -29,7 +29,7 @@ def markers_of(block: bytes) -> tuple[Vector3, ...]:
 
 
 def shifted(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
-    """A tool of that shape with its origin elsewhere: every marker moves by `shift_mm` in the tool frame.
+    """The same tool with another origin: every marker moves by `shift_mm` in the tool frame.
 
     It has a part number of its own, so that a simulated unit does not know where its spheres really are.
     """
@@ -43,7 +43,7 @@ def shifted(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
 
 
 def looking_away(block: bytes) -> bytes:
-    """The same tool, all of whose markers look the other way: from where it is seen none of them can be."""
+    """The same tool with all marker normals reversed, so that no marker faces the unit."""
     changed = bytearray(block)
     count = block[layout.MARKER_COUNT_OFFSET]
     for slot in range(count):
@@ -54,7 +54,7 @@ def looking_away(block: bytes) -> bytes:
 
 
 def published() -> bytes:
-    """A definition with the numbers of a real one, written here from the published layout."""
+    """A definition with the numbers of a real one, assembled from the published layout."""
     block = bytearray(layout.ROM_BYTES)
     count = len(PUBLISHED_MARKERS_MM)
     block[:4] = layout.ROM_MAGIC

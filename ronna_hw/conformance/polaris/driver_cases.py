@@ -1,4 +1,4 @@
-"""Lines 11 to 16 and 37 to 41 of the checklist: what the driver does, seen from a line that listens."""
+"""Checklist lines 11 to 16 and 37 to 41: what the driver does, seen by a tap on its line."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ TAPPED = (*NEEDS, LINE_FAULTS)
 TAPPED_TOOL = (*TAPPED, TOOL_DEFINITION)
 SLOW_REPLY_S = 1.0  # the unit itself may take 2 s and more
 PATIENT_S = 5.0
-ARRIVAL_S = 0.1  # for bytes that nobody asked for to reach the driver
+ARRIVAL_S = 0.1  # for injected bytes to reach the driver
 NORM_TOLERANCE = 1e-6
 NEAR_MARKER_MM = 1.0
 FAR_OUTSIDE_MM = (3000.0, 0.0, -1500.0)  # beyond the side of every volume
@@ -53,13 +53,13 @@ case = CASES.case
 
 
 def reading_command(tap: PolarisTap) -> str:
-    """BX or TX: what this driver reads frames by."""
+    """BX or TX: the command by which this driver reads frames."""
     return "BX" if tap.count("BX:") else "TX"
 
 
 @contextlib.contextmanager
 def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, Any]]:
-    """(tap, tracker): a driver that has read a frame through a line that listens."""
+    """(tap, tracker): a driver that has read a frame through a tap."""
     with polaris_tap(dut) as tap:
         changed = {**dut.config.options, **options} if options else None
         tracker = dut.make(endpoint=tap.endpoint, options=changed)
@@ -70,7 +70,7 @@ def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, A
             dut.release()
 
 
-@case("D11", "the driver waits for a reply as long as the unit itself may take", needs=TAPPED)
+@case("D11", "the driver waits for a reply as long as the unit may take", needs=TAPPED)
 def waits_for_a_slow_unit(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         name = reading_command(tap)
@@ -82,7 +82,7 @@ def waits_for_a_slow_unit(dut: DeviceUnderTest) -> None:
         check(tap.count(name) == asked + 1, "one request", tap.count(name) - asked)
 
 
-@case("D12", "what the line said unasked is never taken for a reply", needs=TAPPED)
+@case("D12", "unsolicited bytes are never taken for a reply", needs=TAPPED)
 def stale_input_is_dropped(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         name = reading_command(tap)
@@ -97,7 +97,7 @@ def stale_input_is_dropped(dut: DeviceUnderTest) -> None:
             check(frame.stamp.device_clock > before, "a frame of its own", frame.stamp.device_clock)
 
 
-@case("D13", "a reply with a wrong CRC is never a reading: of text, of the header, of the body", needs=TAPPED)
+@case("D13", "a reply with a wrong CRC, of text, header or body, never becomes a reading", needs=TAPPED)
 def every_crc_is_checked(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         name = reading_command(tap)
@@ -111,7 +111,7 @@ def every_crc_is_checked(dut: DeviceUnderTest) -> None:
             tracker.read_frame(PATIENT_S)
 
 
-@case("D14", "a lost reply to a harmless command is asked for again; PHRQ is not", needs=TAPPED_TOOL)
+@case("D14", "a harmless command is repeated when its reply is lost; PHRQ is not", needs=TAPPED_TOOL)
 def retries_are_harmless(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         name = reading_command(tap)
@@ -125,11 +125,11 @@ def retries_are_harmless(dut: DeviceUnderTest) -> None:
         names = [command.partition(":")[0] for command in tap.commands]
         requests = [index for index, command in enumerate(names) if command == "PHRQ"]
         between = names[requests[0] : requests[1]] if len(requests) > 1 else ["PHSR"]
-        check("PHSR" in between, "no second PHRQ before the unit was asked what it holds", between)
+        check("PHSR" in between, "no second PHRQ before PHSR", between)
         dut.release()
 
 
-@case("D15", "each ERRORhh becomes an error of the tree that names it", needs=TAPPED_TOOL)
+@case("D15", "each ERRORhh becomes a typed error that names it", needs=TAPPED_TOOL)
 def errors_are_typed(dut: DeviceUnderTest) -> None:
     steps = {"PHRQ": "ERROR2D", "PINIT": "ERROR13", "PENA": "ERROR28", "TSTART": "ERROR12"}
     codes: set[str] = set()
@@ -145,7 +145,7 @@ def errors_are_typed(dut: DeviceUnderTest) -> None:
     check(len(codes) > 1, "errors of several kinds", codes)
 
 
-@case("D16", "WARNINGhh is success, and is reported", needs=TAPPED_TOOL)
+@case("D16", "WARNINGhh counts as success and is reported in the notices", needs=TAPPED_TOOL)
 def warnings_are_success(dut: DeviceUnderTest) -> None:
     with polaris_tap(dut) as tap:
         tracker = dut.make(endpoint=tap.endpoint)
@@ -158,7 +158,7 @@ def warnings_are_success(dut: DeviceUnderTest) -> None:
 
 @case(
     "D37",
-    "strays are asked for with 1801 and judged by place: outside, or a tool's marker",
+    "strays are requested with 1801 and filtered by position: outside, or a tool's marker",
     needs=TAPPED_TOOL,
 )
 def strays_are_filtered(dut: DeviceUnderTest) -> None:
@@ -175,7 +175,7 @@ def strays_are_filtered(dut: DeviceUnderTest) -> None:
         tap.change("BX", _first_stray_at(lambda _pose: FAR_OUTSIDE_MM))
         strays = tracker.read_frame(PATIENT_S).strays
         far = [stray for stray in strays if math.dist(stray.position_mm, FAR_OUTSIDE_MM) < NEAR_MARKER_MM]
-        if formula_is_public:  # elsewhere the unit's own word has to do
+        if formula_is_public:  # otherwise only the unit's own flag is available
             check(all(s.validity is Validity.OUT_OF_VOLUME for s in far), "validity out of volume", far)
         tap.change("BX", _first_stray_at(lambda pose: placed(markers_mm, pose)[0]))
         strays = tracker.read_frame(PATIENT_S).strays
@@ -184,7 +184,7 @@ def strays_are_filtered(dut: DeviceUnderTest) -> None:
             raise NotShown("the tool was lost")
         marker_mm = placed(markers_mm, pose)[0]
         near = [stray for stray in strays if math.dist(stray.position_mm, marker_mm) < NEAR_MARKER_MM]
-        check(not near, "no stray where a tool's marker is", near)
+        check(not near, "no stray at a tool's marker", near)
 
 
 @case("D38", "quaternions of TX, rounded to 1e-4, are normalised", needs=TAPPED_TOOL)
@@ -192,20 +192,18 @@ def rounded_quaternions(dut: DeviceUnderTest) -> None:
     try:
         dut.make(options={**dut.config.options, "reply": "TX"})
     except ConfigurationError as error:
-        raise NotShown("the driver has no option that makes it read by TX") from error
+        raise NotShown("the driver has no option to read by TX") from error
     with tapped(dut, reply="TX") as (tap, tracker):
         check(reading_command(tap) == "TX", "readings by TX", tap.commands[-1])
         rotations = [tool.rotation for tool in tracker.read_frame(PATIENT_S).tools if tool.rotation]
         if not rotations:
-            raise NotShown("no tool is in sight")
+            raise NotShown("no tool is in view")
         for rotation in rotations:
             norm = math.sqrt(sum(value * value for value in rotation))
             check(abs(norm - 1.0) <= NORM_TOLERANCE, "norm 1", norm)
 
 
-@case(
-    "D39", "the frame number decides: a frame that comes twice is stale, an older one is none", needs=TAPPED
-)
+@case("D39", "the frame number decides: a repeated frame is STALE, an older one is rejected", needs=TAPPED)
 def frame_numbers_decide(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         name = reading_command(tap)
@@ -224,7 +222,7 @@ def frame_numbers_decide(dut: DeviceUnderTest) -> None:
             check(after >= newer, f"no frame older than {newer}", after)
 
 
-@case("D40", "the driver sets the illuminators to the fastest rate before it tracks", needs=TAPPED)
+@case("D40", "the driver sets the illuminators to the fastest rate before tracking", needs=TAPPED)
 def illuminators_are_set(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, _):
         start = next(index for index, said in enumerate(tap.commands) if said.startswith("TSTART"))
@@ -235,10 +233,10 @@ def illuminators_are_set(dut: DeviceUnderTest) -> None:
             check(said[0].endswith("2"), "rate 2, which is 60 Hz", said[0])
 
 
-@case("D40b", "on a serial line the driver goes to a faster rate", needs=SERIAL)
+@case("D40b", "on a serial line the driver switches to a faster baud rate", needs=SERIAL)
 def rate_is_raised(dut: DeviceUnderTest) -> None:
     tracker = dut.at(Lifecycle.ACTIVE)
-    tracker.read_frame(PATIENT_S)  # at the rate that it has gone to
+    tracker.read_frame(PATIENT_S)  # at its working rate
     baud = tracker.baud if isinstance(tracker, TellsBaud) else None
     dut.release()
     if baud is None:
@@ -247,11 +245,13 @@ def rate_is_raised(dut: DeviceUnderTest) -> None:
 
 
 @case(
-    "D41", "on leaving, the driver stops tracking, frees its handles, and restores the line", needs=WITH_TOOL
+    "D41",
+    "on closing, the driver stops tracking, frees its handles and restores the baud rate",
+    needs=WITH_TOOL,
 )
 def leaves_the_unit_idle(dut: DeviceUnderTest) -> None:
     dut.brought_to(Lifecycle.ACTIVE, dut.make()).read_frame(PATIENT_S)
-    with plain_unit(dut) as unit:  # at the rate of power-up, without INIT
+    with plain_unit(dut) as unit:  # at the power-up rate, without INIT
         unit.refused("BX:0001", 0x0C)
         check(unit.handles() == [], "no handles", unit.handles())
 
@@ -265,7 +265,7 @@ def _flip(index: int) -> Callable[[bytes], bytes]:
 
 
 def _first_stray_at(place: Callable[[tuple[float, ...]], Vector3]) -> Callable[[bytes], bytes]:
-    """Put the first stray of a reply elsewhere; the unit's own bit goes on saying that it is inside."""
+    """Move the first stray of a reply; the unit's own flag still says that it is inside."""
 
     def change(reply: bytes) -> bytes:
         body = bytearray(body_of(reply))

@@ -1,6 +1,6 @@
-"""Line 50 of the checklist: faults switched on and off at run time, and what the unit then shows on the wire.
+"""Checklist line 50: faults switched on and off at run time, and their effect on the wire.
 
-Only where a control port is known. Each case ends its fault, and leaves the unit as the others find it.
+Needs a control port. Each case clears its fault and leaves the unit as the others need it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MORE_STRAYS = 5
 SLOWER_S = 0.5
 DELAY_S = 0.3
 GARBLED_COMMANDS = 10
-TRACKS_NO_MORE = ("ERROR0C", REPLY_RESET, "ERROR10")  # stopped, or reset: no paper tells
+NOT_TRACKING = ("ERROR0C", REPLY_RESET, "ERROR10")  # stopped or reset: undocumented
 SOCKET = 1  # for a wired tool
 
 CASES = CaseList()
@@ -50,7 +50,7 @@ case = CASES.case
 
 @contextmanager
 def tracking(dut: DeviceUnderTest) -> Iterator[tuple[PolarisLink, str]]:
-    """(unit, part number): a unit that tracks one tool and sees it; every fault is ended afterwards."""
+    """(unit, part number): a unit that tracks one tool; every fault is cleared afterwards."""
     block = definition(dut)
     part = block[layout.PART_NUMBER_OFFSET : layout.PART_NUMBER_OFFSET + layout.PART_NUMBER_BYTES]
     with idle_unit(dut) as unit:
@@ -65,7 +65,7 @@ def tracking(dut: DeviceUnderTest) -> Iterator[tuple[PolarisLink, str]]:
 
 @contextmanager
 def faulty(dut: DeviceUnderTest, fault: str) -> Iterator[None]:
-    """While this fault of the tracker acts."""
+    """This fault of the tracker is active inside the block."""
     dut.fault(f"now: tracker {fault}")
     try:
         yield
@@ -74,36 +74,36 @@ def faulty(dut: DeviceUnderTest, fault: str) -> Iterator[None]:
 
 
 def await_frame(unit: PolarisLink, shows: Callable[[Seen], bool], what: str, options: int = 0x0801) -> Seen:
-    """The first frame that shows something; Nonconformity when none does in time."""
+    """The first frame that satisfies `shows`; raises Nonconformity when none does in time."""
     deadline_s = time.monotonic() + SHOWN_WITHIN_S
     while True:
         frame = seen(unit, options)
         if shows(frame):
             return frame
         if time.monotonic() > deadline_s:
-            raise Nonconformity(f"expected {what}, found {frame}")
+            raise Nonconformity(f"expected {what}, got {frame}")
         time.sleep(LOOK_EVERY_S)
 
 
 def await_pose(unit: PolarisLink) -> None:
-    """Wait until the tool is seen again."""
+    """Wait until the tool is tracked again."""
     await_frame(unit, lambda frame: frame.handles[0].pose is not None, "a pose again")
 
 
-@case("P50a", "fault: an occluded tool is MISSING, its frame number runs on, no marker is seen", needs=NEEDS)
+@case("P50a", "fault: an occluded tool is MISSING, frame numbers go on, no marker is seen", needs=NEEDS)
 def occluded(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, part):
         with faulty(dut, f"occlude tool {part}"):
             first = await_frame(unit, _is_missing, "MISSING")
-            later = await_frame(unit, lambda frame: frame.frame > first.frame, "a frame number that runs on")
-            check(_is_missing(later), "MISSING all the time", later)
+            later = await_frame(unit, lambda frame: frame.frame > first.frame, "increasing frame numbers")
+            check(_is_missing(later), "MISSING throughout", later)
             information, digits = _tool_information(unit)
             check(bool(information & ToolInformation.TOO_FEW_MARKERS), "tool information 02", information)
             check(set(digits) == {MarkerState.MISSING}, "no marker seen", digits)
         await_pose(unit)
 
 
-@case("P50b", "fault: a bent tool does not fit, and is MISSING", needs=NEEDS)
+@case("P50b", "fault: a bent tool does not fit and is MISSING", needs=NEEDS)
 def bent(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, part):
         with faulty(dut, f"bend tool {part} 40 mm"):
@@ -114,7 +114,7 @@ def bent(dut: DeviceUnderTest) -> None:
         await_pose(unit)
 
 
-@case("P50c", "fault: a tool that is turned away has its markers beyond the angle", needs=NEEDS)
+@case("P50c", "fault: the markers of a tool that is turned away are beyond the maximum angle", needs=NEEDS)
 def turned_away(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, part):
         with faulty(dut, f"turn tool {part} 150 deg"):
@@ -126,14 +126,14 @@ def turned_away(dut: DeviceUnderTest) -> None:
 
 @case(
     "P50d",
-    "fault: a tool moved out of the volume, wholly or partly, has status bit 0040 or 0080",
+    "fault: a tool moved out of the volume has status bit 0040, partly out 0080",
     needs=NEEDS,
 )
 def moved_out(dut: DeviceUnderTest) -> None:
     markers_mm = markers_of(definition(dut))
     with tracking(dut) as (unit, part):
         pose = seen(unit, 0x0801).handles[0].pose
-        assert pose is not None, "a frame with the tool was awaited"
+        assert pose is not None, "tracking() waits for a frame with the tool"
         unit.okay("TSTOP:")
         volume = volume_in_use(unit)
         unit.okay("TSTART:80")
@@ -150,11 +150,11 @@ def moved_out(dut: DeviceUnderTest) -> None:
                 lambda frame: bool(frame.handles[0].port_status & PortStatus.PARTIALLY_OUT_OF_VOLUME),
                 "status bit 0080",
             )
-            check(frame.handles[0].pose is not None, "a transform all the same", frame)
+            check(frame.handles[0].pose is not None, "a transform nevertheless", frame)
         await_pose(unit)
 
 
-@case("P50e", "fault: more spheres are more strays; sunlight and interference have their bits", needs=NEEDS)
+@case("P50e", "fault: more spheres give more strays; sunlight and interference set their bits", needs=NEEDS)
 def foreign_light(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, part):
         few = len(seen(unit, 0x1801).strays_mm)
@@ -186,12 +186,14 @@ def bumped(dut: DeviceUnderTest) -> None:
         check(_value(unit, PARAMETER_BUMPED) == "1", "bumped", _value(unit, PARAMETER_BUMPED))
         await_pose(unit)
         unit.okay(f"SET:{PARAMETER_BUMP_CLEAR}=1")
-        check(_value(unit, PARAMETER_BUMPED) == "0", "no bump any more")
+        check(_value(unit, PARAMETER_BUMPED) == "0", "the bump cleared")
         _value(unit, PARAMETER_NEW_ALERTS)
         await_pose(unit)
 
 
-@case("P50g", "fault: a unit too cold or too hot gives system status 0200 and no poses", needs=NEEDS)
+@case(
+    "P50g", "fault: a unit that is too cold or too hot reports system status 0200 and no poses", needs=NEEDS
+)
 def temperature(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, _):
         for fault, alert in (("cold", Alert.TOO_COLD), ("hot", Alert.TOO_HOT)):
@@ -204,7 +206,7 @@ def temperature(dut: DeviceUnderTest) -> None:
             await_pose(unit)
 
 
-@case("P50h", "fault: a fault of the hardware gives system status 0010, and an alert", needs=NEEDS)
+@case("P50h", "fault: a hardware failure gives system status 0010 and an alert", needs=NEEDS)
 def hardware(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, _):
         with faulty(dut, f"alert {HARDWARE_ALERT.bit_length() - 1}"):
@@ -215,9 +217,7 @@ def hardware(dut: DeviceUnderTest) -> None:
         await_pose(unit)
 
 
-@case(
-    "P50i", "fault: a wired tool that is plugged and unplugged has system status 0040 and 0080", needs=NEEDS
-)
+@case("P50i", "fault: plugging and unplugging a wired tool gives system status 0040 and 0080", needs=NEEDS)
 def plugged(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, _):
         with faulty(dut, f"plug {SOCKET}"):
@@ -225,11 +225,11 @@ def plugged(dut: DeviceUnderTest) -> None:
         await_frame(unit, _has(SystemStatus.PORT_UNOCCUPIED), "system status 0080")
 
 
-@case("P50j", "fault: a garbled command is answered ERROR04", needs=NEEDS)
+@case("P50j", "fault: a garbled command gives ERROR04", needs=NEEDS)
 def garbled_commands(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit, faulty(dut, "garble commands 100 %"):
         found = {unit.ask("APIREV:") for _ in range(GARBLED_COMMANDS)}
-        # A wrong bit may fall on the name, or turn a digit of the CRC into lower case, which does no harm.
+        # A flipped bit may hit the name, or make a CRC digit lower case, which is harmless.
         check("ERROR04" in found, "ERROR04", found)
 
 
@@ -253,7 +253,7 @@ def disturbed_replies(dut: DeviceUnderTest) -> None:
             check(time.monotonic() - began_s >= DELAY_S, f"a reply after {DELAY_S} s")
 
 
-@case("P50l", "fault: a unit that restarts says RESET, and wants INIT", needs=NEEDS)
+@case("P50l", "fault: a unit that restarts sends RESET and needs INIT", needs=NEEDS)
 def restarted(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, _):
         dut.fault("now: tracker restart")
@@ -263,7 +263,7 @@ def restarted(dut: DeviceUnderTest) -> None:
         unit.okay("INIT:")
 
 
-@case("P50m", "fault: a unit without power is silent, and says RESET when power returns", needs=NEEDS)
+@case("P50m", "fault: a unit without power is silent and sends RESET when power returns", needs=NEEDS)
 def power_cut(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, _):
         with faulty(dut, "power off"):
@@ -274,7 +274,7 @@ def power_cut(dut: DeviceUnderTest) -> None:
         unit.okay("INIT:")
 
 
-@case("P50n", "fault: the same frame again, and frames left out", needs=NEEDS)
+@case("P50n", "fault: frames are repeated and skipped", needs=NEEDS)
 def frames_repeat_and_skip(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, _):
         with faulty(dut, "repeat frames"):
@@ -294,18 +294,18 @@ def frames_repeat_and_skip(dut: DeviceUnderTest) -> None:
             check(bool(steps) and min(steps) >= 10, "steps of 10 and more", steps)
 
 
-@case("P50o", "fault: a unit whose watchdog has run out tracks no more", needs=NEEDS)
+@case("P50o", "fault: a unit whose watchdog has expired stops tracking", needs=NEEDS)
 def watchdog(dut: DeviceUnderTest) -> None:
     with tracking(dut) as (unit, _):
         dut.fault("now: tracker watchdog")
         deadline_s = time.monotonic() + SHOWN_WITHIN_S
-        while (reply := unit.ask("TX:0001")) not in TRACKS_NO_MORE:
-            check(time.monotonic() < deadline_s, " or ".join(TRACKS_NO_MORE), reply)
+        while (reply := unit.ask("TX:0001")) not in NOT_TRACKING:
+            check(time.monotonic() < deadline_s, " or ".join(NOT_TRACKING), reply)
         unit.rest(DELAY_S)
         unit.okay("INIT:")
 
 
-@case("P50p", "fault: a definition that proves corrupt is refused at PINIT", needs=NEEDS)
+@case("P50p", "fault: a corrupt definition is refused at PINIT", needs=NEEDS)
 def corrupt_definition(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -334,7 +334,7 @@ def too_many(dut: DeviceUnderTest) -> None:
         unit.request_handle()
 
 
-@case("P50r", "fault: a volume that does not take the tools' light is refused at TSTART", needs=NEEDS)
+@case("P50r", "fault: a volume for another wavelength is refused at TSTART", needs=NEEDS)
 def wrong_wavelength(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -344,7 +344,7 @@ def wrong_wavelength(dut: DeviceUnderTest) -> None:
         unit.okay("TSTART:80")
 
 
-@case("P50s", "fault: INIT, PINIT and TSTART may take longer", needs=NEEDS)
+@case("P50s", "fault: INIT, PINIT and TSTART take longer", needs=NEEDS)
 def slow_commands(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:

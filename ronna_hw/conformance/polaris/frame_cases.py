@@ -1,4 +1,4 @@
-"""Lines 24 to 34 and 49 of the checklist: modes, frame numbers, and the forms of TX and BX."""
+"""Checklist lines 24 to 34 and 49: modes, frame numbers, and the forms of TX and BX."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ronna_hw.conformance.polaris.suite import LOOKS, NEEDS, WITH_TOOL, definiti
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, HandleStatus, PortStatus
 
 FRAME_RATE_SPAN_S = 0.5
-FRAME_RATE_TOLERANCE_FRAMES = 4  # a busy computer asks a little late
+FRAME_RATE_TOLERANCE_FRAMES = 4  # a busy computer requests a little late
 QUICK_REQUESTS = 40
 COUNTS_REQUESTS = (
-    "each request gets the next frame at once, however long the pause before: the unit follows a clock that "
-    "is not the host's; name that clock with --config"
+    "every request returns the next frame at once, however long the pause before it: the unit does not "
+    "follow the host's clock; name its clock with --config"
 )
 POSITION_TOLERANCE_MM = 0.0051  # half of the last digit of TX
 QUATERNION_TOLERANCE = 5.1e-5
 NORM_TOLERANCE = 1e-3
-NOTHING_MORE_S = 0.1  # how long a line must be quiet to say that a reply has ended
+NOTHING_MORE_S = 0.1  # a reply has ended when the line has been quiet for so long
 SAME_FRAME_TRIES = 20
 TX_POSE = re.compile(r"(?:[+-][0-9]{5}){4}(?:[+-][0-9]{6}){3}[+-][0-9]{5}")
 TX_INFORMATION_CHARACTERS = 22
@@ -36,7 +36,7 @@ CASES = CaseList()
 case = CASES.case
 
 
-@case("P24", "while tracking, TSTART and the set-up of handles are answered ERROR0C", needs=WITH_TOOL)
+@case("P24", "while tracking, TSTART and setting up handles give ERROR0C", needs=WITH_TOOL)
 def set_up_while_tracking(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -46,14 +46,14 @@ def set_up_while_tracking(dut: DeviceUnderTest) -> None:
             unit.refused(command, 0x0C)
 
 
-@case("P25", "outside tracking, TX, BX and TSTOP are answered ERROR0C", needs=NEEDS)
+@case("P25", "outside tracking, TX, BX and TSTOP give ERROR0C", needs=NEEDS)
 def reading_while_idle(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         for command in ("TX:0001", "BX:0001", "TSTOP:"):
             unit.refused(command, 0x0C)
 
 
-@case("P26", "TSTART 80 begins the frame number anew", needs=WITH_TOOL)
+@case("P26", "TSTART 80 restarts the frame number", needs=WITH_TOOL)
 def frame_number_restarts(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -86,7 +86,7 @@ def frame_rate(dut: DeviceUnderTest) -> None:
 
 @case(
     "P28",
-    "TX has the exact form of its options, LF after each handle, four digits at the end",
+    "TX has the exact form of its options: LF after each handle, four digits at the end",
     needs=WITH_TOOL,
 )
 def tx_grammar(dut: DeviceUnderTest) -> None:
@@ -112,7 +112,7 @@ def tx_grammar(dut: DeviceUnderTest) -> None:
                 check(len(match[3]) == 21 * count, "a position per stray", len(match[3]))
 
 
-@case("P29", "a pose has a quaternion of norm 1, a negative z and an error of 0 or more", needs=WITH_TOOL)
+@case("P29", "a pose has a quaternion of norm 1, a negative z and an error of at least 0", needs=WITH_TOOL)
 def poses_are_possible(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -127,10 +127,10 @@ def poses_are_possible(dut: DeviceUnderTest) -> None:
                 norm = math.sqrt(sum(value * value for value in reading.pose[:4]))
                 check(abs(norm - 1.0) <= NORM_TOLERANCE, "a quaternion of norm 1", norm)
                 check(reading.pose[6] < 0, "a negative z", reading.pose[6])
-                check(reading.pose[7] >= 0, "an error of 0 or more", reading.pose[7])
+                check(reading.pose[7] >= 0, "an error of at least 0", reading.pose[7])
             dut.clock.sleep(1 / FRAME_RATE_HZ)
         if not poses:
-            raise NotShown("the tool is not in sight")
+            raise NotShown("the tool is not in view")
 
 
 @case("P30", "TX and BX of one frame agree within the rounding of TX", needs=WITH_TOOL)
@@ -157,7 +157,7 @@ def tx_and_bx_agree(dut: DeviceUnderTest) -> None:
         raise NotShown("no frame with a pose came by both TX and BX")
 
 
-@case("P31", "a missing tool keeps status and frame number, in TX and in BX", needs=WITH_TOOL)
+@case("P31", "a missing tool has its status and frame number, in TX and in BX", needs=WITH_TOOL)
 def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
     block = looking_away(definition(dut))
     with idle_unit(dut) as unit:
@@ -168,7 +168,7 @@ def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
         after = seen(unit).handles[0]
         text = unit.ask("TX:0001")
         if HandleStatus.VALID in (before.status, after.status):
-            raise NotShown("the tool that looks away is seen all the same")
+            raise NotShown("the tool is tracked although its markers face away")
         check(after.status is HandleStatus.MISSING, "the status of a missing tool", after.status)
         check(
             after.port_status & LOADED_STATUS == LOADED_STATUS, "port status 31", f"{after.port_status:04X}"
@@ -181,7 +181,7 @@ def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
         check(int(match[1], 16) >= after.frame, f"a frame number of {after.frame} or more", match[1])
 
 
-@case("P31b", "a disabled tool is left out, or told without status and frame number", needs=WITH_TOOL)
+@case("P31b", "a disabled tool is omitted, or listed without status and frame number", needs=WITH_TOOL)
 def disabled_carries_nothing(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -189,16 +189,20 @@ def disabled_carries_nothing(dut: DeviceUnderTest) -> None:
         unit.okay(f"PDIS:{disabled}")
         unit.okay("TSTART:80")
         frame = seen(unit)
-        told = {reading.handle: reading.status for reading in frame.handles}
-        check(told.pop(disabled, HandleStatus.DISABLED) is HandleStatus.DISABLED, "no pose of it", told)
-        check(list(told) == [enabled], f"handle {enabled}", list(told))
+        listed = {reading.handle: reading.status for reading in frame.handles}
+        check(
+            listed.pop(disabled, HandleStatus.DISABLED) is HandleStatus.DISABLED,
+            "no pose of the disabled tool",
+            listed,
+        )
+        check(list(listed) == [enabled], f"handle {enabled}", list(listed))
         text = unit.ask("TX:0001")
         pose = rf"(?:{TX_POSE.pattern}|MISSING)[0-9A-F]{{16}}\n"
         form = rf"0[12](?:{disabled}DISABLED\n)?{enabled}{pose}(?:{disabled}DISABLED\n)?[0-9A-F]{{4}}"
-        check(re.fullmatch(form, text) is not None, "nothing behind DISABLED", repr(text))
+        check(re.fullmatch(form, text) is not None, "nothing after DISABLED", repr(text))
 
 
-@case("P32", "BX gives length and both CRCs rightly, and no byte more", needs=WITH_TOOL)
+@case("P32", "BX has the right length and CRCs, and nothing follows it", needs=WITH_TOOL)
 def bx_is_whole(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -209,7 +213,7 @@ def bx_is_whole(dut: DeviceUnderTest) -> None:
             check(unit.rest(NOTHING_MORE_S) == b"", "nothing after the reply")
 
 
-@case("P33", "the numbers of BX are float32, low byte first", needs=WITH_TOOL)
+@case("P33", "BX holds little-endian float32", needs=WITH_TOOL)
 def little_endian(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -217,10 +221,10 @@ def little_endian(dut: DeviceUnderTest) -> None:
         unit.okay("TSTART:80")
         body = unit.binary("BX:0801")
         if body[2] != HandleStatus.VALID:
-            raise NotShown("the tool is not in sight")
+            raise NotShown("the tool is not in view")
         norms = {order: _norm(struct.unpack_from(f"{order}4f", body, 3)) for order in "<>"}
-        check(abs(norms["<"] - 1.0) <= NORM_TOLERANCE, "norm 1 with the low byte first", norms["<"])
-        check(not abs(norms[">"] - 1.0) <= NORM_TOLERANCE, "no norm 1 with the high byte first", norms[">"])
+        check(abs(norms["<"] - 1.0) <= NORM_TOLERANCE, "norm 1 as little-endian", norms["<"])
+        check(not abs(norms[">"] - 1.0) <= NORM_TOLERANCE, "another norm as big-endian", norms[">"])
 
 
 @case("P34", "option 0002 adds 22 characters to each handle of TX and 11 bytes of BX", needs=WITH_TOOL)
@@ -233,7 +237,7 @@ def tool_information_is_added(dut: DeviceUnderTest) -> None:
             short, long = unit.binary("BX:0001"), unit.binary("BX:0003")
             texts = unit.ask("TX:0001"), unit.ask("TX:0003")
             missing = {"MISSING" in text for text in texts} | {body[2] == 2 for body in (short, long)}
-            if len(missing) == 1:  # seen every time, or missing every time
+            if len(missing) == 1:  # tracked in every frame, or missing in every frame
                 check(
                     len(long) - len(short) == TOOL_INFORMATION_BYTES, "11 bytes more", len(long) - len(short)
                 )
@@ -244,7 +248,9 @@ def tool_information_is_added(dut: DeviceUnderTest) -> None:
 
 
 @case(
-    "P49", "DSTART and DSTOP change between set-up and diagnostic mode, where nothing is tracked", needs=NEEDS
+    "P49",
+    "DSTART and DSTOP switch between setup and diagnostic mode, in which nothing is tracked",
+    needs=NEEDS,
 )
 def diagnostic_mode(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
@@ -258,7 +264,7 @@ def diagnostic_mode(dut: DeviceUnderTest) -> None:
         finally:
             unit.okay("DSTOP:")
         unit.refused("DSTOP:", 0x0C)
-        check(unit.handles() == [], "set-up mode again", unit.handles())
+        check(unit.handles() == [], "setup mode again", unit.handles())
 
 
 def frame_number(unit: PolarisLink) -> int:
@@ -267,10 +273,10 @@ def frame_number(unit: PolarisLink) -> int:
 
 
 def _counts_requests(unit: PolarisLink) -> bool:
-    """True when each of many quick requests gets exactly the next frame, sooner than 60 per second allow.
+    """True when many quick requests each return the next frame, faster than 60 per second.
 
-    After a pause with a single frame no clock explains that: a unit so slow would repeat its frame, or keep
-    each request waiting for the next.
+    After a pause of a single frame no clock explains that: a unit that slow would repeat its frame, or delay
+    each reply until the next.
     """
     before = frame_number(unit)
     deadline_s = time.monotonic() + (QUICK_REQUESTS - FRAME_RATE_TOLERANCE_FRAMES) / FRAME_RATE_HZ

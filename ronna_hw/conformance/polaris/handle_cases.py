@@ -1,4 +1,4 @@
-"""Lines 17 to 23 and 47 of the checklist: port handles and tool definitions."""
+"""Checklist lines 17 to 23 and 47: port handles and tool definitions."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
 
 NOT_A_WHOLE_BLOCK = (0x02, 0x03, 0x07)
-NO_SUCH_ADDRESS = (0x23, 0x36, 0x37, 0x07)  # no paper says which
+NO_SUCH_ADDRESS = (0x23, 0x36, 0x37, 0x07)  # undocumented which
 
 CASES = CaseList()
 case = CASES.case
 
 
-@case("P17", "PHRQ gives distinct handles that are not zero, PHF frees them", needs=NEEDS)
+@case("P17", "PHRQ returns distinct nonzero handles, PHF frees them", needs=NEEDS)
 def handles_are_distinct(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         handles = [unit.request_handle() for _ in range(3)]
@@ -25,7 +25,7 @@ def handles_are_distinct(dut: DeviceUnderTest) -> None:
         check(unit.handles() == sorted(handles), f"the handles {handles}", unit.handles())
         unit.okay(f"PHF:{handles[1]}")
         unit.refused(f"PHF:{handles[1]}", 0x2B)
-        check(handles[1] not in unit.handles(), "a freed handle to be gone")
+        check(handles[1] not in unit.handles(), "the freed handle gone")
 
 
 @case("P18", "PHSR lists a handle as occupied, initialised or enabled at each step", needs=WITH_TOOL)
@@ -41,7 +41,7 @@ def handle_lists(dut: DeviceUnderTest) -> None:
         _is_listed_under(unit, handle, "00", "03")
 
 
-@case("P19", "PVWR takes blocks of 64 bytes up to address 07C0, in either case of hex", needs=NEEDS)
+@case("P19", "PVWR takes blocks of 64 bytes up to address 07C0, in upper- or lower-case hex", needs=NEEDS)
 def memory_is_written_in_blocks(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         handle = unit.request_handle()
@@ -61,7 +61,7 @@ def wrong_checksum(dut: DeviceUnderTest) -> None:
         handle = unit.request_handle()
         for address in range(0, len(block), 64):
             chunk = bytes(block[address : address + 64]).ljust(64, b"\0")
-            unit.okay(f"PVWR:{handle}{address:04x}{chunk.hex()}")  # either case of hex is understood
+            unit.okay(f"PVWR:{handle}{address:04x}{chunk.hex()}")  # lower-case hex is understood too
         unit.refused(f"PINIT:{handle}", 0x13, 0x40, 0x41)
 
 
@@ -73,14 +73,18 @@ def enabling_needs_initialising(dut: DeviceUnderTest) -> None:
         unit.refused(f"PENA:{unit.load(block)}X", 0x09)
 
 
-@case("P22", "PHINF tells type, maker, revision, serial and part number of the definition", needs=WITH_TOOL)
+@case(
+    "P22",
+    "PHINF returns type, manufacturer, revision, serial and part number of the definition",
+    needs=WITH_TOOL,
+)
 def tool_information(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
         _tells_the_definition(unit, unit.load(block), block)
 
 
-@case("P23", "PHINF gives options 0001, 0004 and 0020 one behind the other, 67 characters", needs=WITH_TOOL)
+@case("P23", "PHINF returns options 0001, 0004 and 0020 in sequence, 67 characters", needs=WITH_TOOL)
 def joined_information(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -94,7 +98,7 @@ def joined_information(dut: DeviceUnderTest) -> None:
 
 @case(
     "P47",
-    "a definition of our own making and one with a maker's published numbers both load",
+    "a definition of our own and one with a manufacturer's published numbers both load",
     needs=WITH_TOOL,
 )
 def both_makers_definitions_load(dut: DeviceUnderTest) -> None:
@@ -109,7 +113,7 @@ def both_makers_definitions_load(dut: DeviceUnderTest) -> None:
 
 
 def _is_listed_under(unit: PolarisLink, handle: str, *queries: str) -> None:
-    """A handle that is listed by exactly these of the five queries."""
+    """The handle must be listed by exactly these of the five queries."""
     found = tuple(query for query in ("00", "01", "02", "03", "04") if handle in unit.handles(query))
     check(found == queries, f"handle {handle} under {' and '.join(queries)}", found)
 
@@ -120,11 +124,11 @@ def _tells_the_definition(unit: PolarisLink, handle: str, block: bytes) -> None:
     check(int(about[:2], 16) == block[layout.MAIN_TYPE_OFFSET], "the main type", about[:2])
     check(int(about[6:8], 16) == block[layout.SUBTYPE_OFFSET], "the subtype", about[6:8])
     maker = _text(block, layout.MANUFACTURER_OFFSET, layout.MANUFACTURER_BYTES)
-    check(about[8:20].rstrip() == maker, f"the maker {maker}", about[8:20])
+    check(about[8:20].rstrip() == maker, f"the manufacturer {maker}", about[8:20])
     revision = int.from_bytes(block[layout.REVISION_OFFSET : layout.REVISION_OFFSET + 2], "little")
     check(about[20:23] == f"{revision:03d}", f"revision {revision:03d}", about[20:23])
     serial = block[layout.SERIAL_OFFSET : layout.SERIAL_OFFSET + 4]
-    # As a number or byte by byte: no paper tells.
+    # As a number or byte by byte: undocumented.
     orders = [serial[::-1].hex().upper(), serial.hex().upper()]
     check(about[23:31] in orders, f"serial {' or '.join(orders)}", about[23:31])
     part = unit.ask(f"PHINF:{handle}0004")

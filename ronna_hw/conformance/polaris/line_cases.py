@@ -1,4 +1,4 @@
-"""Lines 1 to 10 of the checklist: the line, the forms of commands and replies, the first moments."""
+"""Checklist lines 1 to 10: the line, the forms of commands and replies, the first commands."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ CASES = CaseList()
 case = CASES.case
 
 
-@case("P01", "after a break the unit says RESET at 9600 baud, 8N1", needs=(*SERIAL, DESTRUCTIVE))
+@case("P01", "after a break the unit sends RESET at 9600 baud, 8N1", needs=(*SERIAL, DESTRUCTIVE))
 def break_resets(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         try:
             unit.go_to(FAST_ARGUMENT, FAST_BAUD)
-            check(not is_error(unit.ask("APIREV:")), f"an answer at {FAST_BAUD} baud")
+            check(not is_error(unit.ask("APIREV:")), f"a reply at {FAST_BAUD} baud")
             unit.serial.send_break()
         finally:
             unit.serial.baud = DEFAULT_BAUD
@@ -41,7 +41,7 @@ def break_resets(dut: DeviceUnderTest) -> None:
         unit.okay("INIT:")
 
 
-@case("P01b", "RESET 0 works like a break: the unit says RESET and wants INIT", needs=(*NEEDS, DESTRUCTIVE))
+@case("P01b", "RESET 0 works like a break: the unit sends RESET and needs INIT", needs=(*NEEDS, DESTRUCTIVE))
 def reset_command(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         unit.send("RESET:0")
@@ -59,7 +59,7 @@ def replies_carry_a_crc(dut: DeviceUnderTest) -> None:
             unit.ask(command)
 
 
-@case("P03", "a command with a wrong CRC is answered ERROR04 and has no effect", needs=NEEDS)
+@case("P03", "a command with a wrong CRC gives ERROR04 and has no effect", needs=NEEDS)
 def wrong_crc_has_no_effect(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         good = with_crc("PHRQ:*********1****")
@@ -67,10 +67,10 @@ def wrong_crc_has_no_effect(dut: DeviceUnderTest) -> None:
         check(unit.handles() == [], "no handle allocated", unit.handles())
 
 
-@case("P04", "the form with a space needs no CRC, its reply has one", needs=NEEDS)
+@case("P04", "a command with a space needs no CRC; its reply has one", needs=NEEDS)
 def space_form(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
-        check(unit.ask(b"APIREV \r") == unit.ask("APIREV:"), "the same answer in both forms")
+        check(unit.ask(b"APIREV \r") == unit.ask("APIREV:"), "the same reply in both forms")
 
 
 @case("P05", "INIT without any separator is accepted", needs=NEEDS)
@@ -79,7 +79,7 @@ def bare_init(dut: DeviceUnderTest) -> None:
         unit.okay(b"INIT\r")
 
 
-@case("P06", "an unknown command is answered ERROR01", needs=NEEDS)
+@case("P06", "an unknown command gives ERROR01", needs=NEEDS)
 def unknown_command(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         unit.refused("XYZZY:", 0x01)
@@ -91,21 +91,21 @@ def byte_by_byte(dut: DeviceUnderTest) -> None:
         for byte in with_crc("APIREV:"):
             unit.send(bytes([byte]))
             time.sleep(0.002)
-        check(not is_error(unit.text()), "the answer to APIREV")
+        check(not is_error(unit.text()), "the reply to APIREV")
 
 
-@case("P08", "OKAY to COMM comes at the old rate, then the unit listens at the new one", needs=SERIAL)
+@case("P08", "OKAY to COMM comes at the old baud rate, then the unit uses the new one", needs=SERIAL)
 def rate_changes_after_the_answer(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         about = unit.ask("APIREV:")
         with unit.hurried():
-            check(unit.ask("APIREV:") == about, f"the same answer at {FAST_BAUD} baud")
-        check(unit.ask("APIREV:") == about, f"the same answer at {DEFAULT_BAUD} baud again")
+            check(unit.ask("APIREV:") == about, f"the same reply at {FAST_BAUD} baud")
+        check(unit.ask("APIREV:") == about, f"the same reply at {DEFAULT_BAUD} baud again")
 
 
 @case(
     "P09",
-    "before INIT, commands about tools and tracking are answered ERROR10",
+    "before INIT, commands about tools and tracking give ERROR10",
     needs=(*NEEDS, DESTRUCTIVE),
 )
 def set_up_before_init(dut: DeviceUnderTest) -> None:
@@ -128,8 +128,10 @@ def init_is_quick(dut: DeviceUnderTest) -> None:
             unit.okay("INIT:")
             took_s.append(time.monotonic() - began_s)
         quickest_s = min(took_s)
-        check(quickest_s <= INIT_LIMIT_S, f"an answer within the unit's own {INIT_LIMIT_S:g} s", quickest_s)
+        check(
+            quickest_s <= INIT_LIMIT_S, f"a reply within the unit's limit of {INIT_LIMIT_S:g} s", quickest_s
+        )
         if quickest_s > QUICK_INIT_S:
             raise NotShown(
-                f"INIT takes {quickest_s:.2f} s: allowed, but a client that probes for 200 ms breaks the line"
+                f"INIT takes {quickest_s:.2f} s: allowed, but a client that probes for 200 ms sends a break"
             )

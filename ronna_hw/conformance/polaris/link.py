@@ -1,7 +1,6 @@
-"""Plain bytes to a unit that speaks the NDI Polaris protocol, past every driver.
+"""A plain client of an NDI Polaris unit that bypasses every driver.
 
-What a reply should look like is written here from the protocol's reference a second time, so that a
-driver's misreading cannot hide in it.
+It decodes replies by itself, from the protocol's reference, so that a driver's misreading cannot hide.
 """
 
 from __future__ import annotations
@@ -30,18 +29,18 @@ from ronna_hw.wire.polaris import (
     crc16,
 )
 
-REPLY_LIMIT_S = 6.0  # the unit's own longest limit for the commands used here
+REPLY_LIMIT_S = 6.0  # the unit's longest time limit for the commands used here
 BREAK_S = 0.5
-FAST_BAUD, FAST_ARGUMENT = 115200, "50000"  # every unit and every adapter can do it
-RATE_SETTLING_S = 0.1  # from OKAY to COMM until the unit listens at the new rate
-RESET_LIMIT_S = 7.0  # from a break to the unit's RESET, the longest that any client waits
-QUIET_S = 0.02  # a line of which nothing is wanted is quiet after this
+FAST_BAUD, FAST_ARGUMENT = 115200, "50000"  # supported by every unit and every adapter
+RATE_SETTLING_S = 0.1  # from OKAY until the unit uses the new rate
+RESET_LIMIT_S = 7.0  # from a break to the unit's RESET: as long as any client waits
+QUIET_S = 0.02  # an idle line counts as quiet after this
 _ASCII = re.compile(rb"(.*)([0-9A-F]{4})\r", re.DOTALL)
 _ERROR = re.compile("ERROR[0-9A-F]{2}")
 
 
 class SerialLine:
-    """A serial line at the unit's power-up rate, with the few calls of a socket that are used here."""
+    """A serial line at the unit's power-up rate, with the few socket calls used here."""
 
     def __init__(self, path: str) -> None:
         import serial
@@ -59,7 +58,7 @@ class SerialLine:
 
     @property
     def baud(self) -> int:
-        """Rate of our end."""
+        """Baud rate of our end."""
         return int(self._port.baudrate)
 
     @baud.setter
@@ -67,7 +66,7 @@ class SerialLine:
         self._port.baudrate = rate
 
     def send_break(self) -> None:
-        """Hold the line low: the unit resets itself. What either side still holds is dropped first."""
+        """Send a break, which resets the unit; drops buffered data first."""
         import termios
 
         termios.tcflush(self.fileno(), termios.TCIOFLUSH)
@@ -90,12 +89,12 @@ def with_crc(text: str) -> bytes:
 
 @dataclass
 class PolarisLink:
-    """An open line. Every reply is checked for its CRC before it is given."""
+    """An open line. The CRC of every reply is checked."""
 
     line: socket.socket | SerialLine
 
     def ask(self, command: str | bytes) -> str:
-        """The text of the ASCII reply to a command: text in CRC form, bytes as they are."""
+        """The text of the ASCII reply to a command, sent with a CRC when it is text, as it is when bytes."""
         self.send(command)
         return self.text()
 
@@ -127,7 +126,7 @@ class PolarisLink:
         return body
 
     def rest(self, quiet_s: float = QUIET_S) -> bytes:
-        """Whatever else comes before the line has been quiet for `quiet_s`."""
+        """Everything that comes before the line has been quiet for `quiet_s`."""
         heard = b""
         while select.select([self.line], [], [], quiet_s)[0]:
             if not (data := self.line.recv(65536)):
@@ -136,18 +135,18 @@ class PolarisLink:
         return heard
 
     def okay(self, command: str | bytes) -> None:
-        """A command that must be carried out."""
+        """Send a command that must be answered OKAY."""
         reply = self.ask(command)
         check(reply == REPLY_OKAY, f"OKAY to {command!r}", reply)
 
     def refused(self, command: str | bytes, *codes: int) -> None:
-        """A command that must be answered by one of these errors."""
+        """Send a command that must be answered by one of these errors."""
         wanted = [f"ERROR{code:02X}" for code in codes]
         reply = self.ask(command)
         check(reply in wanted, f"{' or '.join(wanted)} to {command!r}", reply)
 
     def load(self, definition: bytes, priority: str = "D") -> str:
-        """Load, initialise and enable a tool; its handle as two hex digits."""
+        """Load, initialise and enable a tool; returns its handle, two hex digits."""
         handle = self.request_handle()
         self.write(handle, definition)
         reply = self.ask(f"PINIT:{handle}")
@@ -173,22 +172,22 @@ class PolarisLink:
         return [text[at : at + 2] for at in range(2, len(text), 5)]
 
     def clean_up(self) -> None:
-        """Stop what may run and free every handle, so that the next case finds the unit idle."""
+        """Stop tracking and free every handle, so that the next case finds the unit idle."""
         self.rest()
         self.ask("TSTOP:")  # refused when nothing is tracked
         for handle in self.handles():
             self.ask(f"PHF:{handle}")
 
     def go_to(self, argument: str, baud: int) -> None:
-        """Have the unit switch its line by COMM, and follow it."""
-        self.okay(f"COMM:{argument}")  # heard at the old rate, which our end still has
+        """Switch the unit to another baud rate by COMM, and follow it."""
+        self.okay(f"COMM:{argument}")  # answered at the old rate
         time.sleep(RATE_SETTLING_S)
         self.serial.baud = baud
         self.rest()
 
     @contextmanager
     def hurried(self) -> Iterator[None]:
-        """At a faster rate on a serial line, back at that of power-up afterwards; nothing over TCP."""
+        """At a faster baud rate inside the block on a serial line; no effect over TCP."""
         if not isinstance(self.line, SerialLine):
             yield
             return
@@ -202,7 +201,7 @@ class PolarisLink:
 
     @property
     def serial(self) -> SerialLine:
-        """The line, where it is a serial one: cases that need it say so."""
+        """The line as a serial one, for cases that need SERIAL_LINE."""
         assert isinstance(self.line, SerialLine), "the case needs a serial line"
         return self.line
 
@@ -225,7 +224,7 @@ def is_error(text: str) -> bool:
 
 @contextmanager
 def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """The unit under test as its last client left it, by plain bytes."""
+    """A plain client of the unit under test, which is as its last client left it."""
     dut.release()
     line = _open(dut.endpoint)
     try:
@@ -238,7 +237,7 @@ def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 @contextmanager
 def idle_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """The unit under test, initialised and without tools, by plain bytes; left that way again."""
+    """A plain client of the unit under test, initialised and without tools, before and after the block."""
     with plain_unit(dut) as link:
         link.okay("INIT:")
         link.clean_up()

@@ -1,7 +1,4 @@
-"""A disturbed line that understands the Polaris protocol: it changes the reply to a command of choice.
-
-What a command and a reply look like is written here from the protocol's reference, not taken from a driver.
-"""
+"""A disturbed line that understands the Polaris protocol and can change the reply to a given command."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ _u16 = struct.Struct("<H")
 
 
 class PolarisTap(DisturbedLine):
-    """`commands` is what the driver said, as `NAME:argument`; `replies` the unit's last one per command."""
+    """`commands` holds what the driver sent, as `NAME:argument`; `replies` the last reply to each command."""
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__(device)
@@ -33,16 +30,16 @@ class PolarisTap(DisturbedLine):
         self._reply = b""
 
     def change(self, name: str, change: Change, delay_s: float = 0.0) -> None:
-        """Change the next reply to this command, once, and hold it back for a while; may be called ahead."""
+        """Change, and delay, the next reply to this command, once; may be called ahead."""
         with self._lock:
             self._changes.append((name, change, delay_s))
 
     def answer(self, name: str, text: str) -> None:
-        """Answer this command, once, by a text with a right CRC; the unit still carries it out."""
+        """Replace the next reply to this command by a text with a right CRC; the unit still executes it."""
         self.change(name, lambda _reply: text_reply(text))
 
     def count(self, beginning: str) -> int:
-        """How many commands began so."""
+        """How many commands started like this."""
         return sum(command.startswith(beginning) for command in self.commands)
 
     def _from_driver(self, data: bytes) -> None:
@@ -67,7 +64,7 @@ class PolarisTap(DisturbedLine):
             if wanted is None:
                 return super()._disturbed(data)
             if not whole:
-                return []  # kept back until it can be changed as a whole
+                return []  # held until it can be changed as a whole
             self._changes.remove(wanted)
         _, change, delay_s = wanted
         return [(delay_s, change(self._reply))]
@@ -80,7 +77,7 @@ def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
 
 
 def text_reply(text: str) -> bytes:
-    """A text as the unit would say it: CRC in four upper-case digits, CR."""
+    """A text reply: CRC in four upper-case digits, CR."""
     return b"%b%04X\r" % (text.encode(), crc16(text.encode()))
 
 

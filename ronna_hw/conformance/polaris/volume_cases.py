@@ -1,4 +1,4 @@
-"""Lines 35, 36 and 44 to 46 of the checklist: the measuring volume, what lies outside it, strays."""
+"""Checklist lines 35, 36 and 44 to 46: the measuring volume, what lies outside it, strays."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ronna_hw.conformance.polaris.volumes import (
     SPECTRA_SHAPE,
     SPECTRA_VOLUMES,
     VICRA_SHAPE,
-    ToldVolume,
-    told_volumes,
+    MeasuringVolume,
+    measuring_volumes,
     volume_in_use,
 )
 from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus, PortStatus
 
-BEYOND_MM = 130.0  # beyond the volume's side, still before the unit's eyes; more than half a tool
-EDGE_MM = 3.0  # nearer to a face than this, noise decides
+BEYOND_MM = 130.0  # beyond the volume's side but still in view; more than half a tool
+EDGE_MM = 3.0  # closer to a face, noise decides
 MORE_STRAYS = 4
 PHANTOMS_MM = 60
 READ_ONLY = "Features.Firmware.Version=0"
@@ -37,16 +37,18 @@ def out_of_volume_is_missing(dut: DeviceUnderTest) -> None:
         z_mm = volume.middle_mm
         x_mm, _ = volume.half_extents_mm(z_mm)
         _load_at(unit, block, (x_mm + BEYOND_MM, 0.0, z_mm))
-        told = seen(unit, 0x0801).handles[0]
+        shown = seen(unit, 0x0801).handles[0]
         withheld = seen(unit, 0x0001).handles[0]
-        if not told.outside:
-            raise NotShown("no tool can be shown to this unit outside its volume")
-        check(told.pose is not None, "a pose with option 0800", told)
+        if not shown.outside:
+            raise NotShown("this unit cannot be shown a tool outside its volume")
+        check(shown.pose is not None, "a pose with option 0800", shown)
         check(withheld.status is HandleStatus.MISSING, "MISSING without option 0800", withheld)
         check(withheld.outside, "status bit 0040", f"{withheld.port_status:04X}")
 
 
-@case("P36", "strays are told only while a passive handle is enabled; in and out are right", needs=WITH_TOOL)
+@case(
+    "P36", "strays are reported only while a passive tool is enabled; their flags are right", needs=WITH_TOOL
+)
 def strays_need_illuminators(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -58,10 +60,10 @@ def strays_need_illuminators(dut: DeviceUnderTest) -> None:
         unit.okay("TSTART:80")
         flags = _judged_strays(dut, unit, volume)
     if not flags:
-        raise NotShown("no stray marker is in sight")
+        raise NotShown("no stray marker is in view")
 
 
-@case("P36b", "strays inside and outside at once have the right flags", needs=(*WITH_TOOL, LIVE_FAULTS))
+@case("P36b", "strays inside and outside the volume have the right flags", needs=(*WITH_TOOL, LIVE_FAULTS))
 def strays_in_and_out(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
@@ -75,10 +77,10 @@ def strays_in_and_out(dut: DeviceUnderTest) -> None:
         finally:
             dut.clear_faults()
     if len(flags) < 2:
-        raise NotShown("all strays lie on one side of the volume's faces")
+        raise NotShown("all strays are inside the volume, or all outside")
 
 
-@case("P44", "GET of an unknown parameter is answered ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
+@case("P44", "GET of an unknown parameter gives ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
 def unknown_parameter(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         unit.refused("GET:No.Such Parameter", 0x34)
@@ -89,13 +91,13 @@ def unknown_parameter(dut: DeviceUnderTest) -> None:
 
 @case(
     "P45",
-    "SFLIST 03 gives each volume in its 74 characters, those of a Spectra with its numbers",
+    "SFLIST 03 returns each volume in 74 characters, those of a Spectra with its numbers",
     needs=NEEDS,
 )
 def volumes_are_told(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         model = unit.ask("VER:4").upper()
-        volumes = told_volumes(unit)
+        volumes = measuring_volumes(unit)
     if "SPECTRA" in model:
         check({volume.shape for volume in volumes} == {SPECTRA_SHAPE}, "shape 5", volumes)
         found = tuple(volume.numbers for volume in volumes)
@@ -104,7 +106,7 @@ def volumes_are_told(dut: DeviceUnderTest) -> None:
         check([volume.shape for volume in volumes] == [VICRA_SHAPE], "one volume of shape 7", volumes)
 
 
-@case("P46", "a tool's markers are judged by the formulas of the volume", needs=WITH_TOOL)
+@case("P46", "the status bits of a tool follow from its markers and the volume's formulas", needs=WITH_TOOL)
 def volume_formulas(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     minimum = block[layout.MINIMUM_MARKER_COUNT_OFFSET]
@@ -128,11 +130,11 @@ def volume_formulas(dut: DeviceUnderTest) -> None:
             check(bits == wanted, f"status bits {wanted:04X} with {inside} markers inside", f"{bits:04X}")
             judged.add(wanted)
         if not judged:
-            raise NotShown("the tool is not in sight, or too near to a face of the volume")
+            raise NotShown("the tool is not in view, or too close to a face of the volume")
 
 
-def _judged_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: ToldVolume) -> set[bool]:
-    """The flags that strays had; each must agree with the volume, in one order of bits or the other."""
+def _judged_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolume) -> set[bool]:
+    """The flags of the strays; all must agree with the volume, in one bit order or the other."""
     orders = {"low bit first", "high bit first"}
     found: set[bool] = set()
     for _ in range(LOOKS):
@@ -141,15 +143,15 @@ def _judged_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: ToldVolume) 
         clearances = [volume.clearance_mm(position) for position in frame.strays_mm]
         clear = [index for index, clearance_mm in enumerate(clearances) if abs(clearance_mm) > EDGE_MM]
         found |= {clearances[index] < 0 for index in clear}
-        told = {"low bit first": frame.strays_outside, "high bit first": frame.strays_outside_mirrored}
-        orders &= {name for name, bits in told.items() if all(bits[k] == (clearances[k] < 0) for k in clear)}
-        check(bool(orders), "right flags in one order of bits", frame)
+        flags = {"low bit first": frame.strays_outside, "high bit first": frame.strays_outside_mirrored}
+        orders &= {name for name, bits in flags.items() if all(bits[k] == (clearances[k] < 0) for k in clear)}
+        check(bool(orders), "right flags in one bit order", frame)
         dut.clock.sleep(1 / 60)
     return found
 
 
-def _places(volume: ToldVolume) -> list[Vector3]:
-    """Places in the middle, and just inside and outside of each face in front of and behind the knee."""
+def _places(volume: MeasuringVolume) -> list[Vector3]:
+    """Points in the middle, and just inside and outside each face before and behind the knee."""
     far_mm, near_mm = volume.depths_mm
     middle_mm = volume.middle_mm
     places: list[Vector3] = [(0.0, 0.0, middle_mm)]
@@ -161,17 +163,17 @@ def _places(volume: ToldVolume) -> list[Vector3]:
 
 
 def _load_at(unit: PolarisLink, block: bytes, target_mm: Vector3) -> tuple[Vector3, ...]:
-    """Load a tool whose markers, by the choice of its origin, surround a point of the tracker's frame.
+    """Load a tool whose origin is chosen so that its markers surround a point in the tracker's frame.
 
-    A simulated unit shows a tool where it hangs its origin. A real one finds the spheres where they are: the
-    cases then judge that place. Leaves the unit tracking; returns the markers of the definition.
+    A simulated unit puts the origin at the tool's fixed place; a real one finds the spheres where they are,
+    so the cases check that place. Leaves the unit tracking; returns the markers of the definition.
     """
     handle = unit.load(shifted(block))
     unit.okay("TSTART:80")
     pose = seen(unit, 0x0801).handles[0].pose
     unit.okay("TSTOP:")
     if pose is None:
-        raise NotShown("the tool is not in sight")
+        raise NotShown("the tool is not in view")
     unit.okay(f"PHF:{handle}")
     markers = placed(markers_of(block), pose)
     way = [

@@ -1,4 +1,4 @@
-"""The measuring volumes as the unit tells them, and the test of a point against one."""
+"""The measuring volumes as the unit describes them, and the clearance of a point."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ronna_hw.conformance.polaris.link import PolarisLink
 from ronna_hw.wire.polaris import PARAMETER_SELECTED_VOLUME, SFLIST_VOLUME_CHARACTERS
 
 _RECORD = re.compile(r"([0-9A-F])((?:[+-][0-9]{6}){10}).*", re.DOTALL)
-# As two real units of that model tell them: far, knee and near z, half extents y and x at the knee, slopes of
+# As two real units describe them: far, knee and near z, half extents y and x at the knee, slopes of
 # |y| before and behind it, of |x|, caps of |y| and |x|.
 SPECTRA_VOLUMES = (
     (-240000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, 999999, 999999),
@@ -21,7 +21,7 @@ SPECTRA_SHAPE, VICRA_SHAPE = "5", "7"
 
 
 @dataclass(frozen=True)
-class ToldVolume:
+class MeasuringVolume:
     """One volume: its shape and its ten numbers, in hundredths of a mm and of a slope per 1000."""
 
     shape: str
@@ -52,15 +52,15 @@ class ToldVolume:
         return min(x_mm, x_cap / 100), min(y_mm, y_cap / 100)
 
     def clearance_mm(self, point_mm: Vector3) -> float:
-        """How far inside a point lies, along the axis where it is least; negative outside."""
+        """How far inside a point lies, along the closest axis; negative outside."""
         x, y, z = point_mm
         far_mm, near_mm = self.depths_mm
         x_mm, y_mm = self.half_extents_mm(z)
         return min(x_mm - abs(x), y_mm - abs(y), z - far_mm, near_mm - z)
 
 
-def told_volumes(unit: PolarisLink) -> tuple[ToldVolume, ...]:
-    """The volumes by SFLIST 03, each record of the exact length."""
+def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
+    """The volumes by SFLIST 03; every record must have its exact length."""
     text = unit.ask("SFLIST:03")
     records = text[1:].splitlines(keepends=True)
     check(text[:1].isdigit() and int(text[:1]) == len(records), "as many volumes as announced", text[:1])
@@ -71,12 +71,12 @@ def told_volumes(unit: PolarisLink) -> tuple[ToldVolume, ...]:
         check(match is not None, "a shape and ten numbers", record)
         assert match is not None
         numbers = tuple(int(match[2][at : at + 7]) for at in range(0, 70, 7))
-        volumes.append(ToldVolume(match[1], numbers))
+        volumes.append(MeasuringVolume(match[1], numbers))
     return tuple(volumes)
 
 
-def volume_in_use(unit: PolarisLink) -> ToldVolume:
-    """The volume that is selected now; the first when the unit does not say which."""
-    volumes = told_volumes(unit)
+def volume_in_use(unit: PolarisLink) -> MeasuringVolume:
+    """The selected volume; the first when the unit does not say which."""
+    volumes = measuring_volumes(unit)
     value = unit.ask(f"GET:{PARAMETER_SELECTED_VOLUME}").partition("=")[2].strip()
     return volumes[int(value)] if value.isdecimal() and int(value) < len(volumes) else volumes[0]

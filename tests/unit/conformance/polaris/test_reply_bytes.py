@@ -8,7 +8,7 @@ from ronna_hw.conformance.case import Nonconformity
 from ronna_hw.conformance.polaris.bx_reply import placed, read_body
 from ronna_hw.conformance.polaris.definitions import looking_away, markers_of, published, shifted
 from ronna_hw.conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
-from ronna_hw.conformance.polaris.volumes import SPECTRA_VOLUMES, ToldVolume
+from ronna_hw.conformance.polaris.volumes import SPECTRA_VOLUMES, MeasuringVolume
 from ronna_hw.wire.polaris import HandleStatus
 from sim.polaris.tools.definition import parse_definition
 
@@ -65,11 +65,13 @@ def test_markers_are_placed_by_rotation_and_translation() -> None:
 def test_the_volume_has_the_published_sections(
     volume: int, z_mm: float, half_mm: tuple[float, float]
 ) -> None:
-    assert ToldVolume("5", SPECTRA_VOLUMES[volume]).half_extents_mm(z_mm) == pytest.approx(half_mm, abs=0.02)
+    assert MeasuringVolume("5", SPECTRA_VOLUMES[volume]).half_extents_mm(z_mm) == pytest.approx(
+        half_mm, abs=0.02
+    )
 
 
 def test_the_clearance_of_a_point_is_negative_outside() -> None:
-    pyramid = ToldVolume("5", SPECTRA_VOLUMES[0])
+    pyramid = MeasuringVolume("5", SPECTRA_VOLUMES[0])
     assert pyramid.clearance_mm((0.0, 0.0, -1000.0)) == pytest.approx(50.0)
     assert pyramid.clearance_mm((400.0, 0.0, -1532.0)) == pytest.approx(-2.0)
     assert pyramid.clearance_mm((0.0, 0.0, -2401.0)) < 0
