@@ -26,12 +26,12 @@ def need_length(argument: str, *lengths: int) -> None:
 
 
 def no_argument(argument: str) -> None:
-    """Raise Refusal when a command that takes none was given an argument."""
+    """Raise Refusal for an argument to a command that takes none."""
     need_length(argument.strip(), 0)
 
 
 def digit_within(argument: str, low: int, high: int, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
-    """The value of one decimal digit; raises Refusal when it is none or out of range."""
+    """The value of one decimal digit; raises Refusal for anything else or out of range."""
     need_length(argument, 1)
     if argument not in string.digits or not low <= int(argument) <= high:
         raise Refusal(refusal)
@@ -39,12 +39,12 @@ def digit_within(argument: str, low: int, high: int, refusal: ErrorCode = ErrorC
 
 
 def port_of(unit: Unit, argument: str) -> Port:
-    """The port whose handle the argument begins with."""
+    """The port whose handle starts the argument."""
     return unit.ports.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))
 
 
 def occupied_port_of(unit: Unit, argument: str) -> Port:
-    """The same, with a tool behind it; raises Refusal when that was unplugged or never there."""
+    """The same, occupied; raises Refusal when its tool was unplugged or never plugged in."""
     port = port_of(unit, argument)
     if port.unoccupied:
         raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
@@ -54,7 +54,7 @@ def occupied_port_of(unit: Unit, argument: str) -> Port:
 
 
 def initialised_port_of(unit: Unit, argument: str) -> Port:
-    """The same, after PINIT."""
+    """The same, initialised."""
     port = occupied_port_of(unit, argument)
     if not port.initialised:
         raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
@@ -62,7 +62,7 @@ def initialised_port_of(unit: Unit, argument: str) -> Port:
 
 
 def wired_port_of(unit: Unit, argument: str) -> Port:
-    """The port of a wired tool; raises Refusal for every other."""
+    """The port of a wired tool; raises Refusal for any other."""
     port = occupied_port_of(unit, argument)
     if not port.wired_port:
         raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)

@@ -17,7 +17,7 @@ from sim.polaris.unit.unit import Unit
 
 FIRING_DIGITS = 8
 OPTION_DIGITS = 4
-EVERYTHING_SEEN = "5"  # the only form of 3D whose answer is known
+EVERYTHING_SEEN = "5"  # the only form of 3D whose reply is public
 POSITION_SCALE = 10_000  # 3D: four implied decimals
 SEPARATION_SCALE = 100  # two implied decimals
 LARGEST_SEPARATION = 9999
@@ -42,7 +42,7 @@ def stop(unit: Unit, argument: str) -> str:
 
 
 def fire(unit: Unit, argument: str) -> str:
-    """IRED hh and eight digits: one bit for each marker that is to fire"""
+    """IRED hh and eight digits: one bit per marker to fire."""
     need_length(argument, HANDLE_DIGITS + FIRING_DIGITS)
     hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
     bits = hexadecimal(argument[HANDLE_DIGITS:])
@@ -53,7 +53,7 @@ def fire(unit: Unit, argument: str) -> str:
 
 
 def markers(unit: Unit, argument: str) -> str:
-    """3D hh n: every marker that the sensors see, of tools or not"""
+    """3D hh n: every marker in view, of tools or not."""
     need_length(argument, HANDLE_DIGITS + 1)
     hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
     if argument[HANDLE_DIGITS] != EVERYTHING_SEEN:
@@ -84,7 +84,7 @@ def prepare_infrared_check(unit: Unit, argument: str) -> str:
 
 
 def check_infrared(unit: Unit, argument: str) -> str:
-    """IRCHK [oooo]: whether there is light from outside, and where"""
+    """IRCHK [oooo]: whether there is ambient infrared light, and where."""
     need_length(argument, 0, OPTION_DIGITS)
     asked = hexadecimal(argument) if argument else DETECTED
     if not asked or asked & ~(DETECTED | SOURCES):

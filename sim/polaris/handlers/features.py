@@ -1,4 +1,4 @@
-"""Commands that tell what the unit has and whether it is well: SFLIST, SSTAT."""
+"""Feature lists and self-test: SFLIST, SSTAT."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FEATURE_TOOL_IN_PORT = 0x0008
 FEATURE_ACTIVE_WIRELESS = 0x0010
 AURORA_LISTS = (0x10, 0x12)
 
-CONTROL, SENSORS, TOOL_INTERFACE = 0x0001, 0x0002, 0x0004  # options of SSTAT, in the order of their answers
+CONTROL, SENSORS, TOOL_INTERFACE = 0x0001, 0x0002, 0x0004  # options of SSTAT, in the order of the reply
 CONTROL_SYSTEM_CHECKSUM = 0x02
 LEFT_ROM, RIGHT_ROM = 0x01, 0x10
 INTERFACE_VOLTAGES = 0x02
@@ -31,7 +31,7 @@ def feature_list(unit: Unit, argument: str) -> str:
         0x01: f"{unit.wired.count:X}",
         0x02: f"{model.passive_ports:X}",
         int(wire.SFLIST_VOLUMES, 16): f"{len(model.volumes)}{volumes}",
-        0x04: f"{unit.wired.count:X}",  # ports that sense a tool by its current
+        0x04: f"{unit.wired.count:X}",  # ports with current sensing
         0x05: f"{model.wireless_ports:X}",
     }
     number = hexadecimal(argument)
@@ -43,7 +43,7 @@ def feature_list(unit: Unit, argument: str) -> str:
 
 
 def system_checks(unit: Unit, argument: str) -> str:
-    """SSTAT oooo: two digits for each option, 00 when all is well."""
+    """SSTAT oooo: two digits per option, 00 when healthy."""
     need_length(argument, 4)
     asked = hexadecimal(argument)
     if not asked or asked & ~(CONTROL | SENSORS | TOOL_INTERFACE):

@@ -1,4 +1,4 @@
-"""Commands about the line: COMM, ECHO."""
+"""Commands of the line: COMM, ECHO."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.polaris.unit.unit import Unit
 
 
 def communication(unit: Unit, argument: str) -> str:
-    """COMM: the answer goes out at the old settings."""
+    """COMM: the reply is sent at the old settings."""
     need_length(argument, wire.COMM_ARGUMENT_DIGITS)
     try:
         settings = LineSettings.from_argument(argument)

@@ -1,4 +1,4 @@
-"""Commands that drive lights and outputs of wired tools (LED, PSOUT), and those without a public format."""
+"""Outputs of wired tools (LED, PSOUT), and commands without a public format."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ def general_purpose(unit: Unit, argument: str) -> str:
 
 
 def absent(unit: Unit, _argument: str) -> str:
-    """A command that real units know, but whose format is not public."""
+    """A command that real units have but whose format is not public."""
     raise Refusal(unit.behaviour.absent_command)

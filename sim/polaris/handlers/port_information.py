@@ -1,4 +1,4 @@
-"""The parts of the answer to PHINF. Before PINIT the unit knows only the status of the handle."""
+"""The parts of the reply to PHINF. Before PINIT only the port status is known."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def search(unit: Unit, argument: str) -> str:
     option = hexadecimal(argument) if argument else HandleQuery.ALL
     if option not in list(HandleQuery):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    unit.port_changes = SystemStatus(0)  # the host looks after them
+    unit.port_changes = SystemStatus(0)  # freeing them is up to the host
     ports = unit.ports.matching(HandleQuery(option))
     return f"{len(ports):02X}" + "".join(f"{port.handle:02X}{int(port.status):03X}" for port in ports)
 
@@ -56,7 +56,7 @@ def _wireless(unit: Unit, number: str, load: str) -> Port:
 
 
 def _wired(unit: Unit, number: str, load: str) -> Port:
-    """A socket by its number, or the first one without a handle."""
+    """A socket by number, or the first one without a handle."""
     sockets = range(1, unit.wired.count + 1)
     if number == ANY_PORT:
         free_ones = [socket for socket in sockets if unit.ports.of_socket(socket) is None]

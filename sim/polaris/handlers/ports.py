@@ -1,4 +1,4 @@
-"""Commands that make the tool of a handle ready: PINIT, PENA, PDIS, PHINF, PFSEL."""
+"""Initialise, enable and describe the tool of a handle: PINIT, PENA, PDIS, PHINF, PFSEL."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _read_definition(unit: Unit, port: Port) -> None:
 
 def _warning(unit: Unit, port: Port) -> WarningCode | None:
     tool = port.definition
-    if tool is None or port.wired_port:  # active markers fire in turn and are not told apart by geometry
+    if tool is None or port.wired_port:  # active markers fire in turn: geometry does not identify them
         return None
     others = [other.definition for other in unit.ports if other is not port and not other.wired_port]
     warning = warning_of(tool, [other for other in others if other is not None], unit.behaviour)

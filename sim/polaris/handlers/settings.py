@@ -1,4 +1,4 @@
-"""Commands about settings: GET, GETINFO, SET, DFLT, SAVE, VSEL, IRATE, HCWDOG."""
+"""Settings: GET, GETINFO, SET, DFLT, SAVE, VSEL, IRATE, HCWDOG."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim.polaris.unit.user_parameter_table import LONGEST_WATCH_DOG_S, WATCH_DOG
 
 
 def get(unit: Unit, argument: str) -> str:
-    """GET name, or the beginning of names and *"""
+    """GET name, or a prefix and *."""
     _need_text(argument)
     return LF.join(f"{p.name}={unit.parameters.value(p.name)}" for p in unit.parameters.list(argument))
 
@@ -35,14 +35,14 @@ def set_parameter(unit: Unit, argument: str) -> str:
 
 
 def set_default(unit: Unit, argument: str) -> str:
-    """DFLT name, or the beginning of names and *"""
+    """DFLT name, or a prefix and *."""
     _need_text(argument)
     unit.parameters.set_default(argument, tracking=unit.mode is Mode.TRACKING)
     return wire.REPLY_OKAY
 
 
 def save(unit: Unit, argument: str) -> str:
-    """SAVE: the settings outlive a reset."""
+    """SAVE: the settings survive a reset."""
     no_argument(argument)
     unit.parameters.save()
     return wire.REPLY_OKAY
@@ -63,7 +63,7 @@ def illuminator_rate(unit: Unit, argument: str) -> str:
 
 
 def watch_dog(unit: Unit, argument: str) -> str:
-    """HCWDOG n, seconds in decimal digits, 0 off"""
+    """HCWDOG n: seconds in decimal digits, 0 for off."""
     _need_text(argument)
     if not set(argument) <= set(string.digits) or int(argument[:9]) > LONGEST_WATCH_DOG_S:
         raise Refusal(ErrorCode.OUT_OF_RANGE)

@@ -1,4 +1,4 @@
-"""Commands about the unit itself: INIT, RESET, VER, APIREV, BEEP."""
+"""Commands of the unit itself: INIT, RESET, VER, APIREV, BEEP."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def version(unit: Unit, argument: str) -> str:
     if which == VERSION_COMBINED:
         return model.combined_revision
     if which == VERSION_WIRED and not unit.wired.tools:
-        raise Refusal(ErrorCode.NO_FIRMWARE_VERSION)  # no interface for wired tools is connected
+        raise Refusal(ErrorCode.NO_FIRMWARE_VERSION)  # no tool interface unit is connected
     parts = {VERSION_LEFT: "Left Sensor", VERSION_RIGHT: "Right Sensor", VERSION_WIRED: "System Control Unit"}
     revision = model.firmware.rsplit(".", 1)[0]
     if not unit.behaviour.freeze_tag_with_minor:

@@ -1,4 +1,4 @@
-"""All commands of the unit: name, what carries it out, and in which modes it is allowed."""
+"""The command table: name, handler, and the modes in which it is allowed."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ CarryOut = Callable[[Unit, str], str | bytes]
 
 @dataclass(frozen=True)
 class Command:
-    """One command; `carry_out` gives a text still without CRC, or the complete bytes of a reply."""
+    """One command; `carry_out` returns a text without CRC, or the complete bytes of a reply."""
 
     carry_out: CarryOut
     group: Group
-    tells_frame: bool = False  # its answer depends on nothing but the frame
-    restarts_line: bool = False  # its answer already goes out at the new rate
+    reads_frame: bool = False  # its reply depends on nothing but the frame
+    restarts_line: bool = False  # its reply is sent at the new settings
 
 
 COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
@@ -75,8 +75,8 @@ COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
         "PSOUT": Command(outputs.general_purpose, Group.OUTPUTS),
         "TSTART": Command(tracking.start, Group.STARTING),
         "TSTOP": Command(tracking.stop, Group.FRAMES),
-        "TX": Command(tracking.text_frame, Group.FRAMES, tells_frame=True),
-        "BX": Command(tracking.binary_frame, Group.FRAMES, tells_frame=True),
+        "TX": Command(tracking.text_frame, Group.FRAMES, reads_frame=True),
+        "BX": Command(tracking.binary_frame, Group.FRAMES, reads_frame=True),
         "GX": Command(outputs.absent, Group.FRAMES),
         "DSTART": Command(diagnostic.start, Group.STARTING),
         "DSTOP": Command(diagnostic.stop, Group.DIAGNOSTICS),
@@ -90,5 +90,5 @@ COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
 
 
 def modes_of_commands(behaviour: UnitBehaviour) -> dict[str, frozenset[Mode]]:
-    """The modes in which each command is taken."""
+    """The modes in which each command is allowed."""
     return {name: modes_of(command.group, behaviour) for name, command in COMMANDS.items()}

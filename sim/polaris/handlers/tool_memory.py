@@ -1,4 +1,4 @@
-"""Commands about the memory of a tool: PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST."""
+"""Tool memory: PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ADDRESSED = HANDLE_DIGITS + ADDRESS_DIGITS
 
 
 def write_virtual(unit: Unit, argument: str) -> str:
-    """PVWR hh aaaa and 64 bytes: what they say is judged by PINIT."""
+    """PVWR hh aaaa and 64 bytes: the content is checked by PINIT."""
     address, content = _block(argument, wire.PVWR_SPACE_BYTES)
     port = port_of(unit, argument)
     if port.unoccupied:
@@ -45,7 +45,7 @@ def read(unit: Unit, argument: str) -> str:
 
 
 def write(unit: Unit, argument: str) -> str:
-    """PPWR hh aaaa and 64 bytes: they stay in the tool."""
+    """PPWR hh aaaa and 64 bytes: kept in the tool."""
     address, content = _block(argument, wire.PVWR_SPACE_BYTES)
     tool = _tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
     if tool.memory is None:
@@ -71,7 +71,7 @@ def write_user_area(unit: Unit, argument: str) -> str:
 
 
 def search(unit: Unit, argument: str) -> str:
-    """PSRCH hh: how many memory devices the tool has, and their identifiers."""
+    """PSRCH hh: number and identifiers of the tool's memory devices."""
     need_length(argument, HANDLE_DIGITS)
     tool = wired_port_of(unit, argument).tool
     return "0" if tool is None or tool.memory is None else f"1{tool.identifier}"
@@ -88,7 +88,7 @@ def select(unit: Unit, argument: str) -> str:
 
 
 def use_test_definition(unit: Unit, argument: str) -> str:
-    """TTCFG hh: a definition for testing the wiring of a tool without memory"""
+    """TTCFG hh: test definition for a tool without memory."""
     need_length(argument, HANDLE_DIGITS)
     port = wired_port_of(unit, argument)
     if port.written and not unit.behaviour.replaces_definition_by_test:
@@ -100,10 +100,10 @@ def use_test_definition(unit: Unit, argument: str) -> str:
 
 
 def test_current(unit: Unit, argument: str) -> str:
-    """TCTST hh: the result is told by PHINF 0002"""
+    """TCTST hh: the result is read by PHINF 0002."""
     need_length(argument, HANDLE_DIGITS)
     port = wired_port_of(unit, argument)
-    if initialised_port_of(unit, argument).definition is None:  # a dummy carries no current
+    if initialised_port_of(unit, argument).definition is None:  # a dummy draws no current
         raise Refusal(ErrorCode.CURRENT_TEST_FAILED)
     port.current_test = _all_markers(port)
     return wire.REPLY_OKAY

@@ -1,4 +1,4 @@
-"""Commands about tracking: TSTART, TSTOP, TX, BX."""
+"""Tracking: TSTART, TSTOP, TX, BX."""
 
 from __future__ import annotations
 
@@ -70,6 +70,6 @@ def _options(argument: str) -> ReplyOption:
 
 
 def _dummy_beside_tool(ports: tuple[Port, ...]) -> bool:
-    """True when a dummy and a real tool of the same type are enabled."""
+    """True when a dummy and a real tool of one type are both enabled."""
     dummies = {(bool(port.wired_port), port.active_wireless) for port in ports if port.dummy}
     return any((bool(port.wired_port), port.active_wireless) in dummies for port in ports if not port.dummy)

@@ -36,12 +36,12 @@ class CommandInterpreter:
         self._break_s: float | None = None  # host time at which a suspected break is confirmed by silence
         self._starts_s: float | None = None  # host time at which a restarting unit sends RESET
 
-    def answer(self, line: bytes) -> bytes:
+    def reply(self, line: bytes) -> bytes:
         """The reply to one command line (without its CR)."""
         if self._watch_dog_ns:
-            self._watch()
+            self._check_watch_dog()
             self._heard_ns = self.unit.clock.now_ns()
-        if self._faults.concerned and not self._works():
+        if self._faults.any_acting and not self._has_power():
             return b""
         kept = self._replies.get(line)
         if kept is not None and self.unit.frames.number() == self._replies_frame:
@@ -50,10 +50,10 @@ class CommandInterpreter:
             return b""  # a unit that is starting is deaf
         self.reply_line = self.unit.line
         try:
-            answer = self._carry_out(line)
+            reply = self._carry_out(line)
         except Refusal as refusal:
             return ascii_reply(f"{REPLY_ERROR}{refusal.code:02X}")
-        return ascii_reply(answer) if isinstance(answer, str) else answer
+        return ascii_reply(reply) if isinstance(reply, str) else reply
 
     @property
     def line(self) -> LineSettings:
@@ -88,9 +88,9 @@ class CommandInterpreter:
     def unasked(self) -> bytes:
         """What the unit sends unasked: RESET, once it has restarted."""
         if self._watch_dog_ns:
-            self._watch()
-        if self._faults.concerned:
-            self._works()
+            self._check_watch_dog()
+        if self._faults.any_acting:
+            self._has_power()
         if self._break_s is not None and time.monotonic() >= self._break_s:
             self._break_s = None
             self.restart()
@@ -110,20 +110,20 @@ class CommandInterpreter:
         if unit.mode not in self._modes[name]:
             early = unit.mode is Mode.NOT_INITIALISED
             raise Refusal(ErrorCode.NOT_INITIALISED if early else ErrorCode.WRONG_MODE)
-        if not command.tells_frame:
+        if not command.reads_frame:
             self._forget()
         if not unit.faults.empty:
             self._faults.before(name, request.argument)
-        answer = command.carry_out(unit, request.argument)
+        reply = command.carry_out(unit, request.argument)
         if command.restarts_line:
             self.reply_line = unit.line
-        if not command.tells_frame:
+        if not command.reads_frame:
             self._set_watch_dog()
-        elif unit.frames.repeats and isinstance(answer, bytes):
-            self._keep(line, answer)
-        return answer
+        elif unit.frames.repeats and isinstance(reply, bytes):
+            self._cache(line, reply)
+        return reply
 
-    def _keep(self, line: bytes, reply: bytes) -> None:
+    def _cache(self, line: bytes, reply: bytes) -> None:
         """Cache a reply: the same request for the same frame gets the same bytes."""
         number = self.unit.frames.last
         if number != self._replies_frame:
@@ -138,12 +138,12 @@ class CommandInterpreter:
         self._watch_dog_ns = self.unit.watch_dog_s * NANOSECONDS_PER_SECOND
         self._heard_ns = self.unit.clock.now_ns()
 
-    def _watch(self) -> None:
+    def _check_watch_dog(self) -> None:
         """Trip the watchdog when the host has been silent for too long."""
         if self.unit.clock.now_ns() - self._heard_ns > self._watch_dog_ns:
-            self._bite()
+            self._trip_watch_dog()
 
-    def _bite(self) -> None:
+    def _trip_watch_dog(self) -> None:
         """Stop tracking or reset the unit, as configured."""
         self._forget()
         if self.unit.behaviour.watch_dog == "reset":
@@ -151,7 +151,7 @@ class CommandInterpreter:
         elif self.unit.mode is Mode.TRACKING:
             self.unit.stop_tracking()
 
-    def _works(self) -> bool:
+    def _has_power(self) -> bool:
         """Apply faults; False while the unit has no power."""
         self._forget()
         power = self._faults.power()
@@ -162,5 +162,5 @@ class CommandInterpreter:
             self.restart()
         self._faults.act()
         if self._faults.host_seems_gone:
-            self._bite()
+            self._trip_watch_dog()
         return True

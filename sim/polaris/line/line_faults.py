@@ -27,7 +27,7 @@ class LineFaults:
         self._board = unit.faults
         self._count = 0  # commands received while there were faults
 
-    def heard(self, line: bytes) -> bytes:
+    def to_unit(self, line: bytes) -> bytes:
         """A command line as it reaches the unit."""
         if self._board.empty:
             return line
@@ -35,7 +35,7 @@ class LineFaults:
         generator = noise(self._unit.seed, DEVICE, self._count, lane=0)
         return _flipped(line, generator) if line and self._strikes("garble_commands", generator) else line
 
-    def said(self, line: bytes, reply: bytes) -> bytes:
+    def to_host(self, line: bytes, reply: bytes) -> bytes:
         """A reply as it reaches the host, possibly late; empty when it is lost."""
         if self._board.empty:
             return reply
@@ -62,9 +62,7 @@ class LineFaults:
         return reply
 
     def _host_waits(self, line: bytes) -> None:
-        """Lose the reply, or part of it. An unpaced theatre advances by the host's time limit, so that a
-        fault of some seconds comes to its end.
-        """
+        """Let the host run into its time limit: an unpaced theatre advances by it, so that faults end."""
         if not self._unit.clock.paced:
             name = line.replace(b":", b" ").partition(b" ")[0].decode("latin-1")
             self._unit.take_time(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))

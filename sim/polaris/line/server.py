@@ -73,10 +73,10 @@ class Server:
                 continue
             for line in lines.feed(received, time.monotonic()):
                 channel.let_arrive(len(line) + 1, interpreter.line)
-                line = faults.heard(line)
-                answer = faults.said(line, interpreter.answer(line))
-                if answer:
-                    channel.send(answer, interpreter.reply_line)
+                line = faults.to_unit(line)
+                reply = faults.to_host(line, interpreter.reply(line))
+                if reply:
+                    channel.send(reply, interpreter.reply_line)
 
     def _poll(self, *files: int) -> select.poll:
         poll = select.poll()

@@ -1,1 +1,1 @@
-"""Tools: definitions, port handles, wired tools, and whether two can be told apart."""
+"""Tools: definitions, port handles, wired tools and the unique-geometry rules."""

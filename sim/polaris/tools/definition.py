@@ -1,4 +1,4 @@
-"""Tool definitions as the unit reads them from the memory of a port handle, and as a tool maker writes them.
+"""Tool definitions: read by the unit from the memory of a handle, written as a tool maker does.
 
 Layout in `ronna_hw.wire.polaris_rom`. Positions in mm and unit normals, both in the tool's own frame.
 """
@@ -15,10 +15,10 @@ from ronna_hw.wire import polaris_rom as rom
 from sim.theatre.scene.model import TrackerTool
 
 MAXIMUM_ANGLE_DEG = 90
-MAXIMUM_ERROR_MM = 2.0  # of one marker against the fitted definition
+MAXIMUM_ERROR_MM = 2.0  # of one marker from the fitted definition
 MANUFACTURER = "RONNA"
-LEAST_NORMAL_LENGTH = 0.5  # a unit vector in single precision is far above this
-SUBTYPE_BELOW_TYPE = 1  # real files carry main type - 1 as the subtype
+LEAST_NORMAL_LENGTH = 0.5  # a unit vector in single precision is far longer
+SUBTYPE_BELOW_TYPE = 1  # in real files the subtype is the main type - 1
 TOOL_GROUP = 1
 FIRST_FACE = 1
 MOST_GROUPS = 20
@@ -39,7 +39,7 @@ Vectors = NDArray[np.float64]
 
 
 class BadDefinition(Exception):
-    """The bytes are no tool definition. `limits`: they name more or fewer markers than a tool can have."""
+    """The bytes are not a tool definition. `limits`: too many or too few markers, faces or groups."""
 
     def __init__(self, what: str, *, limits: bool = False) -> None:
         super().__init__(what)
@@ -48,7 +48,7 @@ class BadDefinition(Exception):
 
 @dataclass(frozen=True)
 class ToolDefinition:
-    """What the unit knows of a tool."""
+    """A tool definition as read by the unit."""
 
     main_type: int
     subtype: int
@@ -63,40 +63,44 @@ class ToolDefinition:
     part_number: str
     marker_type: int
     flags: int = 0
-    faces: tuple[int, ...] = ()  # face of each marker, from 1; empty: all belong to one
-    minimum_spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # along the markers' main axes; 0 is any
-    lit: tuple[bool, bool, bool] = (False, False, False)  # visible LEDs 1 to 3 are there
+    faces: tuple[int, ...] = ()  # face of each marker, from 1; empty when there is one face
+    minimum_spread_mm: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # along the principal axes of the markers; 0 is any
+    lit: tuple[bool, bool, bool] = (False, False, False)  # whether visible LEDs 1 to 3 are present
     switches: tuple[bool, bool, bool] = (False, False, False)
-    in_port: bool = False  # it has the diode that tells it is plugged in
+    in_port: bool = False  # it has a tool-in-port diode
     tracking_led: bool = False
 
 
 def checksum(content: bytes) -> int:
-    """Checksum of a definition; zero padding behind it changes nothing."""
+    """Checksum of a definition; zero padding does not change it."""
     return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
 
 
 def parse_definition(content: bytes) -> ToolDefinition:
-    """Judge the memory of a port handle; raises BadDefinition with the first thing that is wrong."""
+    """Parse the memory of a port handle; raises BadDefinition with the first mistake."""
     if len(content) < rom.ROM_BYTES:
         raise BadDefinition(f"{len(content)} bytes, a definition has {rom.ROM_BYTES}")
     if content[: len(rom.ROM_MAGIC)] != rom.ROM_MAGIC:
-        raise BadDefinition("it does not begin with NDI")
+        raise BadDefinition("the signature NDI is missing")
     if _u16.unpack_from(content, rom.CHECKSUM_OFFSET)[0] != checksum(content):
-        raise BadDefinition("its checksum is wrong")
+        raise BadDefinition("wrong checksum")
     count = content[rom.MARKER_COUNT_OFFSET]
     minimum = content[rom.MINIMUM_MARKER_COUNT_OFFSET]
     if not rom.ROM_MINIMUM_MARKERS <= count <= rom.ROM_MARKERS:
-        raise BadDefinition(f"it has {count} markers", limits=True)
+        raise BadDefinition(f"{count} markers", limits=True)
     if not rom.ROM_MINIMUM_MARKERS <= minimum <= count:
-        raise BadDefinition(f"it asks for {minimum} of {count} markers", limits=True)
+        raise BadDefinition(f"a minimum of {minimum} of {count} markers", limits=True)
     maximum_error_mm = _f32.unpack_from(content, rom.MAXIMUM_ERROR_OFFSET)[0]
     if not 0.0 < maximum_error_mm < np.inf:
-        raise BadDefinition("its maximum 3D error is not a positive length")
+        raise BadDefinition("the maximum 3D error is not positive")
     if max(content[rom.MARKER_FACES_OFFSET : rom.MARKER_FACES_OFFSET + count]) > rom.ROM_FACES:
-        raise BadDefinition("a marker belongs to a face above the eighth", limits=True)
+        raise BadDefinition("a face number is above 8", limits=True)
     if max(content[rom.MARKER_GROUPS_OFFSET : rom.MARKER_GROUPS_OFFSET + count]) > MOST_GROUPS:
-        raise BadDefinition("a marker belongs to a group above the twentieth", limits=True)
+        raise BadDefinition("a group number is above 20", limits=True)
     leds = [index < count for index in content[rom.LEDS_OFFSET : rom.LEDS_OFFSET + 4]]
     entry = rom.TOOL_IN_PORT_OFFSET
     entries = [value == rom.TOOL_IN_PORT_PRESENT for value in content[entry : entry + 4]]
@@ -124,7 +128,7 @@ def parse_definition(content: bytes) -> ToolDefinition:
 
 
 def write_definition(tool: TrackerTool) -> bytes:
-    """The definition file (752 bytes) of a passive tool of a scene: one face, any three markers suffice."""
+    """The definition file (752 bytes) of a passive tool of a scene: one face, at least three markers."""
     count = len(tool.markers_mm)
     if not rom.ROM_MINIMUM_MARKERS <= count <= rom.ROM_MARKERS:
         raise BadDefinition(f"{tool.name} has {count} markers", limits=True)
@@ -153,14 +157,14 @@ def write_definition(tool: TrackerTool) -> bytes:
     content[rom.CONSTANT_NINE_OFFSET] = CONSTANT_NINE
     content[rom.FLAGS_OFFSET] = rom.FLAG_UNIQUE_GEOMETRY
     content[rom.MARKER_TYPE_OFFSET] = rom.MARKER_PASSIVE_SPHERE
-    # Real files give the face's normal against the markers' normals.
+    # In real files the face normal points against the marker normals.
     struct.pack_into("<3f", content, rom.FACE_NORMALS_OFFSET, *(-value + 0.0 for value in tool.normal))
     _u16.pack_into(content, rom.CHECKSUM_OFFSET, checksum(bytes(content)))
     return bytes(content)
 
 
 def wiring_definition() -> bytes:
-    """What TTCFG gives a wired tool without memory: a definition for testing its wiring only."""
+    """The test definition that TTCFG gives a wired tool without memory."""
     tool = TrackerTool(name="test", part_number="TEST", markers_mm=TEST_MARKERS_MM)
     return write_definition(tool)
 
@@ -174,14 +178,14 @@ def _serial() -> int:
 def _vectors(content: bytes, offset: int, count: int, what: str) -> Vectors:
     values = np.array(_positions.unpack_from(content, offset)[: 3 * count]).reshape(count, 3)
     if not np.isfinite(values).all():
-        raise BadDefinition(f"its {what} are not numbers")
+        raise BadDefinition(f"{what}: not finite numbers")
     return values
 
 
 def _unit(normals: Vectors) -> Vectors:
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     if (lengths < LEAST_NORMAL_LENGTH).any():
-        raise BadDefinition("a marker has no normal")
+        raise BadDefinition("a marker normal has length zero")
     unit: Vectors = normals / lengths
     return unit
 

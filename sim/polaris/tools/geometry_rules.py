@@ -1,4 +1,4 @@
-"""Whether a tool can be told from its mirror images and from other tools, by the lengths between markers."""
+"""Unique-geometry rules: segment lengths tell a tool from its mirror image and from other tools."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WAVELENGTH_BITS = 0x07  # of the marker type
 def warning_of(
     tool: ToolDefinition, others: list[ToolDefinition], parameters: UnitBehaviour
 ) -> WarningCode | None:
-    """What PINIT warns of when `tool` is initialised beside `others`; None for a good tool."""
+    """The warning of PINIT for `tool` beside `others`; None for a good tool."""
     unique = _has_unique_segments(tool, parameters)
     conflicts = any(_conflict(tool, other, parameters) for other in others)
     if not unique:
@@ -64,7 +64,7 @@ def _segments_mm(tool: ToolDefinition) -> dict[tuple[int, int], float]:
 
 
 def _triangles_mm(segments_mm: dict[tuple[int, int], float], markers: int) -> list[list[float]]:
-    """The three sides of every triangle of markers, shortest first."""
+    """Side lengths of every triangle of markers, shortest first."""
     return [
         sorted((segments_mm[a, b], segments_mm[a, c], segments_mm[b, c]))
         for a, b, c in combinations(range(markers), 3)

@@ -1,4 +1,4 @@
-"""Port handles: what a client has requested, loaded, initialised and enabled."""
+"""Port handles: requested, loaded, initialised and enabled by the host."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ ALL_FACES = 0xFF
 
 @dataclass
 class Port:
-    """One handle. `place` numbers the places of a scene in order of loading."""
+    """One handle. `place` is the place of the scene that the tool takes, in order of loading."""
 
     handle: int
-    dummy: bool = False  # it has no markers; it only makes the illuminators fire
+    dummy: bool = False  # has no markers; only makes the illuminators fire
     memory: bytearray = field(default_factory=lambda: bytearray(PVWR_SPACE_BYTES))
     written: bool = False
     definition: ToolDefinition | None = None
     initialised: bool = False
     enabled: bool = False
     place: int | None = None
-    wired_port: int = 0  # socket of a wired tool, 0 for a tool without a cable
+    wired_port: int = 0  # socket of a wired tool, 0 for a wireless one
     active_wireless: bool = False
     tool: WiredTool | None = None  # on the cable
     unoccupied: bool = False  # its tool was unplugged
-    faces: int = ALL_FACES  # those that may be tracked (PFSEL)
+    faces: int = ALL_FACES  # faces that may be tracked (PFSEL)
     priority: str = TrackingPriority.DYNAMIC
-    current_test: int = 0  # one bit per marker that passed (TCTST)
-    firing: int = 0  # markers that fire in diagnostic mode (IRED)
+    current_test: int = 0  # one bit per marker that passed TCTST
+    firing: int = 0  # markers firing in diagnostic mode (IRED)
 
     @property
     def occupied(self) -> bool:
-        """True while there is a tool behind this handle; nobody unplugs a passive one."""
+        """True while the handle has a tool; a passive one cannot be unplugged."""
         return not self.unoccupied and (self.wired_port == 0 or self.dummy or self.tool is not None)
 
     @property
     def reflects(self) -> bool:
-        """True for a tool that is seen by the unit's own illuminators."""
+        """True for a tool lit by the unit's own illuminators."""
         return self.wired_port == 0 and not self.active_wireless
 
     @property
     def status(self) -> PortStatus:
-        """Status of the handle as PHSR, PHINF, TX and BX tell it."""
+        """Port status as in PHSR, PHINF, TX and BX."""
         status = PortStatus.OCCUPIED if self.occupied else PortStatus(0)
         if self.initialised:
             status |= PortStatus.INITIALISED
@@ -57,7 +57,7 @@ class Port:
 
 
 class PortTable:
-    """All handles of the unit; a new one gets the lowest free number."""
+    """All handles; a new one gets the lowest free number."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -67,11 +67,11 @@ class PortTable:
         return iter([self._ports[handle] for handle in sorted(self._ports)])
 
     def request(self, *, dummy: bool = False, active_wireless: bool = False) -> Port:
-        """A new handle of a tool without a cable; raises Refusal when none is left."""
+        """A new handle for a wireless tool; raises Refusal when none is left."""
         return self._new(dummy=dummy, active_wireless=active_wireless)
 
     def request_wired(self, number: int, tool: WiredTool | None, *, dummy: bool = False) -> Port:
-        """A new handle of a socket; raises Refusal when it has one, or none is left."""
+        """A new handle for a socket; raises Refusal when it has one already, or none is left."""
         if self.of_socket(number) is not None:
             raise Refusal(ErrorCode.PORT_HAS_HANDLE)
         port = self._new(dummy=dummy, wired_port=number, tool=None if dummy else tool)
@@ -85,7 +85,7 @@ class PortTable:
         return next((p for p in self if p.wired_port == number and not p.unoccupied), None)
 
     def unplug(self, number: int) -> None:
-        """The tool of a socket is gone; its handle stays until it is freed."""
+        """Mark the tool of a socket as unplugged; its handle stays until freed."""
         port = self.of_socket(number)
         if port is not None:
             port.unoccupied = True
@@ -99,11 +99,11 @@ class PortTable:
             raise Refusal(ErrorCode.HANDLE_NOT_ALLOCATED) from None
 
     def free(self, handle: int) -> None:
-        """Give a handle back."""
+        """Free a handle."""
         del self._ports[self.port(handle).handle]
 
     def free_all(self) -> None:
-        """Forget every handle."""
+        """Free all handles."""
         self._ports.clear()
 
     def enabled(self) -> tuple[Port, ...]:
@@ -116,7 +116,7 @@ class PortTable:
         return next(place for place in range(self._size + 1) if place not in taken)
 
     def matching(self, query: HandleQuery) -> tuple[Port, ...]:
-        """The ports that a PHSR option asks for."""
+        """The ports that a PHSR option lists."""
         if query is HandleQuery.ALL:
             return tuple(self)
         if query is HandleQuery.TO_BE_FREED:

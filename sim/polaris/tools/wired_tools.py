@@ -1,4 +1,4 @@
-"""Wired tools: what hangs on the cable, and which port it is plugged into."""
+"""Wired tools and the sockets they are plugged into."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DEVICE_IDENTIFIER_BYTES = 8
 
 @dataclass
 class WiredTool:
-    """A tool with a memory of its own; without `memory` it has none and needs TTCFG or PVWR."""
+    """A tool on a cable; without `memory` it needs TTCFG or PVWR."""
 
     memory: bytearray | None
     user_memory: bytearray
@@ -22,7 +22,7 @@ class WiredTool:
 
     @classmethod
     def from_definition(cls, content: bytes, number: int, user_memory_bytes: int) -> WiredTool:
-        """A tool whose memory holds `content`; raises PSU-002 when that is no definition."""
+        """A tool whose memory holds `content`; raises PSU-002 when the length is wrong."""
         if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
             raise BadWiredTool(
                 f"the definition of wired tool {number} has {len(content)} bytes",
@@ -34,10 +34,10 @@ class WiredTool:
 
 @dataclass
 class WiredPorts:
-    """The sockets of the tool interface, numbered from 1; 0 when none is connected."""
+    """The sockets of the tool interface, numbered from 1; `count` is 0 without an interface."""
 
     count: int
-    tools: dict[int, WiredTool] = field(default_factory=dict)  # all that lie ready, plugged in or not
+    tools: dict[int, WiredTool] = field(default_factory=dict)  # all that are at hand, plugged in or not
     plugged: set[int] = field(default_factory=set)
 
     def add(self, tool: WiredTool) -> None:
@@ -49,12 +49,12 @@ class WiredPorts:
         self.plugged.add(number)
 
     def tool(self, number: int) -> WiredTool | None:
-        """What is plugged into a socket."""
+        """The tool plugged into a socket, if any."""
         return self.tools.get(number) if number in self.plugged else None
 
 
 def plugged_in(definitions: list[Path], ports: int, user_memory_bytes: int) -> WiredPorts:
-    """The sockets of a unit with a wired tool for each definition file; none without any. Raises PSU-002."""
+    """Sockets with one wired tool per definition file; no sockets without any. Raises PSU-002."""
     sockets = WiredPorts(ports if definitions else 0)
     for number, path in enumerate(definitions, start=1):
         try:

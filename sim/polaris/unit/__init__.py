@@ -1,1 +1,1 @@
-"""The unit: its model, mode, settings, alerts and faults."""
+"""The unit: model, mode, settings, alerts and faults."""

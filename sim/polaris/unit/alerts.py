@@ -1,4 +1,4 @@
-"""The unit's alerts: what is wrong now, and what of it the host has not read yet."""
+"""Alerts: what is wrong now, and what the host has not read yet."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Alerts:
 
     def __init__(self) -> None:
         self.detects_bumps = True
-        self.system_status = SystemStatus(0)  # what the alerts add to the system status of TX and BX
+        self.system_status = SystemStatus(0)  # bits of the system status of TX and BX that alerts set
         self.current = Alert(0)
         self._new = Alert(0)
         self._simulated = Alert(0)
@@ -35,37 +35,37 @@ class Alerts:
         self._raised = Alert(0)
 
     def reset(self) -> None:
-        """Power-up: a bump and simulated alerts are forgotten, what lasts is found again."""
+        """Power-up: forget bump and simulated alerts; lasting ones are found again."""
         self._simulated = self._raised = self._new = self.current = Alert(0)
         self._update()
 
     def simulate(self, bits: int) -> None:
-        """The host asks for exactly these alerts (`Param.Simulated Alerts`)."""
+        """Set the alerts that the host simulates (`Param.Simulated Alerts`)."""
         self._simulated = Alert(bits & _ALL)
         self._update()
 
     def impose(self, bits: int) -> None:
-        """What is truly wrong with the unit now."""
+        """Set what is really wrong with the unit now."""
         self._lasting = Alert(bits & _ALL)
         self._update()
 
     def raise_alert(self, alert: Alert) -> None:
-        """Something happened that stays until the host clears it: a bump, if the unit looks for them."""
+        """Raise a bump, if detection is on; it stays until the host clears it."""
         if alert is Alert.BUMP and not self.detects_bumps:
             return
-        self._new |= alert  # a second bump is news too
+        self._new |= alert  # a second bump is a new alert too
         self._raised |= alert
         self._update()
 
     def clear_bump(self) -> None:
-        """The host has looked after the bump."""
+        """The host has cleared the bump."""
         self._raised &= ~Alert.BUMP
         self._simulated &= ~Alert.BUMP
         self._new &= ~Alert.BUMP
         self._update()
 
     def read_new(self) -> int:
-        """The alerts that have not been read before."""
+        """Alerts not read before; reading clears them."""
         new = int(self._new)
         self._new = Alert(0)
         self._update()

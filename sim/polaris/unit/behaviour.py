@@ -1,7 +1,7 @@
-"""What public sources leave open about the unit, each as one named parameter with its meaning.
+"""Behaviour that public sources leave open, one named parameter each.
 
-The values are best estimates. A driver must live with every alternative; `ronna-sim polaris --set NAME=VALUE`
-chooses one.
+The defaults are best estimates. A driver must work with every alternative; choose one by
+`ronna-sim polaris --set NAME=VALUE`.
 """
 
 from __future__ import annotations
@@ -19,35 +19,34 @@ ON_WORDS, OFF_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 @dataclass(frozen=True, kw_only=True)
 class UnitBehaviour:
-    """How this unit behaves where public sources are silent or disagree."""
+    """How the unit behaves where public sources are silent or disagree."""
 
     # line
     enforces_line: Annotated[
-        bool, "A serial host whose rate or odd parity differs from the unit's is not understood."
+        bool, "A serial host with another baud rate or odd parity than the unit is not understood."
     ] = True
-    wrong_line: Annotated[Literal["silence", "garbage"], "What a host with wrong line settings hears."] = (
+    wrong_line: Annotated[Literal["silence", "garbage"], "What a host with wrong line settings receives."] = (
         "silence"
     )
     line_after_close: Annotated[
-        Literal["default", "kept"], "Line settings once the last host closed a pseudo-terminal."
+        Literal["default", "kept"], "Line settings after the last host has closed a pseudo-terminal."
     ] = "default"
-    power_up_reset: Annotated[bool, "RESET is said on a serial line at power-up, whoever listens."] = True
+    power_up_reset: Annotated[bool, "The unit sends RESET on a serial line at power-up."] = True
     break_from_flush: Annotated[
         bool, "A pseudo-terminal carries no break: flushing both directions stands for one."
     ] = True
     break_silence_s: Annotated[
-        float, "Silence after such a flush that makes it a break: who only flushes goes on to speak."
+        float, "Silence after such a flush that makes it a break; a host that only flushes goes on to send."
     ] = 0.1
-    break_deaf_s: Annotated[float, "Time after an open in which such a flush is not taken for a break."] = (
-        0.05
-    )
+    break_deaf_s: Annotated[float, "Time after an open during which such a flush is not a break."] = 0.05
     reset_s: Annotated[
-        float, "Time from a break, a power-up in mid-run or a watch dog to RESET; seconds on a real unit."
+        float,
+        "Time from a break, a power-up in mid-run or a watchdog reset to RESET; seconds on a real unit.",
     ] = 0.1
-    malformed_line_settings: Annotated[ErrorCode, "COMM with a code that no unit has: 23 or 07."] = (
+    malformed_line_settings: Annotated[ErrorCode, "Error of COMM with an unknown code: 23 or 07."] = (
         ErrorCode.OUT_OF_RANGE
     )
-    accepts_lower_case: Annotated[bool, "Command names in lower case are understood."] = False
+    accepts_lower_case: Annotated[bool, "Command names in lower case are accepted."] = False
     strips_eighth_bit: Annotated[bool, "On a line of 7 data bits a BX reply loses the eighth."] = True
 
     # state machine
@@ -76,24 +75,25 @@ class UnitBehaviour:
         bool, "TSTART with a hardware alert is OKAY, not refused with 12."
     ] = False
     watch_dog: Annotated[
-        Literal["stop", "reset"], "What the watch dog does: stops tracking, or resets the unit."
+        Literal["stop", "reset"], "What the watchdog does: stops tracking, or resets the unit."
     ] = "stop"
-    beep_s: Annotated[float, "Length of a beep; BEEP answers 0 as long as the last one lasts."] = 0.0
+    beep_s: Annotated[float, "Length of a beep; BEEP answers 0 while the previous one lasts."] = 0.0
     absent_command: Annotated[ErrorCode, "GETIO, SETIO, GX and others without a public format: 33 or 01."] = (
         ErrorCode.NOT_AVAILABLE
     )
-    unknown_feature_list: Annotated[ErrorCode, "SFLIST of an unknown list: 23 or 25."] = (
+    unknown_feature_list: Annotated[ErrorCode, "Error of SFLIST with an unknown list: 23 or 25."] = (
         ErrorCode.OUT_OF_RANGE
     )
 
     # tools
     bad_definition: Annotated[
-        ErrorCode, "PINIT of a definition with a wrong checksum or content: 13, newer firmware 40."
+        ErrorCode, "Error of PINIT for a wrong checksum or content: 13, on newer firmware 40."
     ] = ErrorCode.BAD_DEFINITION
     definition_beyond_limits: Annotated[
-        ErrorCode, "PINIT of too many or too few markers, faces or groups: 13, newer firmware 41."
+        ErrorCode,
+        "Error of PINIT for too many or too few markers, faces or groups: 13, on newer firmware 41.",
     ] = ErrorCode.BAD_DEFINITION
-    warns_with_code: Annotated[bool, "WARNING carries two digits; older firmware says WARNING alone."] = True
+    warns_with_code: Annotated[bool, "WARNING carries two digits; older firmware sends WARNING alone."] = True
     segment_tolerance_mm: Annotated[
         float, "Segments of one tool closer than this break unique geometry; NDI's steps are 5 mm."
     ] = 3.0
@@ -112,27 +112,27 @@ class UnitBehaviour:
         Literal["32", "1E/1F"], "PPRD and PPWR of a handle without memory: 32, or 1E and 1F."
     ] = "32"
     serial_low_byte_first: Annotated[
-        bool, "PHINF tells the serial number of a definition as a number, not byte by byte."
+        bool, "PHINF sends the serial number of a definition as a number, not byte by byte."
     ] = True
     accessories_of_passive: Annotated[
-        bool, "PHINF 0008 tells the tool-in-port entry of a passive definition."
+        bool, "PHINF 0008 reports the tool-in-port entry of a passive definition."
     ] = False
     replaces_definition_by_test: Annotated[
         bool, "TTCFG replaces the memory of a wired tool, not refused with 32."
     ] = False
     port_change_until: Annotated[
-        Literal["search", "reply"], "System status 0040/0080 stand until PHSR, or for one reply."
+        Literal["search", "reply"], "System status 0040/0080 stays until PHSR, or for one reply."
     ] = "search"
 
     # TX and BX
     poses_partially_out: Annotated[
-        bool, "A pose is told when too few, but some, markers are inside the volume."
+        bool, "A pose is reported when some markers, but fewer than the minimum, are inside the volume."
     ] = True
-    lists_disabled_handles: Annotated[
-        bool, "Initialised but not enabled handles stand in the reply as DISABLED."
-    ] = False
+    lists_disabled_handles: Annotated[bool, "Handles initialised but not enabled are listed as DISABLED."] = (
+        False
+    )
     status_of_unseen_handles: Annotated[
-        bool, "TX tells status and frame of DISABLED and UNOCCUPIED handles too."
+        bool, "TX sends status and frame of DISABLED and UNOCCUPIED handles too."
     ] = False
     first_stray_is_high_bit: Annotated[
         bool, "TX: the out-of-volume digits are one number, stray 0 its highest bit."
@@ -142,9 +142,7 @@ class UnitBehaviour:
     ] = True
     first_marker_is_first_digit: Annotated[bool, "TX option 0002 begins with marker 0."] = True
     first_marker_is_first_nibble: Annotated[bool, "BX option 0002 begins with marker 0."] = False
-    text_tool_markers: Annotated[bool, "TX knows option 0008 (markers of tools), not refused with 23."] = (
-        False
-    )
+    text_tool_markers: Annotated[bool, "TX has option 0008 (markers of tools), not refused with 23."] = False
     text_active_stray: Annotated[
         Literal["status", "words"], "TX option 0004: two digits of status before a position, or words."
     ] = "status"
@@ -160,26 +158,26 @@ class UnitBehaviour:
         int, "Illuminator rate at power-up, as saved: 0 is 20 Hz, 1 30 Hz, 2 60 Hz."
     ] = 0
     user_memory_bytes: Annotated[int, "Size of the user area of a wired tool's memory."] = 1024
-    line_separation_mm: Annotated[float, "Line separation that 3D tells for every marker."] = 0.05
+    line_separation_mm: Annotated[float, "Line separation that 3D reports for every marker."] = 0.05
 
     @classmethod
     def with_settings(cls, settings: list[str]) -> UnitBehaviour:
-        """Parameters with some of them set by `name=value`; raises PSU-001 naming what is wrong."""
+        """The defaults with some parameters set by `name=value`; raises PSU-001."""
         kinds = _kinds()
         values: dict[str, Any] = {}
         for setting in settings:
             name, equals, text = setting.partition("=")
             if name not in kinds:
                 alike = ", ".join(get_close_matches(name, kinds)) or None
-                raise BadUnitParameter(f"there is no parameter {name!r}", expected=alike)
+                raise BadUnitParameter(f"unknown parameter {name!r}", expected=alike)
             if not equals:
-                raise BadUnitParameter(f"{name} is given no value", expected=f"{name}=VALUE")
+                raise BadUnitParameter(f"{name} has no value", expected=f"{name}=VALUE")
             values[name] = _value(name, kinds[name][0], text)
         return replace(cls(), **values)
 
 
 def parameter_rows() -> list[tuple[str, str, str]]:
-    """Of each parameter its name, best estimate, and meaning with the values of an enumeration."""
+    """(name, default, meaning) of each parameter, with the values of an enumeration."""
     rows = []
     kinds = _kinds()
     for entry in fields(UnitBehaviour):

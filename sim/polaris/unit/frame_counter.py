@@ -1,7 +1,7 @@
-"""When the unit measures: 60 counts per second of theatre time, whatever the illuminator rate.
+"""Frame numbers: 60 counts per second of theatre time, whatever the illuminator rate.
 
-On a clock that follows the host, a request gets the latest frame, and the same one again when it asks too
-fast. On a clock that its users advance, each request awaits the next frame, so it gets exactly one.
+On a clock that follows the host, a request gets the latest frame, and the same one again when it comes too
+soon. On a clock that its users advance, each request waits for the next frame, so it gets exactly one.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ COUNTS_PER_SECOND = int(FRAME_RATE_HZ)
 
 
 class FrameCounter:
-    """The frame number. It counts from power-up, or from the last start that set it back to zero."""
+    """The frame number, counted from power-up or from the last restart at zero."""
 
     def __init__(self, clock: SharedClock) -> None:
         self._clock = clock
         self._epoch_ns = clock.now_ns()
         self._begin = 0
-        self.last = 0  # number of the frame that the last request got
-        self.missed = 0  # measurements that a fault lets it miss after each one
+        self.last = 0  # frame number of the last request
+        self.missed = 0  # measurements that a fault skips after each one
         self._counts_per_frame = 1
 
     def start(self, *, restart: bool, rate_hz: int) -> None:
-        """Tracking starts now; with `restart` the number starts at zero."""
+        """Start of tracking; with `restart` the number starts at zero."""
         now_ns = self._clock.now_ns()
         if restart:
             self._epoch_ns = now_ns
@@ -33,7 +33,7 @@ class FrameCounter:
         self._begin = self.last = self._count_at(now_ns)
 
     def number(self) -> int:
-        """Number of the frame that a request gets; waits for it if this clock can be advanced."""
+        """The frame number of a request; waits for the next frame if the clock can be advanced."""
         if self._clock.paced:
             self.last = self._measured(self._count_at(self._clock.now_ns()))
             return self.last
@@ -43,7 +43,7 @@ class FrameCounter:
         return self.last
 
     def pass_one(self) -> None:
-        """A request got the last frame again; a clock that its users advance moves on all the same."""
+        """A request repeated the last frame; a clock that its users advance moves on all the same."""
         if not self._clock.paced:
             self._clock.wait_until_ns(self._clock.now_ns() + NANOSECONDS_PER_SECOND // COUNTS_PER_SECOND)
 
@@ -53,7 +53,7 @@ class FrameCounter:
         return self._clock.paced
 
     def since_start(self, frame: int) -> int:
-        """Frames from the start of tracking to this one; the counter of the noise."""
+        """Frames since the start of tracking: the counter of the noise."""
         return frame - self._begin
 
     def _measured(self, count: int) -> int:

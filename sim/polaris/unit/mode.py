@@ -1,4 +1,4 @@
-"""What the unit is doing, and which commands it takes meanwhile."""
+"""Modes of the unit and the commands allowed in each."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Group(Enum):
 
 
 def modes_of(group: Group, behaviour: UnitBehaviour) -> frozenset[Mode]:
-    """The modes in which commands of a group are taken."""
+    """The modes in which the commands of a group are allowed."""
     early = {Mode.NOT_INITIALISED} if behaviour.answers_before_init else set()
     settings = {Mode.DIAGNOSTIC} if behaviour.settings_in_diagnostic else set()
     settings |= {Mode.TRACKING} if behaviour.settings_while_tracking else set()

@@ -1,4 +1,4 @@
-"""What kind of unit this is: identity, ports, volumes and limits. Serial numbers are made up."""
+"""Models: identity, ports, volumes and limits. Serial numbers are made up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, VICRA
 
 @dataclass(frozen=True)
 class UnitModel:
-    """One kind of unit."""
+    """One model of unit."""
 
     name: str
     serial_number: str
@@ -23,7 +23,7 @@ class UnitModel:
     volumes: tuple[Volume, ...]
     handles: int
     enabled_tools: int
-    wired_ports: int  # of the tool interface that can be connected; 0 for none
+    wired_ports: int  # of the tool interface that can be connected; 0 if there is none
     passive_ports: int
     wireless_ports: int
     baud_codes: str

@@ -1,4 +1,4 @@
-"""Why the unit refuses a command, and how it warns: the codes of `ERRORhh` and `WARNINGhh`."""
+"""Codes of `ERRORhh` and `WARNINGhh`: why a command is refused, and what the unit warns of."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class ErrorCode(IntEnum):
-    """Codes that this unit answers; their meanings are in `ronna_hw.wire.polaris.ERROR_MEANINGS`."""
+    """Codes that this unit sends; their meanings are in `ronna_hw.wire.polaris.ERROR_MEANINGS`."""
 
     UNKNOWN_COMMAND = 0x01
     TOO_LONG = 0x02
@@ -79,7 +79,7 @@ class WarningCode(IntEnum):
 
 
 class Refusal(Exception):
-    """A command is not carried out and has no effect."""
+    """The command is refused and has no effect."""
 
     def __init__(self, code: ErrorCode) -> None:
         super().__init__(code.name)

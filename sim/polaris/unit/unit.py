@@ -1,4 +1,4 @@
-"""The unit itself: its mode, its settings, what is loaded, and the frame it measures now."""
+"""The unit: mode, settings, loaded tools and the current frame."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sim.theatre.world import World
 
 
 class Unit:
-    """A Polaris in its room."""
+    """A Polaris unit in a scene."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class Unit:
         self.measurer = Measurer(world, model.volumes)
         self.frames = FrameCounter(world.clock)
         self.alerts = Alerts()
-        self.port_changes = SystemStatus(0)  # wired tools that came or went
+        self.port_changes = SystemStatus(0)  # wired tools plugged in or out
         self.infrared_checked = False
         self.beeps_until_s = 0.0
         self._frame: Frame | None = None
@@ -54,7 +54,7 @@ class Unit:
         self.parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
 
     def initialise(self) -> None:
-        """Come to setup; passive handles are forgotten, plugged tools get theirs."""
+        """INIT: to setup mode; passive handles are freed, plugged-in tools get theirs."""
         self.mode = Mode.SETUP
         self.infrared_checked = False
         if self.behaviour.init_forgets_handles:
@@ -63,7 +63,7 @@ class Unit:
             self._give_handle(number)
 
     def reset(self) -> None:
-        """As after power-up or a break: settings as saved, default line, not initialised."""
+        """Power-up or break: saved settings, default line, not initialised."""
         self.mode = Mode.NOT_INITIALISED
         self.line = DEFAULT_LINE
         self.frames = FrameCounter(self.clock)
@@ -74,33 +74,33 @@ class Unit:
         self.infrared_checked = False
 
     def restore_line(self) -> None:
-        """Listen at 9600 8N1 again."""
+        """Back to 9600 8N1."""
         self.line = DEFAULT_LINE
 
     def start_tracking(self, *, restart: bool) -> None:
-        """Begin to measure; with `restart` the frame number starts at zero."""
+        """To tracking mode; with `restart` the frame number starts at zero."""
         self._begin(restart=restart)
         self.mode = Mode.TRACKING
 
     def start_diagnostic(self) -> None:
-        """Begin to measure single markers."""
+        """To diagnostic mode."""
         self._begin(restart=False)
         self.mode = Mode.DIAGNOSTIC
 
     def stop_tracking(self) -> None:
-        """Back to setup; handles stay as they are."""
+        """Back to setup mode; handles stay as they are."""
         self.mode = Mode.SETUP
 
     def stop_diagnostic(self) -> None:
-        """Back to setup."""
+        """Back to setup mode."""
         self.mode = Mode.SETUP
 
     def take_time(self, duration_s: float) -> None:
-        """The command that is carried out takes so much longer, in theatre time."""
+        """Delay the current command by this much theatre time."""
         self.clock.sleep(duration_s)
 
     def plug(self, number: int) -> None:
-        """A wired tool is put into its socket; an initialised unit gives it a handle."""
+        """Plug a wired tool in; an initialised unit gives it a handle."""
         if number in self.wired.plugged or number not in self.wired.tools:
             return
         self.wired.plugged.add(number)
@@ -109,7 +109,7 @@ class Unit:
             self._port_changed(SystemStatus.PORT_OCCUPIED)
 
     def unplug(self, number: int) -> None:
-        """A wired tool is pulled out of its socket."""
+        """Pull a wired tool out."""
         if number not in self.wired.plugged:
             return
         self.wired.plugged.discard(number)
@@ -123,11 +123,11 @@ class Unit:
 
     @property
     def watch_dog_s(self) -> int:
-        """Seconds without a command after which the watch dog acts; 0 never."""
+        """Seconds without a command after which the watchdog trips; 0 for never."""
         return self.parameters.number(WATCH_DOG)
 
     def frame(self) -> Frame:
-        """The frame that a request gets now: measured once, however often it is asked for."""
+        """The current frame, measured once however often it is requested."""
         faulty = self.frames.missed or not self.faults.empty
         if faulty and self._frame is not None and self._holds_frame():
             return self._frame
@@ -141,8 +141,8 @@ class Unit:
         return kept
 
     def diagnostic_frame(self, port: Port) -> Frame:
-        """What is seen of one tool, enabled or not, and of everything else, in diagnostic mode."""
-        self.measurer.forget_tools()  # the one before may have looked at another tool
+        """One tool, enabled or not, and everything else in view, in diagnostic mode."""
+        self.measurer.forget_tools()  # the previous one may have been of another tool
         return self._measured(self.frames.number(), self.alerts.system_status, (port,))
 
     def _measured(self, number: int, status: SystemStatus, ports: tuple[Port, ...]) -> Frame:
@@ -158,7 +158,7 @@ class Unit:
         return frame
 
     def _holds_frame(self) -> bool:
-        """True while a fault keeps the unit from measuring anew; another one makes it miss frames."""
+        """True while a fault stops new measurements; another fault makes the unit skip frames."""
         self.frames.missed = sum(int(fault.argument) for fault in self.faults.active("skip_frames"))
         if not self.faults.active("repeat_frames"):
             return False
@@ -176,7 +176,7 @@ class Unit:
         if tool is not None and self.ports.of_socket(number) is None:
             try:
                 self.ports.request_wired(number, tool)
-            except Refusal:  # no handle is left; the tool waits for a free one
+            except Refusal:  # no handle left: the tool waits for one
                 return
 
     def _port_changed(self, what: SystemStatus) -> None:

@@ -1,7 +1,7 @@
-"""What the faults of the unit itself do: alerts, refusals, slowness, tools on cables, loss of power.
+"""Faults of the unit itself: alerts, refusals, delays, tools on cables, loss of power.
 
-A session lets them act before each command. Faults of the markers and the light are in `disturbance`, those
-of the line to the host in `line_faults`.
+They act before each command. Faults of markers and light are in `scene/disturbance.py`, those of the line to
+the host in `line/line_faults.py`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from sim.polaris.unit.unit import Unit
 
 
 class Power(Enum):
-    """What the supply does."""
+    """State of the power supply."""
 
     STAYS = auto()
     GONE = auto()
-    RETURNS = auto()  # now, after it was gone or for a moment
+    RETURNS = auto()  # now, after a loss or a dip
 
 
 class UnitFaults:
-    """The tracker's faults as they act on a unit. Costs one question while there are none."""
+    """The tracker's faults applied to a unit. Costs one look-up while there are none."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
@@ -44,20 +44,20 @@ class UnitFaults:
         }
 
     @property
-    def concerned(self) -> bool:
-        """False while no fault of the tracker is in the script and none is left to end."""
+    def any_acting(self) -> bool:
+        """True while the script has a fault of the tracker or one has yet to end."""
         left = self._dead or bool(self._alerts or self._plugged or self._pulled)
         return left or not self._board.empty
 
     def power(self) -> Power:
-        """What happened to the supply since the last question."""
+        """What has happened to the supply since the previous call."""
         was_dead, self._dead = self._dead, bool(self._board.active("power_off"))
         if self._dead:
             return Power.GONE
         return Power.RETURNS if was_dead or self._board.happened("unit_restart") else Power.STAYS
 
     def act(self) -> None:
-        """Let happen what happens by itself."""
+        """Apply the faults that need no command: alerts, tools on cables."""
         board, unit = self._board, self._unit
         alerts = Alert(sum({1 << int(fault.argument) for fault in board.active("alert")}))
         alerts |= Alert.TOO_HOT if board.active("hot") else Alert(0)
@@ -71,11 +71,11 @@ class UnitFaults:
 
     @property
     def host_seems_gone(self) -> bool:
-        """True once for each time the watch dog bites without reason."""
+        """True once for each spurious watchdog trip."""
         return bool(self._board.happened("watchdog"))
 
     def before(self, name: str, argument: str) -> None:
-        """A command is about to be carried out; raises Refusal when a fault prevents it."""
+        """Apply the faults of a command; raises Refusal when one prevents it."""
         for fault in self._board.active("slow"):
             if fault.argument == name:
                 self._unit.take_time(float(fault.arguments[1]))
@@ -102,7 +102,7 @@ class UnitFaults:
             raise Refusal(code)
 
     def _change_plugs(self) -> None:
-        """Tools on cables come and go as long as their fault acts."""
+        """Plug and unplug tools on cables as their faults say."""
         unit = self._unit
         plugged = {int(fault.argument) for fault in self._board.active("plug")}
         pulled = {int(fault.argument) for fault in self._board.active("unplug")}
@@ -120,13 +120,13 @@ class UnitFaults:
 
 
 def _corrupt(port: Port) -> None:
-    """A bit of its memory is not what was written."""
+    """Flip a bit in the memory of a handle."""
     if not port.initialised:
         port.memory[-1] ^= 0x01
 
 
 def _lay_ready(unit: Unit, number: int) -> None:
-    """Where no tool lies beside that socket, a test tool does."""
+    """Have a test tool at hand for a socket that has none."""
     wired = unit.wired
     wired.count = max(wired.count, number)
     if number not in wired.tools:

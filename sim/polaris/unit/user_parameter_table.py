@@ -22,7 +22,7 @@ RETURN_WARNING = "Param.Default Wavelength.Return Warning"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter. With `limits` it is a whole number, otherwise text.
+    """One parameter: a whole number if it has `limits`, otherwise text.
 
     `kept` parameters are what SAVE stores; `options` names the values of an enumeration.
     """
@@ -126,7 +126,7 @@ def _number(
     options: str = "",
     while_tracking: bool = False,
 ) -> Parameter:
-    """A whole number that hosts may change and SAVE stores."""
+    """A whole number that hosts may set and SAVE stores."""
     return Parameter(
         name, str(default), description, True, while_tracking, limits, kept=True, options=options
     )

@@ -1,4 +1,4 @@
-"""User parameters: their values, who may change them, and what SAVE keeps (GET, GETINFO, SET, DFLT, SAVE)."""
+"""User parameters: values, access, and what SAVE keeps (GET, GETINFO, SET, DFLT, SAVE)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ATTRIBUTE_READ, ATTRIBUTE_WRITE = "1", "3"
 
 
 class UserParameters:
-    """All parameters of a unit. What SAVE stored outlives `reset`, as it outlives a power cut."""
+    """All parameters of a unit. Saved values survive `reset`, as they survive a power cut."""
 
     def __init__(
         self, model: UnitModel, wired_ports: int, alerts: Alerts, mode_name: Callable[[], str]
@@ -53,7 +53,7 @@ class UserParameters:
         return int(self.value(name))
 
     def list(self, pattern: str) -> tuple[Parameter, ...]:
-        """The parameters that a name, or the beginning of names and `*`, asks for."""
+        """The parameters that a name, or a prefix and `*`, selects."""
         if not pattern.endswith(WILDCARD):
             return (self._known(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
@@ -81,7 +81,7 @@ class UserParameters:
         self._store(parameter, value)
 
     def set_default(self, pattern: str, *, tracking: bool) -> None:
-        """Give parameters their factory values; a wildcard leaves alone what cannot be changed."""
+        """Restore factory values; a wildcard skips what is read-only."""
         if not pattern.endswith(WILDCARD):
             parameter = self._writable(pattern, tracking=tracking)
             self._store(parameter, parameter.default)
@@ -91,16 +91,16 @@ class UserParameters:
                 self._store(parameter, parameter.default)
 
     def save(self) -> None:
-        """Keep the present settings for the time after a reset."""
+        """Save the current settings for after a reset."""
         self._saved = {name: self._values[name] for name, p in self._parameters.items() if p.kept}
 
     def save_value(self, name: str, value: str) -> None:
-        """Set and keep one setting, as an earlier owner of the unit did."""
+        """Set and save one setting, as an earlier user of the unit did."""
         self.set(name, value, tracking=False)
         self._saved[name] = value
 
     def reset(self) -> None:
-        """Back to what was saved."""
+        """Restore the saved values."""
         self._values = {name: p.default for name, p in self._parameters.items()} | self._saved
         self._alerts.detects_bumps = self._values[BUMP_DETECTION] == "1"
 
@@ -108,7 +108,7 @@ class UserParameters:
         if parameter.name == wire.PARAMETER_BUMP_CLEAR:
             if value == "1":
                 self._alerts.clear_bump()
-            return  # it always reads 0
+            return  # always reads 0
         self._values[parameter.name] = value
         if parameter.name == SIMULATED_ALERTS:
             self._alerts.simulate(int(value))

@@ -38,15 +38,15 @@ class Bench:
 
     def send(self, line: str) -> str:
         """Answer to a line in the form without CRC, its own CRC checked and cut off."""
-        return text_of(self.interpreter.answer(line.encode("latin-1")))
+        return text_of(self.interpreter.reply(line.encode("latin-1")))
 
     def send_with_crc(self, line: str) -> str:
         """The same in the form with CRC; the line includes the colon."""
-        return text_of(self.interpreter.answer(f"{line}{crc16(line.encode()):04X}".encode()))
+        return text_of(self.interpreter.reply(f"{line}{crc16(line.encode()):04X}".encode()))
 
     def raw(self, line: str) -> bytes:
         """The bytes of an answer."""
-        return self.interpreter.answer(line.encode("latin-1"))
+        return self.interpreter.reply(line.encode("latin-1"))
 
     def load(self, content: bytes) -> int:
         """Request a handle and write a definition to it."""

@@ -48,14 +48,14 @@ def test_the_serial_number_is_the_four_bytes_of_the_file() -> None:
     ("content", "said"),
     [
         (b"", "0 bytes"),
-        (changed(0, b"XDI"), "does not begin"),
+        (changed(0, b"XDI"), "signature NDI is missing"),
         (write_definition(robot_frame())[:-1] + b"\1", "checksum"),
         (changed(polaris_rom.MARKER_COUNT_OFFSET, b"\2"), "2 markers"),
         (changed(polaris_rom.MARKER_COUNT_OFFSET, b"\x15"), "21 markers"),
-        (changed(polaris_rom.MINIMUM_MARKER_COUNT_OFFSET, b"\5"), "5 of 4"),
+        (changed(polaris_rom.MINIMUM_MARKER_COUNT_OFFSET, b"\5"), "minimum of 5 of 4"),
         (changed(polaris_rom.MAXIMUM_ERROR_OFFSET, struct.pack("<f", float("nan"))), "maximum 3D error"),
         (changed(polaris_rom.MARKER_POSITIONS_OFFSET, struct.pack("<f", float("inf"))), "positions"),
-        (changed(polaris_rom.MARKER_NORMALS_OFFSET, bytes(12)), "no normal"),
+        (changed(polaris_rom.MARKER_NORMALS_OFFSET, bytes(12)), "normal has length zero"),
     ],
 )
 def test_each_defect_of_a_definition_is_named(content: bytes, said: str) -> None:

@@ -32,8 +32,8 @@ def with_crc(text: str) -> bytes:
 
 def conversation(bench: Bench, faults: LineFaults, line: bytes) -> bytes:
     """What a host hears when it sends one line."""
-    heard = faults.heard(line)
-    return faults.said(heard, bench.interpreter.answer(heard))
+    heard = faults.to_unit(line)
+    return faults.to_host(heard, bench.interpreter.reply(heard))
 
 
 def test_a_good_line_changes_nothing(bench: Bench) -> None:

@@ -93,7 +93,7 @@ def test_a_line_longer_than_any_command_is_refused(bench: Bench) -> None:
 
     long = b"ECHO " + b"x" * SPECTRA.longest_command + b"\r"
     (line,) = LineBuffer(SPECTRA.longest_command).feed(long, 0.0)
-    assert bench.interpreter.answer(line).startswith(b"ERROR02")
+    assert bench.interpreter.reply(line).startswith(b"ERROR02")
 
 
 @pytest.mark.parametrize(
