@@ -1,4 +1,4 @@
-"""The NDI Polaris as an `OpticalTracker`: Spectra, Vicra and what speaks like them, on serial or TCP."""
+"""The NDI Polaris as an `OpticalTracker`: Spectra, Vicra and compatible units, on serial or TCP."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.polaris import COMM_DEFAULT_ARGUMENT
 
-CLOSE_LIMIT_S = 1.5  # for all farewell commands together; a dead peer costs no more
+CLOSE_LIMIT_S = 1.5  # for all closing commands together, whether the unit replies or not
 
 _FAULTS = (HardwareFailure, LinkLost, SensorBumped, UnitRestarted)  # latched; left only by `recover`
 
@@ -53,7 +53,7 @@ OpenTransport = Callable[[Endpoint, float], Transport]
 
 
 class PolarisTracker:
-    """One unit. Calls are synchronous; one thread at a time. Time limits are host time, in seconds."""
+    """One unit. Calls are synchronous, one thread at a time; time limits in seconds of host time."""
 
     wire_protocol = "ndi-polaris"  # which byte-level conformance cases apply
 
@@ -67,7 +67,7 @@ class PolarisTracker:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Check options and tool definitions; nothing is opened yet.
+        """Check options and tool definitions; opens nothing.
 
         Raises NDI-010 to NDI-013, and CFG-001 or CFG-002 for the endpoint.
         """
@@ -87,11 +87,11 @@ class PolarisTracker:
         self._tracking: Tracking | None = None
         self._last_frame: TrackerFrame | None = None
         self._notices: list[str] = []
-        self._bump_was_told = False
+        self._bump_reported = False
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
-        """Options for a conformance run on a unit about which nothing else is known."""
+        """Options for a conformance run on an unknown unit."""
         return {"tools": [{"name": "robot_frame", "rom": "robot_frame.rom"}]}
 
     @property
@@ -113,37 +113,37 @@ class PolarisTracker:
 
     @property
     def definition_blocks(self) -> dict[str, bytes]:
-        """The definition of each tool by name, as it is sent to the unit."""
+        """The definition of each tool by name, as sent to the unit."""
         return {name: encode_definition(tool) for name, tool in self._definitions.items()}
 
     @property
     def identity(self) -> Identity | None:
-        """Who answered at `connect`."""
+        """Identity of the unit found by `connect`."""
         return self._identity
 
     @property
     def baud(self) -> int | None:
-        """Present rate of the serial line; None over TCP or while not connected."""
+        """Current baud rate of the serial line; None over TCP or while not connected."""
         return self._open_link.transport.baud if self._open_link else None
 
     @property
     def volume(self) -> MeasuringVolume | None:
-        """The measuring volume in use; None until `configure`, or when the unit cannot say."""
+        """The measuring volume in use; None before `configure`, or when the unit does not report it."""
         return self._volume
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What the unit said at `configure` that is no error but should be known."""
+        """What the operator should know after `configure`."""
         return tuple(self._notices)
 
     @property
     def statistics(self) -> TrackingStatistics:
-        """Counts of the present or last run of tracking."""
+        """Counts of the current or last run of tracking."""
         return self._tracking.statistics if self._tracking else TrackingStatistics()
 
     @property
     def clock_fit(self) -> ClockFit | None:
-        """The unit's clock beside the theatre's, with its drift; None before the first reading."""
+        """The unit's clock against the theatre's, with its drift; None before the first reading."""
         return self._tracking.frame_clock.fit if self._tracking else None
 
     def observe(self) -> LastKnown[TrackerFrame]:
@@ -153,9 +153,9 @@ class PolarisTracker:
         return activated(self, timeout_s)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Find the unit at whatever rate it was left, initialise it and check who it is.
+        """Find the unit at whatever baud rate it was left, initialise it and check its identity.
 
-        Raises NDI-001 to NDI-004 (no port, no answer, another device) and the errors of the link.
+        Raises NDI-001 to NDI-004 (no port, no reply, wrong device) and the errors of the link.
         """
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
         self._identity = self._open(self._monotonic() + timeout_s)
@@ -163,10 +163,10 @@ class PolarisTracker:
         return self._identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Fastest common rate, volume, illuminators, and all tools loaded and enabled.
+        """Set baud rate, volume and illuminators; load and enable all tools.
 
         Raises NDI-03x when the unit refuses a tool or an option, NDI-013 when it holds another tool, the
-        errors of the link, and, with FAULT latched, NDI-020 or NDI-021 for what happened to it before.
+        errors of the link, and, with FAULT latched, NDI-020 or NDI-021 for an earlier fault or bump.
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._guarded(self._set_up, self._monotonic() + timeout_s)
@@ -175,7 +175,7 @@ class PolarisTracker:
         )
 
     def activate(self, timeout_s: float = 10.0) -> None:
-        """Start tracking; the unit's frame number begins at 0."""
+        """Start tracking, with the frame number from 0."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
         self._guarded(self._run.start, self._monotonic() + timeout_s)
         self._guard.enter(Lifecycle.ACTIVE)
@@ -187,10 +187,10 @@ class PolarisTracker:
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
-        """The next frame: one request to the unit, one more only when its reply was disturbed.
+        """The next frame, by one request to the unit, or two when the first reply was disturbed.
 
-        Raises NDI-005 to NDI-007 for a reading that was lost (the next call first gets back in step),
-        NDI-022 while the unit withholds poses for its temperature (state HOLD, left by itself), and, with
+        Raises NDI-005 to NDI-007 for a lost reading (the next call resynchronises first), NDI-022 while the
+        unit withholds poses because of its temperature (state HOLD, which ends by itself), and, with
         FAULT latched, NDI-008 (link lost), NDI-009 (restarted), NDI-020 (hardware), NDI-021 (bumped).
         """
         self._guard.require("read_frame", {Lifecycle.ACTIVE, Lifecycle.HOLD})
@@ -208,9 +208,9 @@ class PolarisTracker:
         return frame
 
     def average_strays(self, frames: int = 60, timeout_s: float = 10.0) -> StrayAverage:
-        """Strays of `frames` measurements, each another one, grouped and averaged; in tracker coordinates.
+        """Strays grouped and averaged over `frames` distinct measurements, in tracker coordinates.
 
-        Raises NDI-007 when the unit makes fewer in time, and what `read_frame` raises.
+        Raises NDI-007 when the unit makes too few in time, and as `read_frame`.
         """
         deadline_s = self._monotonic() + timeout_s
         measurements: list[TrackerFrame] = []
@@ -231,45 +231,45 @@ class PolarisTracker:
         return average_strays(measurements)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED by a new session with the same unit; a bump is cleared on the way.
+        """FAULT -> CONFIGURED by reconnecting to the same unit; clears a bump.
 
-        Raises NDI-004 when another unit answers, NDI-020 while its hardware fault stays, NDI-021 when it was
-        bumped on top of the acknowledged fault. FAULT then stays latched.
+        Raises NDI-004 for another unit, NDI-020 while a hardware fault persists, NDI-021 when the unit was
+        bumped besides the acknowledged fault. FAULT then stays latched.
         """
         self._guard.require("recover", {Lifecycle.FAULT})
         require_person(acknowledged_by)
         deadline_s = self._monotonic() + timeout_s
         before, cause = self._identity, self._guard.fault
-        self._let_go()
+        self._drop_link()
         identity = self._open(deadline_s)
         if before is not None and identity.serial != before.serial:
-            self._let_go()
-            raise WrongUnit("another unit answers than before", expected=before.serial, got=identity.serial)
-        if isinstance(cause, SensorBumped) or self._bump_was_told:
+            self._drop_link()
+            raise WrongUnit("not the unit of before", expected=before.serial, got=identity.serial)
+        if isinstance(cause, SensorBumped) or self._bump_reported:
             clear_bump(self._link, deadline_s)
-            self._bump_was_told = False
+            self._bump_reported = False
         try:
             self._set_up(deadline_s)
-        except SensorBumped:  # new to whoever acknowledged another fault: the next recovery clears it
-            self._bump_was_told = True
+        except SensorBumped:  # the operator acknowledged another fault: the next recovery clears this one
+            self._bump_reported = True
             raise
         self._identity = identity
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop tracking, free the tools, leave the line at power-up's rate. At most 3 s; never raises."""
+        """Stop tracking, free the tools, restore the power-up baud rate. At most 3 s; never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
         if self._open_link is not None:
-            # a peer that is gone, or does not listen, gets no farewell
+            # a unit that is gone needs no closing commands
             with contextlib.suppress(RonnaError, OSError):
-                self._farewell(self._open_link, self._monotonic() + CLOSE_LIMIT_S)
-            self._let_go()
+                self._leave_unit(self._open_link, self._monotonic() + CLOSE_LIMIT_S)
+            self._drop_link()
         self._guard.enter(Lifecycle.CLOSED)
 
     @property
     def _link(self) -> CommandLink:
-        assert self._open_link is not None, "the lifecycle allows this call only with a session"
+        assert self._open_link is not None, "the lifecycle allows this call only while connected"
         return self._open_link
 
     @property
@@ -278,7 +278,7 @@ class PolarisTracker:
         return self._tracking
 
     def _guarded(self, work: Callable[[float], T], deadline_s: float) -> T:
-        """Do one piece of work; latch the faults that only `recover` may leave."""
+        """Run `work`; latch the faults that only `recover` may clear."""
         try:
             return work(deadline_s)
         except _FAULTS as fault:
@@ -310,15 +310,17 @@ class PolarisTracker:
         wanted_hz = self._options.illuminator_rate_hz
         rate_hz = set_illuminator_rate(link, wanted_hz, deadline_s)
         if rate_hz != wanted_hz:
-            self._notices.append(f"the unit keeps its illuminators at {rate_hz} Hz instead of {wanted_hz} Hz")
+            self._notices.append(f"the illuminators stay at {rate_hz} Hz instead of {wanted_hz} Hz")
         self._volume = choose_volume(link, self._options.volume, deadline_s)
         if self._volume is None:
-            self._notices.append("the unit does not tell its volume: strays are judged by its own bits")
+            self._notices.append(
+                "the unit does not report its volume: strays rely on its own out-of-volume bits"
+            )
         wanted = ((tool, self._definitions[tool.name]) for tool in self._options.tools)
         self._loaded = load_tools(link, wanted, deadline_s, self._notices.append)
         self._tracking = Tracking(link, self._loaded, self._volume, rate_hz, self._options, self._clock)
 
-    def _farewell(self, link: CommandLink, deadline_s: float) -> None:
+    def _leave_unit(self, link: CommandLink, deadline_s: float) -> None:
         if isinstance(self._guard.fault, LinkLost):
             return
         if self._guard.state in (Lifecycle.ACTIVE, Lifecycle.HOLD, Lifecycle.FAULT):
@@ -328,7 +330,7 @@ class PolarisTracker:
         if link.transport.baud is not None:
             link.ask("COMM", COMM_DEFAULT_ARGUMENT, deadline_s=deadline_s, retry=False)
 
-    def _let_go(self) -> None:
+    def _drop_link(self) -> None:
         if self._open_link is not None:
             self._open_link.transport.close()
         self._open_link = None

@@ -1,4 +1,4 @@
-"""What can go wrong between the host and a Polaris unit.
+"""Errors between the host and a Polaris unit.
 
     ConnectError        NDI-001 PortUnavailable, NDI-002 NothingAnswers, NDI-003 NotAPolaris,
                         NDI-004 WrongUnit
@@ -7,9 +7,9 @@
     ConfigurationError  NDI-010 BadOptions, NDI-012 SameGeometry
     DataError           NDI-011 BadToolFile, NDI-013 ForeignTool
     DeviceError         NDI-009 UnitRestarted, NDI-020 HardwareFailure, NDI-021 SensorBumped,
-                        NDI-022 TemperatureHold, and NDI-03x: the answers ERRORhh of the unit
+                        NDI-022 TemperatureHold, and NDI-03x: ERRORhh replies of the unit
 
-`error_for(hh)` maps each vendor code to its type; the vendor's own number is kept in `vendor_code`.
+`error_for(hh)` maps each vendor code to its type; `vendor_code` keeps the number.
 """
 
 from __future__ import annotations
@@ -35,68 +35,68 @@ class PortUnavailable(ConnectError):
     code = "NDI-001"
     action = "Check cable, power, address and permission, and that no other program holds the port."
     number: int | None = None  # of the system's error
-    reason = ""  # the system's word for it
+    reason = ""  # in the system's words
 
 
 class NothingAnswers(ConnectError):
-    """The port is open, but no unit answers at any rate, not even after a break."""
+    """The port is open, but no unit replies at any baud rate, not even after a break."""
 
     code = "NDI-002"
     action = "Check that the unit is powered and warmed up, and that this is its port."
 
 
 class NotAPolaris(ConnectError):
-    """Something answers, but not in the language of a Polaris unit."""
+    """Something replies, but not in the protocol of a Polaris unit."""
 
     code = "NDI-003"
-    action = "Check the endpoint: another device, or another program, is on this port."
+    action = "Check the endpoint: another device or program is on this port."
 
 
 class WrongUnit(ConnectError):
-    """A Polaris unit answers, but not the model or serial number that was asked for."""
+    """A Polaris unit replies, but not with the expected model or serial number."""
 
     code = "NDI-004"
     action = "Connect the right unit, or correct the expected model or serial number in the theatre file."
 
 
 class BadReplyCrc(ProtocolError):
-    """A reply came with a wrong CRC; nothing of it is used."""
+    """A reply has a wrong CRC; none of it is used."""
 
     code = "NDI-005"
-    action = "One retry is automatic; if it comes back, check the cable and lower maximum_baud."
+    action = "One retry is automatic; if it recurs, check the cable and lower maximum_baud."
 
 
 class MalformedReply(ProtocolError):
-    """A reply has a right CRC but not the shape that its command promises."""
+    """A reply has a valid CRC but not the form of its command."""
 
     code = "NDI-006"
-    action = "Check the firmware of the unit; keep the bytes for a report."
+    action = "Check the firmware version of the unit; keep the bytes for a report."
 
 
 class NoReply(LinkTimeout):
-    """The unit did not answer a command in time; it may only be slow."""
+    """The unit did not reply in time; it may only be slow."""
 
     code = "NDI-007"
-    action = "Ask again: the next command first brings both sides back in step."
+    action = "Try again: the next command resynchronises the link first."
 
 
 class LinkLost(LinkTimeout):
-    """The unit is silent beyond its own limits, or the port closed."""
+    """The unit has been silent beyond its own time limits, or the port closed."""
 
     code = "NDI-008"
-    action = "Check power and cable, then call recover for a new session."
+    action = "Check power and cable, then call recover to reconnect."
 
 
 class UnitRestarted(DeviceError):
-    """The unit was powered off, reset or re-initialised in the middle of the session."""
+    """The unit was powered off, reset or re-initialised while connected."""
 
     code = "NDI-009"
-    action = "Call recover for a new session; poses from before the restart are void."
+    action = "Call recover to reconnect; poses from before the restart are void."
     exit_code = EXIT_LINK_LOST
 
 
 class BadOptions(ConfigurationError):
-    """The options of the tracker in the theatre file have mistakes; all of them are listed."""
+    """The tracker's options in the theatre file have mistakes; all of them are listed."""
 
     code = "NDI-010"
     action = "Correct the tracker's options; docs/reference/tracker-options.md lists them."
@@ -106,7 +106,7 @@ class BadToolFile(DataError):
     """A tool definition is missing, not a .rom, corrupt, or impossible."""
 
     code = "NDI-011"
-    action = "Use the .rom that belongs to the tool, or write it again from its marker coordinates."
+    action = "Use the .rom of the tool, or make it again from the marker coordinates."
 
 
 class SameGeometry(ConfigurationError):
@@ -117,66 +117,66 @@ class SameGeometry(ConfigurationError):
 
 
 class ForeignTool(DataError):
-    """A definition is sound, but belongs to another tool than the one that is meant."""
+    """A definition is valid but belongs to another tool."""
 
     code = "NDI-013"
-    action = "Use the .rom of this very tool; if it was meant to change, correct sha256 in the theatre file."
+    action = "Use the .rom of this tool; if it was changed on purpose, correct sha256 in the theatre file."
 
 
 class HardwareFailure(DeviceError):
-    """The unit reports a fault of its hardware; its poses must not be used."""
+    """The unit reports a hardware fault; its poses must not be used."""
 
     code = "NDI-020"
-    action = "Switch the unit off and on; if the fault stays, have it serviced."
+    action = "Power-cycle the unit; if the fault persists, have it serviced."
 
 
 class SensorBumped(DeviceError):
-    """The unit was knocked: it may have moved, and its calibration may have suffered."""
+    """The unit was bumped: it may have moved, and its calibration may have suffered."""
 
     code = "NDI-021"
-    action = "Check the unit and its stand, then call recover; repeat every measurement made with it."
+    action = "Check the unit and its stand, then call recover; repeat all measurements made with it."
     exit_code = EXIT_SAFETY_STOP
 
 
 class TemperatureHold(DeviceError):
-    """The unit is too cold (not warmed up) or too hot; it withholds poses until that passes."""
+    """The unit is not warmed up or too hot; it withholds poses meanwhile."""
 
     code = "NDI-022"
-    action = "Wait: tracking goes on by itself when the temperature is right."
+    action = "Wait: tracking resumes by itself when the temperature is in range."
 
 
 class UnitError(DeviceError):
-    """The unit answered ERRORhh. `vendor_code` is the number, the message says what it means."""
+    """The unit replied ERRORhh. `vendor_code` is the number; the message gives its meaning."""
 
     vendor_codes: ClassVar[frozenset[int]] = frozenset()
 
     def __init__(self, vendor_code: int, command: str = "") -> None:
         self.vendor_code = vendor_code
-        meaning = ERROR_MEANINGS.get(vendor_code, "a code that the vendor does not list")
+        meaning = ERROR_MEANINGS.get(vendor_code, "undocumented code")
         to = f" to {command}" if command else ""
-        super().__init__(f"the unit answered {REPLY_ERROR}{vendor_code:02X}{to}: {meaning}")
+        super().__init__(f"the unit replied {REPLY_ERROR}{vendor_code:02X}{to}: {meaning}")
 
 
 class CommandRejected(UnitError):
-    """The unit does not accept the form or a parameter of a command."""
+    """The unit rejects the form or a parameter of a command."""
 
     code = "NDI-030"
-    action = "Check the options of the tracker and the firmware of the unit."
+    action = "Check the tracker's options and the firmware version of the unit."
     vendor_codes = frozenset(
         {0x01, 0x02, 0x03, 0x07, 0x08, 0x09, 0x0A, 0x0B, 0x23, 0x2F, 0x35, 0x36, 0x37, 0x38}
     )
 
 
 class CommandGarbled(UnitError):
-    """A command arrived at the unit with a wrong CRC; it had no effect."""
+    """A command reached the unit with a wrong CRC and had no effect."""
 
     code = "NDI-031"
-    action = "One retry is automatic; if it comes back, check the cable and lower maximum_baud."
+    action = "One retry is automatic; if it recurs, check the cable and lower maximum_baud."
     vendor_codes = frozenset({0x04})
 
 
 class WrongMode(UnitError):
-    """The command is not valid in the mode the unit is in, such as tracking."""
+    """The command is not valid in the current mode of the unit, such as tracking."""
 
     code = "NDI-032"
     action = "Another program may be using the unit, or its watchdog stopped tracking; activate again."
@@ -184,10 +184,10 @@ class WrongMode(UnitError):
 
 
 class NotInitialised(UnitError):
-    """The unit wants INIT first: it is fresh from power-up or reset."""
+    """The unit needs INIT first: it has just been powered up or reset."""
 
     code = "NDI-033"
-    action = "Open a new session; in the middle of one, the unit has restarted."
+    action = "Reconnect; if it happens while connected, the unit has restarted."
     vendor_codes = frozenset({0x10})
 
 
@@ -195,15 +195,15 @@ class HandleRefused(UnitError):
     """A port handle is free, empty, not initialised or not enabled, or none is left."""
 
     code = "NDI-034"
-    action = "Configure again: tools are then loaded from the start; load fewer tools if none is left."
+    action = "Configure again to reload all tools; load fewer tools if no handle is left."
     vendor_codes = frozenset({0x0D, 0x0E, 0x0F, 0x2B, 0x2C, 0x2D, 0x30, 0x32})
 
 
 class ToolRefused(UnitError):
-    """The unit does not accept a tool definition, or not together with the others."""
+    """The unit rejects a tool definition, or rejects it together with the others."""
 
     code = "NDI-035"
-    action = "Check the .rom of that tool, the number of tools and the selected volume."
+    action = "Check the tool's .rom, the number of tools and the selected volume."
     vendor_codes = frozenset({0x13, 0x1C, 0x1D, 0x1E, 0x1F, 0x20, 0x21, 0x22, 0x28, 0x40, 0x41})
 
 
@@ -211,15 +211,15 @@ class NotOffered(UnitError):
     """This unit does not have that feature, parameter, volume or line setting."""
 
     code = "NDI-036"
-    action = "Leave the option out, or use a unit that offers it."
+    action = "Omit the option, or use a unit that has it."
     vendor_codes = frozenset({0x06, 0x24, 0x25, 0x33, 0x34, 0x39, 0x42})
 
 
 class UnitFault(UnitError):
-    """The unit could not do what it was told, for a reason inside it."""
+    """The unit could not carry out a command for an internal reason."""
 
     code = "NDI-037"
-    action = "Switch the unit off and on; if the error comes back, have it serviced."
+    action = "Power-cycle the unit; if the error recurs, have it serviced."
     # every vendor code that no other class names
 
 
@@ -239,5 +239,5 @@ _BY_VENDOR_CODE: dict[int, type[UnitError]] = {
 
 
 def error_for(vendor_code: int, command: str = "") -> UnitError:
-    """The typed error for ERRORhh in answer to `command`."""
+    """The typed error for ERRORhh in reply to `command`."""
     return _BY_VENDOR_CODE.get(vendor_code, UnitFault)(vendor_code, command)

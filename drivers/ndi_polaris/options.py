@@ -25,23 +25,21 @@ from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 class ToolOption(Strict):
     """One passive tool to load."""
 
-    name: Annotated[str, Field(min_length=1, description="What readings and calibrations call it.")]
+    name: Annotated[str, Field(min_length=1, description="Its name in readings and calibrations.")]
     rom: Annotated[
         str,
         Field(
             min_length=1,
-            description="A path, relative to the theatre file that names it, or the name of a definition "
-            "that comes with the driver.",
+            description="Path relative to the theatre file, or the name of a definition "
+            "shipped with the driver.",
         ),
     ]
     priority: Annotated[
-        Literal["S", "D"], Field(description="S for a tool that hardly moves, D for one that does.")
+        Literal["S", "D"], Field(description="Tracking priority: S for a static tool, D for a dynamic one.")
     ] = "D"
     sha256: Annotated[
         str | None,
-        Field(
-            pattern="^[0-9a-f]{64}$", description="Hash of the definition that is meant; another is refused."
-        ),
+        Field(pattern="^[0-9a-f]{64}$", description="Hash of the definition; any other is refused."),
     ] = None
 
     def definition(self, folder: Path | None = None) -> ToolDefinition:
@@ -50,7 +48,7 @@ class ToolOption(Strict):
         found = definition_hash(definition)
         if self.sha256 not in (None, found):
             raise ForeignTool(
-                f"{self.rom} is not the definition that tool {self.name} was set up with",
+                f"{self.rom} is not the definition with which tool {self.name} was set up",
                 expected=f"sha256 {self.sha256}",
                 got=found,
             )
@@ -58,45 +56,45 @@ class ToolOption(Strict):
 
 
 class PolarisOptions(Strict):
-    """Everything that may be said about a Polaris unit; all of it has a default that works."""
+    """Options of a Polaris unit; every default works."""
 
     tools: Annotated[
         tuple[ToolOption, ...],
-        Field(description="Without any, a dummy tool is loaded so that strays are seen."),
+        Field(description="Without any, a dummy tool is loaded so that strays are measured."),
     ] = ()
     expected_model: Annotated[
-        Literal["spectra", "vicra", "vega"] | None, Field(description="Another model is refused.")
+        Literal["spectra", "vicra", "vega"] | None, Field(description="Any other model is refused.")
     ] = None
-    expected_serial: Annotated[str | None, Field(description="Another unit is refused.")] = None
+    expected_serial: Annotated[str | None, Field(description="Any other unit is refused.")] = None
     illuminator_rate_hz: Annotated[
-        Literal[20, 30, 60], Field(description="Measurements per second; the unit may keep its own.")
+        Literal[20, 30, 60], Field(description="Measurements per second; the unit may keep its own rate.")
     ] = 60
-    maximum_baud: Annotated[int, Field(description="The fastest rate to try; the unit may do less.")] = 921600
+    maximum_baud: Annotated[int, Field(description="The fastest baud rate to try.")] = 921600
     reply: Annotated[
         Literal["auto", "BX", "TX"], Field(description="auto: binary, or text when the unit has no BX.")
     ] = "auto"
     volume: Annotated[
         int | None,
-        Field(ge=1, le=9, description="Number of the volume, from 1; none leaves the unit's choice."),
+        Field(ge=1, le=9, description="Number of the volume, from 1; by default the unit's current one."),
     ] = None
     stray_to_marker_mm: Annotated[
-        float, Field(gt=0, description="A stray this near to a marker of a tool is that marker.")
+        float, Field(gt=0, description="A stray this close to a tool's marker is that marker.")
     ] = 5.75
     time_limits_s: Annotated[
         dict[str, Annotated[float, Field(gt=0)]],
-        Field(default_factory=dict, description="Time limit by command, instead of the one the unit tells."),
+        Field(default_factory=dict, description="Time limits by command that override the unit's own."),
     ]
 
     @model_validator(mode="after")
     def _checks(self) -> Self:
         names = [tool.name for tool in self.tools]
         if doubled := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"tools has the name {', '.join(doubled)} more than once")
+            raise ValueError(f"duplicate tool name {', '.join(doubled)}")
         if self.maximum_baud not in COMM_BAUD_CODES.values():
             rates = ", ".join(str(rate) for rate in sorted(COMM_BAUD_CODES.values()))
-            raise ValueError(f"maximum_baud is none of {rates}")
+            raise ValueError(f"maximum_baud must be one of {rates}")
         if unknown := sorted(set(self.time_limits_s) - set(COMMAND_TIMEOUT_S)):
-            raise ValueError(f"time_limits_s names the unknown command {', '.join(unknown)}")
+            raise ValueError(f"time_limits_s: unknown command {', '.join(unknown)}")
         return self
 
     def definitions(self, folder: Path | None = None) -> dict[str, ToolDefinition]:
@@ -106,14 +104,14 @@ class PolarisOptions(Strict):
         return tools
 
     def limits_s(self) -> dict[str, float]:
-        """The unit's time limits per command with the changes of the theatre file."""
+        """Default time limits by command with those of the theatre file."""
         return {**COMMAND_TIMEOUT_S, **self.time_limits_s}
 
 
 def read_options(config: DeviceConfig) -> PolarisOptions:
-    """Check the options of the theatre file; raises NDI-010 with every mistake in them."""
+    """Parse the options of the theatre file; raises NDI-010 listing every mistake."""
     try:
-        # by way of JSON: strict types, but a list may stand for a tuple
+        # via JSON: strict types, but lists are accepted for tuples
         return PolarisOptions.model_validate_json(json.dumps(config.options))
     except ValidationError as error:
         mistakes = describe_mistakes(error)

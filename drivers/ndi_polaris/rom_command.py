@@ -26,18 +26,18 @@ app = typer.Typer(
 )
 
 RomArgument = Annotated[
-    Path, typer.Argument(metavar="ROM", help="A .rom, or the name of one that comes with the driver.")
+    Path, typer.Argument(metavar="ROM", help="A .rom, or the name of one shipped with the driver.")
 ]
 ToleranceOption = Annotated[
     float | None,
-    typer.Option("--tolerance-mm", min=0.0, help="Distances nearer to each other than this are alike."),
+    typer.Option("--tolerance-mm", min=0.0, help="Distances closer than this are too similar."),
 ]
 
 
 @app.command()
 def make(
     description: Annotated[
-        Path, typer.Argument(metavar="TOML", help="What the tool is: part_number, markers_mm, ...")
+        Path, typer.Argument(metavar="TOML", help="Tool description: part_number, markers_mm, ...")
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the .rom.")],
     as_json: console.JsonOption = False,
@@ -46,9 +46,9 @@ def make(
 ) -> int:
     """Write a definition from marker coordinates.
 
-    The least that a description says is part_number and markers_mm (a list of [x, y, z]); show --toml
-    prints all of it for an existing definition. Exit codes: 0 written, perhaps with warnings about alike
-    distances; 1 the description is wrong or the file cannot be written.
+    A description needs at least part_number and markers_mm (a list of [x, y, z]); show --toml prints a full
+    one for an existing definition. Exit codes: 0 written, perhaps with warnings about similar distances;
+    1 the description is wrong or the file cannot be written.
     """
     console.set_up_logging(verbose)
     from drivers.ndi_polaris.rom.definition import decode_definition, definition_hash, encode_definition
@@ -61,7 +61,7 @@ def make(
     write_whole(out, block)
     warnings = [str(pair) for pair in find_alike({tool.part_number: tool})]
     if tool.unique_geometry and alike_segments_mm(tool):
-        warnings.append("it claims a unique geometry all the same: unique_geometry = false would say so")
+        warnings.append("the definition claims unique geometry; set unique_geometry = false")
     if as_json:
         console.print_json(
             {
@@ -87,7 +87,7 @@ def show(
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,
 ) -> int:
-    """Say what a definition holds. Exit codes: 0 shown, 1 no usable definition."""
+    """Show the content of a definition. Exit codes: 0 shown, 1 not a usable definition."""
     console.set_up_logging(verbose)
     import sys
 
@@ -96,7 +96,7 @@ def show(
     from drivers.ndi_polaris.tools.geometry import segment_lengths_mm
 
     if as_toml and as_json:
-        raise UsageMistake("--toml and --json exclude each other", action="Give one of them.")
+        raise UsageMistake("--toml and --json are mutually exclusive", action="Give one of them.")
     tool = _read(rom)
     if as_toml:
         import tomli_w
@@ -139,10 +139,10 @@ def compare(
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,
 ) -> int:
-    """Say what differs between two definitions.
+    """Show the differences between two definitions.
 
     Field by field; marker positions by their distance in mm, unexplained bytes in hex.
-    Exit codes: 0 they say the same, 1 they differ or one is no usable definition.
+    Exit codes: 0 no difference, 1 a difference, or one is not a usable definition.
     """
     console.set_up_logging(verbose)
     from dataclasses import asdict
@@ -170,7 +170,7 @@ def compare(
             ],
         )
     told = "no difference" if not differences else f"{len(differences)} difference(s)"
-    shape = "" if shape_mm is None else f"; distances between markers differ by {shape_mm:.3f} mm at most"
+    shape = "" if shape_mm is None else f"; marker distances differ by at most {shape_mm:.3f} mm"
     console.tell(told + shape)
     return EXIT_FAILED if differences else EXIT_DONE
 
@@ -183,10 +183,10 @@ def check(
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,
 ) -> int:
-    """Warn of distances that are not unique.
+    """Check that marker distances are unique.
 
-    Within a tool, or shared between tools that are used together.
-        Exit codes: 0 nothing found, 1 something found or a file is no usable definition.
+    Within a tool, and between tools that are used together.
+        Exit codes: 0 unique, 1 not unique, or a file is not a usable definition.
     """
     console.set_up_logging(verbose)
     from dataclasses import asdict
@@ -197,7 +197,7 @@ def check(
     tolerance = SEGMENT_TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     tools = {_short_name(path, roms): _read(path) for path in roms}
     if len(tools) < len(roms):
-        raise UsageMistake("a definition is named twice", action="Name each one once.")
+        raise UsageMistake("a definition is given twice", action="Give each one once.")
     alike = find_alike(tools, tolerance)
     triangles = [
         (a, b) for (a, first), (b, second) in combinations(tools.items(), 2) if shared_triangle(first, second)
@@ -216,7 +216,7 @@ def check(
         for pair in alike:
             console.tell(str(pair))
         if not alike:
-            console.tell(f"{len(tools)} tool(s): every two distances differ by {tolerance:g} mm or more")
+            console.tell(f"{len(tools)} tool(s): all distances differ by at least {tolerance:g} mm")
     return EXIT_FAILED if alike or triangles else EXIT_DONE
 
 

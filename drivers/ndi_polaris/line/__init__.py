@@ -1,1 +1,1 @@
-"""The line to the unit: transport, framing, commands and replies, bit rate."""
+"""The line to the unit: transport, framing, commands and replies, baud rate."""

@@ -1,4 +1,4 @@
-"""The fastest rate of a serial line that both ends and the cable can do."""
+"""The fastest baud rate that both ends and the cable support."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from drivers.ndi_polaris.line.inquiry import inquire
 from ronna_hw.errors import ProtocolError
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMM_DEFAULT_ARGUMENT
 
-RATE_SETTLING_S = 0.1  # from OKAY to COMM until the unit listens at the new rate, as other clients wait
+RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit to switch
 
 
 def raise_baud(
     link: CommandLink, maximum: int, deadline_s: float, pause: Callable[[float], None] = time.sleep
 ) -> int | None:
-    """Go to the fastest rate that both ends can do, and prove it by a command; None over TCP.
+    """Switch to the fastest rate that both ends support, verified by a command; None over TCP.
 
-    A unit that is lost at a rate which the cable does not carry is looked for again, if need be by a break,
-    and a slower rate tried. Raises NDI-002 or NDI-003 when it is not found any more.
+    A unit lost at a rate that the cable does not carry is searched for again, if need be with a break, and a
+    slower rate is tried. Raises NDI-002 or NDI-003 when it cannot be found again.
     """
     if link.transport.baud is None:
         return None
@@ -42,7 +42,7 @@ def raise_baud(
 def _switch(
     link: CommandLink, code: str, baud: int, present: int, deadline_s: float, pause: Callable[[float], None]
 ) -> bool:
-    try:  # our own end first: a unit that has switched to a rate we cannot do would be lost
+    try:  # our own end first: a unit at a rate we cannot do would be lost
         link.transport.set_baud(baud)
         link.transport.set_baud(present)
     except PortUnavailable:
@@ -53,12 +53,12 @@ def _switch(
     except UnitError:
         return False
     except (ProtocolError, NoReply):
-        pass  # the answer was lost: only trying tells whether the unit has switched
+        pass  # the reply was lost: only a try shows whether the unit has switched
     pause(RATE_SETTLING_S)
     link.transport.set_baud(baud)
     if inquire(link, deadline_s).answered:
         return True
     link.transport.set_baud(present)
     if not inquire(link, deadline_s).answered:
-        raise LinkLost(f"the unit answers neither at {baud} baud nor at {present}")
+        raise LinkLost(f"no reply at {baud} baud nor at {present}")
     return False

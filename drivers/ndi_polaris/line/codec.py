@@ -1,6 +1,6 @@
-"""Frames of the Polaris link: commands out, ASCII and binary replies in, every CRC checked.
+"""Framing of the Polaris link: commands out, ASCII and binary replies in, every CRC checked.
 
-Pure functions on bytes. Nothing is decoded further here: see `tx_reply`, `bx_reply`.
+Pure functions on bytes. The content is decoded elsewhere, such as in `tracking/tx_reply.py`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ronna_hw.wire.polaris import (
     crc16,
 )
 
-KEPT_COMMANDS = 32  # the command of every reading is the same
+KEPT_COMMANDS = 32  # every reading sends the same command
 TRAILING_TEXT_BYTES = 128  # short texts only: errors, echoes, revisions
 BX_START_BYTES = struct.pack("<H", BX_START)
 
@@ -33,26 +33,26 @@ _WARNING = re.compile(rf"{REPLY_WARNING}([0-9A-F]{{2}})?")
 
 @lru_cache(maxsize=KEPT_COMMANDS)
 def encode_command(name: str, argument: str = "") -> bytes:
-    """`NAME:argument` + CRC + CR: the form that the unit checks before it acts."""
+    """`NAME:argument` + CRC + CR: the form whose CRC the unit checks."""
     text = f"{name}:{argument}".encode("ascii")
     return b"%b%04X\r" % (text, crc16(text))
 
 
 def open_ascii(line: bytes) -> str:
-    """The text of one ASCII reply, given without its CR; raises NDI-005."""
+    """The text of one ASCII reply (without its CR); raises NDI-005."""
     text = line[:-ASCII_CRC_DIGITS]
     if not _crc_is_right(line):
-        raise BadReplyCrc("an ASCII reply has a wrong CRC", expected=f"{crc16(text):04X}", wire=line)
+        raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{crc16(text):04X}", wire=line)
     try:
         return text.decode("ascii")
     except UnicodeDecodeError as error:
-        raise MalformedReply("an ASCII reply holds other bytes than ASCII", wire=line) from error
+        raise MalformedReply("an ASCII reply contains bytes that are not ASCII", wire=line) from error
 
 
 def trailing_text(heard: bytes) -> str | None:
-    """The text of the last reply, without its CR, in bytes that may begin with the remains of others."""
+    """The text of the last reply (without its CR) in bytes that may begin with the remains of others."""
     line = heard.rsplit(CR, 1)[-1][-TRAILING_TEXT_BYTES:]
-    # Remains of a binary reply stand before it without a CR; over a whole one the CRC comes out as 0, so that
+    # A binary reply before it does not end in CR; the CRC over a whole one comes out as 0, so that
     # the text would be right together with it.
     for start in range(len(line)):
         if line[start:].isascii() and _crc_is_right(line[start:]):
@@ -61,7 +61,7 @@ def trailing_text(heard: bytes) -> str | None:
 
 
 def _crc_is_right(line: bytes) -> bool:
-    # an empty text is legal (an empty parameter list has the CRC 0000)
+    # an empty text is legal: an empty parameter list has CRC 0000
     text, digits = line[:-ASCII_CRC_DIGITS], line[-ASCII_CRC_DIGITS:]
     return len(digits) == ASCII_CRC_DIGITS and digits == b"%04X" % crc16(text)
 
@@ -76,16 +76,16 @@ def binary_reply_bytes(header: bytes) -> int:
     """Length of a whole binary reply from its first six bytes; raises NDI-005 or NDI-006."""
     start, length, crc = _HEADER.unpack_from(header)
     if start != BX_START:
-        raise MalformedReply("a binary reply begins with other bytes than C4 A5", wire=header)
+        raise MalformedReply("a binary reply does not start with C4 A5", wire=header)
     if crc != crc16(header[: BX_HEADER_BYTES - BX_CRC_BYTES]):
-        raise BadReplyCrc("the header of a binary reply has a wrong CRC", wire=header[:BX_HEADER_BYTES])
+        raise BadReplyCrc("wrong CRC in the header of a binary reply", wire=header[:BX_HEADER_BYTES])
     return BX_HEADER_BYTES + int(length) + BX_CRC_BYTES
 
 
 def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
     """Split off the first binary reply: (its body, rest), or None while incomplete.
 
-    Raises NDI-005 for a wrong CRC of header or body, NDI-006 for other bytes than those of a reply.
+    Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
     """
     if len(buffer) < BX_HEADER_BYTES:
         return None
@@ -96,7 +96,7 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
     (crc,) = _CRC.unpack_from(buffer, whole - BX_CRC_BYTES)
     if crc != crc16(body):
         raise BadReplyCrc(
-            "the body of a binary reply has a wrong CRC", expected=f"{crc16(body):04X}", wire=buffer[:whole]
+            "wrong CRC in the body of a binary reply", expected=f"{crc16(body):04X}", wire=buffer[:whole]
         )
     return body, buffer[whole:]
 
@@ -108,10 +108,10 @@ def unit_error(text: str, command: str = "") -> UnitError | None:
 
 
 def warning_meaning(text: str) -> str | None:
-    """What a WARNING reply says, or None when the reply is none. A warned command was carried out."""
+    """The meaning of a WARNING reply, else None. The command was carried out all the same."""
     match = _WARNING.fullmatch(text)
     if not match:
         return None
     if match[1] is None:
         return "a warning without a code (older firmware)"
-    return WARNING_MEANINGS.get(int(match[1], 16), f"warning {match[1]}, which the vendor does not list")
+    return WARNING_MEANINGS.get(int(match[1], 16), f"undocumented warning {match[1]}")

@@ -1,9 +1,8 @@
-"""One conversation with the unit: a command, its reply, and getting back in step after a disturbance.
+"""Commands and replies over a line, and resynchronisation after a disturbance.
 
-The link has no message numbers, so a late reply looks like the next one. Therefore: input is emptied
-before each command; bytes found there, a time-out or a broken reply make the session *unsettled*; and an
-unsettled session first sends a harmless command with a text of its own and discards everything up to its
-echo. Only then is the next command sent.
+Replies carry no number, so a late reply looks like the next one. Therefore input is flushed before each
+command; bytes found there, a time-out or a broken reply leave the link *unsettled*; and an unsettled link
+first sends ECHO with a text of its own and discards everything up to the echo before the next command.
 """
 
 from __future__ import annotations
@@ -39,29 +38,29 @@ from ronna_hw.wire.polaris import (
     crc16,
 )
 
-ORDINARY_REPLY_BYTES = 128  # what a reply is reckoned with for its transfer time unless the command says more
-LONGEST_REPLY_BYTES = 16384  # beyond any reply of these units: a line that never ends is noise
-LONGEST_LIMIT_S = max(COMMAND_TIMEOUT_S.values())  # for a command that the unit gives no limit
-QUIET_S = 0.02  # a drained line has said nothing for this long
-STALL_S = 0.5  # a reply that has begun and then pauses this long is cut off
-BABBLE_BYTES = 1_000_000  # a line that yields this much unasked is not a unit's
+ORDINARY_REPLY_BYTES = 128  # assumed length of a reply when its transfer time is computed
+LONGEST_REPLY_BYTES = 16384  # longer than any reply of these units: beyond this it is noise
+LONGEST_LIMIT_S = max(COMMAND_TIMEOUT_S.values())  # for commands without a limit of their own
+QUIET_S = 0.02  # silence after which a line counts as drained
+STALL_S = 0.5  # a reply that pauses this long is truncated
+BABBLE_BYTES = 1_000_000  # no unit sends this much unasked
 ECHO_ATTEMPTS = 3
-REFUSALS_NEEDED = 2  # one error may be the late answer to another command, two in a row are not
+REFUSALS_NEEDED = 2  # one error may be a late reply to another command, two in a row are not
 RESET_TEXT = b"%b%04X\r" % (REPLY_RESET.encode(), crc16(REPLY_RESET.encode()))
 
 Reply = str | bytes  # text of an ASCII reply, body of a binary one
-_FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: what a unit may say instead of a binary reply
+_FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: what may come instead of a binary reply
 
 
 class _Echo(Enum):
     HEARD = "heard"
-    REFUSED = "refused"  # answered, but by an error
+    REFUSED = "refused"  # answered with an error
     SILENT = "silent"
 
 
 @dataclass
 class LinkStatistics:
-    """Counts since the session began."""
+    """Counts since the link was opened."""
 
     commands: int = 0
     retries: int = 0
@@ -70,7 +69,7 @@ class LinkStatistics:
 
 
 class CommandLink:
-    """Commands and replies over one transport. Not for use by two threads at once."""
+    """Commands and replies over one transport; one thread at a time."""
 
     def __init__(
         self,
@@ -83,16 +82,16 @@ class CommandLink:
         self.statistics = LinkStatistics()
         self._limits_s = limits_s
         self._monotonic = monotonic
-        self._settled = False  # what an earlier client left on its way may still arrive
+        self._settled = False  # replies to an earlier client may still arrive
         self._silent_since_s: float | None = None
         self._echoes = 0
 
     def now_s(self) -> float:
-        """The clock that time limits are counted on (host, monotonic)."""
+        """The host's monotonic clock, on which deadlines are given."""
         return self._monotonic()
 
     def adopt_limits(self, limits_s: Mapping[str, float]) -> None:
-        """Wait as long as these say, in seconds by command; other commands keep their limit."""
+        """Use these time limits, in seconds by command; other commands keep theirs."""
         self._limits_s = {**self._limits_s, **limits_s}
 
     def ask(
@@ -106,9 +105,9 @@ class CommandLink:
     ) -> str:
         """Send a command and return the text of its reply, OKAY and WARNINGhh included.
 
-        The time limit is the unit's own for that command plus the transfer at the present rate, cut by
-        `deadline_s` on the session's clock. With `retry` a disturbed exchange is repeated once: only for
-        commands whose repetition does no harm. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
+        The time limit is the unit's own for that command plus the transfer at the current rate, bounded by
+        `deadline_s` (see `now_s`). With `retry` a disturbed exchange is repeated once, so only for commands
+        that may be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
         """
         reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=retry, binary=False)
         assert isinstance(reply, str)
@@ -117,23 +116,23 @@ class CommandLink:
     def ask_binary(
         self, name: str, argument: str = "", *, deadline_s: float | None = None, reply_bytes: int
     ) -> bytes:
-        """As `ask`, for a command with a binary reply: the body, its CRCs checked."""
+        """As `ask`, for a command with a binary reply; returns the body, its CRCs checked."""
         reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=True, binary=True)
         if isinstance(reply, str):
             self._settled = False
-            raise MalformedReply(f"{name} was answered by a text", wire=reply.encode())
+            raise MalformedReply(f"text reply to {name}, which has a binary one", wire=reply.encode())
         return reply
 
     def limit_s(self, name: str, sent_bytes: int, reply_bytes: int) -> float:
-        """How long the unit may take: its own limit and the transfer both ways."""
+        """Time limit of a command: the unit's own plus the transfer both ways."""
         baud = self.transport.baud
         transfer_s = (sent_bytes + reply_bytes) * BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
         return self._limits_s.get(name, LONGEST_LIMIT_S) + transfer_s
 
     def drain(self, quiet_s: float = QUIET_S, deadline_s: float | None = None) -> bytes:
-        """Discard input until the line has been quiet for `quiet_s`; returns the last part of it.
+        """Discard input until the line has been silent for `quiet_s`; returns the last part of it.
 
-        Raises NDI-006 when the line does not stop.
+        Raises NDI-006 when the line never falls silent.
         """
         discarded, count = b"", 0
         while data := self.transport.read(quiet_s):
@@ -141,25 +140,25 @@ class CommandLink:
             count += len(data)
             self.statistics.discarded_bytes += len(data)
             if count > BABBLE_BYTES:
-                raise MalformedReply("the line does not stop talking", wire=discarded)
+                raise MalformedReply("the line never falls silent", wire=discarded)
             if deadline_s is not None and self._monotonic() > deadline_s:
                 break
         return discarded
 
     def distrust(self) -> None:
-        """Have the next command get back in step first: the caller has seen a reply that cannot be right."""
+        """Resynchronise before the next command: the caller has seen an implausible reply."""
         self._settled = False
 
     def settle(self, deadline_s: float | None = None) -> None:
-        """Bring both sides back in step: send ECHO with a text of its own, discard all up to its echo.
+        """Resynchronise: send ECHO with a unique text and discard everything up to its echo.
 
-        A unit without ECHO refuses it, twice, which serves as well. Raises NDI-007 while the unit may
-        only be slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it restarted.
+        A unit without ECHO refuses it twice, which serves as well. Raises NDI-007 while the unit may only
+        be slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it has restarted.
         """
         refusals = 0
         for _ in range(ECHO_ATTEMPTS):
             if RESET_TEXT in self.drain(deadline_s=deadline_s):
-                raise UnitRestarted("the unit announced a reset")
+                raise UnitRestarted("the unit sent RESET")
             outcome = self._echo(deadline_s)
             refusals = refusals + 1 if outcome is _Echo.REFUSED else 0
             if outcome is _Echo.HEARD or refusals >= REFUSALS_NEEDED:
@@ -218,7 +217,7 @@ class CommandLink:
                 expected="a reply with CRC",
             )
         self._silent_since_s = None
-        if rest:  # the unit says one thing per command: more than that is a doubled or a late reply
+        if rest:  # one reply per command: more is a doubled or a late one
             self.statistics.discarded_bytes += len(rest)
             self._settled = False
         if isinstance(reply, str):
@@ -227,45 +226,43 @@ class CommandLink:
 
     def _raise_for(self, text: str, name: str) -> None:
         if text == REPLY_RESET and name != "RESET":
-            raise UnitRestarted(f"the unit announced a reset in answer to {name}")
+            raise UnitRestarted(f"the unit replied RESET to {name}")
         error = unit_error(text, name)
         if isinstance(error, NotInitialised) and name != "INIT":
-            raise UnitRestarted(f"the unit is no longer initialised: it answered {text} to {name}") from error
+            raise UnitRestarted(f"the unit is no longer initialised: it replied {text} to {name}") from error
         if error is not None:
             raise error
 
     def _receive(self, until_s: float, binary: bool) -> tuple[Reply | None, bytes]:
-        """(reply or None, what came with it). Reads until a whole reply or `until_s`."""
+        """(reply or None, remaining bytes). Reads until a complete reply or `until_s`."""
         buffer = b""
         while True:
             if binary and buffer[:1] == BX_START_BYTES[:1]:
                 if (reply := split_binary(buffer)) is not None:
                     return reply
             elif binary and buffer and buffer[0] not in _FIRST_BYTES_OF_TEXT:
-                raise MalformedReply("a binary reply begins with other bytes than C4 A5", wire=buffer)
+                raise MalformedReply("a binary reply does not start with C4 A5", wire=buffer)
             elif (split := ascii_line(buffer)) is not None:
                 return open_ascii(split[0]), split[1]
             if len(buffer) > LONGEST_REPLY_BYTES:
-                raise MalformedReply(
-                    "a reply does not end", limit=f"{LONGEST_REPLY_BYTES} bytes", wire=buffer
-                )
+                raise MalformedReply("a reply has no end", limit=f"{LONGEST_REPLY_BYTES} bytes", wire=buffer)
             left_s = until_s - self._monotonic()
             if left_s <= 0:
                 return None, buffer
             data = self.transport.read(min(left_s, STALL_S) if buffer else left_s)
             if not data and buffer and left_s > STALL_S:
-                raise MalformedReply("a reply stops in the middle", limit=f"{STALL_S} s", wire=buffer)
+                raise MalformedReply("a reply is truncated", limit=f"{STALL_S} s", wire=buffer)
             buffer += data
 
     def _check_stale_input(self) -> None:
-        """Empty the input before a command; what was there makes the session unsettled."""
+        """Flush the input before a command; anything found there unsettles the link."""
         if not (stale := self.transport.read(0.0)):
             return
         self.statistics.discarded_bytes += len(stale)
         stale += self.drain(0.0)
         self._settled = False
         if RESET_TEXT in stale:
-            raise UnitRestarted("the unit announced a reset", wire=stale)
+            raise UnitRestarted("the unit sent RESET", wire=stale)
 
     def _echo(self, deadline_s: float | None) -> _Echo:
         self._echoes += 1
@@ -280,7 +277,7 @@ class CommandLink:
         while (left_s := until_s - self._monotonic()) > 0:
             heard = (heard + self.transport.read(left_s))[-LONGEST_REPLY_BYTES:]
             if RESET_TEXT in heard:
-                raise UnitRestarted("the unit announced a reset", wire=heard)
+                raise UnitRestarted("the unit sent RESET", wire=heard)
             if not heard.endswith(b"\r"):
                 continue
             text = trailing_text(heard[:-1])
@@ -301,4 +298,6 @@ class CommandLink:
         limit_s = max(self._limits_s.get(name, 0.0) for name in ("BX", "TX", "ECHO"))
         if silent_s >= limit_s:
             raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")
-        raise NoReply("the unit is not yet back in step", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")
+        raise NoReply(
+            "the unit has not resynchronised yet", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s"
+        )

@@ -1,4 +1,4 @@
-"""Find a unit on a line: at power-up's rate or the one it was left at, by a break if need be; then INIT."""
+"""Find a unit on a line, at its power-up rate or another, if need be with a break; then INIT."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from drivers.ndi_polaris.line.inquiry import INQUIRY_COMMAND, inquire
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
-RESET_LIMIT_S = 7.0  # from a break to the unit's RESET, the longest that any client waits
-# Rates a unit may have been left at, the likeliest first.
+RESET_LIMIT_S = 7.0  # from a break to RESET: the longest that any client waits
+# Rates at which a unit may have been left, likeliest first.
 LIKELY_BAUDS = (DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 14400)
 
 
 def find_unit(link: CommandLink, deadline_s: float) -> None:
-    """Leave the line at a rate at which the unit answers.
+    """Set the line to a rate at which the unit replies.
 
-    Raises NDI-002 when nothing answers, NDI-003 when what answers is no Polaris unit.
+    Raises NDI-002 when nothing replies, NDI-003 when what replies is not a Polaris unit.
     """
     transport = link.transport
     heard = bytearray()
@@ -46,13 +46,13 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
         if inquiry.answered:
             return
     if heard:
-        raise NotAPolaris("something answers, but with no valid CRC", wire=bytes(heard))
-    what = ", ".join(tried) or "nothing: the time limit is too short"
-    raise NothingAnswers(f"no unit answers: tried {what}", expected=f"a reply to {INQUIRY_COMMAND}")
+        raise NotAPolaris("bytes without a valid CRC", wire=bytes(heard))
+    what = ", ".join(tried) or "none: the time limit is too short"
+    raise NothingAnswers(f"no unit replied; tried {what}", expected=f"a reply to {INQUIRY_COMMAND}")
 
 
 def await_reset(link: CommandLink, deadline_s: float) -> bool:
-    """True when the unit says RESET within its time after a break or the RESET command."""
+    """True when the unit sends RESET in time after a break or the RESET command."""
     until_s = min(deadline_s, link.now_s() + RESET_LIMIT_S)
     heard = b""
     while (left_s := until_s - link.now_s()) > 0:
@@ -63,7 +63,7 @@ def await_reset(link: CommandLink, deadline_s: float) -> bool:
 
 
 def initialise(link: CommandLink, deadline_s: float) -> None:
-    """INIT; when the unit cannot, RESET it once and try again. Raises NDI-03x, NDI-005 to NDI-008."""
+    """INIT; if the unit cannot, RESET it once and try again. Raises NDI-03x, NDI-005 to NDI-008."""
     try:
         link.ask("INIT", deadline_s=deadline_s)
     except (UnitError, LinkTimeout, ProtocolError):

@@ -1,4 +1,4 @@
-"""Asks a line whether a unit is there, by a command that changes nothing, and keeps every byte that comes."""
+"""Probe a line for a unit with a command that changes nothing, keeping every byte received."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from drivers.ndi_polaris.line.codec import encode_command, trailing_text
 from drivers.ndi_polaris.line.command_link import LONGEST_REPLY_BYTES, CommandLink
 from ronna_hw.wire.polaris import BITS_PER_BYTE_ON_LINE, COMMAND_TIMEOUT_S, CR
 
-INQUIRY_COMMAND = "APIREV"  # every unit answers it in some way
+INQUIRY_COMMAND = "APIREV"  # every unit replies to it in some way
 INQUIRY = encode_command(INQUIRY_COMMAND)
 REPLY_BYTES = 32
 REPLY_LIMIT_S = 0.3  # per rate: an idle unit replies within a few milliseconds
-TRIES = 2  # the first command may be spoilt by what the unit still holds of an earlier one
+TRIES = 2  # the first command may be garbled by the remains of an earlier one
 
 
 class Inquiry(NamedTuple):
-    """Everything that was heard, and the text of a reply with a right CRC, if there was one."""
+    """All bytes received, and the text of a reply with a valid CRC, if any."""
 
     heard: bytes
     reply: str | None = None
@@ -29,9 +29,9 @@ class Inquiry(NamedTuple):
 
 
 def inquire(link: CommandLink, deadline_s: float) -> Inquiry:
-    """Ask at the present rate, twice if the first reply is spoilt.
+    """Ask at the current rate, twice if the first reply is garbled.
 
-    Raises NDI-003 when the line does not stop talking, NDI-008 when it is lost.
+    Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
     """
     heard = b""
     for _ in range(TRIES):
@@ -47,10 +47,10 @@ def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
     try:
         link.drain(deadline_s=min(deadline_s, link.now_s() + REPLY_LIMIT_S))
     except MalformedReply as error:
-        raise NotAPolaris("something talks unasked and does not stop talking", wire=error.wire) from error
+        raise NotAPolaris("the line sends unasked and never falls silent", wire=error.wire) from error
     transfer_s = (len(INQUIRY) + REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
-    rest_s = REPLY_LIMIT_S + transfer_s  # a reply that has begun is whole after this
-    # over TCP there is nothing else to try: the unit gets all the time it may take
+    rest_s = REPLY_LIMIT_S + transfer_s  # a reply that has begun is complete after this
+    # over TCP there is no other rate to try: wait the full time limit
     limit_s = rest_s if transport.baud is not None else COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
     transport.write(INQUIRY)
     until_s = min(deadline_s, link.now_s() + limit_s)
@@ -67,7 +67,7 @@ def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
 
 
 def _last_reply(heard: bytes) -> str | None:
-    """The text of the last reply with a right CRC. Our own command, echoed by a loop-back, is none."""
+    """The text of the last reply with a valid CRC; our own command from a loop-back does not count."""
     echo = f"{INQUIRY_COMMAND}:"
     texts = (trailing_text(line) for line in reversed(heard.split(CR)[:-1]))
     return next((text for text in texts if text and text != echo), None)

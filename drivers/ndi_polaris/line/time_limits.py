@@ -1,4 +1,4 @@
-"""How long the unit may take for each command, asked from the unit itself."""
+"""Time limit of each command, read from the unit."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from drivers.ndi_polaris.line.command_link import CommandLink
 from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, LF, PARAMETER_TIMEOUT_PREFIX
 
 REPLY_BYTES = 2048  # about sixty lines of thirty characters
-LONGEST_BELIEVED_S = 60.0  # no command of these units takes longer; more would only hide a dead link
+LONGEST_BELIEVED_S = 60.0  # no command takes longer; a longer limit would only hide a dead link
 
 
 def read_time_limits(link: CommandLink, deadline_s: float) -> dict[str, float]:
-    """The limits that the unit tells, in seconds by command; empty when it does not tell any."""
+    """The unit's time limits in seconds by command; empty when it has none to report."""
     try:
         text = link.ask("GET", f"{PARAMETER_TIMEOUT_PREFIX}*", deadline_s=deadline_s, reply_bytes=REPLY_BYTES)
     except UnitError:

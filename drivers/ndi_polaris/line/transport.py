@@ -1,4 +1,4 @@
-"""Bytes to and from the unit: a serial line (or pseudo-terminal) and TCP, behind one small interface."""
+"""Byte transport to the unit: serial line (or pseudo-terminal) and TCP behind one interface."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from drivers.ndi_polaris.errors import LinkLost, PortUnavailable
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
-WRITE_LIMIT_S = 1.0  # a line that takes no bytes for this long is dead
-BREAK_MS = 500  # as long as other clients of the vendor's units hold it
+WRITE_LIMIT_S = 1.0  # a line that accepts no bytes for this long is dead
+BREAK_MS = 500  # as long as other clients hold it
 READ_BYTES = 65536
-CLOSED = -1  # no file has this number
+CLOSED = -1  # no file has this descriptor
 
 _LISTED = "`ronna-procedure doctor` lists the ports of this computer."
 _AT_THE_ADDRESS = "check address and port, and that the unit is on and in the same network."
 _ADVICE = {
     errno.ENOENT: f"Check the name of the port; {_LISTED}",
-    errno.ENOTTY: f"That is no serial port; {_LISTED}",
-    errno.EISDIR: f"That is no serial port; {_LISTED}",
+    errno.ENOTTY: f"Not a serial port; {_LISTED}",
+    errno.EISDIR: f"Not a serial port; {_LISTED}",
     errno.EACCES: "Join the group that owns the port (often `dialout`), then log in again.",
     errno.EAGAIN: "Another program holds the port: end it, then try again.",
     errno.EBUSY: "Another program holds the port: end it, then try again.",
     errno.ECONNREFUSED: f"Nothing listens there: {_AT_THE_ADDRESS}",
-    errno.ETIMEDOUT: f"Nothing answers there: {_AT_THE_ADDRESS}",
-    errno.EHOSTUNREACH: f"Nothing answers there: {_AT_THE_ADDRESS}",
-    errno.ENETUNREACH: f"Nothing answers there: {_AT_THE_ADDRESS}",
+    errno.ETIMEDOUT: f"No reply from there: {_AT_THE_ADDRESS}",
+    errno.EHOSTUNREACH: f"No reply from there: {_AT_THE_ADDRESS}",
+    errno.ENETUNREACH: f"No reply from there: {_AT_THE_ADDRESS}",
 }
 _REASONS = {errno.EAGAIN: "held by another program", errno.ENOTTY: "not a serial port"}
 
@@ -50,22 +50,22 @@ class Transport(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Whatever has arrived, waiting at most `timeout_s` for the first byte; empty when nothing came.
+        """Bytes received, waiting at most `timeout_s` for the first; empty when none came.
 
         Raises NDI-008 when the peer is gone.
         """
         ...
 
     def set_baud(self, baud: int) -> None:
-        """Switch our end of the line to another rate."""
+        """Switch our end of the line to another baud rate."""
         ...
 
     def send_break(self) -> None:
-        """Hold the line low: the unit resets itself. Does nothing where a break has no meaning."""
+        """Send a break, which resets the unit; no effect where a break has no meaning."""
         ...
 
     def close(self) -> None:
-        """Let go of the line; never raises."""
+        """Close the line; never raises."""
         ...
 
 
@@ -78,13 +78,13 @@ def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
 
 
 class _Descriptor:
-    """Reads and writes of an open file that never block longer than they are told to."""
+    """Reads and writes on a file descriptor, each with a time limit."""
 
     def __init__(self, endpoint: Endpoint, descriptor: int) -> None:
         self._endpoint = endpoint
         self._descriptor = descriptor
         self._readable = select.poll()
-        self._readable.register(descriptor, select.POLLIN)  # hang-up and error are reported unasked
+        self._readable.register(descriptor, select.POLLIN)  # poll reports hang-up and error unasked
 
     def write(self, data: bytes) -> None:
         try:
@@ -110,14 +110,14 @@ class _Descriptor:
         return data
 
     def _write_slowly(self, data: bytes) -> None:
-        """Send what did not fit into the buffers; raises NDI-008 when nobody takes it."""
+        """Send what did not fit into the buffers; raises NDI-008 when the peer does not read."""
         writable = select.poll()
         writable.register(self._descriptor, select.POLLOUT)
         until_s = time.monotonic() + WRITE_LIMIT_S
         while data:
             left_s = until_s - time.monotonic()
             if left_s <= 0 or not writable.poll(left_s * 1000):
-                raise LinkLost(f"{self._endpoint} takes no bytes", limit=f"{WRITE_LIMIT_S} s")
+                raise LinkLost(f"{self._endpoint} accepts no bytes", limit=f"{WRITE_LIMIT_S} s")
             try:
                 data = data[os.write(self._descriptor, data) :]
             except BlockingIOError:
@@ -126,7 +126,7 @@ class _Descriptor:
                 raise self._lost(error) from error
 
     def _forget(self) -> None:
-        """After closing, no read or write may reach a file that was given the same number."""
+        """After closing, no read or write may reach a file that reuses the descriptor."""
         self._descriptor = CLOSED
 
     def _lost(self, error: OSError) -> LinkLost:
@@ -134,7 +134,7 @@ class _Descriptor:
 
 
 class SerialTransport(_Descriptor):
-    """8 data bits, no parity, one stop bit, no handshake; held for us alone."""
+    """A serial port, 8N1 without handshake, opened exclusively."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         try:
@@ -142,7 +142,7 @@ class SerialTransport(_Descriptor):
         except (OSError, ValueError) as error:
             raise _unavailable(endpoint, error) from error
         super().__init__(endpoint, self._port.fileno())
-        # A USB adapter holds the end of a reply back for 16 ms, a whole frame, unless it is told not to.
+        # A USB adapter holds back the end of a reply for 16 ms, a whole frame, unless set to low latency.
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self._port.set_low_latency_mode(True)
 
@@ -154,11 +154,13 @@ class SerialTransport(_Descriptor):
         try:
             self._port.baudrate = baud
         except (OSError, ValueError, termios.error) as error:
-            raise PortUnavailable(f"{self._endpoint} cannot do {baud} baud: {_reason(error)}") from error
+            raise PortUnavailable(
+                f"{self._endpoint} does not support {baud} baud: {_reason(error)}"
+            ) from error
 
     def send_break(self) -> None:
         try:
-            # Whatever either side still holds belongs to the time before the break.
+            # Anything still buffered dates from before the break.
             termios.tcflush(self._descriptor, termios.TCIOFLUSH)
             termios.tcsendbreak(self._descriptor, BREAK_MS)
         except (OSError, termios.error) as error:
@@ -168,7 +170,7 @@ class SerialTransport(_Descriptor):
         if self._descriptor == CLOSED:
             return
         with contextlib.suppress(OSError, termios.error):
-            # A closing port waits for what it could not send; a dead peer takes nothing.
+            # Closing waits for unsent bytes, which a dead peer never takes.
             termios.tcflush(self._descriptor, termios.TCOFLUSH)
         with contextlib.suppress(OSError, termios.error):
             self._port.close()
@@ -176,7 +178,7 @@ class SerialTransport(_Descriptor):
 
 
 class TcpTransport(_Descriptor):
-    """A TCP stream without delay of small packets."""
+    """A TCP stream with TCP_NODELAY."""
 
     def __init__(self, endpoint: Endpoint, timeout_s: float) -> None:
         try:
@@ -204,7 +206,7 @@ class TcpTransport(_Descriptor):
 
 
 def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
-    """The error with the advice that fits its cause."""
+    """The error, with advice for its cause."""
     number, reason = _number(error), _reason(error)
     unavailable = PortUnavailable(f"cannot open {endpoint}: {reason}", action=_ADVICE.get(number or 0))
     unavailable.number, unavailable.reason = number, reason
@@ -212,7 +214,7 @@ def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
 
 
 def _number(error: Exception) -> int | None:
-    """The system's number of an error; pyserial hides that of a port that is none in the cause."""
+    """The errno of an error; for a file that is no port pyserial keeps it in the cause."""
     if isinstance(error, TimeoutError):
         return errno.ETIMEDOUT
     for candidate in (getattr(error, "errno", None), *getattr(error.__context__, "args", ())[:1]):

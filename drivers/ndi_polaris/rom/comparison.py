@@ -1,4 +1,4 @@
-"""What differs between two tool definitions, field by field; markers by their distance in mm."""
+"""Differences between two tool definitions, field by field; markers by their distance in mm."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CHECKSUM_BYTES = 2
 
 @dataclass(frozen=True)
 class Difference:
-    """One property that differs. `distance_mm` is the way from one marker position to the other."""
+    """One property that differs. `distance_mm` is the distance between two marker positions."""
 
     field: str
     first: str
@@ -28,9 +28,9 @@ class Difference:
 def compare_definitions(first: ToolDefinition, second: ToolDefinition) -> tuple[Difference, ...]:
     """Every difference, in the order of the fields, then the bytes that no published field explains.
 
-    The checksum is left out: it follows from the rest. Empty exactly when all other bytes agree.
+    The checksum is left out: it follows from the rest. Empty if and only if all other bytes agree.
     """
-    # as files hold them: single precision, so that a tool differs from its own file in nothing
+    # in single precision, as in files: a tool does not differ from its own file
     first, second = (decode_definition(encode_definition(tool)) for tool in (first, second))
     found: list[Difference] = []
     for property_ in FIELDS:
@@ -45,9 +45,9 @@ def compare_definitions(first: ToolDefinition, second: ToolDefinition) -> tuple[
 
 
 def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition) -> float | None:
-    """How far the two shapes differ, wherever their origins lie: the largest difference of a distance.
+    """Largest difference between segment lengths, independent of the tools' origins.
 
-    Distances are paired in the order of their length. None with unequal numbers of markers.
+    Segments are paired in order of length. None for unequal numbers of markers.
     """
     if len(first.markers_mm) != len(second.markers_mm):
         return None
@@ -70,7 +70,7 @@ def _per_marker(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...]) -> li
 
 
 def _unexplained(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Difference]:
-    """Runs of differing bytes outside every field, or inside one whose value is nevertheless the same."""
+    """Runs of differing bytes outside all fields, or inside a field whose value is the same."""
     told = {difference.field.removeprefix("number of ").partition("[")[0] for difference in named}
     explained = set(range(layout.CHECKSUM_OFFSET, layout.CHECKSUM_OFFSET + CHECKSUM_BYTES))
     for property_ in FIELDS:

@@ -1,4 +1,4 @@
-"""Tool definitions: what a .rom says, read and written by this code. Lengths mm, in the tool's own frame."""
+"""Tool definitions: reading and writing .rom files. Lengths in mm, in the tool's own frame."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class ToolDefinition:
     main_type: int = layout.MAIN_TYPE_REFERENCE
     subtype: int = layout.MAIN_TYPE_REFERENCE - layout.SUBTYPE_BELOW_TYPE
     revision: int = 0
-    sequence: int = 1  # with the date, the serial number; some clients never accept serial number 0
+    sequence: int = 1  # with the date, the serial number; some clients do not accept 0
     maximum_angle_deg: int = 90
     minimum_markers: int = 3
     maximum_error_mm: float = 1.0
     minimum_spread_mm: Vector3 = (0.0, 0.0, 0.0)
     unique_geometry: bool = True
     marker_type: int = layout.MARKER_PASSIVE_SPHERE
-    # The bytes it was read from: they hold more than is known, and all of it is written back.
+    # The bytes it was read from: unknown content is written back unchanged.
     origin: bytes = field(default_factory=blank_block, compare=False, repr=False)
 
 
@@ -50,7 +50,7 @@ def planar_tool(
     manufacturer: str,
     made_on: date,
 ) -> ToolDefinition:
-    """A tool with one face whose markers all look along `normal`, as most passive rigid bodies are."""
+    """A tool with one face whose markers all face along `normal`, like most passive rigid bodies."""
     return ToolDefinition(
         part_number=part_number,
         markers_mm=markers_mm,
@@ -63,14 +63,14 @@ def planar_tool(
 
 
 def face_normal_of(normal: Vector3) -> Vector3:
-    """Normal of a face whose markers look along `normal`: real files give it the opposite sense."""
+    """Normal of a face whose markers face along `normal`: real files give the opposite direction."""
     return -normal[0] or 0.0, -normal[1] or 0.0, -normal[2] or 0.0
 
 
 def encode_definition(tool: ToolDefinition) -> bytes:
-    """The 752 bytes of a .rom; raises NDI-011 when the definition is not possible.
+    """The 752 bytes of a .rom; raises NDI-011 for an impossible definition.
 
-    A definition that was read and not changed gives the very bytes that were read.
+    An unchanged definition gives exactly the bytes that were read.
     """
     _check(tool)
     block = bytearray(tool.origin)
@@ -83,11 +83,11 @@ def encode_definition(tool: ToolDefinition) -> bytes:
 
 
 def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
-    """Read a .rom, zero padding allowed; raises NDI-011 with what is wrong with it."""
+    """Parse the bytes of a .rom, zero padding allowed; raises NDI-011."""
     if not layout.ROM_BYTES <= len(block) <= layout.ROM_FILE_LIMIT_BYTES or any(block[layout.ROM_BYTES :]):
         raise BadToolFile(f"{name} has {len(block)} bytes", expected=f"{layout.ROM_BYTES} bytes")
     if block[: len(layout.ROM_MAGIC)] != layout.ROM_MAGIC:
-        raise BadToolFile(f"{name} is not a tool definition", expected="a file that begins with NDI")
+        raise BadToolFile(f"{name} is not a tool definition", expected="a file that starts with NDI")
     (claimed,) = struct.unpack_from("<H", block, layout.CHECKSUM_OFFSET)
     if claimed != checksum(block):
         raise BadToolFile(
@@ -113,7 +113,7 @@ def read_definition(path: Path) -> ToolDefinition:
 
 
 def definition_hash(tool: ToolDefinition) -> str:
-    """SHA-256 of the 752 bytes, in hex: two tools with the same hash are the same definition."""
+    """SHA-256 of the 752 bytes, in hex."""
     return hashlib.sha256(encode_definition(tool)).hexdigest()
 
 
@@ -129,11 +129,13 @@ def _check(tool: ToolDefinition, name: str = "") -> None:
     if not 1 <= len(tool.face_normals) <= layout.ROM_FACES or not all(
         1 <= face <= len(tool.face_normals) for face in tool.faces
     ):
-        raise BadToolFile(f"{where} names a face that it does not have", limit=f"1 to {layout.ROM_FACES}")
+        raise BadToolFile(f"{where} has a face number out of range", limit=f"1 to {layout.ROM_FACES}")
     if not layout.ROM_MINIMUM_MARKERS <= tool.minimum_markers <= count:
-        raise BadToolFile(f"{where} needs {tool.minimum_markers} of {count} markers", limit=f"3 to {count}")
+        raise BadToolFile(
+            f"{where} has a minimum of {tool.minimum_markers} of {count} markers", limit=f"3 to {count}"
+        )
     numbers = [value for vector in (*tool.markers_mm, *tool.normals, *tool.face_normals) for value in vector]
     if not all(math.isfinite(value) for value in (*numbers, tool.maximum_error_mm, *tool.minimum_spread_mm)):
-        raise BadToolFile(f"{where} holds numbers that are not finite")
+        raise BadToolFile(f"{where} contains numbers that are not finite")
     if tool.maximum_error_mm <= 0 or not 0 <= tool.maximum_angle_deg <= LARGEST_ANGLE_DEG:
         raise BadToolFile(f"{where} has an impossible maximum error or angle")

@@ -1,9 +1,9 @@
-"""A tool in plain words: the TOML from which `ronna-rom make` writes a definition.
+"""Tool description: the TOML from which `ronna-rom make` writes a definition.
 
     part_number = "POINTER-1"
     markers_mm = [[0, 0, 0], [0, 50, 0], [0, 100, 0]]
 
-is enough; everything else has a default that suits a passive tool with one face.
+is enough; the defaults suit a passive tool with one face.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ Byte = Annotated[int, Field(ge=0, le=LARGEST_BYTE)]
 
 
 class ToolDescription(Strict):
-    """What a toolmaker says of a tool; lengths in mm in the tool's own frame."""
+    """A tool as its maker describes it; lengths in mm, in the tool's own frame."""
 
     part_number: Annotated[str, Field(min_length=1, max_length=layout.PART_NUMBER_BYTES)]
     markers_mm: Annotated[tuple[Numbers3, ...], Field(min_length=3, max_length=layout.ROM_MARKERS)]
@@ -79,21 +79,21 @@ class ToolDescription(Strict):
             if len(getattr(self, name)) not in (1, count):
                 raise ValueError(f"{name} needs 1 or {count} entries")
         if len(set(self.faces)) != max(self.faces):
-            raise ValueError("faces are numbered from 1 without a gap")
+            raise ValueError("faces must be numbered from 1 without a gap")
         if self.face_normals and len(self.face_normals) != max(self.faces):
             raise ValueError(f"face_normals needs {max(self.faces)} entries")
         if any(math.hypot(*normal) == 0 for normal in (*self.normals, *self.face_normals)):
-            raise ValueError("a normal of length 0 has no direction")
+            raise ValueError("a normal has length 0")
         if self.main_type not in MAIN_TYPES:
-            raise ValueError(f"main_type is none of {', '.join(MAIN_TYPES)}")
+            raise ValueError(f"main_type must be one of {', '.join(MAIN_TYPES)}")
         if self.marker_type not in MARKER_TYPES:
-            raise ValueError(f"marker_type is none of {', '.join(MARKER_TYPES)}")
+            raise ValueError(f"marker_type must be one of {', '.join(MARKER_TYPES)}")
         if not FIRST_YEAR <= self.made_on.year <= LAST_YEAR:
-            raise ValueError(f"made_on must lie in {FIRST_YEAR} to {LAST_YEAR}")
+            raise ValueError(f"made_on must be from {FIRST_YEAR} to {LAST_YEAR}")
         return self
 
     def definition(self) -> ToolDefinition:
-        """The definition that the description asks for; raises NDI-011 for what no definition can hold."""
+        """The definition described; raises NDI-011 for what no definition can express."""
         count = len(self.markers_mm)
         normals = tuple(_unit(normal) for normal in self.normals)
         normals = normals * count if len(normals) == 1 else normals
@@ -123,7 +123,7 @@ class ToolDescription(Strict):
 
 
 def read_description(path: Path) -> ToolDescription:
-    """Read a description; raises NDI-011 with every mistake in it."""
+    """Read a description; raises NDI-011 listing every mistake."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -131,7 +131,7 @@ def read_description(path: Path) -> ToolDescription:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise BadToolFile(f"{path.name} is not TOML: {error}", action="Correct the description.") from error
     try:
-        # by way of JSON: strict types, but a list may stand for a tuple and a text for a date
+        # via JSON: strict types, but lists are accepted for tuples and text for dates
         return ToolDescription.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
         mistakes = describe_mistakes(error)
@@ -142,7 +142,7 @@ def read_description(path: Path) -> ToolDescription:
 
 
 def describe(tool: ToolDefinition) -> dict[str, Any]:
-    """A definition as plain data in the form of a description: what `make` turns into the same tool."""
+    """A definition in the form of a description, from which `make` writes the same tool."""
     return {
         "part_number": tool.part_number,
         "manufacturer": tool.manufacturer,
@@ -173,7 +173,7 @@ def _rounded(vector: Vector3) -> list[float]:
 
 
 def _single(value: float) -> float:
-    """The shortest number of which single precision, as files hold it, makes the same."""
+    """The shortest number that is the same in single precision, as in files."""
     return float(f"{value:.7g}")
 
 
@@ -188,7 +188,7 @@ def _opposite(normals: tuple[Vector3, ...], faces: tuple[int, ...], face: int) -
     x, y, z = (sum(values) for values in zip(*members, strict=True))
     if math.hypot(x, y, z) == 0:
         raise BadToolFile(
-            f"the markers of face {face} look in opposite directions",
-            action="Give them faces of their own, or give face_normals.",
+            f"the normals of face {face} cancel each other",
+            action="Give these markers faces of their own, or give face_normals.",
         )
     return face_normal_of(_unit((x, y, z)))

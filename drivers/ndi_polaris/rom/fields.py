@@ -1,7 +1,7 @@
-"""Where each property of a tool definition lives in the 752 bytes, and how it is read and written there.
+"""Fields of a tool definition: offset, reading and writing of each property in the 752 bytes.
 
-A property is written only where it differs from what the bytes say already. So bytes whose meaning nobody
-has published, and the ways in which a foreign file pads or rounds, survive reading and writing unchanged.
+A property is written only where it differs from the bytes already there, so that unpublished content and the
+padding and rounding of foreign files survive reading and writing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Bits = tuple[int, int]  # lowest bit, number of bits
 
 @dataclass(frozen=True)
 class Field:
-    """One property: its name in `ToolDefinition`, its bytes (offset, length), and both directions."""
+    """One property: its name in `ToolDefinition`, its bytes (offset, length), reader and writer."""
 
     name: str
     spans: tuple[tuple[int, int], ...]
@@ -32,7 +32,7 @@ class Field:
 
 
 def blank_block() -> bytes:
-    """A definition without content: the bytes that are the same in every real file."""
+    """An empty definition: the bytes that are the same in every real file."""
     block = bytearray(layout.ROM_BYTES)
     block[: len(layout.ROM_MAGIC)] = layout.ROM_MAGIC
     block[layout.CONSTANT_ONE_OFFSET] = 1
@@ -44,7 +44,7 @@ def blank_block() -> bytes:
 
 
 def checksum(block: bytes | bytearray) -> int:
-    """Sum of all bytes behind the checksum; zero padding changes nothing."""
+    """Sum of all bytes after the checksum; zero padding does not change it."""
     return sum(block[layout.CHECKSUM_FROM :]) & 0xFFFF
 
 
@@ -68,7 +68,7 @@ def _text(name: str, offset: int, size: int) -> Field:
         try:
             encoded = value.encode("ascii")
         except UnicodeEncodeError as error:
-            raise BadToolFile(f"{value!r} is not plain ASCII") from error
+            raise BadToolFile(f"{value!r} is not ASCII") from error
         if len(encoded) > size:
             raise BadToolFile(f"{value!r} is too long", limit=f"{size} characters")
         block[offset : offset + size] = encoded.ljust(size, b"\0")
@@ -92,7 +92,7 @@ def _count(block: bytes | bytearray) -> int:
 
 def _write_markers(block: bytearray, markers_mm: tuple[Vector3, ...]) -> None:
     count = len(markers_mm)
-    if count != _count(block):  # slots begin or end to be used: nothing of a former marker stays behind
+    if count != _count(block):  # slots come into use or fall free: clear what a former marker left
         block[layout.MARKER_COUNT_OFFSET] = count
         for offset in (layout.MARKER_POSITIONS_OFFSET, layout.MARKER_NORMALS_OFFSET):
             block[offset : offset + _MARKER_VECTORS_BYTES] = bytes(_MARKER_VECTORS_BYTES)
@@ -131,7 +131,7 @@ def _write_bits(block: bytearray, bits: Bits, value: int) -> None:
 
 
 def _read_date(block: bytes) -> date:
-    # The day of the year decides; the month field repeats it and is not needed.
+    # The month field is redundant: the day of the year decides.
     first = date(layout.SERIAL_FIRST_YEAR + _read_bits(block, layout.SERIAL_YEAR_BITS), 1, 1)
     return first + timedelta(days=_read_bits(block, layout.SERIAL_DAY_BITS))
 
@@ -148,7 +148,7 @@ def _write_flag(block: bytearray, unique: bool) -> None:
 
 
 _SERIAL = ((layout.SERIAL_OFFSET, 4),)
-# Markers first: their number says how many normals and faces there are.
+# Markers first: their number gives the number of normals and faces.
 FIELDS: tuple[Field, ...] = (
     Field(
         "markers_mm",

@@ -1,1 +1,1 @@
-"""Tools in the unit: handles, loading, checks, and the definitions that come with the driver."""
+"""Tools in the unit: port handles, loading, verification, and the definitions shipped with the driver."""

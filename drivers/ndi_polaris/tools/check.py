@@ -1,4 +1,4 @@
-"""Ask the unit which tool it holds on a handle, and compare it with the definition that was sent there."""
+"""Verify by PHINF that a handle holds the tool whose definition was sent to it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from drivers.ndi_polaris.line.command_link import CommandLink
 from drivers.ndi_polaris.rom.definition import ToolDefinition, encode_definition
 from ronna_hw.wire.polaris_rom import SERIAL_OFFSET
 
-# PHINF 0005: tool information (33 characters) and part number (20), without anything between them.
+# PHINF 0005: tool information (33 characters), then part number (20).
 TOOL_AND_PART_NUMBER = "0005"
 SERIAL = slice(23, 31)
 PART_NUMBER = slice(33, 53)
@@ -16,9 +16,9 @@ PART_NUMBER = slice(33, 53)
 def check_handle(
     link: CommandLink, handle: int, name: str, definition: ToolDefinition, deadline_s: float
 ) -> str | None:
-    """A note when serial or part number is another one; raises NDI-013 when both are.
+    """A notice when serial or part number differs; raises NDI-013 when both do.
 
-    Either byte order of the serial number is right: firmware differs. A unit that cannot say is believed.
+    Either byte order of the serial number is accepted: firmware differs. A unit without PHINF is trusted.
     """
     try:
         text = link.ask("PHINF", f"{handle:02X}{TOOL_AND_PART_NUMBER}", deadline_s=deadline_s)
@@ -33,7 +33,5 @@ def check_handle(
     expected = f"part number {definition.part_number}, serial number {sent[::-1].hex().upper()}"
     told = f"part number {part_number or '-'}, serial number {serial or '-'}"
     if not same_serial and not same_part_number:
-        raise ForeignTool(
-            f"the unit holds another tool than {name} on handle {handle:02X}", expected=expected, got=told
-        )
-    return f"{name}: the unit tells {told}, its definition {expected}"
+        raise ForeignTool(f"handle {handle:02X} holds another tool than {name}", expected=expected, got=told)
+    return f"{name}: the unit reports {told}, the definition has {expected}"

@@ -1,4 +1,4 @@
-"""Can tools be told apart? By the distances between their markers, which is all that the unit sees."""
+"""Unique geometry: tools are told apart only by the distances between their markers."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from drivers.ndi_polaris.errors import SameGeometry
 from drivers.ndi_polaris.rom.definition import ToolDefinition
 from ronna_hw.devices.readings import Vector3
 
-# Segments nearer to each other than this may be confused (U): "a few mm"; the vendor's own tools keep 5 mm.
+# Segments closer in length than this may be confused: "a few mm" by the guide; NDI's own tools keep 5 mm.
 SEGMENT_TOLERANCE_MM = 3.5
-TRIANGLE_TOLERANCE_MM = 2.0  # triangles this alike are one triangle to the unit: such tools are refused
+TRIANGLE_TOLERANCE_MM = 2.0  # triangles within this are the same to the unit: such tools are refused
 TRIANGLE_CORNERS = 3
 
 
 @dataclass(frozen=True)
 class AlikeSegments:
-    """Two distances between markers that are too alike; `second_tool` is `first_tool` within one tool."""
+    """Two marker distances that are too similar; `second_tool` is `first_tool` within one tool."""
 
     first_tool: str
     second_tool: str
@@ -29,19 +29,19 @@ class AlikeSegments:
     def __str__(self) -> str:
         lengths = f"{self.first_mm:.1f} and {self.second_mm:.1f} mm"
         if self.first_tool == self.second_tool:
-            return f"{self.first_tool}: distances {lengths} between its markers are too alike"
-        return f"{self.first_tool} and {self.second_tool} share a distance: {lengths}"
+            return f"{self.first_tool}: marker distances {lengths} are too similar"
+        return f"{self.first_tool} and {self.second_tool} share a marker distance: {lengths}"
 
 
 def segment_lengths_mm(markers_mm: tuple[Vector3, ...]) -> tuple[float, ...]:
-    """Distances between all pairs of markers, ascending, mm."""
+    """Distances between all pairs of markers in mm, ascending."""
     return tuple(sorted(math.dist(a, b) for a, b in itertools.combinations(markers_mm, 2)))
 
 
 def alike_segments_mm(
     tool: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
 ) -> tuple[tuple[float, float], ...]:
-    """Neighbouring segment lengths of one tool that are too alike; empty for a unique geometry."""
+    """Segment lengths of one tool that are too similar; empty for a unique geometry."""
     lengths = segment_lengths_mm(tool.markers_mm)
     return tuple((a, b) for a, b in itertools.pairwise(lengths) if b - a < tolerance_mm)
 
@@ -49,7 +49,7 @@ def alike_segments_mm(
 def shared_segments_mm(
     first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
 ) -> tuple[tuple[float, float], ...]:
-    """Segment lengths of two tools that are too alike, as (of the first, of the second)."""
+    """Segment lengths of two tools that are too similar, as (first, second)."""
     theirs = segment_lengths_mm(second.markers_mm)
     return tuple(
         (a, b) for a in segment_lengths_mm(first.markers_mm) for b in theirs if abs(a - b) < tolerance_mm
@@ -59,7 +59,7 @@ def shared_segments_mm(
 def find_alike(
     tools: Mapping[str, ToolDefinition], tolerance_mm: float = SEGMENT_TOLERANCE_MM
 ) -> tuple[AlikeSegments, ...]:
-    """All segments that break the rules of unique geometry, within each tool and between every two."""
+    """All segments that break the unique-geometry rules, within each tool and between every two."""
     within = [
         AlikeSegments(name, name, *pair)
         for name, tool in tools.items()
@@ -76,7 +76,7 @@ def find_alike(
 def shared_triangle(
     first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
 ) -> bool:
-    """True when some three markers of one tool lie like some three of the other."""
+    """True when three markers of one tool are congruent with three of the other."""
     triangles = [
         segment_lengths_mm(corners) for corners in itertools.combinations(second.markers_mm, TRIANGLE_CORNERS)
     ]

@@ -1,4 +1,4 @@
-"""Load the tools of the theatre file into the unit: a handle, a definition and a check for each."""
+"""Load the tools of the theatre file into the unit: handle, definition and verification of each."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from ronna_hw.wire.polaris import (
 
 @dataclass(frozen=True)
 class LoadedTool:
-    """A tool and the handle that the unit gave it; the dummy tool has neither name nor definition."""
+    """A tool and its port handle; the dummy tool has neither name nor definition."""
 
     handle: int
     name: str | None
     definition: ToolDefinition | None
 
     @cached_property
-    def reach_mm(self) -> float:
-        """Distance of the farthest marker from the tool's origin."""
+    def radius_mm(self) -> float:
+        """Distance of the outermost marker from the tool's origin."""
         markers_mm = self.definition.markers_mm if self.definition else ()
         return max((math.hypot(*marker) for marker in markers_mm), default=0.0)
 
@@ -47,9 +47,9 @@ def load_tools(
 ) -> tuple[LoadedTool, ...]:
     """Free all handles, then load, initialise and enable each tool; `note` receives warnings.
 
-    Without tools the dummy passive tool is loaded, because a unit sees strays only while a passive handle
-    is enabled. A reply lost to PHRQ starts the loading over once, since asking twice would leave a handle
-    without owner. Raises NDI-03x of the tool that is refused, NDI-013 when the unit holds another one.
+    Without tools the dummy passive tool is loaded, because a unit sees strays only while a passive handle is
+    enabled. If the reply to PHRQ is lost, loading starts over once: repeating PHRQ would leak a handle.
+    Raises NDI-03x for a tool that the unit refuses, NDI-013 when it holds another one.
     """
     wanted = tuple(tools)
     try:
@@ -82,7 +82,7 @@ def _load(
     enabled = list_handles(link, HandleQuery.ENABLED, deadline_s)
     if missing := [tool for tool in loaded if tool.handle not in enabled]:
         raise MalformedReply(
-            "the unit does not list a tool as enabled that it has enabled",
+            "a tool that was enabled is not listed as enabled",
             expected=", ".join(f"{tool.handle:02X}" for tool in missing),
         )
     return tuple(loaded)
@@ -101,4 +101,4 @@ def _initialise(
     if (warning := warning_meaning(reply)) is not None:
         note(f"{name}: {warning}")
     elif reply != REPLY_OKAY:
-        raise MalformedReply("PINIT has an unknown answer", wire=reply.encode())
+        raise MalformedReply("unknown reply to PINIT", wire=reply.encode())

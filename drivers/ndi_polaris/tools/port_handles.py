@@ -1,4 +1,4 @@
-"""The unit's port handles: ask for one, list them, give them back."""
+"""Port handles of the unit: request, list, free."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ PHSR_BYTES = 2048  # more than 255 handles of five digits each
 
 
 def request_handle(link: CommandLink, argument: str, deadline_s: float) -> int:
-    """A new handle by PHRQ. Never asked twice: a lost answer would leave a handle without owner."""
+    """A new handle by PHRQ, which is never repeated: a lost reply would leak a handle."""
     text = link.ask("PHRQ", argument, deadline_s=deadline_s, retry=False)
     try:
         handle = int(text, 16)
     except ValueError as error:
-        raise MalformedReply("PHRQ gives no handle", wire=text.encode()) from error
+        raise MalformedReply("PHRQ returned no handle", wire=text.encode()) from error
     if not handle:
-        raise MalformedReply("PHRQ gives the handle 00", wire=text.encode())
+        raise MalformedReply("PHRQ returned handle 00", wire=text.encode())
     return handle
 
 
 def free_handles(link: CommandLink, deadline_s: float | None) -> None:
-    """Free every handle that the unit has given out, to us or to an earlier client."""
+    """Free every allocated handle, ours or an earlier client's."""
     for handle in list_handles(link, HandleQuery.ALL, deadline_s):
         free_handle(link, handle, deadline_s)
 
 
 def free_handle(link: CommandLink, handle: int, deadline_s: float | None) -> None:
-    """Free one handle; a handle that is free already is no error."""
+    """Free one handle; freeing a free one is not an error."""
     try:
         link.ask("PHF", f"{handle:02X}", deadline_s=deadline_s)
     except HandleRefused:
@@ -37,7 +37,7 @@ def free_handle(link: CommandLink, handle: int, deadline_s: float | None) -> Non
 
 
 def list_handles(link: CommandLink, query: HandleQuery, deadline_s: float | None) -> dict[int, PortStatus]:
-    """Handles of one kind with their status, from PHSR."""
+    """Handles selected by a PHSR query, with their status."""
     text = link.ask("PHSR", f"{query.value:02X}", deadline_s=deadline_s, reply_bytes=PHSR_BYTES)
     width = HANDLE_DIGITS + PHSR_STATUS_DIGITS
     try:
@@ -45,7 +45,7 @@ def list_handles(link: CommandLink, query: HandleQuery, deadline_s: float | None
         records = [text[2 + k * width : 2 + (k + 1) * width] for k in range(count)]
         handles = {int(r[:HANDLE_DIGITS], 16): PortStatus(int(r[HANDLE_DIGITS:], 16)) for r in records}
     except ValueError as error:
-        raise MalformedReply("PHSR has an unknown form", wire=text.encode()) from error
+        raise MalformedReply("unknown form of PHSR", wire=text.encode()) from error
     if len(text.rstrip()) != 2 + count * width or len(handles) != count:
-        raise MalformedReply(f"PHSR announces {count} handles and sends others", wire=text.encode())
+        raise MalformedReply(f"PHSR announces {count} handles but sends another number", wire=text.encode())
     return handles

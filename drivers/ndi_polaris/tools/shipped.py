@@ -1,4 +1,4 @@
-"""The tool definitions that come with the driver.
+"""The tool definitions shipped with the driver.
 
 `python -P -m drivers.ndi_polaris.tools.shipped` writes them again; a test compares the committed files.
 """
@@ -22,10 +22,9 @@ def shipped_definitions() -> dict[str, ToolDefinition]:
 
 
 def find_definition(path: Path, folder: Path | None = None) -> Path:
-    """The file that a path means: relative paths begin in `folder`, or where the program was started.
+    """Resolve the path of a definition; relative paths start at `folder`, or the working directory.
 
-    A bare name that is not there, with or without `.rom`, means the definition of that name that comes with
-    the driver.
+    A bare name of no existing file, with or without `.rom`, is the shipped definition of that name.
     """
     found = path if folder is None else folder / path
     shipped = FOLDER / f"{path.stem}.rom"
@@ -34,7 +33,7 @@ def find_definition(path: Path, folder: Path | None = None) -> Path:
 
 
 def main() -> None:
-    """Write every shipped definition."""
+    """Write all shipped definitions."""
     FOLDER.mkdir(exist_ok=True)
     for name, tool in shipped_definitions().items():
         (FOLDER / name).write_bytes(encode_definition(tool))

@@ -14,5 +14,5 @@ DEFINED_ON = date(2025, 1, 7)
 
 
 def x_frame() -> ToolDefinition:
-    """The definition of the x-shaped frame; markers in mm in the frame itself, seen from outside."""
+    """The definition of the x-shaped frame; markers in mm in its own frame, facing outwards."""
     return planar_tool(PART_NUMBER, SPHERE_CENTRES_MM, OUTWARD, manufacturer=MANUFACTURER, made_on=DEFINED_ON)

@@ -1,1 +1,1 @@
-"""From TSTART to TSTOP: requests, replies and readings."""
+"""Tracking: requests, replies, frame clock and readings."""

@@ -16,14 +16,14 @@ _SYSTEM_STATUS = struct.Struct("<H")
 
 
 def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
-    """Decode a body whose CRC has been checked; `strays` says whether option 1000 was asked for.
+    """Decode a body whose CRC has been checked; `strays`: option 1000 was requested.
 
-    Raises NDI-006 when the body has not the shape of the options.
+    Raises NDI-006 when the body does not match the options.
     """
     try:
         return _decode(body, strays)
     except (struct.error, IndexError) as error:
-        raise MalformedReply("a BX reply ends too early", wire=body) from error
+        raise MalformedReply("a BX reply is too short", wire=body) from error
 
 
 def _decode(body: bytes, with_strays: bool) -> TrackingReply:
@@ -44,14 +44,14 @@ def _decode(body: bytes, with_strays: bool) -> TrackingReply:
         elif status == HandleStatus.DISABLED:
             handles.append(HandleReport(number, HandleState.DISABLED))
         else:
-            raise MalformedReply(f"BX gives handle {number:02X} the unknown status {status:02X}", wire=body)
+            raise MalformedReply(f"BX: unknown status {status:02X} of handle {number:02X}", wire=body)
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
     if with_strays:
         positions, outside, at = _strays(body, at)
     (system,) = _SYSTEM_STATUS.unpack_from(body, at)
     if at + _SYSTEM_STATUS.size != len(body):
-        raise MalformedReply("a BX reply is longer than its content", wire=body)
+        raise MalformedReply("a BX reply is too long", wire=body)
     return TrackingReply(tuple(handles), positions, outside, system)
 
 
@@ -62,10 +62,10 @@ def _strays(body: bytes, at: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...]
     bits = int.from_bytes(body[at + 1 : at + 1 + (count + 7) // 8], "little")
     outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
     at += 1 + (count + 7) // 8
-    # Units may leave the positions outside the volume out; what remains tells which was done.
+    # Units may omit positions outside the volume; the remaining length shows whether they did.
     sent, odd = divmod(len(body) - _SYSTEM_STATUS.size - at, _POSITION.size)
     if odd or sent not in (count, count - sum(outside)):
-        raise MalformedReply(f"BX announces {count} strays and sends {sent}", wire=body)
+        raise MalformedReply(f"BX announces {count} strays but sends {sent}", wire=body)
     flat = struct.unpack_from(f"<{3 * sent}f", body, at)
     positions = tuple(zip(flat[0::3], flat[1::3], flat[2::3], strict=True))
     return positions, outside if sent == count else None, at + sent * _POSITION.size

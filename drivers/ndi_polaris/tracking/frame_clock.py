@@ -1,9 +1,9 @@
-"""The unit's clock, told by its frame numbers: 60 a second, on a line through the theatre's time.
+"""The unit's clock: frame numbers at 60 per second, fitted to theatre time by a line.
 
-A reply is late by a delay that is never negative, so the replies with the least delay lie along the lower
-edge of time over frame number. Each second the least late reply is kept; the slope is the median over all
-pairs of these (Theil and Sen), the height the lowest line that no reply lies under. What cannot be told
-apart from it is the delay that every reply has: the unit's own processing and the transfer.
+The delay of a reply is never negative, so the replies with the least delay lie on the lower edge of time over
+frame number. The least delayed reply of each second is kept; the slope is the median over all pairs of these
+(Theil-Sen), the intercept that of the lowest line with no reply below it. The delay common to all replies,
+the unit's processing and the transfer, cannot be separated from it.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from ronna_hw.wire.polaris import FRAME_RATE_HZ, TX_FRAME_DIGITS
 
 FRAME_NUMBERS = 16**TX_FRAME_DIGITS  # the number wraps after 2.3 years
 NOMINAL_PERIOD_S = 1.0 / FRAME_RATE_HZ
-WINDOW_FRAMES = 60  # one second: long enough to hold a reply that was hardly delayed
+WINDOW_FRAMES = 60  # one second: long enough to contain a reply with hardly any delay
 WINDOWS_KEPT = 60  # a minute; the drift of a quartz is steady for longer
-LEAST_WINDOWS = 10  # before that the jitter of the delay says more about the slope than the drift does
-LARGEST_DRIFT = 1e-3  # a quartz keeps 1e-4; beyond this the nominal rate is the better guess
-JUMP_S = 1.0  # a reply this much too early belongs to a counter that somebody else has set
+LEAST_WINDOWS = 10  # with fewer the jitter dominates the slope
+LARGEST_DRIFT = 1e-3  # a quartz is within 1e-4; beyond this the nominal rate is the better estimate
+JUMP_S = 1.0  # a reply this early means that another client has reset the counter
 
 
 @dataclass(frozen=True)
 class ClockFit:
     """Theatre time of frame n: `origin_s` + n `period_s`. `drift_ppm` > 0: the unit's clock is slow.
 
-    `jitter_s` is the median delay of the windows' least late replies above the line.
+    `jitter_s` is the median delay above the line of the least delayed reply of each window.
     """
 
     origin_s: float
@@ -43,22 +43,22 @@ class ClockFit:
 
 
 class FrameClock:
-    """Frame numbers of one run of tracking: counted on across a wrap, and fitted to the theatre's time."""
+    """Frame numbers of one run of tracking, unwrapped and fitted to theatre time."""
 
     def __init__(self) -> None:
-        self.jumps = 0  # how often the counter was found to be another one
+        self.jumps = 0  # resets of the counter that were noticed
         self._begin()
 
     def _begin(self) -> None:
         self._kept: deque[tuple[int, float]] = deque(maxlen=WINDOWS_KEPT)
         self._window = 0
-        self._earliest: tuple[int, float] | None = None  # of the present window
+        self._earliest: tuple[int, float] | None = None  # of the current window
         self._earliest_origin_s = math.inf
         self._origin_s: float | None = None
         self._period_s = NOMINAL_PERIOD_S
 
     def note(self, count: int, arrived_s: float) -> float:
-        """Take a reply for frame `count` into account; theatre time of that frame by the fit."""
+        """Add a reply for frame `count`; returns the fitted theatre time of that frame."""
         if self._origin_s is not None and arrived_s < self._time_s(self._origin_s, count) - JUMP_S:
             self.jumps += 1
             self._begin()
@@ -75,7 +75,7 @@ class FrameClock:
 
     @property
     def fit(self) -> ClockFit | None:
-        """The line as it stands; None before the first reply."""
+        """The current fit; None before the first reply."""
         if self._origin_s is None:
             return None
         delays = [arrived - self._origin_s - count * self._period_s for count, arrived in self._kept]
@@ -97,7 +97,7 @@ class FrameClock:
 
 
 def counted_on(number: int, last: int | None) -> int:
-    """The frame number without its wraps: the count nearest to `last` that ends in `number`.
+    """The unwrapped frame number: the count nearest to `last` that is `number` modulo its range.
 
     A result below `last` is an older frame.
     """

@@ -1,4 +1,4 @@
-"""From the unit's reply to readings: names for handles, validities, and strays that are really strays."""
+"""From a reply to readings: tool names, validities, and strays that belong to no tool."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from ronna_hw.devices.readings import (
 )
 from ronna_hw.wire.polaris import PortStatus
 
-NORM_TOLERANCE = 1e-2  # rounding in TX moves the norm by 1e-4; more than this is no rotation
-FARTHEST_MM = 9999.99  # what the unit's own text format can say
-DISTURBED = 0x7F00  # above the low byte every bit says that something disturbed the measurement
+NORM_TOLERANCE = 1e-2  # rounding in TX changes the norm by 1e-4; beyond this it is not a rotation
+FARTHEST_MM = 9999.99  # limit of the unit's text format
+DISTURBED = 0x7F00  # every bit above the low byte reports a disturbed measurement
 REMARKABLE_PORT_STATUS = int(PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME) | DISTURBED
 
 
 def frame_number(reply: TrackingReply) -> int:
-    """Number of the frame that the reply belongs to; raises NDI-006 when no handle carries one."""
+    """Frame number of the reply; raises NDI-006 when no handle carries one."""
     number: int | None = None
     for report in reply.handles:
         if report.frame is not None and (number is None or report.frame > number):
@@ -47,9 +47,9 @@ def assemble(
     volume: MeasuringVolume | None,
     stray_to_marker_mm: float,
 ) -> TrackerFrame:
-    """One frame of readings. A repeated frame number is STALE, a doubtful system status PARTIAL.
+    """One frame of readings; STALE for a repeated frame, PARTIAL for a doubtful system status.
 
-    `frame` is the number that the reply gives itself.
+    `frame` is the frame number of the reply.
     """
     reports = {report.handle: report for report in reply.handles}
     readings = []
@@ -97,29 +97,29 @@ def _strays(
     strays = []
     for index, position in enumerate(reply.strays_mm):
         if not _sane(position):
-            continue  # no place, no reading: a stray is nothing but its place
+            continue  # a stray is nothing but its position
         if any(_is_marker_of(tool, reading, position, nearest_mm) for tool, reading in seen):
             continue
         inside = volume.contains(position) if volume is not None else None
-        if inside is None:  # the volume is not known: the unit's own word has to do
+        if inside is None:  # unknown volume: rely on the unit's own bit
             inside = reply.stray_outside is None or not reply.stray_outside[index]
         strays.append(StrayReading(position, Validity.OK if inside else Validity.OUT_OF_VOLUME))
     return tuple(strays)
 
 
 def _is_marker_of(tool: LoadedTool, reading: ToolReading, position: Vector3, nearest_mm: float) -> bool:
-    """True when the stray is one of the tool's own markers, seen on its own account."""
+    """True when the stray is one of the tool's own markers."""
     assert tool.definition is not None
     assert reading.rotation is not None
     assert reading.position_mm is not None
-    if math.dist(position, reading.position_mm) > tool.reach_mm + nearest_mm:
+    if math.dist(position, reading.position_mm) > tool.radius_mm + nearest_mm:
         return False
     placed = _placed(tool.definition.markers_mm, reading.rotation, reading.position_mm)
     return any(math.dist(position, marker) < nearest_mm for marker in placed)
 
 
 def _unit(rotation: Quaternion) -> Quaternion | None:
-    """The quaternion with norm 1 and a scalar part that is not negative; None when it is no rotation."""
+    """The quaternion normalised, scalar part >= 0; None when it is not a rotation."""
     q0, qx, qy, qz = rotation
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
     if not abs(norm - 1.0) <= NORM_TOLERANCE:  # also true for NaN

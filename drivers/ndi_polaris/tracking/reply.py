@@ -1,4 +1,4 @@
-"""What one TX or BX reply says, before it is judged. Both decoders give this."""
+"""Content of a TX or BX reply as sent, the common result of both decoders."""
 
 from __future__ import annotations
 
@@ -34,5 +34,5 @@ class TrackingReply(NamedTuple):
 
     handles: tuple[HandleReport, ...]
     strays_mm: tuple[Vector3, ...]
-    stray_outside: tuple[bool, ...] | None  # as the unit says; None when it left the outside ones out
+    stray_outside: tuple[bool, ...] | None  # the unit's bits; None when it omitted those outside
     system_status: int  # bits of SystemStatus

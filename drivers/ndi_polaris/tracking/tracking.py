@@ -39,11 +39,11 @@ class TrackingStatistics:
 
     frames: int = 0
     repeated: int = 0
-    missed: int = 0  # measurements that the unit made between two of our requests
+    missed: int = 0  # measurements made between two of our requests
 
 
 class Tracking:
-    """One configured unit: its tools, its volume, its clock. Time limits are the session's, in seconds."""
+    """Tracking with a configured unit: tools, volume, clock. Deadlines are on the link's clock."""
 
     def __init__(
         self,
@@ -73,20 +73,20 @@ class Tracking:
         self.frame_clock = FrameClock()
 
     def start(self, deadline_s: float) -> None:
-        """Have the unit track, its frame number from 0."""
+        """TSTART, with the frame number from 0."""
         try:
             self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
-        except WrongMode:  # already tracking: an earlier start was carried out, its answer lost
+        except WrongMode:  # already tracking: the reply to an earlier TSTART was lost
             self.stop(deadline_s)
             self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
         self._begin()
 
     def stop(self, deadline_s: float) -> None:
-        """Have the unit stop tracking."""
+        """TSTOP."""
         stop_tracking(self._link, deadline_s)
 
     def read(self, deadline_s: float) -> TrackerFrame:
-        """The next frame; raises what `PolarisTracker.read_frame` says."""
+        """The next frame; raises as `PolarisTracker.read_frame`."""
         reply, count = self._newest(deadline_s)
         arrived_s = self._clock.now_s()
         if reply.system_status & ALARMING_STATUS:
@@ -113,14 +113,14 @@ class Tracking:
         )
 
     def _newest(self, deadline_s: float) -> tuple[TrackingReply, int]:
-        """A reply and its frame count, not older than the one before; an older one is asked for anew."""
+        """A reply and its frame count; a reply older than the previous one is requested again."""
         for _ in range(2):
             reply = self._request(deadline_s)
             count = counted_on(frame_number(reply), self._last_count)
             if self._last_count is None or count >= self._last_count:
                 return reply, count
-            self._link.distrust()  # the late copy of another reply
-        raise UnitRestarted("the frame number went backwards: tracking was started anew by somebody else")
+            self._link.distrust()  # a late copy of another reply
+        raise UnitRestarted("the frame number went backwards: another client has restarted tracking")
 
     def _request(self, deadline_s: float) -> TrackingReply:
         try:
@@ -134,7 +134,7 @@ class Tracking:
                 except UnitError as error:
                     if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
                         raise
-                    self._binary = False  # this unit has no binary reply
+                    self._binary = False  # this unit has no BX
             return decode_tx(
                 self._link.ask(
                     "TX", _OPTIONS_TEXT, deadline_s=deadline_s, reply_bytes=self._longest_reply_bytes
@@ -145,8 +145,8 @@ class Tracking:
 
 
 def stop_tracking(link: CommandLink, deadline_s: float) -> None:
-    """TSTOP; a unit that does not track is no error."""
+    """TSTOP; a unit that is not tracking is not an error."""
     try:
         link.ask("TSTOP", deadline_s=deadline_s)
-    except WrongMode:  # it had stopped by itself, or the answer to the first try was lost
+    except WrongMode:  # it had stopped by itself, or the reply to the first try was lost
         return

@@ -40,14 +40,14 @@ _STRAY = re.compile(_POSITION * 3)
 
 
 def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
-    """Decode a text whose CRC has been checked; `strays` says whether option 1000 was asked for.
+    """Decode a text whose CRC has been checked; `strays`: option 1000 was requested.
 
-    Raises NDI-006 when the text has not the shape of the options.
+    Raises NDI-006 when the text does not match the options.
     """
     count = _hex2(text[:2], "number of handles", text)
     *records, tail = text[2:].split(LF)
     if len(records) != count:
-        raise _malformed(f"TX announces {count} handles and sends {len(records)}", text)
+        raise _malformed(f"TX announces {count} handles but sends {len(records)}", text)
     handles = tuple(_handle(record, text) for record in records)
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
@@ -55,7 +55,7 @@ def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
         block, tail = tail[:-TX_SYSTEM_STATUS_DIGITS], tail[-TX_SYSTEM_STATUS_DIGITS:]
         positions, outside = _strays(block, text)
     if not _STATUS.fullmatch(tail):
-        raise _malformed("TX ends without a system status", text)
+        raise _malformed("TX has no system status", text)
     return TrackingReply(handles, positions, outside, int(tail, 16))
 
 
@@ -87,7 +87,7 @@ def _handle(record: str, text: str) -> HandleReport:
     if match := _ABSENT.fullmatch(content):
         state = HandleState.DISABLED if match[1] == REPLY_DISABLED else HandleState.UNOCCUPIED
         return HandleReport(number, state)
-    raise _malformed(f"TX record of handle {number:02X} has an unknown form", text)
+    raise _malformed(f"unknown form of the TX record of handle {number:02X}", text)
 
 
 def _strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
@@ -98,12 +98,12 @@ def _strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...
     bits, rest = block[2 : 2 + digits], block[2 + digits :]
     if len(bits) != digits or not _HEX.fullmatch(bits):
         raise _malformed("TX has no out-of-volume bits for its strays", text)
-    # One number padded at the front: the first stray is the highest of its `count` low bits.
+    # One number, padded at the front: the first stray is the highest of the `count` low bits.
     number = int(bits, 16) if bits else 0
     outside = tuple(bool(number >> (count - 1 - k) & 1) for k in range(count))
     sent, odd = divmod(len(rest), _STRAY_CHARACTERS)
     if odd or sent not in (count, count - sum(outside)):
-        raise _malformed(f"TX announces {count} strays and sends {len(rest)} characters", text)
+        raise _malformed(f"TX announces {count} strays but sends {len(rest)} characters", text)
     positions = tuple(
         _position(rest[k : k + _STRAY_CHARACTERS], text) for k in range(0, len(rest), _STRAY_CHARACTERS)
     )
@@ -113,7 +113,7 @@ def _strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...
 def _position(record: str, text: str) -> Vector3:
     match = _STRAY.fullmatch(record)
     if not match:
-        raise _malformed("a stray position of TX has an unknown form", text)
+        raise _malformed("unknown form of a stray position in TX", text)
     x, y, z = (int(value) / TX_POSITION_SCALE for value in match.groups())
     return x, y, z
 

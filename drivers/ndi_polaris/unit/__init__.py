@@ -1,1 +1,1 @@
-"""What the unit is and how it is set: identity, user parameters, volume, status."""
+"""The unit: identity, user parameters, volume, illuminators, system status."""

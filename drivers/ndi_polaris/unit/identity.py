@@ -1,4 +1,4 @@
-"""Who answered: read from the unit, compared with what the theatre file expects."""
+"""Identity of the unit, checked against the theatre file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def read_identity(link: CommandLink, deadline_s: float) -> Identity:
     lines = text.split(LF)
     model = lines[0].split(_MODEL_ENDS_AT)[0].strip()
     if FAMILY.lower() not in model.lower():
-        raise NotAPolaris("the device that answers does not call itself Polaris", got=model or "no model")
+        raise NotAPolaris("the device does not identify itself as a Polaris", got=model or "no model")
     fields = _fields(lines[1:])
     try:
         firmware = read_parameter(link, PARAMETER_FIRMWARE, deadline_s)
@@ -42,15 +42,15 @@ def read_identity(link: CommandLink, deadline_s: float) -> Identity:
 
 
 def check_identity(identity: Identity, model: str | None, serial: str | None) -> None:
-    """Raise NDI-004 when model or serial number is not the expected one; None expects nothing."""
+    """Raise NDI-004 when model or serial number is not the expected one; None accepts any."""
     if model is not None and model.lower() not in identity.model.lower():
-        raise WrongUnit("the unit is of another model", expected=model, got=identity.model)
+        raise WrongUnit("wrong model of unit", expected=model, got=identity.model)
     if serial is not None and serial != identity.serial:
-        raise WrongUnit("the unit has another serial number", expected=serial, got=identity.serial or "none")
+        raise WrongUnit("wrong serial number", expected=serial, got=identity.serial or "none")
 
 
 def _ask_or(link: CommandLink, name: str, argument: str, deadline_s: float) -> str:
-    """The reply, or nothing when this unit does not know the command or parameter."""
+    """The reply, or an empty text when the unit does not have the command or parameter."""
     try:
         return link.ask(name, argument, deadline_s=deadline_s, reply_bytes=VERSION_TEXT_BYTES)
     except UnitError:

@@ -1,4 +1,4 @@
-"""What the unit measures with: one of its volumes, and the rate of its illuminators."""
+"""Measuring settings: the selected volume and the illuminator rate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SFLIST_BYTES = 1024  # room for nine volumes of 74 characters each
 
 
 def choose_volume(link: CommandLink, wanted: int | None, deadline_s: float) -> MeasuringVolume | None:
-    """Select volume number `wanted` (from 1) if given; the volume in use, or None if the unit cannot say."""
+    """Select volume `wanted` (from 1) if given; returns the volume in use, None if unknown."""
     if wanted is not None:
         link.ask("VSEL", f"{wanted}", deadline_s=deadline_s)
     try:
@@ -39,7 +39,7 @@ def _selected(link: CommandLink, deadline_s: float) -> int:
 
 
 def set_illuminator_rate(link: CommandLink, rate_hz: int, deadline_s: float) -> int:
-    """Set the rate by SET, or IRATE on older firmware; the rate that the unit then has, in Hz."""
+    """Set the rate by SET, or IRATE on older firmware; returns the rate in use, Hz."""
     code = next(code for code, rate in ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
     for name, argument in (("SET", f"{PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
         try:

@@ -1,4 +1,4 @@
-"""The measuring volume: read from the unit, then used to judge each position for ourselves."""
+"""The measuring volume as read from the unit; the driver tests positions against it itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ronna_hw.wire.polaris import (
     SFLIST_DIMENSIONS,
 )
 
-PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the shape whose formula is known
+PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the only shape whose formula is public
 SLOPE_PER = 1000.0  # slopes are sent per 1000
 
 _DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")
@@ -22,7 +22,7 @@ _DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")
 
 @dataclass(frozen=True)
 class MeasuringVolume:
-    """One volume in tracker coordinates (mm): a pyramid with a knee. Everything inside has negative z."""
+    """One volume in tracker coordinates, mm: a pyramid with a knee, all of it at negative z."""
 
     shape: str
     far_z_mm: float  # D1
@@ -37,7 +37,7 @@ class MeasuringVolume:
     cap_x_mm: float  # D10
 
     def contains(self, position_mm: Vector3) -> bool | None:
-        """True inside, False outside, None when the formula of this shape is not known."""
+        """True inside, False outside, None when the formula of this shape is unknown."""
         if self.shape != PYRAMID_SHAPE:
             return None
         x, y, z = position_mm
@@ -51,10 +51,10 @@ class MeasuringVolume:
 
 
 def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:
-    """The answer to SFLIST 03: one digit count, then one record per volume. Raises NDI-006."""
+    """Parse the reply to SFLIST 03: one digit count, then one record per volume. Raises NDI-006."""
     count, records = text[:1], text[1:].strip(LF).split(LF)
     if not count.isdecimal() or int(count) != len(records):
-        raise MalformedReply(f"SFLIST announces {count or 'no'} volumes and sends {len(records)}")
+        raise MalformedReply(f"SFLIST announces {count or 'no'} volumes but sends {len(records)}")
     return tuple(_parse(record) for record in records)
 
 
@@ -64,7 +64,7 @@ def _parse(record: str) -> MeasuringVolume:
         for k in range(SFLIST_DIMENSIONS)
     ]
     if not all(_DIMENSION.fullmatch(field) for field in fields):
-        raise MalformedReply("a volume of SFLIST has an unknown form", wire=record.encode("ascii", "replace"))
+        raise MalformedReply("unknown form of a volume in SFLIST", wire=record.encode("ascii", "replace"))
     d1, d2, d3, d4, d5, d6, d7, d8, d9, d10 = (int(field) / SFLIST_DIMENSION_SCALE for field in fields)
     return MeasuringVolume(
         record[0], d1, d2, d3, d4, d5, d6 / SLOPE_PER, d7 / SLOPE_PER, d8 / SLOPE_PER, d9, d10

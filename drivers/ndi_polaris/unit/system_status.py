@@ -1,4 +1,4 @@
-"""Judge the system status of a reply: a fault, a hold, or nothing that forbids using it."""
+"""System status of a reply: fault, hold, or good to use."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ DOUBTFUL_STATUS = int(
     | SystemStatus.CRC_ERROR
     | SystemStatus.RECOVERABLE_EXCEPTION
 )
-# Everything else leaves the poses alone: bits of wired tools that come and go.
+# All other bits leave poses valid: wired tools plugged in or out.
 ALARMING_STATUS = int(
     SystemStatus.HARDWARE_FAILURE | SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE
 )
@@ -49,7 +49,7 @@ ALARMING_STATUS = int(
 def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None:
     """The fault or hold that the system status means, or None.
 
-    When diagnostics are pending the alerts are read, which is also what makes the unit give poses again.
+    While diagnostics are pending the alerts are read, which also makes the unit send poses again.
     """
     status = SystemStatus(bits)
     alerts = read_new_alerts(link, deadline_s) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
@@ -65,21 +65,21 @@ def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None
 
 
 def read_new_alerts(link: CommandLink, deadline_s: float | None) -> Alert:
-    """Alerts that came up since they were last read; reading clears the pending mark."""
+    """Alerts raised since they were last read; reading clears the pending bit."""
     value = read_parameter(link, PARAMETER_NEW_ALERTS, deadline_s)
     if not value.isdecimal():
-        raise MalformedReply("the alerts have an unknown form", got=value)
+        raise MalformedReply("unknown form of the alerts", got=value)
     return Alert(int(value))
 
 
 def refuse_standing_trouble(link: CommandLink, deadline_s: float) -> None:
-    """Raise NDI-020 or NDI-021 for a fault or a bump from before this session, told to nobody yet."""
+    """Raise NDI-020 or NDI-021 for a fault or a bump from before this connection that is still unread."""
     value = _value_or(link, PARAMETER_ALERTS, "0", deadline_s)
     alerts = Alert(int(value)) if value.isdecimal() else Alert(0)
     if alerts & FAILURE_ALERTS:
         raise HardwareFailure("the unit reports a hardware fault", got=_names(SystemStatus(0), alerts))
     if Alert.BUMP in alerts or _value_or(link, PARAMETER_BUMPED, "0", deadline_s) == "1":
-        raise SensorBumped("the unit was bumped before this session", got=_names(SystemStatus(0), alerts))
+        raise SensorBumped("the unit was bumped before this connection", got=_names(SystemStatus(0), alerts))
 
 
 def clear_bump(link: CommandLink, deadline_s: float) -> None:
@@ -93,7 +93,7 @@ def clear_bump(link: CommandLink, deadline_s: float) -> None:
 def _value_or(link: CommandLink, name: str, missing: str, deadline_s: float) -> str:
     try:
         return read_parameter(link, name, deadline_s)
-    except UnitError:  # this unit does not have the parameter
+    except UnitError:  # the unit does not have this parameter
         return missing
 
 

@@ -1,4 +1,4 @@
-"""User parameters of the unit by GET, with the answer checked to be the one to the question."""
+"""User parameters by GET; the reply must name the parameter requested."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ PARAMETER_REPLY_BYTES = 256
 
 
 def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> str:
-    """Value of one parameter; raises NDI-036 when the unit does not have it, NDI-006 for another answer."""
+    """Value of one parameter; raises NDI-036 when the unit does not have it, NDI-006 for another one."""
     for _ in range(2):
         text = link.ask("GET", name, deadline_s=deadline_s, reply_bytes=PARAMETER_REPLY_BYTES)
         answered, _, value = text.partition("=")
-        if answered.endswith(name):  # some firmware puts the name of the device before it
+        if answered.endswith(name):  # some firmware prefixes the name with the device
             return value.strip()
-        link.distrust()  # the late copy of another reply
-    raise MalformedReply(f"GET {name} gives another parameter", wire=text.encode())
+        link.distrust()  # a late copy of another reply
+    raise MalformedReply(f"GET {name} returned another parameter", wire=text.encode())

@@ -29,7 +29,7 @@ Make = Callable[..., PolarisTracker]
 
 
 @contextmanager
-def told(code: str, message: str, action: str) -> Iterator[None]:
+def raises_on_one_line(code: str, message: str, action: str) -> Iterator[None]:
     """The block raises an error of ours with that code, those words and that advice, on one line."""
     with pytest.raises(RonnaError) as caught:
         yield
@@ -49,16 +49,16 @@ def tracker_at(endpoint: str, **options: Any) -> PolarisTracker:
 
 
 def test_a_wrong_port(tmp_path: Path) -> None:
-    with told("NDI-001", "no such file", "name of the port.*doctor"):
+    with raises_on_one_line("NDI-001", "no such file", "name of the port.*doctor"):
         tracker_at(f"serial://{tmp_path}/ttyUSB7").connect(1.0)
-    with told("NDI-001", "not a serial port", "no serial port.*doctor"):
+    with raises_on_one_line("NDI-001", "not a serial port", "not a serial port.*doctor"):
         tracker_at("serial:///dev/null").connect(1.0)
-    with told("NDI-001", "refused", "nothing listens.*address and port"):
+    with raises_on_one_line("NDI-001", "refused", "nothing listens.*address and port"):
         tracker_at("tcp://127.0.0.1:1").connect(1.0)
 
 
 def test_a_name_that_no_computer_has() -> None:
-    with told("NDI-001", "cannot open tcp://no.such.host.invalid", "address"):
+    with raises_on_one_line("NDI-001", "cannot open tcp://no.such.host.invalid", "address"):
         tracker_at("tcp://no.such.host.invalid:8765").connect(1.0)
 
 
@@ -67,7 +67,7 @@ def test_no_permission(monkeypatch: pytest.MonkeyPatch) -> None:
         raise serial.SerialException(errno.EACCES, "could not open port /dev/ttyUSB0")
 
     monkeypatch.setattr(serial, "Serial", refuse)
-    with told("NDI-001", "permission denied", "group that owns the port.*log in again"):
+    with raises_on_one_line("NDI-001", "permission denied", "group that owns the port.*log in again"):
         tracker_at("serial:///dev/ttyUSB0").connect(1.0)
 
 
@@ -75,7 +75,10 @@ def test_no_permission(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_port_that_another_program_holds() -> None:
     unit, terminal = pty.openpty()
     path = os.ttyname(terminal)
-    with serial.Serial(path, exclusive=True), told("NDI-001", "held by another program", "end it"):
+    with (
+        serial.Serial(path, exclusive=True),
+        raises_on_one_line("NDI-001", "held by another program", "end it"),
+    ):
         tracker_at(f"serial://{path}").connect(1.0)
     os.close(unit)
     os.close(terminal)
@@ -86,7 +89,7 @@ def test_a_port_that_another_program_holds() -> None:
 
 def test_nothing_answers(make_tracker: Make, unit: Any) -> None:
     unit.silent, unit.breaks_work = True, False
-    with told(
+    with raises_on_one_line(
         "NDI-002", "tried 9600 baud, 115200 baud, .*, 14400 baud, a break", "powered.*this is its port"
     ):
         make_tracker().connect()
@@ -94,14 +97,14 @@ def test_nothing_answers(make_tracker: Make, unit: Any) -> None:
 
 def test_a_time_limit_too_short_for_every_rate_says_what_was_tried(make_tracker: Make, unit: Any) -> None:
     unit.silent = True
-    with told("NDI-002", "tried 9600 baud, 115200 baud, 921600 baud$", "powered"):
+    with raises_on_one_line("NDI-002", "tried 9600 baud, 115200 baud, 921600 baud$", "powered"):
         make_tracker().connect(1.0)
 
 
 def test_another_program_on_the_port(make_tracker: Make, unit: Any) -> None:
     unit.breaks_work = False
     unit.deliver = lambda name, reply: [(0.01, b"login: ")]
-    with told("NDI-003", "something answers, but", "another program"):
+    with raises_on_one_line("NDI-003", "bytes without", "another device or program"):
         make_tracker().connect()
 
 
@@ -116,17 +119,26 @@ def test_another_program_on_the_port(make_tracker: Make, unit: Any) -> None:
     ids=["http", "mail", "telnet", "bytes"],
 )
 def test_another_program_behind_the_address(talk: bytes) -> None:
-    with a_server(partial(answer_everything, talk)) as endpoint, told("NDI-003", "CRC", "another program"):
+    with (
+        a_server(partial(answer_everything, talk)) as endpoint,
+        raises_on_one_line("NDI-003", "CRC", "another device or program"),
+    ):
         tracker_at(endpoint).connect(20.0)
 
 
 def test_a_program_that_never_stops_talking() -> None:
-    with a_server(talk_for_ever) as endpoint, told("NDI-003", "does not stop talking", "another program"):
+    with (
+        a_server(talk_for_ever) as endpoint,
+        raises_on_one_line("NDI-003", "never falls silent", "another device or program"),
+    ):
         tracker_at(endpoint).connect(30.0)
 
 
 def test_a_program_that_hangs_up() -> None:
-    with a_server(socket.socket.close) as endpoint, told("NDI-008", "closed|broke", "power and cable"):
+    with (
+        a_server(socket.socket.close) as endpoint,
+        raises_on_one_line("NDI-008", "closed|broke", "power and cable"),
+    ):
         tracker_at(endpoint).connect(20.0)
 
 
@@ -148,7 +160,7 @@ def test_a_unit_in_a_mode_that_cannot_track(make_tracker: Make, unit: Any) -> No
     device.connect()
     device.configure()
     unit.answers_to["TSTART"] = unit.answers_to["TSTOP"] = "ERROR0C"  # diagnostic mode, by another host
-    with told("NDI-032", "TSTART.*mode", "another program"):
+    with raises_on_one_line("NDI-032", "TSTART.*mode", "another program"):
         device.activate()
     assert device.state is Lifecycle.CONFIGURED
     unit.answers_to.clear()
@@ -163,14 +175,14 @@ def test_a_corrupt_definition(make_tracker: Make, tmp_path: Path) -> None:
     block = bytearray(encode_definition(robot_frame()))
     block[80] ^= 1
     (tmp_path / "bent.rom").write_bytes(block)
-    with told("NDI-011", "bent.rom has a wrong checksum", "belongs to the tool"):
+    with raises_on_one_line("NDI-011", "bent.rom has a wrong checksum", "of the tool"):
         make_tracker(tools=[{"name": "M", "rom": str(tmp_path / "bent.rom")}])
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\3\4" + bytes(748), b"NDI\0" + bytes(100)])
 def test_a_file_that_is_no_definition(make_tracker: Make, tmp_path: Path, content: bytes) -> None:
     (tmp_path / "other.rom").write_bytes(content)
-    with told("NDI-011", "other.rom (has|is not)", "belongs to the tool"):
+    with raises_on_one_line("NDI-011", "other.rom (has|is not)", "of the tool"):
         make_tracker(tools=[{"name": "M", "rom": str(tmp_path / "other.rom")}])
 
 
@@ -178,7 +190,9 @@ def test_a_file_that_is_no_definition(make_tracker: Make, tmp_path: Path, conten
 def test_a_sound_definition_of_another_tool(make_tracker: Make, tmp_path: Path, pointer: Any) -> None:
     (tmp_path / "tool.rom").write_bytes(encode_definition(pointer))
     meant = {"name": "M", "rom": str(tmp_path / "tool.rom"), "sha256": definition_hash(robot_frame())}
-    with told("NDI-013", "tool.rom is not the definition that tool M was set up with", "this very tool"):
+    with raises_on_one_line(
+        "NDI-013", "tool.rom is not the definition with which tool M was set up", "of this tool"
+    ):
         make_tracker(tools=[meant])
     make_tracker(tools=[{**meant, "sha256": definition_hash(pointer)}])
 
@@ -193,7 +207,7 @@ def test_a_unit_that_holds_another_tool_than_was_sent(make_tracker: Make, unit: 
     unit._do_phinf = lambda argument: described("8700339", "34801403")
     device = make_tracker()
     device.connect()
-    with told("NDI-013", "unit holds another tool than robot_frame on handle 01", "this very tool"):
+    with raises_on_one_line("NDI-013", "handle 01 holds another tool than robot_frame", "of this tool"):
         device.configure()
 
 
@@ -221,7 +235,7 @@ def test_a_tool_that_is_told_differently_in_part_is_noted(make_tracker: Make, un
 def test_two_tools_with_the_same_geometry(make_tracker: Make, tmp_path: Path) -> None:
     (tmp_path / "twin.rom").write_bytes(encode_definition(robot_frame()))
     tools = [{"name": "M", "rom": "robot_frame.rom"}, {"name": "twin", "rom": str(tmp_path / "twin.rom")}]
-    with told("NDI-012", "tools M and twin", "distances differ"):
+    with raises_on_one_line("NDI-012", "tools M and twin", "distances differ"):
         make_tracker(tools=tools)
 
 
@@ -243,7 +257,7 @@ def test_a_link_that_dies_in_the_middle_of_a_reply(tracker: PolarisTracker, unit
         lost += 1
     assert lost <= 7  # the unit may take four seconds, each reading waits for one
     assert isinstance(tracker.fault, errors.LinkLost)
-    with told("DEV-001", "not allowed now", "after a fault, call recover"):
+    with raises_on_one_line("DEV-001", "not allowed now", "after a fault, call recover"):
         tracker.read_frame()
     assert tracker.state is Lifecycle.FAULT
     unit.silent = False
@@ -257,7 +271,7 @@ def test_a_link_that_dies_in_the_middle_of_a_reply(tracker: PolarisTracker, unit
 def test_a_unit_that_restarts(tracker: PolarisTracker, unit: Any) -> None:
     unit.restart()
     unit._arrivals.append((unit.now_s, b"RESETBE6F\r"))
-    with told("NDI-009", "announced a reset", "recover.*void"):
+    with raises_on_one_line("NDI-009", "sent RESET", "recover.*void"):
         tracker.read_frame()
     tracker.recover("tester")
     tracker.activate()
@@ -271,7 +285,7 @@ def test_a_bump_from_before_the_session_is_told_and_cleared_by_who_acknowledges_
     unit.parameters["Param.Bump Detector.Bumped"] = "1"
     device = make_tracker()
     device.connect()
-    with told("NDI-021", "bumped before this session", "check the unit and its stand"):
+    with raises_on_one_line("NDI-021", "bumped before this connection", "check the unit and its stand"):
         device.configure()
     assert device.state is Lifecycle.FAULT
     device.recover("tester")
@@ -287,7 +301,7 @@ def test_a_bump_behind_another_fault_is_not_cleared_with_it(tracker: PolarisTrac
         tracker.read_frame()
     unit.restart()
     unit.parameters["Param.Bump Detector.Bumped"] = "1"
-    with told("NDI-021", "bumped", "check the unit"):
+    with raises_on_one_line("NDI-021", "bumped", "check the unit"):
         tracker.recover("tester")
     assert tracker.state is Lifecycle.FAULT
     assert unit.parameters["Param.Bump Detector.Bumped"] == "1"
@@ -298,10 +312,10 @@ def test_a_bump_behind_another_fault_is_not_cleared_with_it(tracker: PolarisTrac
 @pytest.mark.hazard(15)
 def test_a_hardware_fault_that_stays_refuses_the_recovery(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0010
-    with told("NDI-020", "hardware fault", "off and on"):
+    with raises_on_one_line("NDI-020", "hardware fault", "Power-cycle"):
         tracker.read_frame()
     unit.parameters["Info.Status.Alerts"] = str(1 << 4)
-    with told("NDI-020", "hardware fault", "off and on"):
+    with raises_on_one_line("NDI-020", "hardware fault", "Power-cycle"):
         tracker.recover("tester")
     assert tracker.state is Lifecycle.FAULT
     unit.parameters["Info.Status.Alerts"], unit.system_status = "0", 0

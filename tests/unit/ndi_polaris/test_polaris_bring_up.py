@@ -141,7 +141,7 @@ def test_the_illuminators_are_set_to_60_hz_by_set_or_by_irate(make_tracker: Make
 def test_a_unit_that_keeps_its_own_rate_is_reported_not_refused(make_tracker: Make, unit: Any) -> None:
     unit.answers_to["SET"] = unit.answers_to["IRATE"] = "ERROR23"
     device = bring_up(make_tracker())
-    assert device.notices == ("the unit keeps its illuminators at 20 Hz instead of 60 Hz",)
+    assert device.notices == ("the illuminators stay at 20 Hz instead of 60 Hz",)
     for _ in range(5):
         unit.frame += 2
         device.read_frame()

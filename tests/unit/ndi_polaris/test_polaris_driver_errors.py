@@ -208,7 +208,7 @@ def test_an_alert_that_harms_no_pose_is_read_and_tracking_goes_on(tracker: Polar
     ("options", "words"),
     [
         ({"tools": "robot_frame.rom"}, "tools"),
-        ({"tools": [{"name": "a", "rom": "robot_frame.rom"}] * 2}, "more than once"),
+        ({"tools": [{"name": "a", "rom": "robot_frame.rom"}] * 2}, "duplicate tool name"),
         ({"illuminator_rate_hz": 50}, "illuminator_rate_hz"),
         ({"maximum_baud": 12345}, "maximum_baud"),
         ({"colour": "green"}, "colour"),

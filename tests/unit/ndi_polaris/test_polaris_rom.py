@@ -147,7 +147,7 @@ def changed(offset: int, value: int, *, repair: bool = True) -> bytes:
         (changed(100, 7, repair=False), "checksum"),
         (changed(28, 2), "2 markers"),
         (changed(28, 21), "21 markers"),
-        (changed(32, 9), "needs 9 of 4"),
+        (changed(32, 9), "minimum of 9 of 4"),
         (changed(613, 0), "face"),
         (changed(75, 0x7F), "not finite"),
         (changed(39, 0xBF), "maximum error"),

@@ -100,9 +100,9 @@ def test_what_is_shown_as_a_description_makes_the_same_bytes(rom: Rom, tmp_path:
         (POINTER + "sequence = 0", "sequence"),
         (POINTER + "made_on = 1900-01-01", "made_on"),
         (POINTER + "colour = 1", "colour"),
-        (POINTER + "normals = [[0,0,0]]", "no direction"),
+        (POINTER + "normals = [[0,0,0]]", "length 0"),
         (POINTER + "normals = [[0,0,1],[0,0,-1]]", "1 or 4"),
-        (POINTER + "normals = [[0,0,1],[0,0,1],[0,0,-1],[0,0,-1]]", "opposite"),
+        (POINTER + "normals = [[0,0,1],[0,0,1],[0,0,-1],[0,0,-1]]", "cancel"),
         (POINTER + "faces = [1,1,3,3]", "gap"),
         (POINTER + "face_normals = [[0,0,1],[0,1,0]]", "face_normals"),
         (POINTER + "minimum_markers = 5", "5 of 4"),
@@ -129,7 +129,7 @@ def test_alike_distances_are_told_when_a_tool_is_made(rom, tmp_path: Path) -> No
     code, messages, file = made(rom, tmp_path, square)
     assert code == 0
     assert file.exists()
-    assert "warning: SQUARE: distances 50.0 and 50.0 mm" in messages
+    assert "warning: SQUARE: marker distances 50.0 and 50.0 mm" in messages
 
 
 def test_json_says_the_same_in_numbers(rom: Rom, tmp_path: Path) -> None:
