@@ -77,7 +77,7 @@ def calibrated_cell(scene: Scene, folder: Path) -> StereoCell:
 def _from_one_start(cell: StereoCell, start: Start, tally: ServoTally, drawn: bool) -> None:
     tally.starts += 1
     try:
-        found = cell.centre(start) if drawn else cell.centre_told(start)
+        found = cell.centre(start) if drawn else cell.centre_on_truth(start)
     except RonnaError as problem:
         tally.failures.append(str(problem))
         return

@@ -15,16 +15,18 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.engine.step import StepContext
+from procedures.engine.journal import JOURNAL_FILE, Journal
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import Visit, VisitKind
 from procedures.relocalization import StereoPoint
-from procedures.steps import relocalization
-from procedures.steps.relocalization import FoundSphere, centre_on
-from procedures.steps.stereo_look import Look, look, whole_sensor
+from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.centring import CentredSphere, Centring
+from procedures.workcell.stereo_look import Look
+from procedures.workcell.workcell import STEREO_HEAD_NUMBER
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
+from ronna_hw.clock import HostClock
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, Stamp, StereoReading, Validity
 from ronna_hw.frames import Frame, Transform
 from sim.basler.camera.photographer import Photographer
@@ -45,6 +47,7 @@ from sim.theatre.world import ArmState, World
 Array = NDArray[np.float64]
 
 EXPOSURE_US, GAIN_RAW = 2000, 100  # the driver's defaults
+STANDOFF_MM = 60.0
 LARGEST_TILT_RAD = 0.35  # of the tool axis against straight down
 TRAJECTORY = "T1"
 NO_LINK_ERROR = LinkError(translation_mm=(0.0, 0.0, 0.0), rotation_rad=(0.0, 0.0, 0.0))
@@ -84,7 +87,11 @@ class CellArm:
         """The encoders."""
         return SimpleNamespace(joints_rad=self.joints_rad)
 
-    def move_joints(self, target_rad: JointVector, **_more: Any) -> None:
+    def read_tool_identity(self, timeout_s: float = 1.0) -> SimpleNamespace:
+        """The stereo head, always."""
+        return SimpleNamespace(number=STEREO_HEAD_NUMBER)
+
+    def move_joints(self, target_rad: JointVector, **_more: Any) -> SimpleNamespace:
         """Go there."""
         ways = [new - old for new, old in zip(target_rad, self.joints_rad, strict=True)]
         self.flanks = [
@@ -93,10 +100,11 @@ class CellArm:
         self.joints_rad, self.motions = target_rad, self.motions + 1
         flange = self.truth.at_rest(target_rad, self.flanks, self.motions)
         self.world.publish_arm(ArmState(target_rad, flange, self.motions, True))
+        return self.read_state()
 
-    def move_linear(self, target: Transform, **_more: Any) -> None:
+    def move_linear(self, target: Transform, **_more: Any) -> SimpleNamespace:
         """Go there in the present branch."""
-        self.move_joints(
+        return self.move_joints(
             self.kinematics.solve_branch(
                 Pose.from_transform(target), self.kinematics.branch_of(self.joints_rad), self.joints_rad
             )
@@ -157,7 +165,7 @@ class StereoCell:
         self._home = home
         self._tool_in_flange = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         self._calibration = calibration
-        self._folder = folder
+        self._workcell = _workcell_of(self.arm, self.stereo, calibration, folder)
         self.centres_mm = apply(
             matrix_of(scene.head.robot_from_ct), [each.centre_ct_mm for each in scene.head.fiducials]
         )
@@ -185,29 +193,29 @@ class StereoCell:
         expected = matrix_from(sphere + offset - (believed_mm - sphere), orientation)
         return Start(fiducial, _transform(expected), self._joints(expected))
 
-    def centre(self, start: Start) -> FoundSphere:
-        """Run the step's own loop onto one sphere."""
-        return centre_on(self._context(), start.fiducial, start.expected, start.near_rad)
+    def centre(self, start: Start) -> CentredSphere:
+        """Run the procedure's own loop onto one sphere."""
+        centring = Centring(self._workcell, (1,) * 6, self.scene.servo_area_px, STANDOFF_MM)
+        return centring.onto(start.fiducial, start.expected, start.near_rad)
 
-    def centre_told(self, start: Start) -> FoundSphere:
+    def centre_on_truth(self, start: Start) -> CentredSphere:
         """The same with looks that tell the truth, without pictures."""
 
-        def told(_context: StepContext) -> Look:
+        def look() -> Look:
             seen = apply(inverse(self.world.robot_from_tool()), [self.centres_mm[start.fiducial]])[0]
             point = StereoPoint(seen, np.eye(3), 0.0, 0.0, True)
             return Look(cast(StereoReading, None), None, None, point)
 
-        with patch.object(relocalization, "look", told), patch.object(relocalization, "keep_picture"):
+        with patch.object(self._workcell, "look", look):
             return self.centre(start)
 
     def look_from(self, start: Start) -> Look:
-        """One look of the step from a start, on whole sensors."""
+        """One look from a start, on whole sensors."""
         self._go(start.expected.as_matrix())
-        left, right = (whole_sensor(side) for side in (self._calibration.left, self._calibration.right))
-        self.stereo.set_areas(left, right)
-        return look(self._context())
+        self._workcell.read_whole_sensors()
+        return self._workcell.look()
 
-    def true_offset_mm(self, found: FoundSphere, fiducial: int) -> Array:
+    def true_offset_mm(self, found: CentredSphere, fiducial: int) -> Array:
         """Recorded point minus true place of the sphere, robot frame (3,)."""
         return np.asarray(found.point_mm - self.centres_mm[fiducial])
 
@@ -227,21 +235,19 @@ class StereoCell:
         flange = Pose.from_transform(_transform(tool) @ self._tool_in_flange.inverse())
         return self.kinematics.solve_branch(flange, self.kinematics.branch_of(self._home), self._home)
 
-    def _context(self) -> StepContext:
-        payload = {"targets": {TRAJECTORY: {"approach_signs": [1.0] * 6}}}
-        return cast(
-            StepContext,
-            SimpleNamespace(
-                key=SimpleNamespace(trajectory=TRAJECTORY),
-                case=SimpleNamespace(folder=self._folder, get=lambda _kind: SimpleNamespace(payload=payload)),
-                calibrations=SimpleNamespace(stereo_head=self._calibration),
-                devices=SimpleNamespace(arm=self.arm, stereo=self.stereo),
-                theatre=SimpleNamespace(
-                    robot={"master": SimpleNamespace(options={"variant": self.scene.arm.variant})},
-                    procedure=SimpleNamespace(servo_area_px=self.scene.servo_area_px, standoff_mm=60.0),
-                ),
-            ),
-        )
+
+def _workcell_of(
+    arm: CellArm, stereo: CellStereo, calibration: StereoHeadCalibration, folder: Path
+) -> Workcell:
+    """The procedure's workcell over these devices, its journal in the folder."""
+    (folder / JOURNAL_FILE).unlink(missing_ok=True)
+    theatre = SimpleNamespace(
+        arms={"master": arm}, stereo=stereo, clock=HostClock(), require=lambda *_names: None
+    )
+    calibrations: Any = SimpleNamespace(stereo_head=calibration)
+    workcell = Workcell(cast("Any", theatre), Journal(folder), calibrations=calibrations)
+    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    return workcell
 
 
 def _transform(matrix: Array) -> Transform:

@@ -1,7 +1,8 @@
-"""Results with ancestors: every result is an immutable record with an id and its parents.
+"""Results with ancestors: every result is an immutable record with an identifier and its parents.
 
-Change one and everything after it is invalid. A record's hash covers its kind, its parents and its
-payload, so the same inputs and the same result give the same hash; date and id do not enter it.
+Change one and everything after it is invalid. A record's hash covers what it says and where it came from:
+kind, version, trajectory, payload, and the identifiers and hashes of its parents. The date does not enter it,
+so the same inputs and the same result give the same hash.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +20,7 @@ from ronna_hw.errors import DataError
 
 
 class BadRecord(DataError):
-    """A stored record is incomplete, or its hash does not match its content."""
+    """A stored record is missing or incomplete, or its hash does not match its content."""
 
     code = "REC-001"
     action = "Do not use this result; repeat the step that made it."
@@ -31,21 +33,30 @@ class RecordExists(DataError):
     action = "Keep the folder as it is, and start a new run."
 
 
+class OtherVersion(DataError):
+    """A record was written by another version of the program, with fields of another meaning."""
+
+    code = "REC-003"
+    action = "Read it with the version that wrote it, or repeat the step."
+
+
 @dataclass(frozen=True)
 class Record:
-    """One result: `kind` says what it is, `parents` are the ids of the records it was made from."""
+    """One result: `kind` says what it is, `parents` maps the identifiers of its parents to their hashes."""
 
     identifier: str
     kind: str
-    parents: tuple[str, ...]
-    payload: dict[str, Any]
+    parents: Mapping[str, str]
+    payload: Mapping[str, Any]
+    version: int = 1
+    trajectory: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
-    expires: str | None = None
 
     @property
     def sha256(self) -> str:
         """Hash of what the result says and where it came from."""
-        content = {"kind": self.kind, "parents": list(self.parents), "payload": self.payload}
+        content = asdict(self)
+        del content["identifier"], content["created"]
         return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
@@ -55,9 +66,14 @@ def canonical_json(content: Any) -> bytes:
 
 
 def write_record(record: Record, folder: Path) -> Path:
-    """Write `<id>.json` whole or not at all; raises REC-002 rather than write a record twice."""
+    """Write `<identifier>.json` whole or not at all; raises REC-002 rather than write a record twice."""
     path = folder / f"{record.identifier}.json"
-    text = json.dumps({**asdict(record), "sha256": record.sha256}, indent=1, allow_nan=False)
+    content = {
+        **asdict(record),
+        "parents": list(record.parents),
+        "parents_sha256": list(record.parents.values()),
+    }
+    text = json.dumps({**content, "sha256": record.sha256}, indent=1, allow_nan=False)
     try:
         write_whole(path, text.encode(), exclusive=True)
     except FileExistsError as error:
@@ -91,7 +107,8 @@ def read_record(path: Path) -> Record:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         claimed = content.pop("sha256")
-        record = Record(**{**content, "parents": tuple(content["parents"])})
+        parents = dict(zip(content.pop("parents"), content.pop("parents_sha256"), strict=True))
+        record = Record(**content, parents=parents)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadRecord(f"{path.name} is not a record: {error}") from error
     if record.sha256 != claimed:

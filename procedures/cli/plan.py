@@ -134,10 +134,10 @@ def _theatre(
             raise UsageMistake(
                 f"{option} needs finite numbers", got=" ".join(f"{value:g}" for value in numbers)
             )
-    from procedures.engine.devices import MASTER
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
     from procedures.strategies.catalogue import strategy_named
+    from procedures.workcell.workcell import MASTER
     from ronna_hw.arm.angles import radians6
     from ronna_hw.arm.motion.planning import require_in_range
     from ronna_hw.arm.pose import Pose

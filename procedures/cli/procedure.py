@@ -8,13 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.scene_choice import SceneChoice
+from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine.errors import NotYet
-from ronna_hw.command_line.console import JsonOption, VerboseOption, run, set_up_logging
+from ronna_hw.command_line.console import (
+    JsonOption,
+    LogLevelOption,
+    VerboseOption,
+    run,
+    set_up_logging,
+)
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.cli.case_request import CaseRequest
+    from procedures.cli.case.request import CaseRequest
 
 app = typer.Typer(
     name="ronna-procedure",
@@ -79,19 +85,19 @@ def run_command(
     out: OutOption = Path("runs"),
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Run the whole case and end with the errors at the targets and a report."""
     if fiducials is FiducialChoice.XFRAME:
         raise NotYet("--fiducials xframe is not yet available")
-    if strategy is not StrategyChoice.OCS:
-        raise NotYet(f"--strategy {strategy.value} is not yet available")
     if calibrated:
         raise NotYet("--calibrated is not yet available")
     set_up_logging(verbose)
-    from procedures.cli.present import follow_case
+    from procedures.cli.case.display import follow_case
 
     request = _request(
         sim=sim,
+        strategy=strategy,
         config=config,
         case=case,
         scene=SceneChoice(scene, seed, markers, targets),
@@ -115,10 +121,11 @@ def step_command(
     faults: FaultsOption = None,
     out: OutOption = Path("runs"),
     verbose: VerboseOption = False,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Step through the case by hand: list, next, to STEP, why [STEP], quit."""
     set_up_logging(verbose)
-    from procedures.cli.stepping import step_through
+    from procedures.cli.case.stepping import step_through
 
     step_through(
         _request(
@@ -136,7 +143,8 @@ def step_command(
 @app.command("steps")
 def steps_command(as_json: JsonOption = False) -> None:
     """List the steps of the procedure and what each one needs."""
-    from procedures.steps.catalogue import STEPS
+    from procedures.engine.step import Scope
+    from procedures.steps.catalogue import CLINICAL_STEPS
     from ronna_hw.command_line.console import print_json, print_table
 
     if as_json:
@@ -144,11 +152,11 @@ def steps_command(as_json: JsonOption = False) -> None:
             {
                 "name": step.name,
                 "title": step.title,
-                "needs": [*step.needs, *step.needs_all_trajectories],
-                "per_trajectory": step.per_trajectory,
+                "needs": list(step.needs),
+                "per_trajectory": step.scope is not Scope.CASE,
                 "moves": step.moves,
             }
-            for step in STEPS.values()
+            for step in CLINICAL_STEPS
         ]
         print_json({"steps": rows})
         return
@@ -159,11 +167,11 @@ def steps_command(as_json: JsonOption = False) -> None:
             (
                 step.name,
                 step.title,
-                "yes" if step.per_trajectory else "",
+                "" if step.scope is Scope.CASE else "yes",
                 "yes" if step.moves else "",
-                ", ".join((*step.needs, *step.needs_all_trajectories)),
+                ", ".join(step.needs),
             )
-            for step in STEPS.values()
+            for step in CLINICAL_STEPS
         ],
     )
 
@@ -174,8 +182,9 @@ def graph_command() -> None:
     import sys
 
     from procedures.engine.machine import mermaid
+    from procedures.steps.catalogue import CLINICAL_STEPS
 
-    sys.stdout.write(mermaid())
+    sys.stdout.write(mermaid(CLINICAL_STEPS))
 
 
 @app.command("export")
@@ -228,6 +237,7 @@ def doctor_command(
 def _request(
     *,
     sim: bool,
+    strategy: StrategyChoice = StrategyChoice.OCS,
     config: Path | None,
     case: Path | None,
     scene: SceneChoice,
@@ -235,7 +245,7 @@ def _request(
     faults: Path | None,
     out: Path,
 ) -> CaseRequest:
-    from procedures.cli.case_request import CaseRequest
+    from procedures.cli.case.request import CaseRequest
 
     if sim == (config is not None):
         raise UsageMistake("give either --sim or --config", action="See ronna-procedure run --help.")
@@ -253,7 +263,15 @@ def _request(
             "--seed, --markers and --targets do not go with a scene file",
             action="The file holds its own seed, markers and targets.",
         )
-    return CaseRequest(out=out, choice=scene, speed=speed.value, faults=faults, config=config, case=case)
+    return CaseRequest(
+        out=out,
+        choice=scene,
+        strategy=strategy.value,
+        speed=speed.value,
+        faults=faults,
+        config=config,
+        case=case,
+    )
 
 
 def main() -> None:

@@ -7,65 +7,104 @@ RUN/theatre/, RUN/case/      what the run worked with, when it brought it along
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Generic, TypeVar, cast
 
 from procedures.engine.errors import StepRefused
-from ronna_hw.records import Record, write_record
+from procedures.engine.result import StepResult
+from procedures.engine.step import StepKey
+from ronna_hw.records import BadRecord, Record, read_record, write_record
 
 RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 
+R = TypeVar("R", bound=StepResult)
+
+
+@dataclass(frozen=True)
+class Stored(Generic[R]):
+    """A result as it is kept, and as it is read."""
+
+    record: Record
+    result: R
+
 
 class Case:
-    """The run folder and the records made so far."""
+    """The run folder and its results: those that stand, and those that a repeated step has superseded."""
 
     def __init__(self, folder: Path, series: Path, plan: Path) -> None:
         self.folder = folder
         self.series = series
         self.plan = plan
-        self._records: dict[tuple[str, str | None], Record] = {}
+        self._standing: dict[StepKey, Stored[StepResult]] = {}
+        self._superseded: list[Record] = []
         self._written = 0
         (folder / RECORDS_FOLDER).mkdir(parents=True, exist_ok=True)
 
-    def add(
-        self, kind: str, payload: dict[str, Any], parents: tuple[Record, ...], trajectory: str | None = None
-    ) -> Record:
-        """Store a result, by which its former one and everything made from that is superseded.
+    def store(self, key: StepKey, result: StepResult, parents: Sequence[Record]) -> Stored[StepResult]:
+        """Write a result, named by its place in the run, its kind and its trajectory. Raises REC-002.
 
-        Its id is its place in the run, its kind and its trajectory, and is never used twice.
+        It stands only when it is accepted, which is after the journal has it.
         """
         self._written += 1
-        name = "-".join(part for part in (f"{self._written:02d}", kind, trajectory) if part)
-        record = Record(name, kind, tuple(parent.identifier for parent in parents), payload)
+        name = "-".join(part for part in (f"{self._written:02d}", key.name, key.trajectory) if part)
+        record = Record(
+            identifier=name,
+            kind=result.kind,
+            parents={parent.identifier: parent.sha256 for parent in parents},
+            payload=result.model_dump(mode="json", by_alias=True),
+            version=result.version,
+            trajectory=key.trajectory,
+        )
         write_record(record, self.folder / RECORDS_FOLDER)
-        former = self._records.get((kind, trajectory))
-        if former is not None:
-            self._supersede(former.identifier)
-        self._records[kind, trajectory] = record
-        return record
+        return Stored(record, result)
 
-    def _supersede(self, identifier: str) -> None:
-        """Forget a record and whatever descends from it: no later step may read them."""
-        gone = {identifier}
-        for record in self.records:  # in order: a parent stands before its children
-            if gone.intersection(record.parents):
-                gone.add(record.identifier)
-        self._records = {key: one for key, one in self._records.items() if one.identifier not in gone}
+    def superseded_by(self, key: StepKey) -> tuple[Record, ...]:
+        """What a new result of that step supersedes: its former result and whatever descends from it."""
+        former = self._standing.get(key)
+        gone: dict[str, Record] = {} if former is None else {former.record.identifier: former.record}
+        for stored in self._standing.values():  # a parent stands before its children
+            if not gone.keys().isdisjoint(stored.record.parents):
+                gone[stored.record.identifier] = stored.record
+        return tuple(gone.values())
 
-    def has(self, kind: str, trajectory: str | None = None) -> bool:
-        """True when that result exists."""
-        return (kind, trajectory) in self._records
+    def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
+        """Let a result stand in place of those that it supersedes."""
+        gone = self.superseded_by(key)
+        self._superseded += gone
+        self._standing = {kept: one for kept, one in self._standing.items() if one.record not in gone}
+        self._standing[key] = stored
 
-    def get(self, kind: str, trajectory: str | None = None) -> Record:
-        """A result; raises PRO-001 when it does not exist."""
-        try:
-            return self._records[kind, trajectory]
-        except KeyError:
+    def stands(self, key: StepKey) -> bool:
+        """Whether that step has a result that has not been superseded."""
+        return key in self._standing
+
+    def was_superseded(self, key: StepKey) -> bool:
+        """Whether that step had results and none of them stands."""
+        had = any(one.kind == key.name and one.trajectory == key.trajectory for one in self._superseded)
+        return had and not self.stands(key)
+
+    def find(self, model: type[R], trajectory: str | None) -> Stored[R] | None:
+        """The standing result of that model, of a trajectory, or one that belongs to none."""
+        for key in (StepKey(model.kind, trajectory), StepKey(model.kind)):
+            if key in self._standing:
+                return cast("Stored[R]", self._standing[key])
+        return None
+
+    def get(self, model: type[R], trajectory: str | None = None) -> Stored[R]:
+        """As `find`. Raises PRO-001 when there is none, REC-001 when its file is not as it was written."""
+        stored = self.find(model, trajectory)
+        if stored is None:
             where = f" for {trajectory}" if trajectory else ""
-            raise StepRefused(f"there is no {kind}{where} yet") from None
+            raise StepRefused(f"there is no {model.kind}{where} yet")
+        path = self.folder / RECORDS_FOLDER / f"{stored.record.identifier}.json"
+        if read_record(path).sha256 != stored.record.sha256:
+            raise BadRecord(f"{path.name} is not the record that this run wrote")
+        return stored
 
     @property
-    def records(self) -> tuple[Record, ...]:
-        """All results, in order."""
-        return tuple(self._records.values())
+    def standing(self) -> tuple[Stored[StepResult], ...]:
+        """The results that stand, in order."""
+        return tuple(self._standing.values())

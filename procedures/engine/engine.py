@@ -5,157 +5,178 @@ Work happens here, never in a transition of the state chart. Whatever ends a ste
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable
 
-from procedures.engine.case import Case
-from procedures.engine.devices import DeviceSet, calibrations_of
-from procedures.engine.errors import JournalNotWritable, StepRefused, UnknownStep
-from procedures.engine.journal import Entry, Journal
+from procedures.engine.case import Case, Stored
+from procedures.engine.context import CaseSetting, StepContext
+from procedures.engine.errors import JournalNotWritable, StepRefused, WrongResult
+from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.machine import ProcedureMachine
-from procedures.engine.operator import Operator, Question
-from procedures.engine.order import may_follow, sequence_of
-from procedures.engine.step import Outcome, Progress, StepContext, StepKey, StepSpec
-from ronna_hw.clock import Clock
-from ronna_hw.config import TheatreFile
+from procedures.engine.operator import Question
+from procedures.engine.order import CaseOrder
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, StepKey
 from ronna_hw.errors import RonnaError
+from ronna_hw.logs import logger
 from ronna_hw.records import Record
 
-Listener = Callable[[StepKey, Outcome], None]
+Listener = Callable[[StepKey, Outcome[StepResult]], None]
+_log = logger(part="engine")
 
 
-@dataclass
 class Engine:
-    """One run of the procedure."""
+    """One run of a procedure.
 
-    steps: Mapping[str, StepSpec]
-    trajectories: tuple[str, ...]
-    case: Case
-    theatre: TheatreFile
-    devices: DeviceSet
-    clock: Clock
-    operator: Operator
-    journal: Journal
-    progress: Progress = lambda _share, _text: None
-    listener: Listener = lambda _key, _outcome: None
-    safe_point: Callable[[], None] = lambda: None  # may wait, or raise to end the procedure here
-    on_ending: Callable[[], None] = lambda: None  # before the arm is stopped for good
-    machine: ProcedureMachine = field(default_factory=ProcedureMachine)
-    _latest: StepKey | None = None  # the step that was begun last
-    _journalled: set[str] = field(default_factory=set)  # identifiers
-    _workspace: dict[str, Any] = field(default_factory=dict)
+    `safe_point` is called between steps and may wait, or raise to end the procedure there; `on_ending` before
+    the arm is stopped for good.
+    """
 
-    def __post_init__(self) -> None:
-        self.sequence = sequence_of(self.trajectories)
-        self._calibrations = calibrations_of(self.theatre)
+    def __init__(
+        self,
+        order: CaseOrder,
+        case: Case,
+        setting: CaseSetting,
+        journal: Journal,
+        *,
+        listener: Listener = lambda _key, _outcome: None,
+        safe_point: Callable[[], None] = lambda: None,
+        on_ending: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.order = order
+        self.case = case
+        self.setting = setting
+        self.machine = ProcedureMachine(order)
+        self._journal = journal
+        self._listener = listener
+        self._safe_point = safe_point
+        self._on_ending = on_ending
+        self._latest: StepKey | None = None  # the step that was begun last
 
     @property
     def upcoming(self) -> StepKey | None:
-        """The step that comes next, or None when the case is finished."""
-        return next((key for key in self.sequence if not self._stands(key)), None)
+        """The step that comes next, or None when every result stands."""
+        return next((key for key in self.order.sequence if not self.case.stands(key)), None)
 
-    @property
-    def finished(self) -> tuple[StepKey, ...]:
-        """The steps whose results stand, in order."""
-        return tuple(key for key in self.sequence if self._stands(key))
-
-    def find(self, name: str) -> StepKey:
-        """The step of that name, such as `registration:T1`; raises PRO-005 with the names that exist."""
-        for key in self.sequence:
-            if str(key) == name:
-                return key
-        raise UnknownStep(f"there is no step {name!r}", expected=", ".join(str(key) for key in self.sequence))
+    def status(self, key: StepKey) -> str:
+        """`done`, `next`, `superseded`, or nothing."""
+        if self.case.stands(key):
+            return "done"
+        if key == self.upcoming:
+            return "next"
+        return "superseded" if self.case.was_superseded(key) else ""
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Everything that keeps a step from beginning now; empty when it may begin."""
-        reasons = [] if self._may_follow(key) else [f"it may not follow {self._latest or self.machine.state}"]
-        return (*reasons, *self.steps[key.name].unmet(self._context(key)))
+        if self.machine.ended:
+            return (f"the case is over: {self.machine.state}",)
+        spec = self.order.spec(key)
+        unmet = self.order.unmet(key, self._latest, self.case.stands)
+        missing = tuple(
+            f"no result of {model.kind}" + (f" for {key.trajectory}" if key.trajectory else "")
+            for model in spec.reads
+            if self.case.find(model, key.trajectory) is None
+        )
+        return (*unmet, *missing) or spec.preconditions(self._context(key))
 
     def run_step(self, key: StepKey) -> Record:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
         unmet = self.why_refused(key)
         if unmet or not self.machine.begin(key.name, unmet):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
+            _log.warning("step refused", step=str(key), unmet=list(unmet))
             raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
-        step = self.steps[key.name]
+        spec = self.order.spec(key)
+        self._latest = key
         try:
-            self._latest = key
-            self._write(Entry.INTENT, step=str(key), moves=step.moves)
-            self.operator.announce(str(key))
-            outcome = step.run(self._context(key))
-            record = self.case.add(key.name, outcome.payload, outcome.parents, key.trajectory)
-            self._write(Entry.RESULT, step=str(key), record=record.identifier, sha256=record.sha256)
+            self._write(Entry.INTENT, step=str(key), moves=spec.moves)
+            _log.info("step begins", step=str(key))
+            self.setting.room.announce(str(key))
+            context = self._context(key)
+            outcome = spec.run(context)
+            stored = self._store(key, outcome, context.read)
         except KeyboardInterrupt:
-            self.on_ending()
-            self.devices.stop()
+            self._on_ending()
+            self.setting.workcell.stop()
             self.machine.abort()
             self._write(Entry.INTERRUPTED, step=str(key))
+            _log.warning("step interrupted", step=str(key))
             raise
         except Exception as problem:
             self._fail(key, problem)
             raise
-        self._journalled.add(record.identifier)
+        _log.info("step done", step=str(key), record=stored.record.identifier, summary=outcome.summary)
         if self.upcoming is None:
             self.machine.finish()
-        self.listener(key, outcome)
-        return record
+        self._listener(key, outcome)
+        return stored.record
 
     def run_to(self, last: StepKey | None = None) -> None:
         """Run the upcoming steps up to and including `last`, or all."""
         while (key := self.upcoming) is not None:
-            self.safe_point()
+            self._safe_point()
             self.run_step(key)
             if key == last:
                 return
 
     def close(self, outcome: str) -> None:
         """End the sessions and the journal."""
-        self.devices.close()
+        now_s = self.setting.clock.now_s()  # the clock ends with its theatre
+        self.setting.workcell.close()
         try:
-            self._write(Entry.CLOSED, outcome=outcome)
+            self._journal.write(Entry.CLOSED, now_s, outcome=outcome)
         except JournalNotWritable:
             pass  # it has been reported where it broke; closing must go on
         finally:
-            self.journal.close()
+            self._journal.close()
 
-    def _stands(self, key: StepKey) -> bool:
-        """Whether a step has a result that is in the journal and has not been superseded."""
-        if not self.case.has(key.name, key.trajectory):
-            return False
-        return self.case.get(key.name, key.trajectory).identifier in self._journalled
-
-    def _may_follow(self, key: StepKey) -> bool:
-        return self.machine.may_follow(key.name) and may_follow(key, self._latest)
+    def _store(
+        self, key: StepKey, outcome: Outcome[StepResult], parents: tuple[Record, ...]
+    ) -> Stored[StepResult]:
+        """Record, journal, accept, in this order: what the journal does not have does not stand."""
+        expected = self.order.spec(key).result
+        if type(outcome.result) is not expected:
+            raise WrongResult(
+                f"{key} left another result than it declares",
+                expected=expected.__name__,
+                got=type(outcome.result).__name__,
+            )
+        stored = self.case.store(key, outcome.result, parents)
+        gone = [record.identifier for record in self.case.superseded_by(key)]
+        supersedes: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
+        self._write(
+            Entry.RESULT,
+            step=str(key),
+            record=stored.record.identifier,
+            sha256=stored.record.sha256,
+            **supersedes,
+        )
+        self.case.accept(key, stored)
+        return stored
 
     def _fail(self, key: StepKey, problem: Exception) -> None:
-        self.devices.stop()
+        self.setting.workcell.stop()
         self.machine.fail()
         code = problem.code if isinstance(problem, RonnaError) else type(problem).__name__
         attachments = problem.attachments if isinstance(problem, RonnaError) else {}
+        _log.error("step failed", step=str(key), error=problem)
         for name, text in attachments.items():
             (self.case.folder / name).write_text(text, encoding="utf-8")
         if not isinstance(problem, JournalNotWritable):
-            files = {"files": sorted(attachments)} if attachments else {}
+            files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
     def _context(self, key: StepKey) -> StepContext:
         return StepContext(
             key=key,
+            spec=self.order.spec(key),
             case=self.case,
-            theatre=self.theatre,
-            calibrations=self._calibrations,
-            devices=self.devices,
-            clock=self.clock,
-            operator=self.operator,
-            trajectories=self.trajectories,
-            progress=self.progress,
+            trajectories=self.order.trajectories,
+            setting=self.setting,
             record_confirmation=self._record_confirmation,
-            workspace=self._workspace,
         )
 
     def _record_confirmation(self, question: Question, answer: bool) -> None:
         self._write(Entry.CONFIRMATION, subject=question.subject, value=question.value, answer=answer)
 
-    def _write(self, entry: Entry, **data: Any) -> None:
-        self.journal.write(entry, self.clock.now_s(), **data)
+    def _write(self, entry: Entry, **data: JournalValue) -> None:
+        self._journal.write(entry, self.setting.clock.now_s(), **data)

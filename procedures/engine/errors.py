@@ -6,8 +6,6 @@ from ronna_hw.errors import (
     EXIT_ABORTED,
     EXIT_FAILED,
     EXIT_USAGE,
-    ConfigurationError,
-    LimitError,
     RefusedError,
     RonnaError,
 )
@@ -51,33 +49,11 @@ class UnknownStep(RonnaError):
     exit_code = EXIT_USAGE
 
 
-class IncompleteTheatre(ConfigurationError):
-    """The theatre file lacks a device or a calibration that the procedure needs."""
-
-    code = "PRO-006"
-    action = "Add the missing part to the theatre file."
-
-
 class GateFailed(RefusedError):
     """A result is outside the gate that it has to pass before the procedure goes on."""
 
     code = "PRO-007"
     action = "Look at the value and its limit; repeat the step or correct its inputs."
-
-
-class SphereNotFound(RefusedError):
-    """The stereo head does not see a sphere where it should be, nor around it."""
-
-    code = "PRO-008"
-    action = "Check that the sphere is mounted, lit and unobstructed, lenses uncovered; or plan without it."
-
-
-class WrongTool(LimitError):
-    """The controller's inputs report another tool than the step needs."""
-
-    code = "PRO-009"
-    action = "Mount the tool that is named, then repeat the step. No motion until then."
-    exit_code = RefusedError.exit_code
 
 
 class JournalCorrupt(RonnaError):
@@ -104,3 +80,10 @@ class CommandRefused(RonnaError):
     def __init__(self, name: str, messages: str, exit_code: int) -> None:
         super().__init__(f"{name} said {' '.join(messages.split()).rstrip('.')}")
         self.exit_code = exit_code if exit_code > 0 else EXIT_FAILED  # type: ignore[misc]
+
+
+class WrongResult(RonnaError):
+    """A step left another result than it declares, or asked for one that it does not declare."""
+
+    code = "PRO-016"
+    action = "Correct the step: its declaration names what it reads and what it leaves."

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -21,6 +21,9 @@ JOURNAL_FILE = "journal.jsonl"
 FIRST = "0" * 64  # what the first line names as the one before it
 
 
+JournalValue = str | float | bool | None | Sequence["JournalValue"] | Mapping[str, "JournalValue"]
+
+
 class Entry(StrEnum):
     """Kinds of journal lines."""
 
@@ -29,6 +32,8 @@ class Entry(StrEnum):
     RESULT = "result"
     REFUSED = "refused"
     CONFIRMATION = "confirmation"
+    MOTION = "motion"  # the intent of one motion
+    MOVED = "moved"  # what came of it
     FAILED = "failed"
     INTERRUPTED = "interrupted"
     CLOSED = "closed"
@@ -49,6 +54,7 @@ class Journal:
         self.path = folder / JOURNAL_FILE
         self._chain = _Chain(0, 0, FIRST)
         self._pending = b""  # a line that is being written
+        self.closed = False
         try:
             self._file = os.open(
                 self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644
@@ -61,8 +67,22 @@ class Journal:
         except OSError as error:
             raise JournalNotWritable(f"cannot create {self.path.name}: {error.strerror}") from error
 
-    def write(self, entry: Entry, theatre_time_s: float, **data: Any) -> None:
+    def write(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
         """Append one line and return when it is on disk; raises PRO-003."""
+        self._append(entry, theatre_time_s, data, durable=True)
+
+    def note(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
+        """Append one line that reaches the disk with the next that is written; raises PRO-003.
+
+        Enough for what has happened, never for what is about to.
+        """
+        self._append(entry, theatre_time_s, data, durable=False)
+
+    def _append(
+        self, entry: Entry, theatre_time_s: float, data: Mapping[str, JournalValue], *, durable: bool
+    ) -> None:
+        if self.closed:
+            raise self._not_writable("it is closed")
         self._settle()
         content = {
             "sequence": self._chain.lines,
@@ -76,7 +96,8 @@ class Journal:
         self._pending = line
         try:
             os.write(self._file, line)
-            os.fdatasync(self._file)
+            if durable:
+                os.fdatasync(self._file)
         except OSError as error:
             raise self._not_writable(error.strerror) from error
         self._settle()
@@ -102,6 +123,7 @@ class Journal:
 
     def close(self) -> None:
         """Close the file."""
+        self.closed = True
         os.close(self._file)
 
 

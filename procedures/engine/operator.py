@@ -1,4 +1,4 @@
-"""The person at the table, or the script that stands in for one.
+"""The person at the table and the hands in the room, or the scripts that stand in for them.
 
 A confirmation shows the value that is confirmed, and is recorded with it. A time-out means no.
 """
@@ -19,16 +19,20 @@ class Question:
 
 
 class Operator(Protocol):
-    """What the engine needs of the operator."""
-
-    def announce(self, step: str) -> None:
-        """Hear which step runs now, such as `at_target:T1`."""
-        ...
+    """Who decides."""
 
     def confirm(self, question: Question) -> bool:
         """Answer a question; False also when no answer came in time."""
         ...
 
+
+class Room(Protocol):
+    """Who acts: whoever changes tools, and wants to know which step is running."""
+
+    def announce(self, step: str) -> None:
+        """Hear which step runs now, such as `at_target:T1`."""
+        ...
+
     def change_tool(self, number: int, description: str) -> None:
-        """Have another tool mounted; the step then has it confirmed and reads the controller's inputs."""
+        """Mount another tool; the step then has it confirmed and reads the controller's inputs."""
         ...

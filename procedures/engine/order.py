@@ -1,57 +1,83 @@
-"""The order of the clinical steps: their phases, which may follow which, and the sequence of a whole case.
-
-It stands here and nowhere else: the state chart and the engine are made from it.
-"""
+"""The order of a case, derived from its steps and from how often the strategy localizes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 
-from procedures.engine.step import StepKey
+from procedures.engine.errors import UnknownStep
+from procedures.engine.result import StepResult
+from procedures.engine.step import Scope, StepKey, StepSpec
 
-IDLE = "idle"
-PHASES: dict[str, tuple[str, ...]] = {
-    "preoperative": ("ct_import", "fiducial_localization", "plan_check"),
-    "preparation": ("set_up", "global_localization", "correspondence", "path_check"),
-    "operation": ("relocalization", "registration", "tool_change", "positioning", "at_target", "retreat"),
-}
-# For every step: which steps may come right before it.
-PREDECESSORS: dict[str, tuple[str, ...]] = {
-    "ct_import": (IDLE,),
-    "fiducial_localization": ("ct_import",),
-    "plan_check": ("fiducial_localization",),
-    "set_up": ("plan_check",),
-    "global_localization": ("set_up",),
-    "correspondence": ("global_localization",),
-    "path_check": ("correspondence",),
-    "relocalization": ("path_check", "registration"),
-    "registration": ("relocalization",),
-    "tool_change": ("registration",),
-    "positioning": ("tool_change", "retreat"),
-    "at_target": ("positioning",),
-    "retreat": ("at_target",),
-}
-# Of these a trajectory's step follows that of the same trajectory only.
-SAME_TRAJECTORY = {("relocalization", "registration"), ("positioning", "at_target"), ("at_target", "retreat")}
-ENDS = ("finished", "fault", "aborted")
-LOCALIZING = ("relocalization", "registration")  # for every trajectory, before the tool change
-TARGETING = ("positioning", "at_target", "retreat")  # for every trajectory, after it
+Steps = Sequence[StepSpec[StepResult]]
 
 
-def may_follow(step: StepKey, before: StepKey | None) -> bool:
-    """Whether `step` may come right after `before`; None is the beginning of the case."""
-    if before is None:
-        return IDLE in PREDECESSORS[step.name]
-    if before.name not in PREDECESSORS[step.name]:
-        return False
-    return (before.name, step.name) not in SAME_TRAJECTORY or before.trajectory == step.trajectory
+@dataclass(frozen=True)
+class CaseOrder:
+    """The steps of one case in the order in which they are meant to be done."""
+
+    steps: Steps
+    trajectories: tuple[str, ...]
+    sequence: tuple[StepKey, ...]
+
+    def spec(self, key: StepKey) -> StepSpec[StepResult]:
+        """What the step says about itself."""
+        return next(step for step in self.steps if step.name == key.name)
+
+    def find(self, name: str) -> StepKey:
+        """The step of that name, such as `registration:T1`; raises PRO-005 with the names that exist."""
+        for key in self.sequence:
+            if str(key) == name:
+                return key
+        raise UnknownStep(f"there is no step {name!r}", expected=", ".join(str(key) for key in self.sequence))
+
+    def before(self, key: StepKey) -> tuple[StepKey, ...]:
+        """The steps that must have been done before `key`: those of other trajectories need not."""
+        earlier = self.sequence[: self.sequence.index(key)]
+        own = (None, key.trajectory)
+        return tuple(one for one in earlier if key.trajectory is None or one.trajectory in own)
+
+    def continuation(self, key: StepKey | None) -> StepKey | None:
+        """The one step that may follow `key`, where nothing else may come between."""
+        if key is None or key not in self.sequence[:-1]:
+            return None
+        following = self.sequence[self.sequence.index(key) + 1]
+        return following if self.spec(following).continues else None
+
+    def unmet(
+        self, key: StepKey, latest: StepKey | None, stands: Callable[[StepKey], bool]
+    ) -> tuple[str, ...]:
+        """Why a step may not come now, after `latest`; empty when its turn may be now.
+
+        A step may come when everything before it stands: next in the order, for another trajectory, or again.
+        """
+        only = self.continuation(latest)
+        if only is not None and key != only:
+            return (f"it may not follow {latest}: only {only} may",)
+        if self.spec(key).continues and key != only:
+            own = self.before(key)[-1]
+            return (f"it may not follow {latest or 'the beginning'}: it may only follow {own}",)
+        for earlier in self.before(key):
+            if not stands(earlier):
+                return (f"it may not follow {latest or 'the beginning'}: {earlier} is not done",)
+        return ()
 
 
-def sequence_of(trajectories: Sequence[str]) -> tuple[StepKey, ...]:
-    """The steps of a whole case: every localization of every trajectory before the tool change."""
-    return (
-        *(StepKey(name) for name in (*PHASES["preoperative"], *PHASES["preparation"])),
-        *(StepKey(name, trajectory) for trajectory in trajectories for name in LOCALIZING),
-        StepKey("tool_change"),
-        *(StepKey(name, trajectory) for trajectory in trajectories for name in TARGETING),
-    )
+def order_of(
+    steps: Steps, trajectories: Sequence[str], *, localizes_per_trajectory: bool = True
+) -> CaseOrder:
+    """The order of a case: what is done for each trajectory is done one trajectory at a time."""
+
+    def each(step: StepSpec[StepResult]) -> bool:
+        return step.scope is Scope.TRAJECTORY or (
+            step.scope is Scope.LOCALIZATION and localizes_per_trajectory
+        )
+
+    sequence: list[StepKey] = []
+    # Localizing and targeting are blocks of their own even where they are neighbours.
+    for (repeated, _), block in groupby(steps, key=lambda step: (each(step), step.scope)):
+        names = [step.name for step in block]
+        places: Sequence[str | None] = trajectories if repeated else (None,)
+        sequence += [StepKey(name, place) for place in places for name in names]
+    return CaseOrder(tuple(steps), tuple(trajectories), tuple(sequence))

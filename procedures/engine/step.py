@@ -1,25 +1,39 @@
-"""What a step is, and what it may use."""
+"""What a step says about itself, in one place: where it stands, what it reads, what it leaves, its work."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Generic, TypeVar
 
-from procedures.engine.case import Case
-from procedures.engine.devices import DeviceSet
-from procedures.engine.errors import NotConfirmed
-from procedures.engine.operator import Operator, Question
-from ronna_hw.clock import Clock
-from ronna_hw.config import Calibrations, TheatreFile
-from ronna_hw.records import Record
+from procedures.engine.result import StepResult
 
-Progress = Callable[[float, str], None]  # share done 0..1, what is being done
+if TYPE_CHECKING:
+    from procedures.engine.context import StepContext
+
+R_co = TypeVar("R_co", bound=StepResult, covariant=True)
+
+
+class Phase(StrEnum):
+    """Part of the case a step belongs to: the superstates of the state chart."""
+
+    PREOPERATIVE = "preoperative"
+    PREPARATION = "preparation"
+    OPERATION = "operation"
+
+
+class Scope(StrEnum):
+    """How often a step is done in a case."""
+
+    CASE = "case"  # once
+    LOCALIZATION = "localization"  # as often as the strategy localizes: once, or for each trajectory
+    TRAJECTORY = "trajectory"  # for each trajectory
 
 
 @dataclass(frozen=True)
 class StepKey:
-    """One step of the sequence: a name, and a trajectory for the steps that are done for each."""
+    """One step of a case: a name, and the trajectory it is done for, if it is done for one."""
 
     name: str
     trajectory: str | None = None
@@ -29,70 +43,40 @@ class StepKey:
 
 
 @dataclass(frozen=True)
-class StepContext:
-    """What a step may use: results so far, devices, the theatre's time, the operator."""
+class Outcome(Generic[R_co]):
+    """What came of a step: its result, and one line for the operator."""
 
-    key: StepKey
-    case: Case
-    theatre: TheatreFile
-    calibrations: Calibrations
-    devices: DeviceSet
-    clock: Clock
-    operator: Operator
-    trajectories: tuple[str, ...]
-    progress: Progress
-    record_confirmation: Callable[[Question, bool], None]
-    workspace: dict[str, Any] = field(default_factory=dict)  # large inputs that are not results, by name
-
-    def confirm(self, subject: str, value: str) -> None:
-        """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""
-        question = Question(subject, value)
-        answer = self.operator.confirm(question)
-        self.record_confirmation(question, answer)
-        if not answer:
-            raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
-
-    def result(self, kind: str) -> Record:
-        """A result of this step's trajectory, or one that belongs to none."""
-        if self.key.trajectory and self.case.has(kind, self.key.trajectory):
-            return self.case.get(kind, self.key.trajectory)
-        return self.case.get(kind)
+    result: R_co
+    summary: str = ""
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What a step found: plain numbers, and the records they were made from."""
+class StepSpec(Generic[R_co]):
+    """A step of a procedure.
 
-    payload: dict[str, Any]
-    parents: tuple[Record, ...] = ()
-    summary: str = ""  # one line for the operator
+    `reads` are the results it needs and may read, of its own trajectory where they belong to one;
+    `reads_all` those it needs of every trajectory. `continues` says that it may only follow the step before
+    it in the case, for the same trajectory, and that nothing else may come between. `preconditions` are
+    checked besides, and tell in plain words what is not met.
+    """
 
-
-@dataclass(frozen=True)
-class StepSpec:
-    """A clinical step: its name in the state chart, what it needs, and its work."""
-
-    name: str
+    result: type[R_co]
     title: str
-    needs: tuple[str, ...]  # kinds of results
-    run: Callable[[StepContext], Outcome]
-    per_trajectory: bool = False
-    needs_all_trajectories: tuple[str, ...] = ()
+    phase: Phase
+    run: Callable[[StepContext], Outcome[R_co]]
+    scope: Scope = Scope.CASE
+    reads: tuple[type[StepResult], ...] = ()
+    reads_all: tuple[type[StepResult], ...] = ()
     moves: bool = False
+    continues: bool = False
     preconditions: Callable[[StepContext], tuple[str, ...]] = lambda _context: ()
 
-    def unmet(self, context: StepContext) -> tuple[str, ...]:
-        """All preconditions that are not met now, in plain words; empty when the step may begin."""
-        case, trajectory = context.case, context.key.trajectory
-        missing = [
-            f"no result of {kind}"
-            for kind in self.needs
-            if not (case.has(kind) or (trajectory and case.has(kind, trajectory)))
-        ]
-        missing += [
-            f"no result of {kind} for {item}"
-            for kind in self.needs_all_trajectories
-            for item in context.trajectories
-            if not case.has(kind, item)
-        ]
-        return tuple(missing) or self.preconditions(context)
+    @property
+    def name(self) -> str:
+        """Its name in the state chart, in the journal and on the command line: the kind of its result."""
+        return self.result.kind
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Kinds of the results that must stand before it may begin."""
+        return tuple(model.kind for model in (*self.reads, *self.reads_all))

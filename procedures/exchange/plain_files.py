@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from procedures.exchange.dicom_object import Origin
 from procedures.exchange.spatial_fiducials import Fiducial
+from procedures.steps.clinical.registration import Prediction
 
 MARKUPS_SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
@@ -51,7 +53,7 @@ def table(fiducials: Sequence[Fiducial]) -> str:
 
 
 def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
-    """JSON of the spheres as the localizer told them, M1 first, LPS in mm, and the series they lie in."""
+    """JSON of the spheres as the localizer found them, M1 first, LPS in mm, and the series they lie in."""
     content = {
         "series_instance_uid": origin.series_instance_uid,
         "frame_of_reference_uid": origin.frame_of_reference_uid,
@@ -62,13 +64,25 @@ def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
-def registration_table(fits: Mapping[str, tuple[NDArray[np.float64], Mapping[str, Any]]]) -> str:
-    """CSV, a row per trajectory: the rows of its matrix (4, 4) robot <- CT in mm, pairs, predicted error."""
+@dataclass(frozen=True, eq=False)
+class RegistrationRow:
+    """A registration as it serves one target; `matrix` (4, 4) robot <- CT in mm."""
+
+    trajectory: str
+    matrix: NDArray[np.float64]
+    pairs: int
+    fre_mm: float
+    predicted: Prediction
+
+
+def registration_table(rows: Sequence[RegistrationRow]) -> str:
+    """CSV, a row per target: the rows of the matrix, pairs, predicted error."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]
-    told = ("pairs", "fre_mm", "predicted_tre_mm", "predicted_tre_limit_mm", "confidence")
-    writer.writerow(("trajectory", *elements, *told))
-    for trajectory, (matrix, payload) in fits.items():
-        writer.writerow((trajectory, *matrix[:3].ravel().tolist(), *(payload[key] for key in told)))
+    figures = ("pairs", "fre_mm", "predicted_tre_mm", "predicted_tre_limit_mm", "confidence")
+    writer.writerow(("trajectory", *elements, *figures))
+    for row in rows:
+        predicted = (row.predicted.rms_mm, row.predicted.limit_mm, row.predicted.confidence)
+        writer.writerow((row.trajectory, *row.matrix[:3].ravel().tolist(), row.pairs, row.fre_mm, *predicted))
     return text.getvalue()

@@ -3,46 +3,70 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from procedures.engine.case import Stored
+from procedures.engine.result import StepResult
+from procedures.engine.run_folder import RunFolder, read_run
 from procedures.exchange.dicom_object import Origin, write
 from procedures.exchange.errors import NothingToExport, NotWritable
-from procedures.exchange.plain_files import document, registration_table, slicer_markups, table
+from procedures.exchange.plain_files import (
+    RegistrationRow,
+    document,
+    registration_table,
+    slicer_markups,
+    table,
+)
 from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
 from procedures.exchange.spatial_registration import spatial_registration
-from procedures.steps.payloads import pose_from
-from ronna_hw.records import Record, read_record
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.registration import RegisteredRobot
 
-SPHERES = "fiducial_localization"
-REGISTRATION = "registration"
+R = TypeVar("R", bound=StepResult)
+ALL = "all"  # name of a registration that is for every trajectory
+
+
+class Located(Protocol):
+    """A sphere of the CT: centre (3,) in LPS mm and its covariance (3, 3) in mm2."""
+
+    @property
+    def centre_mm(self) -> ArrayLike: ...
+
+    @property
+    def covariance_mm2(self) -> ArrayLike: ...
 
 
 def export_run(run: Path, out: Path) -> list[Path]:
-    """Write everything that the run `run` found into `out`; the files. Raises EXC-002, EXC-003, REC-001."""
-    records = [read_record(path) for path in sorted((run / "records").glob("*.json"))]
-    imported = _last(records, "ct_import", run)
-    found = _last(records, SPHERES, run)
-    spheres = fiducials(found.payload["markers"])
+    """Write everything that a run found into `out`; returns the files.
+
+    Raises EXC-002, EXC-003, PRO-011, REC-001, REC-003.
+    """
+    folder = read_run(run)
+    imported, found = _only(folder, ImportedCt), _only(folder, LocalizedFiducials)
+    spheres = fiducials(found.result.markers)
     origin = Origin(
-        imported.payload["series_instance_uid"],
-        imported.payload["frame_of_reference_uid"],
-        datetime.fromisoformat(found.created),
-        found.sha256,
+        imported.result.series_instance_uid,
+        imported.result.frame_of_reference_uid,
+        datetime.fromisoformat(found.record.created),
+        found.record.sha256,
     )
-    fits = {_trajectory(one): one for one in records if one.kind == REGISTRATION}
+    fits = {stored.record.trajectory or ALL: stored for stored in folder.standing(RegisteredRobot)}
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
-    poses = {name: pose_from(fit.payload["robot_from_ct"]).rigid.as_matrix() for name, fit in fits.items()}
+    poses = {name: fit.result.robot_from_ct.transform.rigid.as_matrix() for name, fit in fits.items()}
     texts = {
         "spheres.csv": table(spheres),
-        "spheres.json": document(found.payload["markers"], origin),
+        "spheres.json": document(found.record.payload["markers"], origin),
         "spheres.mrk.json": slicer_markups(spheres),
-        "registrations.csv": registration_table({name: (poses[name], fits[name].payload) for name in fits}),
+        "registrations.csv": registration_table(_rows(fits, poses)),
         "registrations.json": _summary(fits),
     }
     try:
@@ -56,7 +80,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     for trajectory, fit in fits.items():
         made = spatial_registration(
             poses[trajectory],
-            replace(origin, made=datetime.fromisoformat(fit.created), key=fit.sha256),
+            replace(origin, made=datetime.fromisoformat(fit.record.created), key=fit.record.sha256),
             spheres=origin,
             description=f"trajectory {trajectory}",
             fiducial_uids=[fiducial_uid(origin, one) for one in spheres],
@@ -65,32 +89,45 @@ def export_run(run: Path, out: Path) -> list[Path]:
     return written
 
 
-def fiducials(markers: list[dict[str, Any]]) -> tuple[Fiducial, ...]:
-    """Spheres of a localization's payload, named M1, M2, ... in its order."""
+def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
+    """Spheres of a localization, named M1, M2, ... in its order."""
     made = []
     for number, marker in enumerate(markers, 1):
-        x, y, z = (float(value) for value in marker["centre_mm"])
-        rms_mm = float(np.sqrt(np.trace(np.array(marker["covariance_mm2"]))))
+        x, y, z = np.asarray(marker.centre_mm, dtype=float).tolist()
+        rms_mm = float(np.sqrt(np.trace(np.array(marker.covariance_mm2))))
         made.append(Fiducial(f"M{number}", (x, y, z), rms_mm))
     return tuple(made)
 
 
-def _summary(fits: dict[str, Record]) -> str:
-    wanted = ("robot_from_ct", "pairs", "fre_mm", "predicted_tre_mm", "predicted_tre_limit_mm", "confidence")
-    document = [
-        {"trajectory": name, **{key: fit.payload[key] for key in wanted}, "record": fit.sha256}
+def _rows(
+    fits: dict[str, Stored[RegisteredRobot]], poses: dict[str, NDArray[np.float64]]
+) -> list[RegistrationRow]:
+    """A row for each target, also where one registration is for several."""
+    return [
+        RegistrationRow(predicted.target, poses[name], fit.result.pairs, fit.result.fre_mm, predicted)
         for name, fit in fits.items()
+        for predicted in fit.result.predictions
+    ]
+
+
+def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
+    document = [
+        {
+            "trajectory": predicted.target,
+            **fit.result.model_dump(mode="json", include={"robot_from_ct", "pairs", "fre_mm"}),
+            "predicted_tre_mm": predicted.rms_mm,
+            "predicted_tre_limit_mm": predicted.limit_mm,
+            "confidence": predicted.confidence,
+            "record": fit.record.sha256,
+        }
+        for fit in fits.values()
+        for predicted in fit.result.predictions
     ]
     return json.dumps({"registrations": document}, indent=1, allow_nan=False) + "\n"
 
 
-def _trajectory(record: Record) -> str:
-    """The trajectory of a record such as `09-registration-T1`."""
-    return record.identifier.partition(f"-{REGISTRATION}-")[2]
-
-
-def _last(records: list[Record], kind: str, run: Path) -> Record:
-    for record in reversed(records):
-        if record.kind == kind:
-            return record
-    raise NothingToExport(f"{run.name} has no record of {kind}")
+def _only(folder: RunFolder, model: type[R]) -> Stored[R]:
+    found = folder.standing(model)
+    if not found:
+        raise NothingToExport(f"{folder.path.name} has no record of {model.kind}")
+    return found[-1]

@@ -47,7 +47,7 @@ def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientId
         }
         for marker in found.markers
     ]
-    spheres = fiducials(markers)
+    spheres = fiducials(found.markers)
     key = hashlib.sha256(canonical_json(markers)).hexdigest()
     origin = Origin(found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key)
     for path in paths:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from procedures.steps.clinical.link_health import LinkHealth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,14 +54,14 @@ def target_errors(targets: list[dict[str, Any]], simulated: bool) -> bytes:
     return _png(figure)
 
 
-def cycle_histogram(sessions: list[dict[str, Any]]) -> bytes:
+def cycle_histogram(links: Sequence[LinkHealth]) -> bytes:
     """Histogram of turnaround and jitter of the robot link over all its sessions; empty ends are left out."""
     figure, axes = _figure(7.6, 2.6)
-    edges = np.array(sessions[0]["histogram_edges_us"])
-    turnaround = np.sum([session["histogram_counts"] for session in sessions], axis=0)
+    edges = np.array(links[0].histogram_edges_us)
+    turnaround = np.sum([link.histogram_counts for link in links], axis=0)
     jitter = np.zeros_like(turnaround)
-    for session in sessions:
-        jitter += np.array(session.get("jitter_counts") or np.zeros_like(turnaround))
+    for link in links:
+        jitter += np.array(link.jitter_counts or np.zeros_like(turnaround))
     filled = np.flatnonzero(turnaround + jitter)
     first, last = (filled[0], filled[-1] + 1) if len(filled) else (0, len(turnaround))
     edges, turnaround, jitter = edges[first : last + 1], turnaround[first:last], jitter[first:last]

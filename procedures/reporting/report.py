@@ -12,10 +12,20 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from procedures.engine.case import PICTURES_FOLDER, RECORDS_FOLDER
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.engine.case import PICTURES_FOLDER
+from procedures.engine.journal import Entry
+from procedures.engine.run_folder import RunFolder, read_run
 from procedures.reporting.figures import cycle_histogram, target_errors
-from ronna_hw.records import Record, read_record, write_whole
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.link_health import LinkHealth
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.retreat import Retreated
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.tool_change import MountedGuide
+from ronna_hw.records import write_whole
 
 REPORT_FILE = "report.html"
 STEREO_PICTURES_SHOWN = 5
@@ -26,31 +36,31 @@ def write_report(folder: Path, outcome: dict[str, Any]) -> Path:
     """Write the report of a run folder; returns its path."""
     import jinja2
 
-    records = [read_record(path) for path in sorted((folder / RECORDS_FOLDER).glob("*.json"))]
-    journal = list(read_journal(folder / JOURNAL_FILE))
+    run = read_run(folder)
     template = resources.files("procedures.reporting").joinpath(TEMPLATE).read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    by_kind = _by_kind(records)
-    sessions = [record.payload["link"] for record in records if "link" in record.payload]
-    banner = journal[0].get("banner", "") if journal else ""
+    registrations = run.standing(RegisteredRobot)
+    links = _links(run)
+    banner = run.opened.get("banner", "")
     text = environment.from_string(template).render(
         outcome=outcome,
         banner=banner,
-        theatre=journal[0].get("theatre", "") if journal else "",
+        theatre=run.opened.get("theatre", ""),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        localization=_payload(by_kind, "fiducial_localization"),
-        series=_payload(by_kind, "ct_import"),
-        plan=_payload(by_kind, "plan_check"),
-        correspondence=_payload(by_kind, "correspondence"),
-        registrations=[record.payload for record in by_kind.get("registration", [])],
-        relocalizations=[record.payload for record in by_kind.get("relocalization", [])],
-        set_up=_payload(by_kind, "set_up"),
-        sessions=sessions,
-        confirmations=[line for line in journal if line["entry"] == Entry.CONFIRMATION],
-        journal=journal,
-        records=records,
+        localization=run.find(LocalizedFiducials),
+        series=run.find(ImportedCt),
+        plan=run.find(CheckedPlan),
+        registrations=registrations,
+        relocalizations=run.standing(Relocalization),
+        set_up=run.find(CheckedSetUp),
+        links=links,
+        confirmations=run.lines(Entry.CONFIRMATION),
+        journal=[line for line in run.journal if line["entry"] not in (Entry.MOTION, Entry.MOVED)],
+        motions=len(run.lines(Entry.MOTION)),
+        records=run.records,
+        superseded=run.superseded,
         errors_figure=_inline(target_errors(outcome["targets"], bool(banner))) if outcome["targets"] else "",
-        link_figure=_inline(cycle_histogram(sessions)) if sessions else "",
+        link_figure=_inline(cycle_histogram(links)) if links else "",
         ct_pictures=[_inline(path.read_bytes()) for path in _pictures(folder, "ct-")],
         stereo_pictures=[
             (path.stem, _inline(path.read_bytes()))
@@ -63,15 +73,11 @@ def write_report(folder: Path, outcome: dict[str, Any]) -> Path:
     return path
 
 
-def _by_kind(records: list[Record]) -> dict[str, list[Record]]:
-    groups: dict[str, list[Record]] = {}
-    for record in records:
-        groups.setdefault(record.kind, []).append(record)
-    return groups
-
-
-def _payload(groups: dict[str, list[Record]], kind: str) -> dict[str, Any] | None:
-    return groups[kind][-1].payload if kind in groups else None
+def _links(run: RunFolder) -> list[LinkHealth]:
+    """Health of the robot link, session by session."""
+    retreats = [stored.result.link for stored in run.standing(Retreated)]
+    changes = [stored.result.link for stored in run.standing(MountedGuide)]
+    return [*changes, *(link for link in retreats if link is not None)]
 
 
 def _pictures(folder: Path, prefix: str) -> list[Path]:

@@ -1,1 +1,1 @@
-"""One module per clinical step."""
+"""The steps of the procedures, one module each: the clinical ones and those of calibrations."""

@@ -1,9 +1,9 @@
-"""All steps of the procedure, in the order of their first use."""
+"""The clinical steps, in the order of a case. A new step is one new module and one line here."""
 
 from __future__ import annotations
 
-from procedures.engine.step import StepSpec
-from procedures.steps import (
+from procedures.engine.order import Steps
+from procedures.steps.clinical import (
     at_target,
     correspondence,
     ct_import,
@@ -19,21 +19,18 @@ from procedures.steps import (
     tool_change,
 )
 
-STEPS: dict[str, StepSpec] = {
-    module.STEP.name: module.STEP
-    for module in (
-        ct_import,
-        fiducial_localization,
-        plan_check,
-        set_up,
-        global_localization,
-        correspondence,
-        path_check,
-        relocalization,
-        registration,
-        tool_change,
-        positioning,
-        at_target,
-        retreat,
-    )
-}
+CLINICAL_STEPS: Steps = (
+    ct_import.STEP,
+    fiducial_localization.STEP,
+    plan_check.STEP,
+    set_up.STEP,
+    global_localization.STEP,
+    correspondence.STEP,
+    path_check.STEP,
+    relocalization.STEP,
+    registration.STEP,
+    tool_change.STEP,
+    positioning.STEP,
+    at_target.STEP,
+    retreat.STEP,
+)

@@ -23,11 +23,11 @@ DATING = {
     "sim/phantom",
     "procedures/engine/journal.py",
     "procedures/reporting/report.py",
-    "procedures/cli/case_request.py",
-    "procedures/cli/stereo_room.py",
-    "procedures/cli/stereo_session.py",
+    "procedures/cli/case/request.py",
+    "procedures/cli/stereo/opening.py",
     "procedures/exchange/sphere_files.py",
-    "procedures/steps/set_up.py",
+    "procedures/steps/clinical/set_up.py",
+    "procedures/steps/calibration",
 }
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from procedures.cli.operators import TerminalOperator
+from procedures.cli.case.operators import TerminalOperator
 from procedures.engine.operator import Question
 
 VALUE = "predicted target error 0.21 mm rms"

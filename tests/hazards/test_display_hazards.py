@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.cli.present import show_outcome
+from procedures.cli.case.display import show_outcome
 from procedures.engine.case import RECORDS_FOLDER
 from procedures.engine.journal import Entry, Journal
 from procedures.reporting.report import write_report

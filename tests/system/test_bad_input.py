@@ -228,18 +228,18 @@ def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path:
 
 
 @pytest.mark.parametrize(
-    "option",
+    ("code", "option"),
     [
-        ("--fiducials", "xframe"),
-        ("--calibrated",),
-        ("--strategy", "jdms"),
-        ("--strategy", "nos"),
-        ("--strategy", "best"),
+        ("PRO-012", ("--fiducials", "xframe")),
+        ("PRO-012", ("--calibrated",)),
+        ("STR-001", ("--strategy", "jdms")),
     ],
 )
-def test_what_is_not_built_yet_says_so(commands: Commands, tmp_path: Path, option: tuple[str, ...]) -> None:
+def test_what_is_not_built_yet_says_so(
+    commands: Commands, tmp_path: Path, code: str, option: tuple[str, ...]
+) -> None:
     done = commands.run("ronna-procedure", "run", "--sim", *option, "--out", str(tmp_path / "runs"))
-    assert "not yet" in _refused(done, "PRO-012", EXIT_USAGE)
+    assert "not yet" in _refused(done, code, EXIT_USAGE)
     assert not (tmp_path / "runs").exists()
 
 

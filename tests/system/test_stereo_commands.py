@@ -19,7 +19,7 @@ from user_commands import Commands, one_error
 from benchmarks.head_looks import ENDPOINTS, TrueHead, observation_set, true_head
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
 from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_looks
-from procedures.cli.stereo import app
+from procedures.cli.stereo.command import app
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.command_line.console import exit_code_of
 from ronna_hw.config import read_theatre_file
@@ -176,7 +176,7 @@ def test_a_theatre_without_calibration_is_refused(
     (tmp_path / "theatre.toml").write_text(tomli_w.dumps(content))
     said = stereo("measure", "--config", tmp_path / "theatre.toml")
     assert said.code == 2
-    assert one_error(said.errors)[0].startswith("PRO-006")
+    assert one_error(said.errors)[0].startswith("DEV-007")
 
 
 def test_an_expired_calibration_is_refused_before_any_device_is_asked(

@@ -18,12 +18,15 @@ from key_pages import key_pages
 from open_questions import PAGE as ROBOT_PARAMETERS
 from open_questions import robot_parameters_page
 from option_pages import option_pages
+from result_pages import PAGE as RECORDS
+from result_pages import records_page
 
 import drivers
 import procedures
 import ronna_hw
 import sim
 from procedures.engine.machine import mermaid
+from procedures.steps.catalogue import CLINICAL_STEPS
 from ronna_hw.errors import concrete_errors
 from sim.polaris.unit.behaviour import parameter_rows
 from sim.theatre.faults import FAULT_KINDS
@@ -46,7 +49,8 @@ def pages() -> dict[str, str]:
             "hazards.md": hazard_page(),
             DISTURBANCES: disturbance_page(),
             ROBOT_PARAMETERS: robot_parameters_page(),
-            "state-chart.md": f"# State chart of the procedure\n\n```mermaid\n{mermaid()}```\n",
+            RECORDS: records_page({step.name: step.result for step in CLINICAL_STEPS}),
+            "state-chart.md": f"# State chart of the procedure\n\n```mermaid\n{mermaid(CLINICAL_STEPS)}```\n",
             "tracker-parameters.md": _tracker_parameters(),
         }.items()
     }

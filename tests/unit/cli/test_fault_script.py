@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.cli.fault_script import check_fault_script
+from procedures.cli.case.fault_script import check_fault_script
 from ronna_hw.command_line.errors import UsageMistake
 
 STEPS = ("registration", "at_target")

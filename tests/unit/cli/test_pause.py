@@ -2,7 +2,7 @@ import io
 
 import pytest
 
-from procedures.cli.pause import Pause
+from procedures.cli.case.pause import Pause
 from procedures.engine.errors import OperatorAborted
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from procedures.cli.case_request import CaseRequest
-from procedures.cli.scene_choice import SceneChoice
+from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.scene_choice import SceneChoice
 
 
 def test_a_built_in_scene_has_the_seed_that_was_asked_for() -> None:

@@ -1,281 +1,233 @@
-from pathlib import Path
-from typing import Any, cast
+import json
+import os
 
 import pytest
+from plain_steps import Fit, Image, Localization, leaves, plain_order
+from recording_cell import RecordingCell, RecordingOperator
 
-from procedures.engine.case import Case
-from procedures.engine.devices import DeviceSet
+from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import JournalNotWritable, NotConfirmed, StepRefused, UnknownStep
-from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
-from procedures.engine.operator import Question
-from procedures.engine.order import LOCALIZING, PHASES, TARGETING
-from procedures.engine.step import Outcome, StepContext, StepSpec
-from ronna_hw.clock import HostClock
-from ronna_hw.config import TheatreFile
+from procedures.engine.errors import JournalNotWritable, NotConfirmed, StepRefused, WrongResult
+from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.records import read_record
+from ronna_hw.records import BadRecord, read_record
 
 
-class Arm:
-    """Notes when it is stopped; that is all the engine may do with it."""
-
-    def __init__(self) -> None:
-        self.stops = 0
-        self.closed = False
+def run_to(engine: Engine, *names: str) -> Engine:
+    for name in names:
+        engine.run_to(engine.order.find(name))
+    return engine
 
 
-class Devices:
-    def __init__(self) -> None:
-        self.arm = Arm()
-
-    def stop(self) -> None:
-        self.arm.stops += 1
-
-    def close(self) -> None:
-        self.arm.closed = True
+def run(engine: Engine, *names: str) -> Engine:
+    for name in names:
+        engine.run_step(engine.order.find(name))
+    return engine
 
 
-class Doubter:
-    """An operator who answers as told and remembers what was announced."""
+def test_the_intent_is_in_the_journal_before_the_work_and_the_result_after_it(cell: RecordingCell) -> None:
+    seen: list[list[tuple[str, str]]] = []
 
-    def __init__(self, answer: bool = True) -> None:
-        self.answer = answer
-        self.heard: list[str] = []
+    def work(_context: StepContext) -> Outcome[StepResult]:
+        seen.append(cell.entries())
+        return Outcome(Image())
 
-    def announce(self, step: str) -> None:
-        self.heard.append(step)
-
-    def confirm(self, question: Question) -> bool:
-        return self.answer
-
-    def change_tool(self, number: int, description: str) -> None:
-        raise AssertionError("no tool is changed here")
+    run(cell.engine(plain_order(image=work)), "image")
+    assert seen == [[("intent", "image")]]
+    assert cell.entries()[-1] == ("result", "image")
+    assert cell.room.announced == ["image"]
 
 
-def _theatre() -> TheatreFile:
-    return cast("TheatreFile", type("Theatre", (), {"calibration": object(), "procedure": None})())
+def test_the_parents_of_a_result_are_what_its_step_read(cell: RecordingCell) -> None:
+    engine = cell.engine(plain_order())
+    first = engine.run_step(engine.order.find("image"))
+    second = engine.run_step(engine.order.find("localization:T1"))
+    assert second.parents == {first.identifier: first.sha256}
+    assert (second.identifier, second.trajectory) == ("02-localization-T1", "T1")
 
 
-STEPS = {
-    "ct_import": StepSpec("ct_import", "", (), lambda _c: Outcome({"slices": 3}, summary="3 slices")),
-    "fiducial_localization": StepSpec(
-        "fiducial_localization", "", ("ct_import",), lambda c: Outcome({"n": 5}, (c.case.get("ct_import"),))
-    ),
-}
+def test_what_was_not_read_is_no_parent(cell: RecordingCell) -> None:
+    engine = cell.engine(plain_order(localization=leaves(Localization)))
+    run(engine, "image")
+    assert engine.run_step(engine.order.find("localization:T1")).parents == {}
 
 
-@pytest.fixture
-def make(tmp_path: Path) -> Any:
-    def build(steps: dict[str, StepSpec] | None = None, operator: Doubter | None = None) -> Engine:
-        return Engine(
-            steps=steps or STEPS,
-            trajectories=(),
-            case=Case(tmp_path, tmp_path / "ct", tmp_path / "plan.toml"),
-            theatre=_theatre(),
-            devices=cast("DeviceSet", Devices()),
-            clock=HostClock(),
-            operator=operator or Doubter(),
-            journal=Journal(tmp_path),
-        )
-
-    return build
+def test_a_step_may_not_read_what_it_does_not_declare(cell: RecordingCell) -> None:
+    engine = run_to(cell.engine(plain_order(tool_on=leaves(Image, Image))), "fit:T2")
+    with pytest.raises(WrongResult, match="PRO-016: tool_on asks for image, which it does not declare"):
+        run(engine, "tool_on")
 
 
-def _entries(folder: Path) -> list[tuple[str, str]]:
-    return [(line["entry"], line.get("step", "")) for line in read_journal(folder / JOURNAL_FILE)]
+def test_a_step_that_leaves_another_model_fails_and_its_result_does_not_stand(cell: RecordingCell) -> None:
+    engine = run_to(cell.engine(plain_order(localization=leaves(Fit))), "image")
+    with pytest.raises(WrongResult, match="expected Localization, got Fit"):
+        run(engine, "localization:T1")
+    assert engine.machine.state == "fault"
+    assert [path.stem for path in (cell.folder / "records").iterdir()] == ["01-image"]
 
 
-def test_the_intent_is_in_the_journal_before_the_work_and_the_result_after_it(
-    make: Any, tmp_path: Path
-) -> None:
-    seen_by_step: list[list[tuple[str, str]]] = []
-
-    def work(_context: StepContext) -> Outcome:
-        seen_by_step.append(_entries(tmp_path))
-        return Outcome({})
-
-    engine = make({**STEPS, "ct_import": StepSpec("ct_import", "", (), work)})
-    engine.run_step(engine.find("ct_import"))
-    assert seen_by_step == [[("intent", "ct_import")]]
-    assert _entries(tmp_path)[-1] == ("result", "ct_import")
+def test_a_refused_step_lists_what_is_unmet_and_is_journalled(cell: RecordingCell) -> None:
+    engine = cell.engine(plain_order())
+    with pytest.raises(StepRefused, match=r"fit:T1 may not begin: .*image is not done; no result of loc"):
+        run(engine, "fit:T1")
+    assert cell.entries() == [("refused", "fit:T1")]
+    assert cell.room.announced == []
 
 
-def test_a_result_is_a_record_with_its_parents(make: Any) -> None:
-    engine = make()
-    first = engine.run_step(engine.find("ct_import"))
-    second = engine.run_step(engine.find("fiducial_localization"))
-    assert second.parents == (first.identifier,)
-    assert engine.finished == engine.sequence[:2]
-
-
-def test_a_step_out_of_order_is_refused_with_every_unmet_precondition(make: Any, tmp_path: Path) -> None:
-    engine = make()
-    with pytest.raises(StepRefused, match="may not follow idle; no result of ct_import"):
-        engine.run_step(engine.find("fiducial_localization"))
-    assert _entries(tmp_path) == [("refused", "fiducial_localization")]
-    assert engine.operator.heard == []
-
-
-def test_an_unknown_step_names_those_that_exist(make: Any) -> None:
-    with pytest.raises(UnknownStep, match="ct_import, fiducial_localization"):
-        make().find("drilling")
-
-
-def test_a_step_that_fails_stops_the_arm_and_leaves_the_chart_in_fault(make: Any, tmp_path: Path) -> None:
-    def fail(_context: StepContext) -> Outcome:
+def test_a_step_that_fails_stops_the_arm_and_leaves_the_chart_in_fault(cell: RecordingCell) -> None:
+    def fail(context: StepContext) -> Outcome[StepResult]:
+        context.workcell.arm.activate()
         raise LinkTimeout("the tracker is silent")
 
-    engine = make({**STEPS, "ct_import": StepSpec("ct_import", "", (), fail)})
+    engine = cell.engine(plain_order(image=fail))
     with pytest.raises(LinkTimeout):
-        engine.run_step(engine.find("ct_import"))
-    assert engine.devices.arm.stops == 1
-    assert engine.machine.state == "fault"
-    assert _entries(tmp_path)[-1] == ("failed", "ct_import")
+        run(engine, "image")
+    assert cell.arm.stops == 1
+    assert cell.entries()[-1] == ("failed", "image")
+    assert engine.why_refused(engine.order.find("image")) == ("the case is over: fault",)
 
 
-def test_evidence_that_comes_with_an_error_is_kept_in_the_run_folder(make: Any, tmp_path: Path) -> None:
-    def fail(_context: StepContext) -> Outcome:
+def test_evidence_that_comes_with_an_error_is_kept_in_the_run_folder(cell: RecordingCell) -> None:
+    def fail(_context: StepContext) -> Outcome[StepResult]:
         error = LinkTimeout("telegrams ceased")
         error.attachments["flight-record-robot.master.txt"] = "cycle  IPOC\n"
         raise error
 
-    engine = make({**STEPS, "ct_import": StepSpec("ct_import", "", (), fail)})
     with pytest.raises(LinkTimeout):
-        engine.run_step(engine.find("ct_import"))
-    assert (tmp_path / "flight-record-robot.master.txt").read_text() == "cycle  IPOC\n"
-    last = list(read_journal(tmp_path / JOURNAL_FILE))[-1]
+        run(cell.engine(plain_order(image=fail)), "image")
+    assert (cell.folder / "flight-record-robot.master.txt").read_text() == "cycle  IPOC\n"
+    last = list(read_journal(cell.folder / JOURNAL_FILE))[-1]
     assert last["files"] == ["flight-record-robot.master.txt"]
 
 
-def test_an_interrupted_step_stops_the_arm_and_is_journalled(make: Any, tmp_path: Path) -> None:
-    def interrupt(_context: StepContext) -> Outcome:
+def test_an_interrupted_step_stops_the_arm_and_is_journalled(cell: RecordingCell) -> None:
+    def interrupt(context: StepContext) -> Outcome[StepResult]:
+        context.workcell.arm.activate()
         raise KeyboardInterrupt
 
-    engine = make({**STEPS, "ct_import": StepSpec("ct_import", "", (), interrupt)})
     with pytest.raises(KeyboardInterrupt):
-        engine.run_step(engine.find("ct_import"))
-    assert engine.devices.arm.stops == 1
-    assert _entries(tmp_path)[-1] == ("interrupted", "ct_import")
+        run(cell.engine(plain_order(image=interrupt)), "image")
+    assert cell.arm.stops == 1
+    assert cell.entries()[-1] == ("interrupted", "image")
 
 
-def test_without_a_yes_a_confirmed_value_goes_no_further_and_both_are_recorded(
-    make: Any, tmp_path: Path
-) -> None:
-    def ask(context: StepContext) -> Outcome:
+def test_without_a_yes_a_confirmed_value_goes_no_further_and_both_are_recorded(cell: RecordingCell) -> None:
+    def ask(context: StepContext) -> Outcome[StepResult]:
         context.confirm("accept the registration", "0.21 mm rms")
-        return Outcome({})
+        return Outcome(Image())
 
-    engine = make({**STEPS, "ct_import": StepSpec("ct_import", "", (), ask)}, Doubter(answer=False))
+    cell.operator = RecordingOperator(answer=False)
     with pytest.raises(NotConfirmed, match=r"PRO-002.*0\.21 mm rms"):
-        engine.run_step(engine.find("ct_import"))
+        run(cell.engine(plain_order(image=ask)), "image")
     confirmation = next(
-        line for line in read_journal(tmp_path / JOURNAL_FILE) if line["entry"] == "confirmation"
+        line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "confirmation"
     )
     assert (confirmation["value"], confirmation["answer"]) == ("0.21 mm rms", False)
 
 
-def test_closing_ends_the_sessions_and_the_journal(make: Any, tmp_path: Path) -> None:
-    engine = make()
-    engine.close("done")
-    assert engine.devices.arm.closed
-    assert _entries(tmp_path) == [("closed", "")]
+def test_closing_ends_the_sessions_and_the_journal(cell: RecordingCell) -> None:
+    cell.engine(plain_order()).close("done")
+    assert cell.arm.state == "closed"
+    assert cell.entries() == [("closed", "")]
+    assert cell.journal.closed
 
 
 @pytest.mark.hazard(33)
-def test_when_the_result_cannot_be_journalled_the_arm_is_stopped_and_nothing_follows(make: Any) -> None:
-    engine = make()
+def test_a_step_whose_intent_cannot_be_written_is_not_even_announced(cell: RecordingCell) -> None:
+    os.dup2(full := os.open("/dev/full", os.O_WRONLY), cell.journal._file)
+    os.close(full)
+    with pytest.raises(JournalNotWritable, match=r"PRO-003.*No space left"):
+        run(cell.engine(plain_order()), "image")
+    assert cell.room.announced == []
 
-    def write(entry: Entry, _theatre_time_s: float, **_data: Any) -> None:
+
+@pytest.mark.hazard(33)
+def test_a_result_that_cannot_be_journalled_does_not_stand_and_nothing_follows(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    write = cell.journal.write
+
+    def refuse(entry: Entry, theatre_time_s: float, **data: object) -> None:
         if entry is Entry.RESULT:
             raise JournalNotWritable("cannot write journal.jsonl: No space left on device")
+        write(entry, theatre_time_s, **data)  # type: ignore[arg-type]
 
-    engine.journal.write = write
+    monkeypatch.setattr(cell.journal, "write", refuse)
     with pytest.raises(JournalNotWritable, match="PRO-003"):
-        engine.run_step(engine.find("ct_import"))
-    assert engine.devices.arm.stops == 1
+        run(engine, "image")
     assert engine.machine.state == "fault"
-    assert engine.finished == ()
+    assert engine.status(engine.order.find("image")) == "next"
 
 
-def test_an_interruption_while_the_intent_is_written_stops_the_arm_and_is_journalled(
-    make: Any, tmp_path: Path
+def test_an_interruption_while_the_intent_is_written_is_journalled(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    engine = make()
-    original = engine.journal.write
+    write = cell.journal.write
 
-    def write(entry: Entry, theatre_time_s: float, **data: Any) -> None:
-        original(entry, theatre_time_s, **data)
+    def interrupt(entry: Entry, theatre_time_s: float, **data: object) -> None:
+        write(entry, theatre_time_s, **data)  # type: ignore[arg-type]
         if entry is Entry.INTENT:
             raise KeyboardInterrupt
 
-    engine.journal.write = write
+    monkeypatch.setattr(cell.journal, "write", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        engine.run_step(engine.find("ct_import"))
-    assert engine.devices.arm.stops == 1
-    assert _entries(tmp_path)[-2:] == [("intent", "ct_import"), ("interrupted", "ct_import")]
+        run(cell.engine(plain_order()), "image")
+    assert cell.entries() == [("intent", "image"), ("interrupted", "image")]
 
 
-ORDER = (*(name for phase in PHASES.values() for name in phase),)
-PER_TRAJECTORY = (*LOCALIZING, *TARGETING)
+@pytest.mark.hazard(7)
+def test_with_the_guide_at_one_target_the_retreat_of_another_trajectory_is_refused(
+    cell: RecordingCell,
+) -> None:
+    engine = run_to(cell.engine(plain_order()), "held:T2")
+    with pytest.raises(StepRefused, match="back:T1 may not begin: it may not follow held:T2: only back:T2"):
+        run(engine, "back:T1")
+    assert engine.why_refused(engine.order.find("back:T2")) == ()
 
 
-def _chain(tmp_path: Path) -> Engine:
-    """A case of two trajectories whose steps do nothing but leave results, each made from the one before."""
-
-    def work(name: str) -> StepSpec:
-        def run(context: StepContext) -> Outcome:
-            kinds = {"registration": "relocalization", "tool_change": "", "positioning": "registration"}
-            kind = kinds.get(name, "")
-            return Outcome({}, (context.result(kind),) if kind else ())
-
-        needs = {
-            "positioning": ("registration", "tool_change"),
-            "at_target": ("positioning",),
-            "retreat": ("positioning", "at_target"),
-        }.get(name, ())
-        everything = ("registration",) if name == "tool_change" else ()
-        return StepSpec(name, "", needs, run, name in PER_TRAJECTORY, everything)
-
-    return Engine(
-        steps={name: work(name) for name in ORDER},
-        trajectories=("T1", "T2"),
-        case=Case(tmp_path, tmp_path / "ct", tmp_path / "plan.toml"),
-        theatre=_theatre(),
-        devices=cast("DeviceSet", Devices()),
-        clock=HostClock(),
-        operator=Doubter(),
-        journal=Journal(tmp_path),
+@pytest.mark.hazard(1)
+def test_a_repeated_step_supersedes_what_descends_from_its_former_result(cell: RecordingCell) -> None:
+    engine = run_to(cell.engine(plain_order()), "fit:T2")
+    run(engine, "localization:T1")
+    last = list(read_journal(cell.folder / JOURNAL_FILE))[-1]
+    assert last["supersedes"] == ["02-localization-T1", "03-fit-T1"]
+    assert engine.status(engine.order.find("fit:T1")) == "next"
+    assert engine.why_refused(engine.order.find("tool_on")) == (
+        "it may not follow localization:T1: fit:T1 is not done",
     )
 
 
-def test_with_the_guide_at_one_target_the_retreat_of_another_trajectory_is_refused(tmp_path: Path) -> None:
-    engine = _chain(tmp_path)
-    engine.run_to(engine.find("at_target:T2"))
-    with pytest.raises(StepRefused, match="retreat:T1 may not begin: it may not follow at_target:T2"):
-        engine.run_step(engine.find("retreat:T1"))
-    assert engine.why_refused(engine.find("retreat:T2")) == ()
+@pytest.mark.hazard(1)
+def test_nothing_moves_on_a_registration_whose_localization_was_repeated(cell: RecordingCell) -> None:
+    engine = run(run_to(cell.engine(plain_order()), "tool_on"), "localization:T1")
+    with pytest.raises(StepRefused, match=r"fit:T1 is not done; no result of fit for T1"):
+        run(engine, "approach:T1")
 
 
-def test_a_registration_whose_localization_was_repeated_is_superseded_and_moves_nothing(
-    tmp_path: Path,
-) -> None:
-    engine = _chain(tmp_path)
-    engine.run_to(engine.find("registration:T2"))
-    engine.run_step(engine.find("relocalization:T1"))
-    with pytest.raises(StepRefused, match="it may not follow relocalization:T1"):
-        engine.run_step(engine.find("registration:T2"))
-    assert not engine.case.has("registration", "T1")
-    assert engine.upcoming == engine.find("registration:T1")
-    assert "no result of registration for T1" in engine.why_refused(engine.find("tool_change"))
+def test_what_is_superseded_and_not_next_is_shown_as_such(cell: RecordingCell) -> None:
+    engine = run(run_to(cell.engine(plain_order()), "fit:T2"), "image")
+    states = [engine.status(key) for key in engine.order.sequence[:5]]
+    assert states == ["done", "next", "superseded", "superseded", "superseded"]
 
 
-def test_repeating_a_step_leaves_the_record_of_its_former_result_as_it_was(tmp_path: Path) -> None:
-    engine = _chain(tmp_path)
-    engine.run_to(engine.find("registration:T2"))
-    for name in ("relocalization:T1", "registration:T1") * 2:
-        engine.run_step(engine.find(name))
-    told = [line for line in read_journal(tmp_path / JOURNAL_FILE) if line["entry"] == Entry.RESULT]
-    kept = {path.stem: read_record(path).sha256 for path in (tmp_path / "records").glob("*.json")}
+def test_repeating_steps_leaves_every_record_that_the_journal_names(cell: RecordingCell) -> None:
+    engine = run(run_to(cell.engine(plain_order()), "fit:T2"), *("localization:T1", "fit:T1") * 2)
+    told = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.RESULT]
+    kept = {path.stem: read_record(path).sha256 for path in (cell.folder / "records").glob("*.json")}
     assert {line["record"]: line["sha256"] for line in told} == kept
-    assert len(told) == len(kept) == 15
+    assert len(told) == len(kept) == 9
+    assert engine.machine.state == "operation.fit"
+
+
+@pytest.mark.hazard(1)
+def test_a_record_that_was_edited_during_the_run_is_not_read(cell: RecordingCell) -> None:
+    engine = run(cell.engine(plain_order()), "image")
+    path = cell.folder / "records" / "01-image.json"
+    content = json.loads(path.read_text())
+    content["payload"]["number"] = 7
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadRecord, match="REC-001"):
+        run(engine, "localization:T1")

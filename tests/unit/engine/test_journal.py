@@ -51,8 +51,8 @@ def test_a_journal_is_never_written_over(tmp_path: Path) -> None:
 @pytest.mark.hazard(33)
 def test_a_journal_on_a_full_disk_says_so(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
-    journal.close()
-    journal._file = __import__("os").open("/dev/full", 1)
+    os.dup2(full := os.open("/dev/full", os.O_WRONLY), journal._file)
+    os.close(full)
     with pytest.raises(JournalNotWritable, match="No space left"):
         journal.write(Entry.INTENT, 0.0)
 
@@ -96,3 +96,17 @@ def test_a_line_that_was_cut_ends_the_writing(tmp_path: Path, monkeypatch: pytes
     monkeypatch.undo()
     with pytest.raises(JournalNotWritable, match="cut"):
         journal.write(Entry.CLOSED, 0.0)
+
+
+@pytest.mark.hazard(33)
+def test_a_folder_that_cannot_be_written_gives_no_journal(tmp_path: Path) -> None:
+    with pytest.raises(JournalNotWritable, match="PRO-003"):
+        Journal(tmp_path / "missing")
+
+
+@pytest.mark.hazard(33)
+def test_a_closed_journal_takes_nothing_more(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    journal.close()
+    with pytest.raises(JournalNotWritable, match="it is closed"):
+        journal.write(Entry.INTENT, 0.0, step="ct_import")

@@ -11,45 +11,88 @@ import pytest
 from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 
+from procedures.engine.case import Case
+from procedures.engine.journal import Entry, Journal
+from procedures.engine.result import FramedPose, StepResult
+from procedures.engine.step import StepKey
 from procedures.exchange.errors import NothingToExport, NotWritable, UnknownForm
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
-from procedures.steps.payloads import pose_payload
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+from procedures.steps.clinical.registration import Prediction, RegisteredRobot
+from procedures.steps.clinical.two_way import TwoWayTable
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.records import BadRecord, Record, write_record
+from ronna_hw.records import BadRecord, OtherVersion
 
-IMPORTED = Record(
-    "01-ct_import", "ct_import", (), {"series_instance_uid": "1.2.3", "frame_of_reference_uid": "1.2.4"}
+IMPORTED = ImportedCt(
+    series_instance_uid="1.2.3",
+    frame_of_reference_uid="1.2.4",
+    patient_position="HFS",
+    shape=(1, 1, 1),
+    spacing_mm=(1.0, 1.0, 1.0),
+    origin_mm=(0.0, 0.0, 0.0),
+    axes=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
+    voxels_sha256="",
+    warnings=(),
 )
-SPHERES = Record(
-    "02-fiducial_localization",
-    "fiducial_localization",
-    ("01-ct_import",),
-    {"markers": [{"centre_mm": [1.0, 2.0, 3.0], "covariance_mm2": (np.eye(3) * 3e-4).tolist()}]},
+SPHERES = LocalizedFiducials(
+    series_instance_uid="1.2.3",
+    diameter_mm=11.5,
+    markers=(
+        LocalizedMarker(
+            centre_mm=(1.0, 2.0, 3.0),
+            covariance_mm2=(np.eye(3) * 3e-4).tolist(),
+            radius_mm=5.75,
+            quality=1.0,
+            agreement_mm=0.0,
+            flags=(),
+        ),
+    ),
+    candidates_refused=0,
+)
+NO_TABLE = TwoWayTable(
+    ct_to_room=(), room_to_ct=(), unmatched_ct=(), unmatched_room=(), agrees_both_ways=True
 )
 
 
-def fit(identifier: str, x_mm: float) -> Record:
+def fit(trajectory: str, x_mm: float) -> RegisteredRobot:
     turn = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_quat(scalar_first=True)
     pose = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=[x_mm, 0.0, 0.0], quaternion_wxyz=turn)
-    told = {
-        "pairs": 5,
-        "fre_mm": 0.1,
-        "predicted_tre_mm": 0.2,
-        "predicted_tre_limit_mm": 0.4,
-        "confidence": 0.95,
-    }
-    return Record(identifier, "registration", (), {"robot_from_ct": pose_payload(pose), **told})
+    return RegisteredRobot(
+        robot_from_ct=FramedPose.of(pose),
+        pairs=5,
+        fre_mm=0.1,
+        residuals_mm=(),
+        leave_one_out_mm=(),
+        predictions=(Prediction(target=trajectory, rms_mm=0.2, limit_mm=0.4, confidence=0.95, formula=""),),
+        two_way=NO_TABLE,
+    )
+
+
+def record(run: Path, *results: tuple[StepKey, StepResult]) -> Path:
+    """A run folder with these results, in this order, each in place of a former one of its step."""
+    run.mkdir(exist_ok=True)
+    case, journal = Case(run, run / "ct", run / "plan.toml"), Journal(run)
+    for key, result in results:
+        stored = case.store(key, result, ())
+        gone = [one.identifier for one in case.superseded_by(key)]
+        names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
+        journal.write(Entry.RESULT, 0.0, step=str(key), supersedes=gone, **names)
+        case.accept(key, stored)
+    journal.close()
+    return run
+
+
+IN_CT = ((StepKey("ct_import"), IMPORTED), (StepKey("fiducial_localization"), SPHERES))
 
 
 @pytest.fixture
 def finished(tmp_path: Path) -> Path:
-    run = tmp_path / "run"
-    (run / "records").mkdir(parents=True)
-    fits = (fit("03-registration-T1", 1.0), fit("05-registration-T2", 2.0), fit("07-registration-T1", 3.0))
-    for record in (IMPORTED, SPHERES, *fits):
-        write_record(record, run / "records")
-    return run
+    fits = (("T1", 1.0), ("T2", 2.0), ("T1", 3.0))
+    return record(
+        tmp_path / "run", *IN_CT, *((StepKey("registration", name), fit(name, x)) for name, x in fits)
+    )
 
 
 def test_a_run_gives_its_spheres_and_the_last_registration_of_each_trajectory(finished: Path) -> None:
@@ -63,8 +106,8 @@ def test_a_run_gives_its_spheres_and_the_last_registration_of_each_trajectory(fi
     assert (out / "spheres.csv").read_text().splitlines()[1].startswith("M1,1.0,2.0,3.0,0.03")
     told = json.loads((out / "registrations.json").read_text())["registrations"]
     assert [(one["trajectory"], one["robot_from_ct"]["translation_mm"][0]) for one in told] == [
-        ("T1", 3.0),
         ("T2", 2.0),
+        ("T1", 3.0),
     ]
 
 
@@ -76,7 +119,7 @@ def test_the_tables_hold_the_same_as_the_objects(finished: Path) -> None:
     assert [(one["name"], one["centre_mm"]) for one in spheres["spheres"]] == [("M1", [1.0, 2.0, 3.0])]
     assert np.array(spheres["spheres"][0]["covariance_mm2"]).shape == (3, 3)
     rows = list(csv.DictReader((out / "registrations.csv").read_text().splitlines()))
-    assert [row["trajectory"] for row in rows] == ["T1", "T2"]
+    assert [row["trajectory"] for row in rows] == ["T2", "T1"]
     for row in rows:
         read = dcmread(out / f"registration-{row['trajectory']}.dcm").RegistrationSequence[1]
         step = read.MatrixRegistrationSequence[0].MatrixSequence[0]
@@ -99,17 +142,28 @@ def test_the_registrations_name_the_spheres_that_are_beside_them(finished: Path)
 
 
 def test_a_run_without_a_registration_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "records").mkdir()
-    for record in (IMPORTED, SPHERES):
-        write_record(record, tmp_path / "records")
+    run = record(tmp_path / "run", *IN_CT)
     with pytest.raises(NothingToExport, match="EXC-003"):
-        export_run(tmp_path, tmp_path / "export")
+        export_run(run, tmp_path / "export")
 
 
 def test_a_changed_record_is_not_exported(finished: Path) -> None:
-    path = finished / "records" / "05-registration-T2.json"
+    path = finished / "records" / "04-registration-T2.json"
     path.write_text(path.read_text().replace("0.95", "0.99"))
     with pytest.raises(BadRecord, match="REC-001"):
+        export_run(finished, finished / "export")
+
+
+def test_a_missing_record_is_named_and_nothing_is_exported(finished: Path) -> None:
+    (finished / "records" / "04-registration-T2.json").unlink()
+    with pytest.raises(BadRecord, match=r"REC-001: 04-registration-T2\.json is missing"):
+        export_run(finished, finished / "export")
+    assert not (finished / "export").exists()
+
+
+def test_a_record_of_another_version_is_not_exported(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RegisteredRobot, "version", 2)
+    with pytest.raises(OtherVersion, match=r"REC-003.*expected registration version 2, got version 1"):
         export_run(finished, finished / "export")
 
 

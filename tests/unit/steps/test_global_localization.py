@@ -3,17 +3,40 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
+from recording_cell import RecordingCell
 
 from procedures.engine.errors import GateFailed
-from procedures.steps.global_localization import FRAMES, MOST_LOST_READINGS, _average_pose, _fresh_frames, run
+from procedures.engine.order import order_of
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.steps.clinical.global_localization import (
+    FRAMES,
+    MOST_LOST_READINGS,
+    STEP,
+    average_pose,
+    fresh_frames,
+)
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell import MountedTool
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Stamp, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import DeviceError, LinkTimeout
+
+SET_UP_DONE = StepSpec(
+    CheckedSetUp,
+    "",
+    Phase.PREPARATION,
+    lambda context: Outcome(
+        CheckedSetUp(
+            identities={}, notices=(), calibrations=context.workcell.calibrations, home_rad=(0.0,) * 6
+        )
+    ),
+)
 
 
 class Bumped(DeviceError):
@@ -44,15 +67,13 @@ class TrackerThatFails:
 
 
 @pytest.mark.parametrize("latched", [True, False])
-def test_the_fault_of_the_tracker_is_what_the_step_fails_with(latched: bool) -> None:
+def test_the_fault_of_the_tracker_is_what_the_step_fails_with(latched: bool, tmp_path: Path) -> None:
     tracker = TrackerThatFails(latched)
-    context: Any = SimpleNamespace(
-        devices=SimpleNamespace(tracker=tracker),
-        clock=SimpleNamespace(now_s=lambda: 0.0),
-        progress=lambda *_: None,
-    )
+    cell = RecordingCell(tmp_path)
+    cell.opened._devices["tracker"] = tracker  # type: ignore[assignment]
+    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
     with pytest.raises(Bumped):
-        run(context)
+        cell.engine(order_of([SET_UP_DONE, STEP], ())).run_to()
     assert tracker.calls == ([] if latched else ["deactivate"])
 
 
@@ -76,21 +97,21 @@ class LineThatLoses:
         return frame()
 
 
-def context_of(tracker: object) -> Any:
-    clock = SimpleNamespace(now_s=lambda: 0.0)
-    return SimpleNamespace(devices=SimpleNamespace(tracker=tracker), clock=clock, progress=lambda *_: None)
+def read_from(tracker: object) -> tuple[list[TrackerFrame], int]:
+    clock: Any = SimpleNamespace(now_s=lambda: 0.0)
+    return fresh_frames(cast("Any", tracker), clock, lambda _share: None)
 
 
 def test_a_lost_reply_costs_a_reading_and_not_the_case(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.steps.global_localization.MOST_LOST_READINGS", FRAMES)
-    frames, lost = _fresh_frames(context_of(LineThatLoses(1)))
+    monkeypatch.setattr("procedures.steps.clinical.global_localization.MOST_LOST_READINGS", FRAMES)
+    frames, lost = read_from(LineThatLoses(1))
     assert (len(frames), lost) == (FRAMES, FRAMES // 2 - 1)
 
 
 def test_a_line_that_loses_too_much_ends_the_step() -> None:
     assert MOST_LOST_READINGS < FRAMES // 2
     with pytest.raises(LinkTimeout):
-        _fresh_frames(context_of(LineThatLoses(2)))
+        read_from(LineThatLoses(2))
 
 
 @pytest.mark.parametrize(
@@ -103,4 +124,4 @@ def test_a_line_that_loses_too_much_ends_the_step() -> None:
 )
 def test_the_advice_follows_why_the_tool_was_not_seen(seen: TrackerFrame, action: str) -> None:
     with pytest.raises(GateFailed, match=f"in 0 of 3 frames.*{action}"):
-        _average_pose([seen] * 3, "M")
+        average_pose([seen] * 3, "M")

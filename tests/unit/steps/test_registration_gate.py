@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from procedures.registration import register
-from procedures.steps.registration_gate import GATE_CONFIDENCE, REPEATABILITY_MM, moved_spheres, residual_gate
+from procedures.steps.clinical.registration_gate import (
+    GATE_CONFIDENCE,
+    REPEATABILITY_MM,
+    moved_spheres,
+    residual_gate,
+)
 
 ARM_MM = 0.1
 MEASURED_MM2 = np.broadcast_to(np.eye(3) * 0.02**2, (8, 3, 3))

@@ -10,9 +10,9 @@ import pytest
 
 from benchmarks.servo_campaign import calibrated_cell, servo_campaign
 from benchmarks.stereo_cell import StereoCell, without_arm_errors
-from procedures.cli.stereo_present import show_look
-from procedures.engine.errors import SphereNotFound
+from procedures.cli.stereo.display import show_look
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
+from procedures.workcell.errors import SphereNotFound
 from ronna_hw.devices.readings import StereoReading, Validity
 from sim.theatre.scene.named_scenes import built_in_scene
 

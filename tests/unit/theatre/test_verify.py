@@ -57,7 +57,7 @@ def localize(run: Path) -> Callable[[Sequence[Sequence[float]]], None]:
     def record(centres_mm: Sequence[Sequence[float]]) -> None:
         payload = {"markers": [{"centre_mm": list(centre)} for centre in centres_mm]}
         write_record(
-            Record("02-fiducial_localization", "fiducial_localization", (), payload), run / RECORDS_FOLDER
+            Record("02-fiducial_localization", "fiducial_localization", {}, payload), run / RECORDS_FOLDER
         )
 
     return record

@@ -1,0 +1,63 @@
+"""What the command line asks for, and the folder that a run gets for it."""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from procedures.cli.case.scene_choice import SceneChoice
+from ronna_hw.command_line.errors import PathProblem
+
+
+@dataclass(frozen=True)
+class CaseRequest:
+    """A case on a simulated theatre, or with `config` and `case` on configured endpoints."""
+
+    out: Path
+    choice: SceneChoice = field(default_factory=SceneChoice)
+    strategy: str = "ocs"
+    speed: str = "max"
+    faults: Path | None = None
+    config: Path | None = None  # a theatre file of configured endpoints, instead of a simulated theatre
+    case: Path | None = None  # folder with ct/ and plan.toml, with `config`
+
+    @property
+    def seed(self) -> int | None:
+        """Seed of a simulated case; None on configured endpoints."""
+        return self.choice.own_seed if self.config is None else None
+
+
+def check_request(request: CaseRequest) -> None:
+    """Raise what can be known to be wrong before a run folder is made."""
+    from procedures.strategies.catalogue import strategy_named
+    from ronna_hw.config import read_theatre_file
+
+    strategy_named(request.strategy)
+    if request.config is not None:
+        read_theatre_file(request.config)
+        for part in ("ct", "plan.toml"):
+            path = (request.case or Path()) / part
+            if not path.exists():
+                raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
+    if request.faults is not None:
+        from procedures.cli.case.fault_script import check_fault_script
+        from procedures.steps.catalogue import CLINICAL_STEPS
+
+        check_fault_script(request.faults, [step.name for step in CLINICAL_STEPS])
+
+
+def new_run_folder(request: CaseRequest) -> Path:
+    """Make `OUT/<run id>`; the id is the moment, the seed of a simulated case and four random hex digits."""
+    seed = "" if request.seed is None else f"s{request.seed}-"
+    folder = request.out / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
+    folder.mkdir(parents=True)
+    return folder
+
+
+def forget_if_empty(folder: Path) -> None:
+    """Remove a run folder in which nothing was written."""
+    if not any(path.is_file() for path in folder.rglob("*")):
+        shutil.rmtree(folder, ignore_errors=True)

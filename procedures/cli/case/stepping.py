@@ -1,0 +1,118 @@
+"""`ronna-procedure step`: the case by hand, one command per line on standard input."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.pause import pause_on_interrupt
+from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
+from procedures.cli.case.running import Watcher, opened_engine
+from procedures.engine.errors import UnknownStep
+from ronna_hw.command_line.console import fail_with, on_terminal
+from ronna_hw.errors import RefusedError, RonnaError
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+    from procedures.engine.result import StepResult
+    from procedures.engine.step import Outcome, StepKey
+
+HELP = "list | next | run STEP | to STEP | why [STEP] | help | quit"
+PROMPT = "step> "
+
+
+def step_through(request: CaseRequest) -> None:
+    """Read commands until `quit` or the end of the input; a refusal is told and the case goes on.
+
+    Any other error of a step is told too and ends the case: its state chart is then in `fault`.
+    """
+    check_request(request)
+    folder = new_run_folder(request)
+    with (
+        pause_on_interrupt() as pause,
+        opened_engine(request, folder, Watcher(listener=_done, safe_point=pause.safe_point)) as engine,
+    ):
+        _say(f"run {folder.name}; {HELP}")
+        while (line := _ask()) is not None:
+            name, _, argument = line.strip().partition(" ")
+            if name in ("quit", "q"):
+                return
+            command = COMMANDS.get(name)
+            if command is None:
+                _say(HELP)
+                continue
+            try:
+                command(engine, argument.strip())
+            except RonnaError as error:
+                fail_with(error)
+                if engine.machine.state == "fault":
+                    raise
+                if not isinstance(error, RefusedError | UnknownStep):
+                    raise
+
+
+def _list(engine: Engine, _argument: str) -> None:
+    width = max(len(engine.status(key)) for key in engine.order.sequence)
+    for key in engine.order.sequence:
+        _say(f"{engine.status(key):<{width}}  {key!s:<24} {engine.order.spec(key).title}")
+
+
+def _next(engine: Engine, _argument: str) -> None:
+    if engine.upcoming is None:
+        _say("the case is finished")
+        return
+    engine.run_step(engine.upcoming)
+
+
+def _run(engine: Engine, argument: str) -> None:
+    engine.run_step(engine.order.find(argument))
+
+
+def _to(engine: Engine, argument: str) -> None:
+    key = engine.order.find(argument)
+    if engine.case.stands(key):
+        _say(f"{key} is done already")
+        return
+    engine.run_to(key)
+
+
+def _why(engine: Engine, argument: str) -> None:
+    key = engine.order.find(argument) if argument else engine.upcoming
+    if key is None:
+        _say("the case is finished")
+        return
+    unmet = engine.why_refused(key)
+    _say(f"{key}: " + ("may begin" if not unmet else "refused: " + "; ".join(unmet)))
+
+
+def _help(_engine: Engine, _argument: str) -> None:
+    _say(HELP)
+
+
+COMMANDS: dict[str, Callable[[Engine, str], None]] = {
+    "list": _list,
+    "next": _next,
+    "run": _run,
+    "to": _to,
+    "why": _why,
+    "help": _help,
+    "": _help,
+}
+
+
+def _done(key: StepKey, outcome: Outcome[StepResult]) -> None:
+    _say(f"done {key}: {outcome.summary}")
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def _ask() -> str | None:
+    if on_terminal(sys.stdin):
+        sys.stdout.write(PROMPT)
+        sys.stdout.flush()
+    line = sys.stdin.readline()
+    return line if line else None

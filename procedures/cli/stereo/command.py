@@ -1,0 +1,228 @@
+"""`ronna-stereo`: calibrate the stereo head, check that it still holds, look at a ball."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from procedures.cli.case.scene_choice import SceneChoice
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.calibration import ObservationSet
+    from procedures.cli.stereo.opening import Source
+
+Triple = tuple[float, float, float]
+LARGE_PICTURE_PX = 544  # half the sensor's rows
+
+app = typer.Typer(
+    name="ronna-stereo",
+    help="The stereo head: calibrate it, check that it still holds, look at a ball.",
+    epilog="Example: ronna-stereo calibrate --sim --scene mini",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
+SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file; with --sim.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the simulated theatre.")]
+ConfigOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
+]
+OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
+BallOption = Annotated[
+    Triple | None,
+    typer.Option(
+        metavar="X Y Z", help="Where the ball is in $ROBROOT, mm, to 10 mm; else the tracker tells."
+    ),
+]
+
+
+@app.callback()
+def stereo() -> None:
+    """The stereo head: calibrate it, check that it still holds, look at a ball."""
+
+
+@app.command()
+def calibrate(
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+    recorded: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="FOLDER", help="Compute again from the observations in this folder."),
+    ] = None,
+    ball: BallOption = None,
+    poses: Annotated[
+        int, typer.Option(min=60, max=400, help="Poses to look from, besides the check's.")
+    ] = 60,
+    visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation of the check.")] = 3,
+    days: Annotated[int, typer.Option(min=1, max=366, help="How long the records hold.")] = 30,
+    write: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the theatre file with the new records, beside --config."),
+    ] = None,
+    out: OutOption = Path("calibrations"),
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Calibrate both cameras and the head's tool frame by one ball, looked at from 60 or more poses.
+
+    The arm moves, after a confirmation. Exit codes: 0 done, 1 the observations do not give a calibration,
+    2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
+    """
+    console.set_up_logging(verbose)
+    one_theatre = sim != (config is not None)
+    if (recorded is None and not one_theatre) or (recorded is not None and sim):
+        raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
+    if write is not None and config is None:
+        raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+    from procedures.calibration import calibrate_head
+    from procedures.calibration.observations import read_observations
+    from procedures.cli.stereo import files
+    from procedures.cli.stereo.opening import new_folder
+
+    if recorded is not None:
+        observed = read_observations(recorded)
+        folder = new_folder(out, "stereo")
+    else:
+        source = _source(sim, scene, seed, config)
+        folder = new_folder(out, "stereo")
+        observed = _observe(source, folder, (poses, visits), ball)
+    files.write_observations(observed, folder)
+    result = calibrate_head(observed, life=timedelta(days=days))
+    files.write_result(observed, result, folder)
+    if write is not None and config is not None:
+        files.write_theatre(config, write, result)
+    if as_json:
+        console.print_json({**files.payload_of(result), "folder": str(folder)})
+        return
+    from procedures.cli.stereo.display import print_calibration
+
+    print_calibration(result, folder)
+
+
+@app.command()
+def check(
+    baseline: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder that `calibrate` wrote, or its baseline.json.")
+    ],
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+    visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation.")] = 3,
+    out: OutOption = Path("calibrations"),
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Look at the ball from the eight orientations of the calibration again: has a camera or mount moved?
+
+    A camera turned by 0.01 degrees is found. Exit codes: 0 the head is as it was, 3 it has changed or its
+    calibration may not be used, 1 the ball is not in view, others as in `calibrate`.
+    """
+    console.set_up_logging(verbose)
+    source = _source(sim, scene, seed, config)
+    from procedures.calibration import Baseline, compare_with_baseline
+    from procedures.calibration.observations import read_strict
+    from procedures.calibration.self_check import BASELINE_FILE
+    from procedures.cli.stereo import files
+
+    then = read_strict(Baseline, baseline / BASELINE_FILE if baseline.is_dir() else baseline)
+    from procedures.cli.stereo.opening import new_folder, run_steps
+    from procedures.steps.calibration.baseline_visit import VisitedBaseline
+    from procedures.steps.calibration.procedures import head_check
+
+    with console.progress_bar("looking at the ball") as advance:
+        engine = run_steps(source, new_folder(out, "check"), head_check(then, visits), advance)
+    looks = engine.case.get(VisitedBaseline).result.looks
+    result = compare_with_baseline(looks, then)
+    if as_json:
+        console.print_json(files.check_payload(result, then))
+    else:
+        from procedures.cli.stereo.display import print_check
+
+        print_check(result)
+    result.require()
+
+
+@app.command()
+def measure(
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+    find: Annotated[
+        bool, typer.Option("--find", help="First bring the head over the ball; always with --sim.")
+    ] = False,
+    ball: BallOption = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the pair with the fitted outlines as PNG.")
+    ] = None,
+    out: OutOption = Path("calibrations"),
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Take a pair and show the ball's fit: pixels, quality, position in the tool frame.
+
+    Without --find and --ball nothing moves. Exit codes: 0 measured, 1 no ball in view, others as in
+    `calibrate`.
+    """
+    console.set_up_logging(verbose)
+    source = _source(sim, scene, seed, config)
+    from procedures.cli.stereo.opening import new_folder, run_steps
+    from procedures.steps.calibration.procedures import head_look, look_where_it_stands
+    from procedures.workcell.stereo_look import Look
+
+    steps = head_look(ball) if find or sim or ball is not None else look_where_it_stands()
+    engine = run_steps(source, new_folder(out, "measure"), steps, lambda _share: None)
+    seen = engine.setting.workspace.find(Look)
+    assert seen is not None, "the last step keeps what it saw"
+    if picture is not None:
+        from procedures.workcell.stereo_picture import pair_picture
+        from ronna_hw.records import write_whole
+
+        write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))
+    from procedures.cli.stereo.display import show_look
+
+    show_look(seen, as_json=as_json)
+
+
+def _source(sim: bool, scene: str, seed: int, config: Path | None) -> Source:
+    if sim == (config is not None):
+        raise UsageMistake("choose one: --sim, or --config FILE")
+    from procedures.cli.stereo.opening import Source
+    from ronna_hw.config import read_theatre_file
+
+    if config is not None:
+        read_theatre_file(config)
+    return Source(config, SceneChoice(scene=scene, seed=seed))
+
+
+def _observe(
+    source: Source, folder: Path, numbers: tuple[int, int], ball_mm: Triple | None
+) -> ObservationSet:
+    from procedures.cli.stereo.opening import run_steps
+    from procedures.steps.calibration.ball_observation import ObservedBall
+    from procedures.steps.calibration.procedures import head_calibration
+
+    with console.progress_bar("looking at the ball") as advance:
+        engine = run_steps(source, folder, head_calibration(*numbers, ball_mm), advance, expired_too=True)
+    result = engine.case.get(ObservedBall).result
+    for remark in result.remarks:
+        console.tell(remark)
+    return result.observed
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    console.run(app)

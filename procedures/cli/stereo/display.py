@@ -1,0 +1,138 @@
+"""What `ronna-stereo` prints: a calibration, a check, one look."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from procedures.calibration import CheckResult, HeadResult
+from procedures.calibration.bundle import REPEATABILITY_MM
+from procedures.relocalization import SphereImage, StereoPoint
+from procedures.relocalization.errors import NoSphere, NotTrusted
+from procedures.workcell.stereo_look import Look
+from ronna_hw.command_line import console
+
+
+def print_calibration(result: HeadResult, folder: Path) -> None:
+    """The figures of a calibration, and where its files are."""
+    fit, head = result.fit, result.stereo_head
+    used = int(fit.used.sum())
+    residual_px = float(np.sqrt(np.mean(fit.residuals_px[fit.used] ** 2)))
+    sigmas = " ".join(f"{value**0.5:.3f}" for value in result.tool_covariance_mm2.diagonal())
+    console.print_table(
+        f"calibration {head.identifier}",
+        ["", "value"],
+        [
+            ["cameras", f"{head.left.serial} left, {head.right.serial} right"],
+            ["looks", f"{used} used, {len(fit.used) - used} left out"],
+            ["residuals with the arm's part, rms", f"{residual_px:.2f} px"],
+            ["one outline", f"{fit.image_sigma_px:.3f} px"],
+            ["the arm", f"{fit.arm_error_mm:.3f} mm per axis and pose"],
+            ["of it without any rule", f"{fit.arm_scatter_mm:.3f} mm"],
+            ["tool centre on the flange", " ".join(f"{v:.3f}" for v in head.flange_from_tool.translation_mm)],
+            ["it moved by", f"{result.tool_shift_mm:.3f} mm"],
+            ["its standard error", f"{head.stated_error_mm:.3f} mm, per axis {sigmas} mm"],
+            ["change between the cameras", f"{result.frame_misfit_mm:.3f} mm"],
+            ["made", f"{head.created:%Y-%m-%d %H:%M} UTC"],
+            ["valid until", f"{head.expires:%Y-%m-%d %H:%M} UTC"],
+        ],
+    )
+    if fit.arm_error_mm > REPEATABILITY_MM:
+        console.tell(
+            f"warning: over these poses the arm errs by {fit.arm_error_mm:.2f} mm per axis, more than the "
+            f"{REPEATABILITY_MM:g} mm it repeats to. What its last link adds to the tool centre unseen is in "
+            "the standard error; for strategies that turn the tool calibrate the arm first"
+        )
+    console.tell(f"records and baseline in {folder}: put calibration.toml into the theatre file")
+
+
+def print_check(result: CheckResult) -> None:
+    """The three signs of a check."""
+    rows = [
+        [
+            f"{sign.name}, {sign.unit}",
+            " ".join(f"{value:.5f}" for value in sign.value),
+            " ".join(f"{value:.5f}" for value in sign.sigma),
+            f"{sign.statistic:.1f}",
+            f"{sign.limit:.1f}",
+            "CHANGED" if sign.sounds else "as it was",
+        ]
+        for sign in result.signs
+    ]
+    console.print_table(
+        f"{result.looks} looks, arm repeats to {1000 * result.repeatability_mm:.0f} um per axis",
+        ["sign", "change", "one sigma", "chi square", "limit", ""],
+        rows,
+    )
+
+
+def show_look(seen: Look, *, as_json: bool) -> None:
+    """The ball in both images and in the tool frame; raises what kept the look from giving a point."""
+    point = seen.point
+    if seen.left is None or seen.right is None:
+        raise seen.problem or NoSphere("no ball is measured in this pair")
+    sides = {"left": seen.left, "right": seen.right}
+    if not as_json:
+        _print_outlines(sides)
+    if point is None:
+        raise seen.problem or NotTrusted("no ball is measured in this pair")
+    if as_json:
+        outlines = {side: _outline_payload(one) for side, one in sides.items()}
+        console.print_json({**_point_payload(point), **outlines})
+        return
+    console.print_table(
+        "the ball in the tool frame",
+        ["x y z mm", "one sigma um", "gap of the rays um", "radius mm"],
+        [
+            [
+                " ".join(f"{value:.4f}" for value in point.position_mm),
+                " ".join(f"{1000 * value**0.5:.1f}" for value in point.covariance_mm2.diagonal()),
+                f"{1000 * point.ray_gap_mm:.1f}",
+                f"{point.radius_mm:.3f}",
+            ]
+        ],
+    )
+
+
+def _print_outlines(sides: dict[str, SphereImage]) -> None:
+    rows = [
+        [
+            side,
+            f"{one.centre_px[0]:.3f} {one.centre_px[1]:.3f}",
+            f"{one.axes_px[0]:.2f} {one.axes_px[1]:.2f}",
+            f"{one.rim_fraction:.0%}",
+            f"{one.scatter_px:.3f}",
+            f"{one.blur_px:.1f}",
+            f"{one.quality:.2f}",
+            str(one.status),
+        ]
+        for side, one in sides.items()
+    ]
+    console.print_table(
+        "the ball in both images",
+        ["camera", "centre px", "semi-axes px", "rim", "scatter px", "blur px", "quality", ""],
+        rows,
+    )
+
+
+def _point_payload(point: StereoPoint) -> dict[str, Any]:
+    return {
+        "position_mm": point.position_mm.tolist(),
+        "covariance_mm2": point.covariance_mm2.tolist(),
+        "ray_gap_mm": float(point.ray_gap_mm),
+        "radius_mm": float(point.radius_mm),
+    }
+
+
+def _outline_payload(outline: SphereImage) -> dict[str, Any]:
+    return {
+        "centre_px": list(outline.centre_px),
+        "axes_px": list(outline.axes_px),
+        "quality": outline.quality,
+        "status": str(outline.status),
+        "rim_fraction": outline.rim_fraction,
+        "scatter_px": outline.scatter_px,
+        "blur_px": outline.blur_px,
+    }

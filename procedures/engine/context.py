@@ -1,0 +1,106 @@
+"""What a step may use. That it asked for a result makes that result a parent of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
+
+from procedures.engine.case import Case
+from procedures.engine.errors import NotConfirmed, WrongResult
+from procedures.engine.operator import Operator, Question, Room
+from procedures.engine.result import StepResult
+from procedures.engine.step import StepKey, StepSpec
+from procedures.engine.workspace import Workspace
+from procedures.strategies.strategy import Strategy
+from ronna_hw.clock import Clock
+from ronna_hw.config import ProcedureSettings
+from ronna_hw.records import Record
+from ronna_hw.theatre import Theatre
+
+if TYPE_CHECKING:
+    from procedures.workcell import Workcell
+    from ronna_hw.collision_config import CollisionConfig
+
+R = TypeVar("R", bound=StepResult)
+D = TypeVar("D")
+Progress = Callable[[float, str], None]  # share done 0..1, what is being done
+
+
+@dataclass(frozen=True)
+class CaseSetting:
+    """What all steps of a case share, beside its results."""
+
+    workcell: Workcell
+    clock: Clock
+    operator: Operator
+    room: Room
+    settings: ProcedureSettings
+    surroundings: CollisionConfig  # the theatre file's bodies around the arm
+    strategy: Strategy
+    theatre: Theatre
+    progress: Progress = lambda _share, _text: None
+    workspace: Workspace = field(default_factory=Workspace)
+
+
+@dataclass(frozen=True)
+class StepContext:
+    """One step's view of its case."""
+
+    key: StepKey
+    spec: StepSpec[StepResult]
+    case: Case
+    trajectories: tuple[str, ...]
+    setting: CaseSetting
+    record_confirmation: Callable[[Question, bool], None]
+    _read: dict[str, Record] = field(default_factory=dict)
+
+    def result(self, model: type[R]) -> R:
+        """The standing result of a step: of this step's trajectory, or one that belongs to none.
+
+        Raises PRO-001 when there is none, PRO-016 when this step does not declare that it reads it, REC-001
+        when its file was changed.
+        """
+        if model not in self.spec.reads:
+            raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare to read")
+        stored = self.case.get(model, self.key.trajectory)
+        self._read[stored.record.identifier] = stored.record
+        return stored.result
+
+    @property
+    def read(self) -> tuple[Record, ...]:
+        """What was asked for so far: the parents of this step's result."""
+        return tuple(self._read.values())
+
+    @property
+    def trajectory(self) -> str:
+        """The trajectory this step is done for. Raises PRO-016 when it is done for none."""
+        if self.key.trajectory is None:
+            raise WrongResult(f"{self.key} is done for no single trajectory")
+        return self.key.trajectory
+
+    @property
+    def served_trajectories(self) -> tuple[str, ...]:
+        """The trajectories that this step's result is for: its own, or all of the case."""
+        return self.trajectories if self.key.trajectory is None else (self.key.trajectory,)
+
+    @property
+    def workcell(self) -> Workcell:
+        """The only way to look and to move."""
+        return self.setting.workcell
+
+    def device(self, name: str, interface: Callable[..., D]) -> D:
+        """A device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
+        return self.setting.theatre.device(name, interface)
+
+    def progress(self, share: float, text: str) -> None:
+        """Tell how far the step is, 0..1, and what it is doing."""
+        self.setting.progress(share, text)
+
+    def confirm(self, subject: str, value: str) -> None:
+        """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""
+        question = Question(subject, value)
+        answer = self.setting.operator.confirm(question)
+        self.record_confirmation(question, answer)
+        if not answer:
+            raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)

@@ -1,0 +1,26 @@
+"""Large inputs that several steps use and that are not results, such as the voxels of the CT."""
+
+from __future__ import annotations
+
+from typing import TypeVar, cast
+
+T = TypeVar("T")
+
+
+class Workspace:
+    """Holds one object of each type until it is dropped; whoever finds nothing reads the input again."""
+
+    def __init__(self) -> None:
+        self._kept: dict[type[object], object] = {}
+
+    def keep(self, value: object) -> None:
+        """Keep an object, in place of another of its type."""
+        self._kept[type(value)] = value
+
+    def find(self, kind: type[T]) -> T | None:
+        """The object of a type, if it is kept."""
+        return cast("T | None", self._kept.get(kind))
+
+    def drop(self, kind: type[object]) -> None:
+        """Let go of the object of a type."""
+        self._kept.pop(kind, None)

@@ -1,0 +1,1 @@
+"""The steps of calibrations, one module each."""

@@ -1,0 +1,80 @@
+"""Look at the ball again from the joint angles of a baseline: has a camera or the mount moved since?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from pydantic import Field
+
+from procedures.calibration import Baseline, Observation
+from procedures.engine.context import StepContext
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.relocalization.errors import NoSphere
+from procedures.relocalization.triangulation import check_serial
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell import MountedTool
+from procedures.workcell.ball_watcher import BallWatcher, around_ball
+
+
+class VisitedBaseline(StepResult, kind="baseline_visit"):
+    """The looks of a check."""
+
+    calibration: str = Field(description="Name of the calibration that is checked.")
+    looks: tuple[Observation, ...] = Field(description="From the orientations of the baseline, in turn.")
+
+
+@dataclass(frozen=True)
+class BaselineVisit:
+    """The baseline, and how often each of its orientations is visited."""
+
+    baseline: Baseline
+    visits: int
+
+    def run(self, context: StepContext) -> Outcome[VisitedBaseline]:
+        """Raises STE-010 for other cameras, CAL-001, PRO-002 unless confirmed, STE-003 without a ball."""
+        context.result(CheckedSetUp)
+        workcell, head = context.workcell, self.baseline.stereo_head
+        for camera, serial in zip((head.left, head.right), workcell.stereo.serials, strict=True):
+            check_serial(camera, serial)
+        head.check_valid_at(datetime.now(UTC))
+        context.confirm(
+            "The arm will move to the eight poses of the baseline; the ball must stand where it stood",
+            f"calibration {head.identifier} of {self.baseline.created:%Y-%m-%d %H:%M} UTC",
+        )
+        first = [
+            next(one for one in self.baseline.looks if one.orientation == orientation)
+            for orientation in self.baseline.orientations
+        ]
+        watcher = BallWatcher(workcell, self.baseline.ball_mm)
+        tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+        workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm))
+        workcell.start(cameras=True)
+        workcell.read_whole_sensors()
+        seen = []
+        for visit in range(self.visits):
+            for number, one in enumerate(first):
+                found = watcher.observe_at(one.joints_rad, one.orientation)
+                if found is not None:
+                    seen.append(found)
+                done = visit * len(first) + number + 1
+                context.progress(done / (self.visits * len(first)), "looking at the ball")
+        workcell.go_home()
+        if not seen:
+            raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
+        return Outcome(VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} looks")
+
+
+def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
+    """The step for a baseline."""
+    return StepSpec(
+        VisitedBaseline,
+        "Look at the ball again",
+        Phase.OPERATION,
+        BaselineVisit(baseline, visits).run,
+        reads=(CheckedSetUp,),
+        moves=True,
+        preconditions=carries(MountedTool.STEREO_HEAD),
+    )

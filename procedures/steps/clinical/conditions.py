@@ -1,0 +1,32 @@
+"""Preconditions that several steps share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from procedures.engine.context import StepContext
+from procedures.workcell import MountedTool
+
+
+def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
+    """The arm carries that tool, as far as it was last checked, and no instrument is beyond the entry."""
+
+    def unmet(context: StepContext) -> tuple[str, ...]:
+        reasons = []
+        workcell = context.workcell
+        if workcell.tool is not tool:
+            reasons.append(f"the arm carries the {workcell.tool}, not the {tool}")
+        if workcell.insertion is not None:
+            reasons.append(f"the instrument is beyond the entry of {workcell.insertion.trajectory}")
+        return tuple(reasons)
+
+    return unmet
+
+
+def inserted(context: StepContext) -> tuple[str, ...]:
+    """The instrument is in this step's trajectory."""
+    insertion = context.workcell.insertion
+    if insertion is not None and insertion.trajectory == context.trajectory:
+        return ()
+    inside = "outside" if insertion is None else f"in {insertion.trajectory}"
+    return (f"the instrument is {inside}, not in {context.trajectory}",)

@@ -1,0 +1,60 @@
+"""Import the CT: read the series, check its geometry, remember which one it is."""
+
+from __future__ import annotations
+
+import hashlib
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.result import Matrix3, StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.imaging.series import read_series
+from procedures.imaging.volume import Volume
+from ronna_hw.calibration import Numbers3
+
+
+class ImportedCt(StepResult, kind="ct_import"):
+    """Which CT series the case works on, and its geometry."""
+
+    series_instance_uid: str = Field(description="DICOM UID of the series.")
+    frame_of_reference_uid: str = Field(description="DICOM UID of its patient coordinate system.")
+    patient_position: str = Field(description="As DICOM names it, such as HFS.")
+    shape: tuple[int, int, int] = Field(description="Slices, rows, columns.")
+    spacing_mm: Numbers3 = Field(description="Between slices, rows, columns.")
+    origin_mm: Numbers3 = Field(description="Centre of the first voxel, LPS.")
+    axes: Matrix3 = Field(description="Directions of slices, rows and columns in LPS.")
+    voxels_sha256: str = Field(description="SHA-256 of the voxels in HU.")
+    warnings: tuple[str, ...] = Field(description="What the import noticed and let pass.")
+
+
+def run(context: StepContext) -> Outcome[ImportedCt]:
+    """Read and check the series; the record names it and holds the hash of its voxels."""
+    volume = read_series(
+        context.case.series, progress=lambda share: context.progress(share, "reading the CT series")
+    )
+    context.setting.workspace.keep(volume)
+    geometry = volume.geometry
+    slices, rows, columns = geometry.shape
+    return Outcome(
+        ImportedCt(
+            series_instance_uid=volume.series_instance_uid,
+            frame_of_reference_uid=volume.frame_of_reference_uid,
+            patient_position=volume.patient_position,
+            shape=(slices, rows, columns),
+            spacing_mm=geometry.spacing_mm.tolist(),
+            origin_mm=geometry.origin_mm.tolist(),
+            axes=geometry.axes.tolist(),
+            voxels_sha256=hashlib.sha256(volume.voxels.data).hexdigest(),
+            warnings=tuple(volume.warnings),
+        ),
+        summary=f"{slices} slices of {columns} x {rows}, {geometry.spacing_mm[0]:g} mm apart",
+    )
+
+
+def volume_of(context: StepContext) -> Volume:
+    """The voxels of the case's CT, read again where they are not at hand."""
+    return context.setting.workspace.find(Volume) or read_series(context.case.series)
+
+
+STEP = StepSpec(ImportedCt, "Import the CT series", Phase.PREOPERATIVE, run)

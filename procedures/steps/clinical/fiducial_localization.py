@@ -1,0 +1,85 @@
+"""Find the spheres in the CT."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.engine.case import PICTURES_FOLDER
+from procedures.engine.context import StepContext
+from procedures.engine.result import Matrix3, StepResult, Values
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.imaging.localization import localize
+from procedures.imaging.markers import Marker
+from procedures.imaging.pictures import marker_pictures
+from procedures.steps.clinical.ct_import import ImportedCt, volume_of
+from ronna_hw.calibration import Numbers3
+from ronna_hw.records import write_whole
+
+
+class LocalizedMarker(Values):
+    """One sphere in the CT."""
+
+    centre_mm: Numbers3 = Field(description="Centre, LPS.")
+    covariance_mm2: Matrix3 = Field(description="Covariance of the centre, LPS.")
+    radius_mm: float = Field(description="Fitted radius.")
+    quality: float = Field(description="Share of the surface that was used, 0 to 1, lowered by disagreement.")
+    agreement_mm: float = Field(description="Distance between the two estimates of the centre.")
+    flags: tuple[str, ...] = Field(description="What makes it less certain.")
+
+    @classmethod
+    def of(cls, marker: Marker) -> LocalizedMarker:
+        """The localizer's marker as plain numbers."""
+        return cls(
+            centre_mm=marker.centre_mm.tolist(),
+            covariance_mm2=marker.covariance_mm2.tolist(),
+            radius_mm=float(marker.radius_mm),
+            quality=float(marker.quality),
+            agreement_mm=float(marker.agreement_mm),
+            flags=tuple(marker.flags),
+        )
+
+
+class LocalizedFiducials(StepResult, kind="fiducial_localization"):
+    """The spheres of the CT, from superior to inferior."""
+
+    series_instance_uid: str = Field(description="DICOM UID of the series they were found in.")
+    diameter_mm: float = Field(description="Nominal diameter that was looked for.")
+    markers: tuple[LocalizedMarker, ...] = Field(description="The spheres.")
+    candidates_refused: int = Field(description="Places that looked like a sphere at first.")
+
+    @property
+    def centres_mm(self) -> NDArray[np.float64]:
+        """All centres, (n, 3) LPS."""
+        return np.array([marker.centre_mm for marker in self.markers], dtype=float).reshape(-1, 3)
+
+    @property
+    def disagreement_mm(self) -> dict[int, float]:
+        """Distance between the two estimates of each centre, by index."""
+        return {index: marker.agreement_mm for index, marker in enumerate(self.markers)}
+
+
+def run(context: StepContext) -> Outcome[LocalizedFiducials]:
+    """Localize every sphere; how many there must be is the plan's word, checked with the plan."""
+    context.result(ImportedCt)
+    volume = volume_of(context)
+    found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
+    pictures = context.case.folder / PICTURES_FOLDER
+    pictures.mkdir(exist_ok=True)
+    for number, picture in enumerate(marker_pictures(volume, found), start=1):
+        write_whole(pictures / f"ct-{number}.png", picture)
+    return Outcome(
+        LocalizedFiducials(
+            series_instance_uid=found.series_instance_uid,
+            diameter_mm=found.diameter_mm,
+            markers=tuple(LocalizedMarker.of(marker) for marker in found.markers),
+            candidates_refused=sum(not candidate.accepted for candidate in found.candidates),
+        ),
+        summary=f"{len(found.markers)} spheres",
+    )
+
+
+STEP = StepSpec(
+    LocalizedFiducials, "Localize the spheres in the CT", Phase.PREOPERATIVE, run, reads=(ImportedCt,)
+)

@@ -1,0 +1,190 @@
+"""Global localization: the tracker reads the reference frame on the tool and all stray spheres.
+
+The arm rests and its correction stream is off. Exactly FRAMES measurements are taken and averaged. A tracker
+that is asked faster than it measures gives the same one again; those do not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
+from procedures.engine.result import FramedPose, Numbers6, StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell import MountedTool
+from ronna_hw.calibration import Numbers3
+from ronna_hw.clock import Clock
+from ronna_hw.devices import OpticalTracker
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.devices.strays import StrayAverage, average_strays
+from ronna_hw.errors import LinkTimeout, ProtocolError
+from ronna_hw.frames import Frame, Transform
+
+FRAMES = 60  # one second of a 60 Hz tracker
+FRAME_S = 1 / 60
+READING_LIMIT_S = 10.0  # theatre time; a 20 Hz illuminator needs three
+LEAST_FRAMES_WITH_TOOL = 30
+MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
+SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
+
+
+class GlobalLocalization(StepResult, kind="global_localization"):
+    """The spheres in the room, coarsely, as the tracker sees them."""
+
+    frames: int = Field(description="Measurements that were averaged.")
+    points_robot_mm: tuple[Numbers3, ...] = Field(description="Spheres in the robot frame.")
+    points_tracker_mm: tuple[Numbers3, ...] = Field(description="The same in the tracker frame.")
+    spread_mm: tuple[float, ...] = Field(description="Rms of each sphere over the frames.")
+    counts: tuple[int, ...] = Field(description="In how many frames each was seen.")
+    outliers: tuple[int, ...] = Field(description="How many of them were left out.")
+    rejected_strays: int = Field(description="Groups of strays seen too rarely to be a sphere.")
+    lost_readings: int = Field(description="Replies that the line lost or garbled.")
+    robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker.")
+    joints_rad: Numbers6 = Field(description="Measured joints meanwhile.")
+
+    @property
+    def points_mm(self) -> NDArray[np.float64]:
+        """The spheres (n, 3) in the robot frame."""
+        return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
+
+
+def run(context: StepContext) -> Outcome[GlobalLocalization]:
+    """Measure all strays in the robot frame by way of the reference frame M."""
+    context.result(CheckedSetUp)
+    workcell = context.workcell
+    tracker = workcell.tracker
+    tracker.activate()
+    try:
+        frames, lost = fresh_frames(
+            tracker, context.setting.clock, lambda share: context.progress(share, "reading the tracker")
+        )
+    finally:
+        if tracker.state is not Lifecycle.FAULT:  # a fault has ended the tracking, and is what must be told
+            tracker.deactivate()
+    calibration = workcell.calibrations.tracker_frame
+    tracker_from_marker = average_pose(frames, calibration.tool)
+    strays = average_strays(frames)
+    spread_mm = _checked_spread_mm(strays)
+    joints = workcell.joints_rad()
+    tool_from_marker = calibration.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+    robot_from_tracker = workcell.tool_pose(joints) @ tool_from_marker @ tracker_from_marker.inverse()
+    groups = strays.groups
+    points = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
+    return Outcome(
+        GlobalLocalization(
+            frames=FRAMES,
+            points_robot_mm=_rows(robot_from_tracker.apply(points) if len(points) else points),
+            points_tracker_mm=_rows(points),
+            spread_mm=tuple(float(group.spread_mm) for group in groups),
+            counts=tuple(int(group.count) for group in groups),
+            outliers=tuple(int(group.outliers) for group in groups),
+            rejected_strays=len(strays.rejected),
+            lost_readings=lost,
+            robot_from_tracker=FramedPose.of(robot_from_tracker),
+            joints_rad=joints,
+        ),
+        summary=f"{len(groups)} stray spheres in {FRAMES} frames, largest spread {spread_mm:.2f} mm"
+        + (f", {lost} readings lost on the line" if lost else ""),
+    )
+
+
+def _rows(points_mm: NDArray[np.float64]) -> tuple[Numbers3, ...]:
+    return tuple((float(x), float(y), float(z)) for x, y, z in points_mm)
+
+
+def _checked_spread_mm(strays: StrayAverage) -> float:
+    spread_mm = max((float(group.spread_mm) for group in strays.groups), default=0.0)
+    if spread_mm > SPREAD_LIMIT_MM:
+        raise GateFailed(
+            "a sphere moved while the tracker looked",
+            limit=f"{SPREAD_LIMIT_MM} mm",
+            got=f"{spread_mm:.2f} mm",
+        )
+    return spread_mm
+
+
+def fresh_frames(
+    tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None]
+) -> tuple[list[TrackerFrame], int]:
+    """FRAMES measurements, each another one, and how many readings were lost on the way.
+
+    A lost or garbled reply costs one reading: the driver has recovered by the next. Raises PRO-007 when the
+    tracker gives too few in time, and the driver's own error when the line is too bad.
+    """
+    limit_s = clock.now_s() + READING_LIMIT_S
+    frames: list[TrackerFrame] = []
+    lost = 0
+    while len(frames) < FRAMES:
+        try:
+            frame = tracker.read_frame()
+        except (LinkTimeout, ProtocolError):
+            lost += 1
+            if lost > MOST_LOST_READINGS or tracker.state is not Lifecycle.ACTIVE:
+                raise
+            limit_s += READING_LIMIT_S / FRAMES
+            continue
+        if frame.validity is not Validity.STALE:
+            frames.append(frame)
+            progress(len(frames) / FRAMES)
+        elif clock.now_s() > limit_s:
+            raise GateFailed(
+                "the tracker gives no new measurements", expected=f"{FRAMES}", got=f"{len(frames)}"
+            )
+        else:
+            clock.sleep(FRAME_S / 2)
+    return frames, lost
+
+
+def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
+    """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it."""
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+    readings = [frame.tool(tool) for frame in frames]
+    poses = [
+        reading.transform(Frame.TRACKER, Frame.MARKER)
+        for reading in readings
+        if reading.validity is Validity.OK
+    ]
+    if len(poses) < LEAST_FRAMES_WITH_TOOL:
+        why, action = _why_unseen(frames, tool)
+        raise GateFailed(
+            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames{why}",
+            limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
+            action=f"{action}, then repeat the step.",
+        )
+    rotation = Rotation.from_matrix(np.array([pose.rotation_matrix for pose in poses])).mean()
+    translation = np.mean([pose.translation_mm for pose in poses], axis=0)
+    return Transform(Frame.TRACKER, Frame.MARKER, RigidTransform.from_components(translation, rotation))
+
+
+def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
+    """What most frames without the tool have in common, and what to do about it."""
+    readings = [frame.tool(tool) for frame in frames]
+    outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
+    disturbed = sum(
+        Validity.PARTIAL in (frame.validity, reading.validity)
+        for frame, reading in zip(frames, readings, strict=True)
+    )
+    if outside > disturbed:
+        return f", outside the measuring volume in {outside}", "Move the tracker so that the tool is inside"
+    if disturbed:
+        return f", disturbed by infrared light in {disturbed}", "Shade the tracker from sun and lamps"
+    return "", "Clear the line of sight between tracker and tool"
+
+
+STEP = StepSpec(
+    GlobalLocalization,
+    "Localize all spheres with the tracker",
+    Phase.PREPARATION,
+    run,
+    reads=(CheckedSetUp,),
+    preconditions=carries(MountedTool.STEREO_HEAD),
+)

@@ -1,0 +1,38 @@
+"""What the arm is told of its surroundings: the head, as far as the case knows where it is, and the room."""
+
+from __future__ import annotations
+
+from procedures.engine.context import StepContext
+from procedures.planning.planning_scene import PlanningScene
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.workcell import MountedTool
+from ronna_hw.frames import Transform
+
+READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
+
+
+def planning_scene_of(context: StepContext) -> PlanningScene:
+    """The head as the CT shows it, the spheres on it, and the theatre file's bodies."""
+    return PlanningScene(
+        context.setting.surroundings,
+        context.result(CheckedPlan).head.shape,
+        tuple(marker.centre_mm for marker in context.result(LocalizedFiducials).markers),
+    )
+
+
+def surround_stereo_head(context: StepContext) -> None:
+    """Tell the arm what is around while the stereo head hangs on it, by the coarse registration."""
+    workcell = context.workcell
+    robot_from_ct = context.result(Correspondence).robot_from_ct.transform
+    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+    workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool))
+
+
+def surround_guide(context: StepContext, robot_from_ct: Transform) -> None:
+    """Tell the arm what is around while the guide hangs on it, by this trajectory's registration."""
+    workcell = context.workcell
+    trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
+    guide = workcell.flange_from(MountedTool.GUIDE)
+    workcell.surround(planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory))

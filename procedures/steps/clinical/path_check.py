@@ -1,0 +1,168 @@
+"""Check every pose and motion of the whole procedure before it moves: sight, reach, clearance, one branch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.result import FramedPose, Numbers6, StepResult, Values
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.planning.free_angle import TurnedPaths, choose_free_angles
+from procedures.planning.motions import PreviewedMotion, previews_of
+from procedures.planning.sight import StereoSight
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.head_surroundings import READS, planning_scene_of
+from procedures.steps.clinical.motion_previews import MotionPreview
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.strategies.orientation import back_along_axis
+from procedures.workcell import MountedTool
+from ronna_hw.arm.kinematics import Branch
+from ronna_hw.arm.pose import Pose
+
+LAST_STRETCH_MM = 5.0  # of the line to a target: how each joint turns there decides its backlash
+
+
+class LocalizationPose(Values):
+    """How one sphere is to be localized."""
+
+    fiducial: int = Field(description="Index of the sphere in the CT.")
+    tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")
+    approach_rad: Numbers6 = Field(description="Joints at the stand-off.")
+    joints_rad: Numbers6 = Field(description="Joints at the sphere.")
+
+
+class TargetPose(Values):
+    """How one target is to be reached, by the coarse registration."""
+
+    tool_pose: FramedPose = Field(description="Pose robot <- tool with the tip on the target.")
+    standoff_rad: Numbers6 = Field(description="Joints at the stand-off outside the entry.")
+    joints_rad: Numbers6 = Field(description="Joints at the target.")
+    approach_signs: tuple[int, ...] = Field(description="Direction in which each joint arrives, +1 or -1.")
+
+
+class CheckedPaths(StepResult, kind="path_check"):
+    """Joints for every localization and target, and every motion between them."""
+
+    strategy: str = Field(description="Name of the localization strategy.")
+    free_angle_turns_rad: dict[str, float] = Field(description="Turn of each trajectory about its axis.")
+    branch: Branch | None = Field(description="Branch of the arm's inverse kinematics.")
+    joint_ranges_rad: tuple[tuple[float, float], ...] = Field(description="Least and largest, per joint.")
+    largest_move_rad: float = Field(description="Largest turn of a joint in one move.")
+    motions: tuple[MotionPreview, ...] = Field(description="Every motion of the case.")
+    localizations: dict[str, tuple[LocalizationPose, ...]] = Field(description="By trajectory.")
+    targets: dict[str, TargetPose] = Field(description="By trajectory.")
+
+    def localizations_for(self, trajectories: Sequence[str]) -> tuple[LocalizationPose, ...]:
+        """The localizations that serve these trajectories: a strategy that localizes once has one set."""
+        return next(self.localizations[name] for name in trajectories if name in self.localizations)
+
+
+def run(context: StepContext) -> Outcome[CheckedPaths]:
+    """Choose joints for every localization and target; raises PLAN-007 with every pose that fails."""
+    correspondence = context.result(Correspondence)
+    localization = context.result(LocalizedFiducials)
+    plan = context.result(CheckedPlan)
+    matched = [pair[0] for pair in correspondence.pairs]
+    workcell = context.workcell
+    scene = planning_scene_of(context)
+    setting = ArmSetting(
+        kinematics=workcell.arm.kinematics,
+        robot_from_ct=correspondence.robot_from_ct.transform,
+        flange_from_tool=workcell.flange_from(MountedTool.GUIDE),
+        strategy=context.setting.strategy,
+        flange_from_stereo=workcell.flange_from(MountedTool.STEREO_HEAD),
+        start_rad=context.result(CheckedSetUp).home_rad,
+        approach_mm=context.setting.settings.standoff_mm,
+        scene=scene,
+    )
+    trajectories = [one.trajectory for one in plan.plan.trajectories]
+    centres = localization.centres_mm[matched]
+    context.progress(0.0, "checking every path")
+    turned = choose_free_angles(
+        setting, trajectories, centres, StereoSight.of(workcell.calibrations.stereo_head)
+    )
+    check = turned.check
+    check.require()
+    motions = previews_of(setting, scene, check, turned.trajectories)
+    return Outcome(
+        CheckedPaths(
+            strategy=context.setting.strategy.name,
+            free_angle_turns_rad={
+                one.identifier: turn for one, turn in zip(turned.trajectories, turned.turns_rad, strict=True)
+            },
+            branch=check.branch,
+            joint_ranges_rad=check.joint_ranges_rad,
+            largest_move_rad=max(move.largest_rad for move in check.moves),
+            motions=tuple(MotionPreview.of(motion) for motion in motions),
+            localizations=_localizations(check, matched),
+            targets=_targets(check, setting),
+        ),
+        summary=f"{len(check.reached)} poses in one branch" + _closest(motions) + _turns(turned),
+    )
+
+
+def _closest(motions: Sequence[PreviewedMotion]) -> str:
+    closest = [motion.preview.closest for motion in motions]
+    distances = [one.distance_mm for one in closest if one is not None]
+    return f", clear by {min(distances):.0f} mm" if distances else ""
+
+
+def _turns(turned: TurnedPaths) -> str:
+    turns = [
+        f"{one.identifier} turned by {math.degrees(turn):+.0f} deg"
+        for one, turn in zip(turned.trajectories, turned.turns_rad, strict=True)
+        if turn
+    ]
+    return f"; {', '.join(turns)}" if turns else ""
+
+
+def _localizations(check: PathCheck, matched: list[int]) -> dict[str, tuple[LocalizationPose, ...]]:
+    poses: dict[str, tuple[LocalizationPose, ...]] = {}
+    for reached in check.reached:
+        visit = reached.visit
+        if visit.kind is VisitKind.LOCALIZATION and visit.fiducial is not None:
+            pose = LocalizationPose(
+                fiducial=matched[visit.fiducial],
+                tool_pose=FramedPose.of(visit.pose),
+                approach_rad=reached.approach_rad,
+                joints_rad=reached.at_rad,
+            )
+            poses[visit.trajectory] = (*poses.get(visit.trajectory, ()), pose)
+    return poses
+
+
+def _targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPose]:
+    return {
+        reached.visit.trajectory: TargetPose(
+            tool_pose=FramedPose.of(reached.visit.pose),
+            standoff_rad=reached.approach_rad,
+            joints_rad=reached.at_rad,
+            approach_signs=_approach_signs(reached, setting),
+        )
+        for reached in check.reached
+        if reached.visit.kind is VisitKind.TARGET
+    }
+
+
+def _approach_signs(reached: Reached, setting: ArmSetting) -> tuple[int, ...]:
+    """Direction (+1 or -1) in which each joint arrives at the target."""
+    before = back_along_axis(reached.visit.pose, LAST_STRETCH_MM) @ setting.flange_from_tool.inverse()
+    kinematics = setting.kinematics
+    branch = kinematics.branch_of(reached.at_rad)
+    joints = kinematics.solve_branch(Pose.from_transform(before), branch, reached.at_rad)
+    return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, reached.at_rad, strict=True))
+
+
+STEP = StepSpec(
+    CheckedPaths,
+    "Check every path",
+    Phase.PREPARATION,
+    run,
+    reads=(Correspondence, CheckedSetUp, *READS),
+)

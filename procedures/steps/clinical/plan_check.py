@@ -1,0 +1,69 @@
+"""Read the plan and check it against the CT and the spheres that were found in it."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.result import StepResult, Values
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.imaging.volume import Volume
+from procedures.planning.check import check_plan
+from procedures.planning.head_shape import HeadShape, head_shape
+from procedures.planning.plan import Plan, PlannedTrajectory
+from procedures.planning.plan_file import read_plan
+from procedures.steps.clinical.ct_import import ImportedCt, volume_of
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from ronna_hw.calibration import Numbers3
+
+
+class HeadEllipsoid(Values):
+    """The head as one ellipsoid, in CT coordinates."""
+
+    centre_mm: Numbers3 = Field(description="Its middle, LPS.")
+    semi_axes_mm: Numbers3 = Field(description="Along left, posterior, superior.")
+
+    @property
+    def shape(self) -> HeadShape:
+        """For the path check."""
+        return HeadShape(self.centre_mm, self.semi_axes_mm)
+
+
+class CheckedPlan(StepResult, kind="plan_check"):
+    """The plan as it was checked, and the head it is for."""
+
+    plan: Plan = Field(description="The plan file's content.")
+    implanted: int = Field(description="How many spheres the plan says are on the head.")
+    head: HeadEllipsoid = Field(description="The head as the CT shows it.")
+    warnings: tuple[str, ...] = Field(description="What the check noticed and let pass.")
+
+    def trajectory(self, identifier: str) -> PlannedTrajectory:
+        """The planned trajectory of that name; raises KeyError."""
+        return self.plan.trajectory(identifier)
+
+
+def run(context: StepContext) -> Outcome[CheckedPlan]:
+    """Check the plan; raises PLAN-00x with everything that is wrong."""
+    context.result(ImportedCt)
+    localization = context.result(LocalizedFiducials)
+    plan = read_plan(context.case.plan)
+    volume = volume_of(context)
+    check = check_plan(plan, volume, fiducials_mm=localization.centres_mm)
+    check.require()
+    head = head_shape(volume)
+    summary = f"{len(plan.trajectories)} trajectories, {plan.implanted} spheres implanted"
+    context.setting.workspace.drop(Volume)  # the largest input is not needed after this
+    return Outcome(
+        CheckedPlan(
+            plan=plan,
+            implanted=plan.implanted,
+            head=HeadEllipsoid(centre_mm=head.centre_mm, semi_axes_mm=head.semi_axes_mm),
+            warnings=tuple(check.warnings),
+        ),
+        summary="; ".join((summary, *check.warnings)),
+    )
+
+
+STEP = StepSpec(
+    CheckedPlan, "Check the plan", Phase.PREOPERATIVE, run, reads=(ImportedCt, LocalizedFiducials)
+)

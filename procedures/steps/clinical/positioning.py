@@ -1,0 +1,65 @@
+"""Carry the guide to a target: a joint move to the stand-off, then a straight line along the axis."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.result import FramedPose, Numbers6, StepResult
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.head_surroundings import READS, surround_guide
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.workcell import Insertion, MountedTool
+
+
+class PositionedGuide(StepResult, kind="positioning"):
+    """Where the guide was sent, and the joints that took it there."""
+
+    tool_pose: FramedPose = Field(description="Pose robot <- tool with the tip on the target, as commanded.")
+    joints_rad: Numbers6 = Field(description="Measured joints on arrival.")
+
+
+def run(context: StepContext) -> Outcome[PositionedGuide]:
+    """Move the tip of the guide onto the target; the tool is read again right before."""
+    workcell, trajectory = context.workcell, context.trajectory
+    context.result(MountedGuide)
+    mounted = workcell.check_mounted(MountedTool.GUIDE)
+    robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform
+    paths = context.result(CheckedPaths)
+    planned = context.result(CheckedPlan).trajectory(trajectory)
+    target = context.setting.strategy.target_pose(
+        planned.trajectory,
+        robot_from_ct,
+        localized_as=paths.localizations_for((trajectory, *context.trajectories))[0].tool_pose.transform,
+    )
+    standoff_mm = context.setting.settings.standoff_mm
+    context.confirm(
+        f"move to {trajectory}", f"tool {mounted}, {standoff_mm:g} mm over the entry, then along the axis"
+    )
+    surround_guide(context, robot_from_ct)
+    workcell.start()
+    insertion = Insertion(trajectory, target, planned.depth_mm, standoff_mm)
+    context.progress(0.0, f"moving over {trajectory}")
+    workcell.go(workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad))
+    context.progress(0.5, f"moving along {trajectory}")
+    reached = workcell.insert(insertion)
+    return Outcome(
+        PositionedGuide(tool_pose=FramedPose.of(target), joints_rad=reached.joints_rad),
+        summary="the guide is on its axis",
+    )
+
+
+STEP = StepSpec(
+    PositionedGuide,
+    "Carry the guide to the target",
+    Phase.OPERATION,
+    run,
+    scope=Scope.TRAJECTORY,
+    reads=(RegisteredRobot, MountedGuide, CheckedPaths, *READS),
+    moves=True,
+    preconditions=carries(MountedTool.GUIDE),
+)

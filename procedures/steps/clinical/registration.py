@@ -1,0 +1,184 @@
+"""Register CT and robot, and predict the error at every target that the registration is for.
+
+The residual of the fit is never shown as accuracy; the operator accepts the predicted target error.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
+from procedures.engine.result import FramedPose, StepResult, Values
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.planning.plan import PlannedTrajectory
+from procedures.registration import (
+    Registration,
+    RoomPoint,
+    VerificationTable,
+    register,
+    verify_two_way,
+)
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.registration_gate import arm_covariance_mm2, moved_spheres, residual_gate
+from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.two_way import TwoWayTable
+from ronna_hw.calibration import Numbers3
+from ronna_hw.frames import Frame
+
+Array = NDArray[np.float64]
+
+LIMIT_OVER_RMS = 1.61  # 95 % radius of an isotropic 3-D normal error over its rms: sqrt(chi2_95(3) / 3)
+
+
+class Prediction(Values):
+    """Error to expect at the tip of the guide at one target."""
+
+    target: str = Field(description="Name of the trajectory.")
+    rms_mm: float = Field(description="Root mean square.")
+    limit_mm: float = Field(description="Radius that holds the error with the stated confidence.")
+    confidence: float = Field(description="Of that radius, 0 to 1.")
+    formula: str = Field(description="What it was predicted with.")
+
+
+class RegisteredRobot(StepResult, kind="registration"):
+    """Pose of the CT in the robot frame, and how good it is where it is needed."""
+
+    robot_from_ct: FramedPose = Field(description="Fine pose robot <- CT.")
+    pairs: int = Field(description="Spheres it was fitted to.")
+    fre_mm: float = Field(description="Fiducial registration error: says nothing of the accuracy.")
+    residuals_mm: tuple[Numbers3, ...] = Field(description="Of each sphere, robot frame.")
+    leave_one_out_mm: tuple[float | None, ...] = Field(description="Of each sphere, fitted without it.")
+    predictions: tuple[Prediction, ...] = Field(description="One for each target it is for.")
+    two_way: TwoWayTable = Field(description="CT to room and room to CT.")
+
+    def prediction(self, target: str) -> Prediction:
+        """The prediction at a target; raises KeyError."""
+        for one in self.predictions:
+            if one.target == target:
+                return one
+        raise KeyError(target)
+
+
+def run(context: StepContext) -> Outcome[RegisteredRobot]:
+    """Fit with the covariances of CT, stereo head and arm; gate the residual; predict; have it accepted."""
+    localization = context.result(LocalizedFiducials)
+    fine = context.result(Relocalization)
+    coarse = context.result(Correspondence).robot_from_ct.transform
+    plan = context.result(CheckedPlan)
+    fiducials = list(fine.fiducials)
+    image = localization.centres_mm[fiducials]
+    physical = fine.points_mm
+    ct = np.array([localization.markers[index].covariance_mm2 for index in fiducials])
+    arm_mm = context.setting.settings.arm_error_mm
+    rotation = coarse.rotation_matrix
+    measured = rotation @ ct @ rotation.T + np.array(fine.covariances_mm2)
+    fit = register(image, physical, covariance_mm2=measured + arm_covariance_mm2(arm_mm))
+    fit.require_sound()
+    gate = residual_gate(image, physical, measured, arm_mm)
+    names = " and ".join(context.served_trajectories)
+    if not gate.passed:
+        raise GateFailed(
+            f"the fit does not agree with its own error budget at {names}",
+            limit=f"{gate.limit_mm:.3f} mm",
+            got=f"{gate.fre_mm:.3f} mm",
+            action=_advice([fiducials[one] for one in moved_spheres(image, physical, measured, arm_mm)]),
+        )
+    predictions = tuple(
+        _within_margin(context, fit, plan.trajectory(name)) for name in context.served_trajectories
+    )
+    for predicted in predictions:
+        context.confirm(
+            f"accept the registration for {predicted.target}",
+            f"predicted target error {predicted.rms_mm:.2f} mm rms, "
+            f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}",
+        )
+    worst = max(predictions, key=lambda one: one.rms_mm)
+    return Outcome(
+        RegisteredRobot(
+            robot_from_ct=FramedPose.of(fit.between(Frame.ROBOT, Frame.CT)),
+            pairs=fit.pairs,
+            fre_mm=float(fit.fre_mm),
+            residuals_mm=fit.residuals_mm.tolist(),
+            leave_one_out_mm=tuple(fit.leave_one_out_mm),
+            predictions=predictions,
+            two_way=TwoWayTable.of(_two_way(context, fit)),
+        ),
+        summary=f"predicted target error {worst.rms_mm:.2f} mm rms",
+    )
+
+
+def _within_margin(context: StepContext, fit: Registration, trajectory: PlannedTrajectory) -> Prediction:
+    predicted = predict_tip_error(context, fit, trajectory.id, trajectory.target_mm)
+    if predicted.rms_mm > trajectory.margin_mm:
+        raise GateFailed(
+            f"the predicted error at {trajectory.id} exceeds the plan's margin",
+            limit=f"{trajectory.margin_mm:g} mm",
+            got=f"{predicted.rms_mm:.2f} mm",
+        )
+    return predicted
+
+
+def predict_tip_error(
+    context: StepContext, fit: Registration, target: str, target_mm: ArrayLike
+) -> Prediction:
+    """Error of the tip at a target (3,) mm in the CT: the fit's, the guide's, the stereo head's, the arm's.
+
+    The fit does not know of guide, head and arm at the target: their stated errors come on top.
+    """
+    predicted = fit.predict_tre(np.reshape(np.asarray(target_mm, dtype=float), (1, 3)))
+    calibrations = context.workcell.calibrations
+    tip_mm = calibrations.tool_tip.stated_error_mm
+    head_mm = calibrations.stereo_head.stated_error_mm
+    arm_mm2 = float(np.trace(arm_covariance_mm2(context.setting.settings.arm_error_mm)))
+    rest_mm = math.sqrt(tip_mm**2 + head_mm**2 + arm_mm2)
+    return Prediction(
+        target=target,
+        rms_mm=math.hypot(predicted.rms_mm[0], rest_mm),
+        limit_mm=math.hypot(predicted.limit_mm[0], LIMIT_OVER_RMS * rest_mm),
+        confidence=predicted.confidence,
+        formula=f"{predicted.formula}; guide, stereo head and arm added in squares",
+    )
+
+
+def _advice(moved: list[int]) -> str:
+    """What to do about spheres, named by their index in the CT, without one of which the others agree."""
+    if not moved:
+        return "More than one sphere has moved, or the error budget is wrong; localize again."
+    which = " or ".join(str(one + 1) for one in moved)
+    return f"Without sphere {which} the others agree: it has moved; localize again or leave it out."
+
+
+def _two_way(context: StepContext, fit: Registration) -> VerificationTable:
+    """Every sphere of the CT beside what tracker and stereo head measured of it, and the reverse."""
+    localization = context.result(LocalizedFiducials)
+    correspondence = context.result(Correspondence)
+    fine = context.result(Relocalization)
+    return verify_two_way(
+        localization.centres_mm,
+        context.result(GlobalLocalization).points_mm,
+        correspondence.pairs,
+        correspondence.robot_from_ct.transform.rigid,
+        fine=fit,
+        stereo=[
+            RoomPoint(index, point) for index, point in zip(fine.fiducials, fine.points_robot_mm, strict=True)
+        ],
+        ct_disagreement_mm=localization.disagreement_mm,
+    )
+
+
+STEP = StepSpec(
+    RegisteredRobot,
+    "Register CT and robot",
+    Phase.OPERATION,
+    run,
+    scope=Scope.LOCALIZATION,
+    reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan),
+)

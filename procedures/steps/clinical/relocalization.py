@@ -1,0 +1,137 @@
+"""Fine localization of every matched sphere by visual servo, oriented as the strategy says.
+
+The tool centre is moved onto a sphere until the residual is below the tolerance. Recorded is the nominal
+tool pose plus the last residual. What the first sphere teaches about the offset of the coarse positions
+helps to find the next one.
+
+Every position that is looked from is approached with each joint turning the way it will turn on its way to
+the target, so that backlash is the same in all of them and cancels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.engine.case import PICTURES_FOLDER
+from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
+from procedures.engine.result import Matrix3, Numbers6, StepResult
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.workcell import MountedTool
+from procedures.workcell.centring import CentredSphere, Centring
+from procedures.workcell.stereo_look import Look
+from procedures.workcell.stereo_picture import pair_picture
+from ronna_hw.calibration import Numbers3
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.records import write_whole
+
+Array = NDArray[np.float64]
+
+
+class Relocalization(StepResult, kind="relocalization"):
+    """The spheres in the room, finely, as the stereo head sees them. One entry for each sphere."""
+
+    fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
+    points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
+    covariances_mm2: tuple[Matrix3, ...] = Field(description="Of the stereo measurement, robot frame.")
+    residuals_mm: tuple[tuple[float, ...], ...] = Field(description="Of the servo, look by look.")
+    ray_gaps_mm: tuple[float, ...] = Field(description="Between the two lines of sight.")
+    looks: tuple[int, ...] = Field(description="Pairs that were taken.")
+    joints_rad: tuple[Numbers6, ...] = Field(description="Measured joints at the last look.")
+    coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
+
+    @property
+    def points_mm(self) -> Array:
+        """The spheres (n, 3) in the robot frame."""
+        return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
+
+
+def run(context: StepContext) -> Outcome[Relocalization]:
+    """Re-localize all matched spheres; raises PRO-008 for a sphere that is not there."""
+    paths = context.result(CheckedPaths)
+    planned = paths.localizations_for(context.served_trajectories)
+    workcell, settings = context.workcell, context.setting.settings
+    surround_stereo_head(context)
+    workcell.start(cameras=True)
+    centring = Centring(
+        workcell,
+        arriving=paths.targets[context.served_trajectories[0]].approach_signs,
+        area_px=settings.servo_area_px,
+        standoff_mm=settings.standoff_mm,
+    )
+    offset_mm = np.zeros(3)
+    found: list[CentredSphere] = []
+    for number, item in enumerate(planned):
+        context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
+        coarse = item.tool_pose.transform
+        sphere = centring.onto(item.fiducial, _shifted(coarse, offset_mm), item.approach_rad)
+        _keep_picture(context, item.fiducial, sphere.last_look)
+        offset_mm = sphere.point_mm - coarse.translation_mm
+        found.append(sphere)
+    coarse_mm = np.array([item.tool_pose.translation_mm for item in planned])
+    differences = np.array([sphere.point_mm for sphere in found]) - coarse_mm
+    _gate(differences, settings.coarse_fine_limit_mm)
+    return Outcome(
+        Relocalization(
+            fiducials=tuple(sphere.fiducial for sphere in found),
+            points_robot_mm=tuple(sphere.point_mm.tolist() for sphere in found),
+            covariances_mm2=tuple(sphere.covariance_mm2.tolist() for sphere in found),
+            residuals_mm=tuple(sphere.residuals_mm for sphere in found),
+            ray_gaps_mm=tuple(sphere.ray_gap_mm for sphere in found),
+            looks=tuple(sphere.looks for sphere in found),
+            joints_rad=tuple(sphere.joints_rad for sphere in found),
+            coarse_offset_mm=differences.mean(axis=0).tolist(),
+        ),
+        summary=f"{len(found)} spheres, last residuals at most "
+        f"{max(sphere.residuals_mm[-1] for sphere in found):.3f} mm",
+    )
+
+
+def _keep_picture(context: StepContext, fiducial: int, seen: Look) -> None:
+    """Write `pictures/stereo-<trajectory>-<fiducial>.png` into the run folder."""
+    folder = context.case.folder / PICTURES_FOLDER
+    folder.mkdir(exist_ok=True)
+    name = f"stereo-{context.key.trajectory or 'all'}-{fiducial + 1}.png"
+    write_whole(folder / name, pair_picture(seen))
+
+
+def _shifted(pose: Transform, offset_mm: Array) -> Transform:
+    return Transform.of(
+        Frame.ROBOT,
+        Frame.TOOL,
+        translation_mm=pose.translation_mm + offset_mm,
+        quaternion_wxyz=pose.quaternion_wxyz,
+    )
+
+
+def _gate(differences_mm: Array, limit_mm: float) -> None:
+    """A sphere whose fine position disagrees with the coarse one is another one, or the patient moved.
+
+    What all spheres share is the tool frame's error and is removed first.
+    """
+    apart_mm = np.linalg.norm(differences_mm - differences_mm.mean(axis=0), axis=1)
+    if float(apart_mm.max()) > limit_mm:
+        raise GateFailed(
+            f"sphere {int(apart_mm.argmax()) + 1} is not where the tracker saw it",
+            limit=f"{limit_mm:g} mm",
+            got=f"{apart_mm.max():.2f} mm",
+            action="Check that the patient has not moved, then localize with the tracker again.",
+        )
+
+
+STEP = StepSpec(
+    Relocalization,
+    "Re-localize the spheres with the stereo head",
+    Phase.OPERATION,
+    run,
+    scope=Scope.LOCALIZATION,
+    reads=(CheckedPaths, Correspondence, *READS),
+    moves=True,
+    preconditions=carries(MountedTool.STEREO_HEAD),
+)

@@ -1,0 +1,51 @@
+"""Retreat along the axis, and park after the last target."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.result import Numbers6, StepResult
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.conditions import inserted
+from procedures.steps.clinical.head_surroundings import READS, surround_guide
+from procedures.steps.clinical.link_health import LinkHealth, link_health
+from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.registration import RegisteredRobot
+
+
+class Retreated(StepResult, kind="retreat"):
+    """The guide is outside the entry again."""
+
+    parked: bool = Field(description="Whether the arm went on to where the case began.")
+    joints_rad: Numbers6 = Field(description="Measured joints at the end.")
+    link: LinkHealth | None = Field(default=None, description="Health of the robot link, when it was ended.")
+
+
+def run(context: StepContext) -> Outcome[Retreated]:
+    """Back out along the trajectory; after the last one to the pose where the case began."""
+    workcell = context.workcell
+    context.result(PositionedGuide)
+    context.result(ReachedTarget)
+    surround_guide(context, context.result(RegisteredRobot).robot_from_ct.transform)
+    reached = workcell.withdraw(context.trajectory)
+    if context.trajectory != context.trajectories[-1]:
+        return Outcome(Retreated(parked=False, joints_rad=reached.joints_rad), "outside the entry")
+    reached = workcell.go_home()
+    link = link_health(context)
+    workcell.rest()
+    return Outcome(Retreated(parked=True, joints_rad=reached.joints_rad, link=link), "parked")
+
+
+STEP = StepSpec(
+    Retreated,
+    "Retreat along the axis",
+    Phase.OPERATION,
+    run,
+    scope=Scope.TRAJECTORY,
+    reads=(PositionedGuide, ReachedTarget, RegisteredRobot, *READS),
+    moves=True,
+    continues=True,
+    preconditions=inserted,
+)

@@ -1,0 +1,93 @@
+"""Set-up checks: every device answers, is the right one, is configured; the calibrations are valid."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.result import Numbers6, StepResult, Values
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.relocalization.triangulation import check_serial
+from procedures.workcell import MountedTool
+from ronna_hw.config import Calibrations
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
+
+
+class DeviceIdentity(Values):
+    """Who answered, as the device itself says."""
+
+    vendor: str = Field(description="Maker.")
+    model: str = Field(description="Model.")
+    serial: str = Field(description="Serial number.")
+    firmware: str = Field(description="Version of its firmware.")
+
+    @classmethod
+    def of(cls, identity: Identity) -> DeviceIdentity:
+        """A driver's answer as plain text."""
+        return cls(
+            vendor=identity.vendor,
+            model=identity.model,
+            serial=identity.serial,
+            firmware=identity.firmware,
+        )
+
+
+class CheckedSetUp(StepResult, kind="set_up"):
+    """The devices and calibrations that the case works with."""
+
+    identities: dict[str, DeviceIdentity] = Field(description="By role: tracker, arm, stereo.")
+    notices: tuple[str, ...] = Field(description="What the drivers say the operator should know.")
+    calibrations: Calibrations = Field(description="The calibration records in use.")
+    home_rad: Numbers6 = Field(description="Where the arm stood, and parks: measured joints.")
+
+
+def run(context: StepContext) -> Outcome[CheckedSetUp]:
+    """Connect and configure all devices; check calibrations, serial numbers and the mounted tool.
+
+    Raises CAL-001 for an expired record, STE-010 for another camera, PRO-009 for another tool.
+    """
+    now = datetime.now(UTC)
+    workcell, calibrations = context.workcell, context.workcell.calibrations
+    for record in (calibrations.stereo_head, calibrations.tool_tip, calibrations.tracker_frame):
+        record.check_valid_at(now)
+    devices = workcell.devices
+    identities: dict[str, DeviceIdentity] = {}
+    for number, (role, device) in enumerate(devices.items()):
+        context.progress(number / len(devices), f"connecting the {role}")
+        identities[role] = DeviceIdentity.of(device.connect())
+        device.configure()
+    notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
+    left, right = workcell.stereo.serials
+    check_serial(calibrations.stereo_head.left, left)
+    check_serial(calibrations.stereo_head.right, right)
+    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    return Outcome(
+        CheckedSetUp(
+            identities=identities,
+            notices=notices,
+            calibrations=calibrations,
+            home_rad=workcell.set_home(),
+        ),
+        summary="; ".join([", ".join(identity.model for identity in identities.values()), *notices]),
+    )
+
+
+def _not_connected_yet(context: StepContext) -> tuple[str, ...]:
+    """Devices are connected once in a run: a second session would meet the first."""
+    connected = [
+        role
+        for role, device in context.workcell.devices.items()
+        if device.state is not Lifecycle.DISCONNECTED
+    ]
+    return (f"already connected: {', '.join(connected)}",) if connected else ()
+
+
+STEP = StepSpec(
+    CheckedSetUp,
+    "Connect and check the devices",
+    Phase.PREPARATION,
+    run,
+    preconditions=_not_connected_yet,
+)

@@ -1,0 +1,56 @@
+"""Exchange the stereo head for the guide, with the arm parked and its correction stream off."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.link_health import LinkHealth, link_health
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell import MountedTool
+
+
+class MountedGuide(StepResult, kind="tool_change"):
+    """The guide that was found mounted."""
+
+    tool_number: int = Field(description="As the controller's inputs report it.")
+    calibration: str = Field(description="Name of the tip calibration in use.")
+    link: LinkHealth = Field(description="Health of the robot link while the stereo head was mounted.")
+
+
+def run(context: StepContext) -> Outcome[MountedGuide]:
+    """Park, stop RSI, have the tool changed, then let the controller's inputs say what hangs there."""
+    workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
+    context.result(CheckedSetUp)
+    surround_stereo_head(context)
+    workcell.go_home()
+    link = link_health(context)
+    workcell.rest()
+    context.setting.room.change_tool(calibration.tool_number, "the surgical guide")
+    context.confirm("the tool has been exchanged", f"the surgical guide, tool {calibration.tool_number}")
+    mounted = workcell.check_mounted(MountedTool.GUIDE)
+    context.confirm(
+        "tip calibration of the guide",
+        f"{calibration.identifier}, made {calibration.created:%Y-%m-%d}, "
+        f"stated error {calibration.stated_error_mm:.2f} mm",
+    )
+    return Outcome(
+        MountedGuide(tool_number=mounted, calibration=calibration.identifier, link=link),
+        summary=f"tool {mounted} mounted",
+    )
+
+
+STEP = StepSpec(
+    MountedGuide,
+    "Exchange the stereo head for the guide",
+    Phase.OPERATION,
+    run,
+    reads=(CheckedSetUp, Correspondence, *READS),
+    moves=True,
+    preconditions=carries(MountedTool.STEREO_HEAD),
+)

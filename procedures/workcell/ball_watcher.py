@@ -1,0 +1,167 @@
+"""Looks at one ball from planned poses, each settled onto from the same side."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.calibration import Observation, Outline
+from procedures.calibration.pose_set import PlannedLook, moved_to
+from procedures.relocalization import search_pose
+from procedures.relocalization.errors import PairNotUsable
+from procedures.workcell.stereo_look import Look
+from procedures.workcell.workcell import Workcell
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.surroundings import ArmRadii, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.arm.pose import Pose
+from ronna_hw.calibration import PoseRecord
+from ronna_hw.collision_config import BodyFrame, CollisionConfig
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Transform
+
+Array = NDArray[np.float64]
+
+SAME_SIDE = (1,) * 6  # every pose is taken from the same side in every joint: backlash is then the same
+STAND_RADIUS_MM = 90.0  # what carries the ball is taken for a post as thick as a head
+STAND_BELOW_MM = 16.0  # from the ball's centre to the top of that post
+STAND_LENGTH_MM = 400.0
+NEIGHBOUR_RADIUS_MM = 7.0  # another ball, with what its coarse position leaves open
+ANOTHER_BALL_MM = 10.0  # from where this one should be seen: more than tool frame and arm can be wrong by
+
+
+@dataclass
+class BallWatcher:
+    """Looks at one ball. `ball_mm` is its place in the robot frame, as well as it is known so far."""
+
+    workcell: Workcell
+    ball_mm: Array
+    rejected: Counter[str] = field(default_factory=Counter)
+    last: Look | None = None
+
+    def find(self, first: PlannedLook) -> Look:
+        """Go to the first look and, when the ball is not in view, around it in a spiral. Raises STE-009."""
+        pose, looks = first.pose, 0
+        while True:
+            self._settle(self._joints(pose, self.workcell.home_rad))
+            seen = self.workcell.look()
+            if seen.point is not None:
+                self.ball_mm = self.workcell.tool_pose().apply(seen.point.position_mm)
+                return seen
+            pose = search_pose(first.pose, looks)
+            looks += 1
+
+    def observe(self, planned: PlannedLook) -> Observation | None:
+        """One look at the ball; None, and the reason counted, when it cannot be taken or shows no ball."""
+        wanted = moved_to(planned, self.ball_mm)
+        try:
+            self._settle(self._joints(wanted.pose, self.workcell.joints_rad()))
+        except LimitError as error:
+            if self.workcell.arm.state is not Lifecycle.ACTIVE:  # not refused before it began: tripped
+                raise
+            self.rejected[error.code] += 1
+            return None
+        return self._observed(planned.orientation, planned.ball_in_tool_mm)
+
+    def observe_at(self, joints: JointVector, orientation: int | None) -> Observation | None:
+        """One look from given joint angles; raises what the move raises."""
+        self._settle(joints)
+        return self._observed(orientation, None)
+
+    def observe_all(
+        self, plan: Iterable[PlannedLook], wanted: int, progress: Callable[[int], None]
+    ) -> list[Observation]:
+        """Looks from the plan until so many show the ball."""
+        taken: list[Observation] = []
+        for planned in plan:
+            if len(taken) >= wanted:
+                break
+            seen = self.observe(planned)
+            if seen is not None:
+                taken.append(seen)
+                progress(len(taken))
+        return taken
+
+    def reaches(self, pose: Transform) -> bool:
+        """Whether the arm reaches a tool pose in the branch it stands in at home."""
+        try:
+            self._joints(pose, self.workcell.home_rad)
+        except LimitError:
+            return False
+        return True
+
+    def why_rejected(self) -> str:
+        """The reasons, the most frequent first."""
+        return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
+
+    def _observed(self, orientation: int | None, expected_in_tool_mm: Vector3 | None) -> Observation | None:
+        workcell = self.workcell
+        try:
+            seen = self.last = workcell.look()
+        except PairNotUsable as error:  # the next pose may have more luck
+            self.rejected[error.what] += 1
+            return None
+        if seen.point is None or seen.left is None or seen.right is None:
+            self.rejected[seen.reason] += 1
+            return None
+        if (
+            expected_in_tool_mm is not None
+            and math.dist(seen.point.position_mm, expected_in_tool_mm) > ANOTHER_BALL_MM
+        ):
+            self.rejected["another ball"] += 1
+            return None
+        joints = workcell.joints_rad()
+        flange = workcell.arm.kinematics.forward(joints)
+        return Observation(
+            joints_rad=joints,
+            robot_from_flange=PoseRecord(
+                translation_mm=flange.position_mm, quaternion_wxyz=flange.quaternion()
+            ),
+            left=Outline.of(seen.left),
+            right=Outline.of(seen.right),
+            orientation=orientation,
+        )
+
+    def _joints(self, pose: Transform, near: JointVector) -> JointVector:
+        return self.workcell.joints_at(pose, near)
+
+    def _settle(self, joints: JointVector) -> None:
+        self.workcell.settle(joints, SAME_SIDE, from_afar=True)
+
+
+def around_ball(
+    cell: CollisionConfig, flange_from_tool: Transform, ball_mm: ArrayLike, neighbours_mm: ArrayLike = ()
+) -> Surroundings:
+    """What the arm carries and what stands around: the ball on its post, other balls (n, 3) mm, the room."""
+    flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
+    ball = _three(ball_mm)
+    x, y, z = ball
+    top = z - STAND_BELOW_MM - STAND_RADIUS_MM
+    obstacles = [
+        Obstacle("ball's stand", Capsule((x, y, top), (x, y, top - STAND_LENGTH_MM), STAND_RADIUS_MM), True),
+        Obstacle("ball", Capsule(ball, (x, y, z - STAND_BELOW_MM), NEIGHBOUR_RADIUS_MM)),
+    ]
+    for number, centre in enumerate(np.reshape(np.asarray(neighbours_mm, dtype=float), (-1, 3)), start=1):
+        place = _three(centre)
+        obstacles.append(Obstacle(f"other ball {number}", Capsule(place, place, NEIGHBOUR_RADIUS_MM)))
+    obstacles += [Obstacle(body.name, body.capsule) for body in cell.bodies if body.frame is BodyFrame.ROBOT]
+    arm, zone = cell.arm, cell.zone
+    return Surroundings(
+        tool=tuple(Part(one.name, one.capsule.moved(flange), one.enters_head) for one in cell.stereo_head),
+        obstacles=tuple(obstacles),
+        radii=ArmRadii(arm.column_mm, arm.upper_arm_mm, arm.forearm_mm, arm.wrist_mm, arm.hand_mm),
+        margin_mm=cell.margin_mm,
+        live_margin_mm=cell.live_margin_mm,
+        zone=SpeedZone(zone.near_mm, zone.near_speed_mm_s, zone.far_mm, zone.far_speed_mm_s),
+    )
+
+
+def _three(values: ArrayLike) -> Vector3:
+    x, y, z = np.asarray(values, dtype=float).tolist()
+    return (x, y, z)

@@ -1,0 +1,108 @@
+"""Brings the tool centre onto a sphere: approach along the tool axis, look, servo, back off the same way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.relocalization import ServoState, recorded_point, search_pose
+from procedures.relocalization.errors import SphereNotInView
+from procedures.strategies.orientation import back_along_axis
+from procedures.workcell.errors import SphereNotFound
+from procedures.workcell.stereo_look import Look
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Transform
+
+if TYPE_CHECKING:
+    from procedures.workcell.workcell import Workcell
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CentredSphere:
+    """One sphere, measured: `point_mm` in the robot frame, `residuals_mm` the servo's way to it."""
+
+    fiducial: int
+    point_mm: Array
+    residuals_mm: tuple[float, ...]
+    covariance_mm2: Array  # of the stereo measurement, robot frame
+    ray_gap_mm: float
+    looks: int
+    joints_rad: JointVector
+    last_look: Look
+
+
+@dataclass(frozen=True)
+class Centring:
+    """How spheres are centred: direction in which each joint arrives, area of the sensors, stand-off."""
+
+    workcell: Workcell
+    arriving: Sequence[int]
+    area_px: tuple[int, int]
+    standoff_mm: float
+
+    def onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
+        """Centre one sphere that is expected at a pose ROBOT <- TOOL. Raises PRO-008 when it is not there."""
+        workcell = self.workcell
+        workcell.go(workcell.joints_at(self._standoff(expected), near))
+        workcell.line_to(expected)
+        self._settle(expected)
+        seen, looks = self._first_look(expected)
+        servo = ServoState()
+        while True:
+            joints = workcell.joints_rad()
+            pose = workcell.tool_pose(joints)
+            if seen.point is None:
+                raise SphereNotFound(f"sphere {fiducial + 1} was lost during the servo", got=seen.reason)
+            servo = servo.measured(pose, seen.point.position_mm)
+            if servo.converged:
+                break
+            self._settle(servo.next_pose(pose))
+            seen, looks = workcell.look(), looks + 1
+            if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
+                workcell.read_whole_sensors()
+                seen, looks = workcell.look(), looks + 1
+        workcell.line_to(self._standoff(pose))
+        rotation = pose.rotation_matrix
+        return CentredSphere(
+            fiducial=fiducial,
+            point_mm=recorded_point(pose, seen.point.position_mm),
+            residuals_mm=servo.residuals_mm,
+            covariance_mm2=rotation @ seen.point.covariance_mm2 @ rotation.T,
+            ray_gap_mm=float(seen.point.ray_gap_mm),
+            looks=looks,
+            joints_rad=joints,
+            last_look=seen,
+        )
+
+    def _first_look(self, expected: Transform) -> tuple[Look, int]:
+        """Look in the servo's area, then on the whole sensors, then around in a spiral."""
+        workcell = self.workcell
+        workcell.read_around_tool(self.area_px)
+        seen, looks = workcell.look(), 1
+        if seen.point is not None:
+            return seen, looks
+        workcell.read_whole_sensors()
+        seen, looks = workcell.look(), looks + 1
+        telling = seen  # the look with the best reason for a refusal: nearest to the place, or with a sphere
+        try:
+            while seen.point is None:
+                self._settle(search_pose(expected, looks - 2))
+                seen, looks = workcell.look(), looks + 1
+                if telling.left is None and seen.left is not None:
+                    telling = seen
+        except SphereNotInView as error:
+            raise SphereNotFound(f"{error.what}: {telling.reason}", limit=error.limit) from error
+        return seen, looks
+
+    def _settle(self, pose: Transform) -> None:
+        """Take a pose with every joint arriving from the side from which it arrives at the target."""
+        self.workcell.settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), self.arriving)
+
+    def _standoff(self, pose: Transform) -> Transform:
+        return back_along_axis(pose, self.standoff_mm)

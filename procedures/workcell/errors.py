@@ -1,0 +1,35 @@
+"""What the workcell refuses, so that the arm does not move wrongly."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import LimitError, RefusedError
+
+
+class WrongTool(LimitError):
+    """The controller's inputs report another tool than the step needs."""
+
+    code = "PRO-009"
+    action = "Mount the tool that is named, then repeat the step. No motion until then."
+    exit_code = RefusedError.exit_code
+
+
+class InstrumentInside(RefusedError):
+    """An instrument is beyond the entry: nothing but motion along its own axis is possible."""
+
+    code = "PRO-014"
+    action = "Retreat along the trajectory that is named first."
+
+
+class TipOffAxis(LimitError):
+    """The tip is not on the axis that it is to be withdrawn along."""
+
+    code = "PRO-015"
+    action = "Do not move the arm. Free the instrument by hand, then look for what moved."
+    exit_code = RefusedError.exit_code
+
+
+class SphereNotFound(RefusedError):
+    """The stereo head does not see a sphere where it should be, nor around it."""
+
+    code = "PRO-008"
+    action = "Check that the sphere is mounted, lit and unobstructed, lenses uncovered; or plan without it."

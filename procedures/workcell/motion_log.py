@@ -1,0 +1,39 @@
+"""Every motion in the journal: its intent on disk before it begins, its result when the arm rests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from procedures.engine.journal import Entry, Journal
+from ronna_hw.clock import Clock
+from ronna_hw.devices.readings import ArmReading
+from ronna_hw.errors import RonnaError
+
+
+class MotionLog:
+    """Numbers the motions of a run and writes them down."""
+
+    def __init__(self, journal: Journal, clock: Clock) -> None:
+        self._journal = journal
+        self._clock = clock
+        self._count = 0
+
+    @contextmanager
+    def motion(self, what: str, to: list[float], trajectory: str | None = None) -> Iterator[list[ArmReading]]:
+        """Around one motion, to joints in rad or a position in mm; append the arm's reading to the list.
+
+        Raises PRO-003 before anything moves when the intent cannot be written.
+        """
+        self._count += 1
+        number, reached = self._count, list[ArmReading]()
+        self._journal.write(
+            Entry.MOTION, self._clock.now_s(), number=number, what=what, to=to, trajectory=trajectory
+        )
+        try:
+            yield reached
+        except RonnaError as error:
+            self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, error=error.code)
+            raise
+        joints_rad = list(reached[-1].joints_rad)
+        self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, joints_rad=joints_rad)

@@ -1,0 +1,295 @@
+"""Arm, mounted tool, surroundings, stereo head and tracker as one: how procedures look and move.
+
+It exists only with an open journal, and every motion is an intent and a result in it. While an instrument is
+beyond the entry, nothing but motion along its own axis is possible, whatever asks for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from enum import StrEnum
+
+from procedures.engine.errors import JournalNotWritable
+from procedures.engine.journal import Journal
+from procedures.workcell.errors import InstrumentInside, WrongTool
+from procedures.workcell.insertion import Insertion
+from procedures.workcell.motion_log import MotionLog
+from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_sensor
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.arm.pose import Pose
+from ronna_hw.config import Calibrations
+from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
+from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.theatre import Theatre
+
+MASTER = "master"  # the arm that carries stereo head and guide
+STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
+# How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
+APPROACH_RAD = math.radians(0.2)
+AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way into the head
+
+
+class MountedTool(StrEnum):
+    """What hangs on the arm, as far as it has been checked."""
+
+    UNKNOWN = "unchecked tool"
+    STEREO_HEAD = "stereo head"
+    GUIDE = "guide"
+
+
+class Workcell:
+    """One arm with what it carries. All poses of the tool are ROBOT <- TOOL of the tool that is mounted."""
+
+    def __init__(
+        self, theatre: Theatre, journal: Journal, *, calibrations: Calibrations | None = None
+    ) -> None:
+        """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file.
+
+        Raises PRO-003 when the journal is closed, DEV-007 when the theatre lacks a device or calibrations.
+        """
+        if journal.closed:
+            raise JournalNotWritable("the journal is closed: nothing may move without it")
+        theatre.require("tracker", "stereo", f"robot.{MASTER}")
+        self.calibrations = theatre.calibrations if calibrations is None else calibrations
+        self._theatre = theatre
+        self._log = MotionLog(journal, theatre.clock)
+        self._tool = MountedTool.UNKNOWN
+        self._insertion: Insertion | None = None
+        self._home_rad: JointVector | None = None
+
+    @property
+    def arm(self) -> RobotArm:
+        """The arm, for reading. What moves it stands below."""
+        return self._theatre.arms[MASTER]
+
+    @property
+    def stereo(self) -> StereoPair:
+        """The stereo head."""
+        return self._theatre.stereo
+
+    @property
+    def tracker(self) -> OpticalTracker:
+        """The tracker."""
+        return self._theatre.tracker
+
+    @property
+    def devices(self) -> dict[str, Device]:
+        """All devices by role, in the order in which they are connected."""
+        return {"tracker": self.tracker, "arm": self.arm, "stereo": self.stereo}
+
+    # What hangs on the arm
+
+    @property
+    def tool(self) -> MountedTool:
+        """What was found mounted when it was last checked."""
+        return self._tool
+
+    def check_mounted(self, tool: MountedTool) -> int:
+        """The tool's number, read from the controller's inputs. Raises PRO-009 when another is mounted."""
+        expected = (
+            STEREO_HEAD_NUMBER if tool is MountedTool.STEREO_HEAD else self.calibrations.tool_tip.tool_number
+        )
+        self._tool = MountedTool.UNKNOWN
+        mounted = self.arm.read_tool_identity().number
+        if mounted != expected:
+            raise WrongTool(f"the {tool} is not mounted", expected=str(expected), got=str(mounted))
+        self._tool = tool
+        return mounted
+
+    def flange_from(self, tool: MountedTool) -> Transform:
+        """FLANGE <- TOOL of a tool, from its calibration record. Raises PRO-009 for an unchecked one."""
+        if tool is MountedTool.UNKNOWN:
+            raise WrongTool("what hangs on the arm has not been checked", expected="a checked tool", got=tool)
+        records = self.calibrations
+        record = records.tool_tip if tool is MountedTool.GUIDE else records.stereo_head
+        return record.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+
+    @property
+    def flange_from_tool(self) -> Transform:
+        """FLANGE <- TOOL of the mounted tool."""
+        return self.flange_from(self._tool)
+
+    # Where it is
+
+    def joints_rad(self) -> JointVector:
+        """The measured joints."""
+        return self.arm.read_state().joints_rad
+
+    def tool_pose(self, joints_rad: JointVector | None = None) -> Transform:
+        """Nominal pose of the mounted tool at joint angles, by default at the measured ones."""
+        joints = self.joints_rad() if joints_rad is None else joints_rad
+        return self.arm.kinematics.flange_pose(joints) @ self.flange_from_tool
+
+    def joints_at(self, pose: Transform, near: JointVector) -> JointVector:
+        """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-004."""
+        kinematics = self.arm.kinematics
+        flange = Pose.from_transform(pose @ self.flange_from_tool.inverse())
+        return kinematics.solve_branch(flange, kinematics.branch_of(near), near)
+
+    @property
+    def home_rad(self) -> JointVector:
+        """Where the arm stood when the case was set up; raises PRO-014 before that."""
+        if self._home_rad is None:
+            raise InstrumentInside("the workcell has no home yet", action="Set up the devices first.")
+        return self._home_rad
+
+    def set_home(self) -> JointVector:
+        """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
+        self._home_rad = self.joints_rad()
+        return self._home_rad
+
+    # Moving
+
+    @property
+    def insertion(self) -> Insertion | None:
+        """The instrument that is beyond the entry, or on its way there."""
+        return self._insertion
+
+    def surround(self, surroundings: Surroundings) -> None:
+        """Say what the arm carries and what stands around it: every motion is checked against it."""
+        self.arm.surround(surroundings)
+
+    def start(self, *, cameras: bool = False) -> None:
+        """Start the correction stream, and the cameras, where they are not running."""
+        for device in (self.arm, self.stereo) if cameras else (self.arm,):
+            if device.state is Lifecycle.CONFIGURED:
+                device.activate()
+
+    def go(self, joints_rad: JointVector) -> ArmReading:
+        """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
+        with self._motion("go", list(joints_rad)) as reached:
+            self._go(joints_rad, reached)
+        return reached[-1]
+
+    def go_home(self) -> ArmReading:
+        """A joint move to where the case began."""
+        with self._motion("home", list(self.home_rad)) as reached:
+            reached.append(self.arm.move_joints(self.home_rad))
+        return reached[-1]
+
+    def settle(
+        self, joints_rad: JointVector, arriving: Sequence[int], *, from_afar: bool = False
+    ) -> ArmReading:
+        """Take joint angles, each joint arriving in its direction, +1 or -1: backlash is then the same.
+
+        From afar the way leads by home where the straight one is not clear.
+        """
+        A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
+        back: JointVector = (A[0], A[1], A[2], A[3], A[4], A[5])
+        with self._motion("settle", list(joints_rad)) as reached:
+            if from_afar:
+                self._go(back, reached)
+            else:
+                self.arm.move_joints(back)
+            reached.append(self.arm.move_joints(joints_rad))
+        return reached[-1]
+
+    def line_to(self, pose: Transform) -> ArmReading:
+        """A straight line of the flange that brings the mounted tool to a pose."""
+        flange = pose @ self.flange_from_tool.inverse()
+        with self._motion("line", pose.translation_mm.tolist()) as reached:
+            reached.append(self.arm.move_linear(flange))
+        return reached[-1]
+
+    def insert(self, insertion: Insertion) -> ArmReading:
+        """From the stand-off of a trajectory along its axis onto the target.
+
+        Raises PRO-009 unless the guide is mounted, PRO-015 unless its tip is on the axis.
+        """
+        if self._tool is not MountedTool.GUIDE:
+            raise WrongTool(
+                "an instrument is carried by the guide", expected=MountedTool.GUIDE, got=self._tool
+            )
+        self._require_outside("insert")
+        insertion.check_on_axis(self.tool_pose())
+        self._insertion = insertion
+        return self._along_axis("insert", insertion.target, insertion, AXIAL_SPEED_FRACTION)
+
+    def withdraw(self, trajectory: str) -> ArmReading:
+        """Back along the axis to outside the entry.
+
+        Raises PRO-014 when the instrument is not in that trajectory, PRO-015 when its tip is not on the axis.
+        """
+        insertion = self._insertion
+        if insertion is None or insertion.trajectory != trajectory:
+            inside = "no trajectory" if insertion is None else insertion.trajectory
+            raise InstrumentInside(f"the instrument is not in {trajectory}", expected=trajectory, got=inside)
+        insertion.check_on_axis(self.tool_pose())
+        reached = self._along_axis("withdraw", insertion.standoff, insertion, 1.0)
+        self._insertion = None
+        return reached
+
+    # Looking
+
+    def look(self) -> Look:
+        """Take a pair and measure the sphere in it. Raises STE-012 when no pair comes whole."""
+        return look(self.stereo, self.calibrations.stereo_head)
+
+    def read_around_tool(self, size_px: tuple[int, int]) -> None:
+        """Read the part of each sensor, columns and rows, where the tool centre appears: faster than all."""
+        head = self.calibrations.stereo_head
+        left, right = (area_around_tool(side, size_px) for side in (head.left, head.right))
+        self.stereo.set_areas(left, right)
+
+    def read_whole_sensors(self) -> None:
+        """Read all of both sensors."""
+        head = self.calibrations.stereo_head
+        self.stereo.set_areas(whole_sensor(head.left), whole_sensor(head.right))
+
+    # Ending
+
+    def link_statistics(self) -> LinkStatistics:
+        """Health of the robot link since the arm was last activated."""
+        return self.arm.link_statistics()
+
+    def rest(self) -> None:
+        """End the arm's correction stream and the cameras, as a tool change and a parked arm want it."""
+        for device in (self.arm, self.stereo):
+            if device.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
+                device.deactivate()
+
+    def stop(self) -> None:
+        """Bring the arm to rest as well as the link still allows; never raises."""
+        self._theatre.stop()
+
+    def close(self) -> None:
+        """End all sessions, the arm's first; never raises."""
+        self._theatre.close()
+
+    def _go(self, joints_rad: JointVector, reached: list[ArmReading]) -> None:
+        arm = self.arm
+        try:
+            reached.append(arm.move_joints(joints_rad))
+        except NotClear:  # raised before anything moved
+            arm.move_joints(self.home_rad)
+            reached.append(arm.move_joints(joints_rad))
+
+    def _along_axis(
+        self, what: str, pose: Transform, insertion: Insertion, speed_fraction: float
+    ) -> ArmReading:
+        to = pose.translation_mm.tolist()
+        with self._log.motion(what, to, trajectory=insertion.trajectory) as reached:
+            reached.append(
+                self.arm.move_linear(
+                    pose, flange_from_tool=self.flange_from_tool, speed_fraction=speed_fraction
+                )
+            )
+        return reached[-1]
+
+    @contextmanager
+    def _motion(self, what: str, to: list[float]) -> Iterator[list[ArmReading]]:
+        self._require_outside(what)
+        with self._log.motion(what, to) as reached:
+            yield reached
+
+    def _require_outside(self, what: str) -> None:
+        if self._insertion is not None:
+            raise InstrumentInside(
+                f"{what}: the instrument is beyond the entry of {self._insertion.trajectory}",
+                expected=f"a retreat along {self._insertion.trajectory}",
+            )

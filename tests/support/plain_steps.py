@@ -1,0 +1,90 @@
+"""A small case to drive an engine with: steps that leave a number, made from what they read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from procedures.engine.context import StepContext
+from procedures.engine.order import CaseOrder, Steps, order_of
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+
+
+class Image(StepResult, kind="image"):
+    number: int = 0
+
+
+class Localization(StepResult, kind="localization"):
+    number: int = 0
+
+
+class Fit(StepResult, kind="fit"):
+    number: int = 0
+
+
+class ToolOn(StepResult, kind="tool_on"):
+    number: int = 0
+
+
+class Approach(StepResult, kind="approach"):
+    number: int = 0
+
+
+class Held(StepResult, kind="held"):
+    number: int = 0
+
+
+class Back(StepResult, kind="back"):
+    number: int = 0
+
+
+Work = Callable[[StepContext], Outcome[StepResult]]
+
+
+def leaves(model: type[StepResult], *reads: type[StepResult]) -> Work:
+    """Work that reads what it declares and leaves its model."""
+
+    def run(context: StepContext) -> Outcome[StepResult]:
+        for one in reads:
+            context.result(one)
+        return Outcome(model(), summary="done")
+
+    return run
+
+
+def step(
+    model: type[StepResult],
+    *reads: type[StepResult],
+    scope: Scope = Scope.CASE,
+    continues: bool = False,
+    work: Work | None = None,
+) -> StepSpec[StepResult]:
+    return StepSpec(
+        model,
+        model.kind.capitalize(),
+        Phase.OPERATION,
+        work or leaves(model, *reads),
+        scope=scope,
+        reads=reads,
+        moves=continues,
+        continues=continues,
+    )
+
+
+def plain_steps(**works: Work) -> Steps:
+    """Seven steps in the shape of a clinical case; `works` replaces the work of a step by its name."""
+    return (
+        step(Image, work=works.get("image")),
+        step(Localization, Image, scope=Scope.LOCALIZATION, work=works.get("localization")),
+        step(Fit, Localization, scope=Scope.LOCALIZATION, work=works.get("fit")),
+        step(ToolOn, work=works.get("tool_on")),
+        step(Approach, Fit, ToolOn, scope=Scope.TRAJECTORY, work=works.get("approach")),
+        step(Held, Approach, scope=Scope.TRAJECTORY, continues=True, work=works.get("held")),
+        step(Back, Approach, Held, scope=Scope.TRAJECTORY, continues=True, work=works.get("back")),
+    )
+
+
+def plain_order(*trajectories: str, localizes_per_trajectory: bool = True, **works: Work) -> CaseOrder:
+    return order_of(
+        plain_steps(**works), trajectories or ("T1", "T2"), localizes_per_trajectory=localizes_per_trajectory
+    )

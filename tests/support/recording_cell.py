@@ -1,0 +1,233 @@
+"""A workcell over devices that do at once what they are told, and write it down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from procedures.engine.case import Case
+from procedures.engine.context import CaseSetting
+from procedures.engine.engine import Engine
+from procedures.engine.journal import JOURNAL_FILE, Journal, read_journal
+from procedures.engine.operator import Question
+from procedures.engine.order import CaseOrder
+from procedures.strategies.catalogue import strategy_named
+from procedures.workcell import Workcell
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.pose import Pose
+from ronna_hw.clock import HostClock
+from ronna_hw.collision_config import CollisionConfig
+from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.devices.readings import (
+    ArmReading,
+    JointVector,
+    LinkStatistics,
+    Stamp,
+    ToolIdentity,
+    Validity,
+)
+from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.theatre import Theatre
+from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.theatre_file import theatre_content
+
+ENDPOINTS = {
+    "polaris": "tcp://127.0.0.1:8765",
+    "kuka": {"rsi": "udp://127.0.0.1:59152", "eki_project": "tcp://127.0.0.1:54602"},
+    "basler": {"left": "gev://127.77.0.1", "right": "gev://127.77.0.2"},
+}
+STEREO_HEAD, GUIDE = 1, 2
+A1, A2, A3, A4, A5, A6 = (math.radians(angle) for angle in (0.0, -90.0, 90.0, 0.0, 60.0, 0.0))
+HOME: JointVector = (A1, A2, A3, A4, A5, A6)
+STAMP = Stamp(1, 0, 0.0)
+
+
+def mini_theatre() -> TheatreFile:
+    """The theatre file of the mini scene, with endpoints at which nothing is."""
+    return parse_theatre(theatre_content(built_in_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0))
+
+
+@dataclass
+class RecordingDevice:
+    """A device that connects, is configured and activated, and notes it."""
+
+    name: str
+    state: Lifecycle = Lifecycle.DISCONNECTED
+    notices: tuple[str, ...] = ()
+    serials: tuple[str, str] = ("", "")
+    calls: list[str] = field(default_factory=list)
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        self.state = Lifecycle.CONNECTED
+        return Identity("Test", f"a {self.name}", "1", "0")
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        self.state = Lifecycle.CONFIGURED
+
+    def activate(self, timeout_s: float = 10.0) -> None:
+        self.calls.append("activate")
+        self.state = Lifecycle.ACTIVE
+
+    def deactivate(self, timeout_s: float = 10.0) -> None:
+        self.calls.append("deactivate")
+        self.state = Lifecycle.CONFIGURED
+
+    def close(self) -> None:
+        self.state = Lifecycle.CLOSED
+
+
+@dataclass
+class RecordingArm(RecordingDevice):
+    """The arm: every motion arrives at once. `blocked` says which moves are not clear."""
+
+    joints_rad: JointVector = HOME
+    mounted: int = STEREO_HEAD
+    stops: int = 0
+    motions: list[tuple[str, JointVector]] = field(default_factory=list)
+    blocked: Callable[[JointVector, JointVector], bool] = lambda _start, _target: False
+    failing: RonnaError | None = None
+    kinematics: Any = field(default_factory=kr6_r900)
+
+    def read_state(self, timeout_s: float = 1.0) -> ArmReading:
+        return ArmReading(STAMP, Validity.OK, self.joints_rad, self.joints_rad, moving=False)
+
+    def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
+        return ToolIdentity(STAMP, self.mounted)
+
+    def link_statistics(self) -> LinkStatistics:
+        return LinkStatistics(1, 0, 0, 0, 1.0, 2.0, (0.0, 1.0), (1,), jitter_counts=(0,))
+
+    def surround(self, surroundings: object) -> None:
+        self.calls.append("surround")
+
+    def move_joints(self, target_rad: JointVector, **_more: Any) -> ArmReading:
+        if self.failing is not None:
+            raise self.failing
+        if self.blocked(self.joints_rad, target_rad):
+            raise NotClear("the way is not clear")
+        self.motions.append(("joints", target_rad))
+        self.joints_rad = target_rad
+        return self.read_state()
+
+    def move_linear(
+        self, target: Transform, *, flange_from_tool: Transform | None = None, **_more: Any
+    ) -> ArmReading:
+        if self.failing is not None:
+            raise self.failing
+        flange = target if flange_from_tool is None else target @ flange_from_tool.inverse()
+        branch = self.kinematics.branch_of(self.joints_rad)
+        self.joints_rad = self.kinematics.solve_branch(Pose.from_transform(flange), branch, self.joints_rad)
+        self.motions.append(("line", self.joints_rad))
+        return self.read_state()
+
+    def stop(self, *_kind: object) -> None:
+        self.stops += 1
+
+
+class RecordingOperator:
+    """Answers as told, and remembers the questions."""
+
+    def __init__(self, answer: bool = True) -> None:
+        self.answer = answer
+        self.asked: list[Question] = []
+
+    def confirm(self, question: Question) -> bool:
+        self.asked.append(question)
+        return self.answer
+
+
+class RecordingRoom:
+    """Changes tools on the arm, and remembers which steps were announced."""
+
+    def __init__(self, arm: RecordingArm) -> None:
+        self._arm = arm
+        self.announced: list[str] = []
+
+    def announce(self, step: str) -> None:
+        self.announced.append(step)
+
+    def change_tool(self, number: int, description: str) -> None:
+        self._arm.mounted = number
+
+
+class RecordingTheatre(Theatre):
+    """A theatre whose devices are given; those of other kinds by name."""
+
+    def __init__(self, file: TheatreFile, arm: Any, stereo: Any, tracker: Any) -> None:
+        super().__init__(file, HostClock())
+        self._devices.update({"robot.master": arm, "stereo": stereo, "tracker": tracker})
+
+    def _device(self, name: str, interface: Callable[..., Any]) -> Any:
+        return self._devices[name]
+
+    def stop(self) -> None:
+        arm = cast("RecordingArm", self._devices["robot.master"])
+        if arm.state is Lifecycle.ACTIVE:
+            arm.stop()
+
+
+@dataclass
+class RecordingCell:
+    """Everything that an engine needs, in a run folder of its own."""
+
+    folder: Path
+    theatre: TheatreFile = field(default_factory=mini_theatre)
+    operator: RecordingOperator = field(default_factory=RecordingOperator)
+
+    def __post_init__(self) -> None:
+        head = self.calibrations.stereo_head
+        self.arm = RecordingArm("arm")
+        self.stereo = RecordingDevice("stereo", serials=(head.left.serial, head.right.serial))
+        self.tracker = RecordingDevice("tracker")
+        self.journal = Journal(self.folder)
+        self.room = RecordingRoom(self.arm)
+        self.case = Case(self.folder, self.folder / "ct", self.folder / "plan.toml")
+        self.opened = RecordingTheatre(self.theatre, self.arm, self.stereo, self.tracker)
+        self.clock = self.opened.clock
+        self.workcell = self.make_workcell()
+
+    @property
+    def calibrations(self) -> Calibrations:
+        assert self.theatre.calibration is not None
+        return self.theatre.calibration
+
+    def make_workcell(self, calibrations: Calibrations | None = None) -> Workcell:
+        return Workcell(self.opened, self.journal, calibrations=calibrations)
+
+    def setting(self) -> CaseSetting:
+        return CaseSetting(
+            workcell=self.workcell,
+            clock=self.clock,
+            operator=self.operator,
+            room=self.room,
+            settings=ProcedureSettings(),
+            surroundings=CollisionConfig(),
+            strategy=strategy_named("ocs"),
+            theatre=self.opened,
+        )
+
+    def engine(self, order: CaseOrder) -> Engine:
+        return Engine(order, self.case, self.setting(), self.journal)
+
+    def entries(self, *kinds: str) -> list[tuple[str, str]]:
+        """Kind and step of the journal's lines; of all kinds when none is named."""
+        lines = read_journal(self.folder / JOURNAL_FILE)
+        return [
+            (line["entry"], line.get("step", "")) for line in lines if not kinds or line["entry"] in kinds
+        ]
+
+
+def tool_pose(joints_rad: Sequence[float], cell: RecordingCell) -> Transform:
+    """ROBOT <- TOOL of the guide at joint angles."""
+    a, b, c, d, e, f = joints_rad
+    flange = cell.arm.kinematics.flange_pose((a, b, c, d, e, f))
+    return cast(
+        "Transform",
+        flange @ cell.calibrations.tool_tip.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL),
+    )

@@ -1,0 +1,82 @@
+"""The how-to page about steps: its module is run as it stands, between two steps of a case."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+from recording_cell import RecordingCell
+
+from procedures.engine.errors import GateFailed
+from procedures.engine.machine import mermaid
+from procedures.engine.order import CaseOrder, order_of
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps.clinical.link_health import LinkHealth
+from procedures.steps.clinical.tool_change import MountedGuide
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "add-a-step.md"
+LINK = LinkHealth(
+    **{name: 0 for name in LinkHealth.model_fields if not name.endswith(("edges_us", "counts"))},
+    histogram_edges_us=(),
+    histogram_counts=(),
+    jitter_counts=(),
+)
+
+
+@pytest.fixture(scope="module")
+def force_check() -> ModuleType:
+    code = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
+    module = ModuleType("force_check")
+    exec(compile(code, str(PAGE), "exec"), module.__dict__)
+    return module
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> RecordingCell:
+    return RecordingCell(tmp_path)
+
+
+def order(force_check: ModuleType) -> CaseOrder:
+    guide = MountedGuide(tool_number=2, calibration="tip-1", link=LINK)
+    change = StepSpec(MountedGuide, "", Phase.OPERATION, lambda _context: Outcome(guide))
+    return order_of([change, force_check.STEP], ())
+
+
+def with_force(cell: RecordingCell, force_N: float) -> None:
+    cell.opened._devices["device.force"] = SimpleNamespace(read_force_N=lambda: force_N)  # type: ignore[assignment]
+
+
+def test_the_new_step_reads_a_device_of_another_kind_and_leaves_its_result(
+    cell: RecordingCell, force_check: ModuleType
+) -> None:
+    with_force(cell, 0.2)
+    engine = cell.engine(order(force_check))
+    engine.run_to()
+    assert cell.case.get(force_check.UnloadedGuide).result.force_N == 0.2
+    record = cell.case.get(force_check.UnloadedGuide).record
+    assert (record.identifier, list(record.parents)) == ("02-force_check", ["01-tool_change"])
+    assert engine.machine.state == "finished"
+
+
+def test_the_new_step_refuses_to_go_on_while_something_presses_on_the_guide(
+    cell: RecordingCell, force_check: ModuleType
+) -> None:
+    with_force(cell, 2.0)
+    with pytest.raises(GateFailed, match="something presses on the guide"):
+        cell.engine(order(force_check)).run_to()
+
+
+def test_with_one_line_in_the_catalogue_it_has_its_place_in_the_case_and_in_the_chart(
+    force_check: ModuleType,
+) -> None:
+    lines = re.findall(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
+    before = re.search(r"(\w+)\.STEP,\n\s+force_check\.STEP", lines)
+    assert before, lines
+    place = 1 + [step.name for step in CLINICAL_STEPS].index(before[1])
+    steps = (*CLINICAL_STEPS[:place], force_check.STEP, *CLINICAL_STEPS[place:])
+    names = [str(key) for key in order_of(steps, ("T1",)).sequence]
+    assert names.index("tool_change") < names.index("force_check") < names.index("positioning:T1")
+    assert "tool_change --> force_check" in mermaid(steps)

@@ -1,0 +1,212 @@
+"""The workcell's motions: each an intent and a result in the journal, none past an instrument in the head."""
+
+import math
+import os
+from collections.abc import Callable
+
+import pytest
+from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
+
+from procedures.engine.errors import JournalNotWritable
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.errors import InstrumentInside, TipOffAxis, WrongTool
+from procedures.workcell.workcell import APPROACH_RAD
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LinkTimeout
+from ronna_hw.frames import Transform
+
+DEPTH_MM, STANDOFF_MM = 50.0, 60.0
+
+
+def turned(by_rad: float) -> JointVector:
+    A1, A2, A3, A4, A5, A6 = HOME
+    return (A1 + by_rad, A2, A3, A4, A5, A6)
+
+
+def motions(cell: RecordingCell) -> list[tuple[str, object]]:
+    lines = read_journal(cell.folder / JOURNAL_FILE)
+    return [(line["entry"], line.get("what", line.get("error"))) for line in lines]
+
+
+def with_guide(cell: RecordingCell) -> None:
+    cell.arm.mounted = GUIDE
+    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.set_home()
+
+
+def insertion(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
+    """A trajectory whose stand-off is where the guide is now."""
+    here = tool_pose(cell.arm.joints_rad, cell)
+    target = Transform.of(
+        here.target,
+        here.source,
+        translation_mm=here.apply([0.0, 0.0, DEPTH_MM + STANDOFF_MM]),
+        quaternion_wxyz=here.quaternion_wxyz,
+    )
+    return Insertion(trajectory, target, DEPTH_MM, STANDOFF_MM)
+
+
+def inserted(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
+    with_guide(cell)
+    made = insertion(cell, trajectory)
+    cell.workcell.insert(made)
+    return made
+
+
+def test_every_motion_is_an_intent_and_a_result(cell: RecordingCell) -> None:
+    cell.workcell.set_home()
+    cell.workcell.go(turned(0.1))
+    cell.workcell.settle(turned(0.2), (1,) * 6)
+    cell.workcell.go_home()
+    assert motions(cell) == [
+        *[("motion", "go"), ("moved", None)],
+        *[("motion", "settle"), ("moved", None)],
+        *[("motion", "home"), ("moved", None)],
+    ]
+
+
+@pytest.mark.hazard(33)
+def test_a_motion_whose_intent_cannot_be_written_is_not_made(cell: RecordingCell) -> None:
+    os.dup2(full := os.open("/dev/full", os.O_WRONLY), cell.journal._file)
+    os.close(full)
+    with pytest.raises(JournalNotWritable, match="PRO-003"):
+        cell.workcell.go(turned(0.1))
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(33)
+def test_without_an_open_journal_there_is_no_workcell(cell: RecordingCell) -> None:
+    cell.journal.close()
+    with pytest.raises(JournalNotWritable, match="it is closed"):
+        cell.workcell.go(turned(0.1))
+    with pytest.raises(JournalNotWritable, match="the journal is closed"):
+        cell.make_workcell()
+    assert cell.arm.motions == []
+
+
+def test_a_motion_that_fails_says_so_in_the_journal(cell: RecordingCell) -> None:
+    cell.arm.failing = LinkTimeout("telegrams ceased")
+    with pytest.raises(LinkTimeout):
+        cell.workcell.go(turned(0.1))
+    assert motions(cell) == [("motion", "go"), ("moved", LinkTimeout.code)]
+
+
+def test_where_the_straight_way_is_not_clear_the_arm_goes_by_way_of_home(cell: RecordingCell) -> None:
+    cell.workcell.set_home()
+    cell.arm.joints_rad = turned(-0.1)
+    cell.arm.blocked = lambda start, _target: start not in (HOME,) and _target != HOME
+    cell.workcell.go(turned(0.1))
+    assert [to for _, to in cell.arm.motions] == [HOME, turned(0.1)]
+
+
+def test_where_no_way_is_clear_nothing_is_forced(cell: RecordingCell) -> None:
+    cell.workcell.set_home()
+    cell.arm.blocked = lambda _start, _target: True
+    with pytest.raises(NotClear):
+        cell.workcell.go(turned(0.1))
+    assert cell.arm.motions == []
+
+
+def test_joints_settle_from_the_side_that_was_asked_for(cell: RecordingCell) -> None:
+    cell.workcell.settle(HOME, (1, -1, 1, -1, 1, -1))
+    back, there = (to for _, to in cell.arm.motions)
+    assert there == HOME
+    stood_back = [round((end - start) / APPROACH_RAD) for start, end in zip(back, there, strict=True)]
+    assert stood_back == [1, -1, 1, -1, 1, -1]
+
+
+def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> None:
+    made = inserted(cell)
+    assert cell.workcell.insertion == made
+    reached = tool_pose(cell.arm.joints_rad, cell)
+    assert math.dist(reached.translation_mm, made.target.translation_mm) < 1e-6
+    cell.workcell.withdraw("T1")
+    assert cell.workcell.insertion is None
+    assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
+
+
+Anything = Callable[[RecordingCell], object]
+OTHER_MOTIONS: dict[str, Anything] = {
+    "go": lambda cell: cell.workcell.go(turned(0.1)),
+    "home": lambda cell: cell.workcell.go_home(),
+    "settle": lambda cell: cell.workcell.settle(turned(0.1), (1,) * 6),
+    "line": lambda cell: cell.workcell.line_to(tool_pose(HOME, cell)),
+    "insert": lambda cell: cell.workcell.insert(insertion(cell, "T2")),
+}
+
+
+@pytest.mark.hazard(7)
+@pytest.mark.parametrize("what", OTHER_MOTIONS)
+def test_while_an_instrument_is_inside_nothing_moves_but_along_its_axis(
+    cell: RecordingCell, what: str
+) -> None:
+    inserted(cell)
+    moved = len(cell.arm.motions)
+    with pytest.raises(InstrumentInside, match=r"PRO-014.*beyond the entry of T1"):
+        OTHER_MOTIONS[what](cell)
+    assert len(cell.arm.motions) == moved
+
+
+@pytest.mark.hazard(7)
+def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> None:
+    inserted(cell, "T2")
+    moved = len(cell.arm.motions)
+    with pytest.raises(InstrumentInside, match="not in T1; expected T1, got T2"):
+        cell.workcell.withdraw("T1")
+    assert len(cell.arm.motions) == moved
+
+
+@pytest.mark.hazard(7)
+def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> None:
+    inserted(cell)
+    A1, A2, A3, A4, A5, A6 = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 0.002, A2, A3, A4, A5, A6)  # pushed aside by about a millimetre
+    moved = len(cell.arm.motions)
+    with pytest.raises(TipOffAxis, match="PRO-015: the tip is not on the axis of T1"):
+        cell.workcell.withdraw("T1")
+    assert len(cell.arm.motions) == moved
+    assert cell.workcell.insertion is not None
+
+
+@pytest.mark.hazard(7)
+def test_an_insertion_that_fails_half_way_leaves_the_instrument_known_to_be_inside(
+    cell: RecordingCell,
+) -> None:
+    with_guide(cell)
+    cell.arm.failing = LinkTimeout("telegrams ceased")
+    with pytest.raises(LinkTimeout):
+        cell.workcell.insert(insertion(cell))
+    cell.arm.failing = None
+    with pytest.raises(InstrumentInside):
+        cell.workcell.go_home()
+    cell.workcell.withdraw("T1")
+
+
+@pytest.mark.hazard(3)
+def test_nothing_is_inserted_with_another_tool_than_the_guide(cell: RecordingCell) -> None:
+    with_guide(cell)
+    made = insertion(cell)
+    cell.arm.mounted = 1
+    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    with pytest.raises(WrongTool, match="PRO-009"):
+        cell.workcell.insert(made)
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(3)
+def test_poses_of_a_tool_that_was_not_checked_are_refused(cell: RecordingCell) -> None:
+    with pytest.raises(WrongTool, match="has not been checked"):
+        cell.workcell.tool_pose()
+
+
+def test_only_what_is_not_running_is_started_and_only_what_runs_is_ended(cell: RecordingCell) -> None:
+    cell.arm.state = cell.stereo.state = Lifecycle.CONFIGURED
+    cell.workcell.start()
+    cell.workcell.start(cameras=True)
+    cell.workcell.rest()
+    cell.workcell.rest()
+    assert cell.arm.calls == ["activate", "deactivate"]
+    assert cell.stereo.calls == ["activate", "deactivate"]
