@@ -98,7 +98,7 @@ class TrackerFrame:
             if reading.tool == name:
                 return reading
         known = ", ".join(reading.tool for reading in self.tools)
-        raise UnknownTool("unknown tool", expected=known or "none, the tracker has no tools", got=name)
+        raise UnknownTool(f"the tracker has no tool {name}", expected=known or "none")
 
 
 class OperationMode(StrEnum):
