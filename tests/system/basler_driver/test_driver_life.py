@@ -103,10 +103,10 @@ def test_close_is_bounded_with_cameras_that_hear_but_do_not_answer(pair, peers):
 
 def test_close_gives_control_back_and_leaves_no_thread_and_no_process(pair, make_pair):
     before = threading.active_count()
-    reception = pair._reception.pid
+    receiver = pair._receiver_process.pid
     pair.close()
     assert threading.active_count() <= before - 2
-    assert not Path(f"/proc/{reception}").exists()
+    assert not Path(f"/proc/{receiver}").exists()
     second = make_pair()
     second.connect(HANG_LIMIT_S)
     second.configure(HANG_LIMIT_S)

@@ -66,7 +66,7 @@ def test_a_tool_outside_the_volume_has_no_pose_to_build_on(
 
 
 def test_a_tool_that_is_not_loaded_is_named_with_those_that_are(tracker: PolarisTracker) -> None:
-    with pytest.raises(UnknownTool, match=r"DEV-003.*expected robot_frame, got pointer") as caught:
+    with pytest.raises(UnknownTool, match=r"DEV-003.*no tool pointer; expected robot_frame") as caught:
         tracker.read_frame().tool("pointer")
     assert caught.value.exit_code == EXIT_USAGE
 
