@@ -50,10 +50,14 @@ def cameras_near(address: str) -> str:
 
 def _replied(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:
     """Raises GEV-008 for anything but a reply to discovery."""
-    answer = gvcp.decode(datagram)
-    if answer is None or answer.command != GvcpCommand.DISCOVERY_ACK or answer.status != GevStatus.SUCCESS:
+    acknowledge = gvcp.decode(datagram)
+    if (
+        acknowledge is None
+        or acknowledge.command != GvcpCommand.DISCOVERY_ACK
+        or acknowledge.status != GevStatus.SUCCESS
+    ):
         raise MalformedReply(f"{sender[0]}: not a reply to discovery", wire=datagram[:16])
     # a camera of another subnet replies as well: its own address is in the reply
-    place = answer.payload[Bootstrap.CURRENT_ADDRESS : Bootstrap.CURRENT_ADDRESS + gev.REGISTER_BYTES]
+    place = acknowledge.payload[Bootstrap.CURRENT_ADDRESS : Bootstrap.CURRENT_ADDRESS + gev.REGISTER_BYTES]
     own = socket.inet_ntoa(place) if any(place) and len(place) == gev.REGISTER_BYTES else sender[0]
-    return decode_identity(answer.payload, own)
+    return decode_identity(acknowledge.payload, own)

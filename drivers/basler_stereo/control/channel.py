@@ -1,4 +1,4 @@
-"""The control channel to one camera: commands with repetition, answers matched by request id."""
+"""The control channel to one camera: commands with retries, acknowledges matched by request id."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from drivers.basler_stereo.errors import CommandRefused, NoReply
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GvcpCommand
 
-FIRST_TRY_S = 0.2  # a camera answers within milliseconds; afterwards each try waits twice as long
-COMMAND_LIMIT_S = 1.5  # of one command with its repetitions, unless the caller's deadline is nearer
-REFUSED_PAUSE_S = 0.05  # between tries while the host says that nobody listens there
-OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id is the reception process', for its signs of life
+FIRST_TRY_S = 0.2  # a camera replies within milliseconds; each further try waits twice as long
+COMMAND_LIMIT_S = 1.5  # for one command with its retries, unless the caller's deadline is nearer
+REFUSED_PAUSE_S = 0.05  # between tries while the host reports a closed port
+OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id belongs to the receiver process, for its keep-alives
 DATAGRAM_LIMIT_BYTES = 65_536
-LAST_LOOK_S = 1e-3  # for an answer that came while the host gave us no time
+LAST_LOOK_S = 1e-3  # for a reply that came while the host stalled
 
 
 class ControlChannel:
     """One socket, one command at a time; safe to use from several threads.
 
-    A command is repeated with the same request id, so that a device that answers late does not act twice.
+    A command is repeated with the same request id, so that a device that replies late does not act twice.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class ControlChannel:
     ) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.connect((address, port))  # answers from any other address are not seen
+            self._socket.connect((address, port))  # datagrams from other addresses are filtered out
         except OSError:
             self._socket.close()
             raise
@@ -56,15 +56,15 @@ class ControlChannel:
 
     @property
     def link(self) -> socket.socket:
-        """For the reception process, which asks for repetitions and shows that we live."""
+        """For the receiver process, which sends resend requests and keep-alives on it."""
         return self._socket
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()
 
     def discover(self, deadline_s: float) -> bytes:
-        """The bootstrap memory that a device shows to everybody; raises GEV-007."""
+        """The bootstrap registers in a device's reply to discovery; raises GEV-007."""
         return self.ask(GvcpCommand.DISCOVERY, b"", deadline_s, "discovery")
 
     def read_register(self, address: int, deadline_s: float) -> int:
@@ -99,7 +99,7 @@ class ControlChannel:
         self.ask(GvcpCommand.WRITEMEM, gvcp.write_memory_command(address, data), deadline_s, what)
 
     def ask(self, command: GvcpCommand, payload: bytes, deadline_s: float, what: str) -> bytes:
-        """Send a command and return the payload of its answer; raises GEV-006, GEV-007."""
+        """Send a command and return the payload of its acknowledge; raises GEV-006, GEV-007."""
         with self._lock:
             request_id, datagram = self._prepare(command, payload)
             self._send(datagram)
@@ -112,53 +112,53 @@ class ControlChannel:
     def _finish(
         self, command: GvcpCommand, request_id: int, datagram: bytes, deadline_s: float, what: str
     ) -> bytes:
-        """Await the answer to a command that has been sent; repeat it while none comes."""
-        # a deadline that passed while we waited for our turn or for the computer still allows one try
+        """Wait for the acknowledge of a sent command, repeating it while none comes."""
+        # a deadline that passed while we waited for the lock or the CPU still allows one try
         begun_s = self._monotonic()
         deadline_s = max(deadline_s, begun_s + FIRST_TRY_S)
         limit_s = min(deadline_s, begun_s + COMMAND_LIMIT_S)
         patience_s = FIRST_TRY_S
         while True:
-            answer = self._receive(
+            acknowledge = self._receive(
                 command, request_id, min(limit_s, self._monotonic() + patience_s), deadline_s
             )
-            if answer is not None:
-                return gvcp.require_success(answer, f"{self._address}: {what}")
+            if acknowledge is not None:
+                return gvcp.require_success(acknowledge, f"{self._address}: {what}")
             if self._monotonic() >= limit_s:
-                raise NoReply(f"{self._address}: no answer", expected=what, limit=f"{COMMAND_LIMIT_S} s")
+                raise NoReply(f"{self._address}: no reply", expected=what, limit=f"{COMMAND_LIMIT_S} s")
             patience_s *= 2.0
             self._send(datagram)
 
     def _receive(
         self, command: GvcpCommand, request_id: int, until_s: float, deadline_s: float
     ) -> gvcp.Acknowledge | None:
-        """The answer with that request id, or None when it has not come by `until_s`."""
+        """The acknowledge with that request id, or None when it has not come by `until_s`."""
         while True:
-            # also after the time: what came while the host stalled is an answer in time
+            # also after the deadline: what came while the host stalled came in time
             left_s = until_s - self._monotonic()
             if left_s < -COMMAND_LIMIT_S:
-                return None  # nothing but strangers' datagrams
+                return None  # only unrelated datagrams
             self._socket.settimeout(max(LAST_LOOK_S, left_s))
             try:
                 datagram = self._socket.recv(DATAGRAM_LIMIT_BYTES)
             except TimeoutError:
                 return None
-            except ConnectionRefusedError:  # the host at that address says that nobody listens
+            except ConnectionRefusedError:  # the host at that address reports a closed port
                 self.port_closed = True
                 time.sleep(max(0.0, min(REFUSED_PAUSE_S, until_s - self._monotonic())))
                 return None
-            answer = gvcp.decode(datagram)
-            if answer is None or answer.request_id != request_id:
-                continue  # a late answer to an earlier command
-            if answer.command == GvcpCommand.PENDING_ACK:
-                wait_s = gvcp.pending_ms(answer.payload) / 1000.0
+            acknowledge = gvcp.decode(datagram)
+            if acknowledge is None or acknowledge.request_id != request_id:
+                continue  # a late acknowledge of an earlier command
+            if acknowledge.command == GvcpCommand.PENDING_ACK:
+                wait_s = gvcp.pending_ms(acknowledge.payload) / 1000.0
                 until_s = min(deadline_s, max(until_s, self._monotonic() + wait_s))
                 continue
-            if answer.command == command + 1:
-                return answer
+            if acknowledge.command == command + 1:
+                return acknowledge
 
     def _send(self, datagram: bytes) -> None:
-        # an error here (network down, nobody listens) shows as a missing answer, which is reported in words
+        # an error here (network down, closed port) shows as a missing acknowledge, which is reported
         with contextlib.suppress(OSError):
             self._socket.send(datagram)
 
@@ -182,7 +182,7 @@ def send_together(
 ) -> list[Exception | None]:
     """Send a command on each of several channels as nearly at once as one host can.
 
-    All commands leave before the first answer is awaited. Returns per channel None, or what went wrong.
+    All commands leave before the first acknowledge is awaited. Returns per channel None, or what went wrong.
     """
     results: list[Exception | None] = []
     with ExitStack() as locks:

@@ -57,7 +57,7 @@ def test_settings_that_may_have_been_taken_or_not_are_a_fault(make_pair, peers):
     device.connect(HANG_LIMIT_S)
     device.configure(HANG_LIMIT_S)
     peers[1].fault("mute")
-    with pytest.raises(CameraLost, match=f"GEV-014.*{peers[1].address}: no answer"):
+    with pytest.raises(CameraLost, match=f"GEV-014.*{peers[1].address}: no reply"):
         device.set_exposure(500.0, 40, 0.5)
     assert device.state is Lifecycle.FAULT
 
