@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from ronna_hw.conformance.errors import NoSuchCase
 
@@ -48,6 +48,7 @@ class Nonconformity(AssertionError):
 
 
 Run = Callable[["DeviceUnderTest"], None]
+E = TypeVar("E", bound=Exception)
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def check(condition: bool, expected: str, found: object = "") -> None:
         raise Nonconformity(f"expected {expected}" + (f", got {found}" if found != "" else ""))
 
 
-def refused(call: Callable[[], object], kind: type[Exception], what: str) -> Exception:
+def refused(call: Callable[[], object], kind: type[E], what: str) -> E:
     """The error that `call` raises; Nonconformity when it raises none or one of another class."""
     try:
         call()

@@ -50,7 +50,7 @@ def test_at_an_endpoint_nothing_is_moved_unless_asked() -> None:
         eki = child.ready["endpoints"]["eki_project"]
         code, report = _run("--endpoint", f"rsi={rsi}", "--endpoint", f"eki_project={eki}")
     outcomes = _outcomes(report)
-    moving = {"R11", "R12", "R13", "R14", "R15", "K16", "K20", "L29b", "L30b"}
+    moving = {"R11", "R12", "R13", "R14", "R15", "R21", "R26", "K16", "K20", "L29b", "L30b"}
     destructive, simulated = {"K17", "L30"}, {"K24", "K39b", "K42", "L44"}
     no_sdk_channel = {"K36", "K37", "K39"}
     left_out = {number for number, outcome in outcomes.items() if outcome == "SKIP"}

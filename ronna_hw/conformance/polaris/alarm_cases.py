@@ -21,7 +21,7 @@ def bump_is_a_fault(dut: DeviceUnderTest) -> None:
         tap.change(name, lambda reply: with_system_status(reply, SystemStatus.DIAGNOSTICS_PENDING))
         tap.answer("GET", f"{PARAMETER_NEW_ALERTS}={int(Alert.BUMP)}")
         error = refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading from a bumped unit")
-        check(bool(getattr(error, "code", "")), "an error with a code", repr(error))
+        check(bool(error.code), "an error with a code", repr(error))
         check(tap.count(f"GET:{PARAMETER_NEW_ALERTS}") > 0, "a read of the alerts", tap.commands[-3:])
         check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)
         refused(lambda: tracker.read_frame(PATIENT_S), StateError, "read_frame in fault")
