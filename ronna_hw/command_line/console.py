@@ -1,4 +1,4 @@
-"""Runs a command: its options, its exit code, its end. All that commands share is imported from here.
+"""Runs a command: options, exit code, end. Commands import everything they share from here.
 
 Data goes to standard output, messages to standard error. A traceback is shown only with `--verbose`. The
 first SIGINT or SIGTERM unwinds the command through its `finally` blocks and ends it with exit code 130.
@@ -55,14 +55,14 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 
 # the base of typer's usage errors: unknown option, missing argument, bad value
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
-# one of them: nothing was asked for, its message is the help
+# one of them: no arguments at all; its message is the help
 _NOTHING_ASKED: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsHelpError
 
 
 def run(app: typer.Typer) -> NoReturn:
-    """Run a command with the arguments of this process and end it with the documented exit code."""
+    """Run a command with this process's arguments and exit with the documented code."""
     code = exit_code_of(app, sys.argv[1:])
-    for number in (signal.SIGINT, signal.SIGTERM):  # the outcome stands; only the interpreter has to end
+    for number in (signal.SIGINT, signal.SIGTERM):  # the outcome is final; only the interpreter has to end
         signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
 
@@ -79,7 +79,7 @@ def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
         sys.stdout.flush()
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
-    except SystemExit as leaving:  # the reader of a pipe went away while the command was printing
+    except SystemExit as leaving:  # the reader of a pipe closed it while the command was printing
         code = leaving.code if isinstance(leaving.code, int) else EXIT_FAILED
     except BrokenPipeError:
         code = EXIT_FAILED
@@ -131,21 +131,21 @@ def _report(problem: Exception, *, verbose: bool) -> int:
 
 
 def _open_missing_streams() -> None:
-    """A shell may start a command with its streams closed: Python then has None where others write."""
+    """Replace streams that the shell has closed, which Python sets to None."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
 
 
 def _unwind_on_signals() -> None:
-    # SIGINT too: a shell starts background commands with it ignored, yet an arm must stop when told
+    # SIGINT too: a shell starts background commands with it ignored, but an arm must stop on it
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
 
 
 def _abandon_unwritable(stream: TextIO) -> None:
-    """Drop what a full disk or a closed pipe refused, so that the interpreter ends without a trace."""
+    """Drop output that a full disk or a closed pipe refused, so that the interpreter exits quietly."""
     try:
         stream.flush()
     except (OSError, ValueError):

@@ -1,7 +1,4 @@
-"""What an interruption before a command has begun leaves behind: one word, not a trace.
-
-To be imported first of all: the imports of a command last longer than a hand needs to change its mind.
-"""
+"""An interruption during a command's imports prints one word, not a traceback. Import this module first."""
 
 from __future__ import annotations
 
@@ -12,11 +9,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from types import TracebackType
 
-EXIT_INTERRUPTED = 130  # as in ronna_hw.errors, which takes too long to import here
+EXIT_INTERRUPTED = 130  # as in ronna_hw.errors, which is too slow to import here
 
 
 def say_interrupted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Hook for what nobody caught: after an interruption there is nothing yet that must be undone."""
+    """Exception hook: nothing has to be cleaned up this early."""
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
         return

@@ -1,4 +1,4 @@
-"""What can go wrong around a command: usage, disk, paths, ports, and mistakes of our own."""
+"""Errors around a command: usage, disk, paths, ports, and faults of the program."""
 
 from __future__ import annotations
 
@@ -17,49 +17,49 @@ class UsageMistake(RonnaError):
 
 
 class InternalFault(RonnaError):
-    """An error that the program did not foresee."""
+    """An unexpected error in the program."""
 
     code = "CLI-002"
-    action = "This is a fault of the program: run again with --verbose and report the trace."
+    action = "This is a fault of the program: run again with --verbose and report the traceback."
 
 
 class DiskFull(RonnaError):
     """No space is left, or the quota is used up."""
 
     code = "CLI-003"
-    action = "Free some space or choose another folder; what was written before is complete."
+    action = "Free some space or choose another folder; files written earlier are complete."
 
 
 class NotWritable(RonnaError):
-    """A file or folder may not be read or written by this user."""
+    """This user may not read or write a file or folder."""
 
     code = "CLI-004"
     action = "Choose another folder, or change its permissions."
 
 
 class PathProblem(RonnaError):
-    """A path does not exist, or is a file where a folder is needed, or the reverse."""
+    """A path does not exist, or is a file where a folder is needed, or vice versa."""
 
     code = "CLI-005"
     action = "Check the path."
 
 
 class PortInUse(RonnaError):
-    """Another program holds the network port."""
+    """Another program uses the network port."""
 
     code = "CLI-006"
-    action = "End the other program or choose another endpoint."
+    action = "Stop the other program or choose another endpoint."
 
 
 class SystemRefused(RonnaError):
     """The operating system refused for another reason."""
 
     code = "CLI-007"
-    action = "Correct what the system complains about and run the command again."
+    action = "Fix what the system reports and run the command again."
 
 
 class OutOfMemory(RonnaError):
-    """The memory of this computer did not suffice."""
+    """The computer ran out of memory."""
 
     code = "CLI-008"
     action = "Close other programs, or use a smaller series."
@@ -82,11 +82,11 @@ _BY_ERRNO: dict[int, type[RonnaError]] = {
 
 
 def as_ronna_error(problem: BaseException) -> RonnaError:
-    """Any exception as one of ours: itself, or an operating-system or internal error with a code."""
+    """Any exception as a RonnaError: itself, or an operating-system or internal error with a code."""
     if isinstance(problem, RonnaError):
         return problem
     if isinstance(problem, MemoryError):
-        return OutOfMemory("the memory of this computer does not suffice")
+        return OutOfMemory("the computer ran out of memory")
     problem = _first_with_number(problem)
     if isinstance(problem, OSError) and problem.errno is not None:
         kind = _BY_ERRNO.get(problem.errno, SystemRefused)
@@ -97,7 +97,7 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
 
 
 def _first_with_number(problem: BaseException) -> BaseException:
-    """The operating system's own error behind one that a library wrapped into another."""
+    """The operating system's error that a library has wrapped."""
     inner: BaseException | None = problem
     while inner is not None:
         if isinstance(inner, OSError) and inner.errno is not None:

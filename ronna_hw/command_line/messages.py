@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def on_terminal(stream: TextIO) -> bool:
-    """True when a person looks at this stream."""
+    """True when this stream is a terminal."""
     try:
         return stream.isatty()
     except ValueError:  # closed
@@ -21,14 +21,14 @@ def on_terminal(stream: TextIO) -> bool:
 
 
 def tell(line: str) -> None:
-    """Print one line of message on standard error; silent when nobody listens any more."""
-    with contextlib.suppress(OSError, ValueError):  # nobody listens any more
+    """Print a message of one line on standard error, if that is still open."""
+    with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(line + "\n")
         sys.stderr.flush()
 
 
 def fail_with(error: RonnaError) -> None:
-    """Print an error as `run` would, for commands that go on after it."""
+    """Print an error as `run` does, for commands that continue after it."""
     line = " ".join(str(error).split())
     if not on_terminal(sys.stderr):
         tell(line)

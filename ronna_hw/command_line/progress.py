@@ -1,4 +1,4 @@
-"""A bar on standard error for work that lasts."""
+"""A progress bar on standard error for longer work."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterator
 
 from ronna_hw.command_line.messages import message_console, on_terminal
 
-PROGRESS_DELAY_S = 2.0  # shorter work shows no bar
+PROGRESS_DELAY_S = 2.0  # no bar for shorter work
 
 Progress = Callable[[float], None]  # called with the share done, 0 to 1
 
 
 @contextlib.contextmanager
 def progress_bar(description: str) -> Iterator[Progress]:
-    """A bar on standard error for work longer than two seconds; silent off a terminal."""
+    """A progress bar on standard error after two seconds of work; none off a terminal."""
     if not on_terminal(sys.stderr):
         yield lambda share: None
         return

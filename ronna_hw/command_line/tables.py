@@ -1,4 +1,4 @@
-"""Tables on standard output: framed on a terminal that is wide enough, tab-separated lines elsewhere."""
+"""Tables on standard output: framed on a wide enough terminal, tab-separated lines elsewhere."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ FRAME_WIDTH = 3  # of a table's frame, per column
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print a table on standard output: framed where it fits on a terminal, tab-separated lines elsewhere.
 
-    Cells and headings are folded between words only. A word or a number is never cut: where the frame would
-    do so, the lines are printed instead.
+    Cells and headings wrap between words only. Where the frame would split a word or a number, lines are
+    printed instead.
     """
     table_rows = [list(columns), *([str(cell) for cell in row] for row in rows)]
     widths = _column_widths(table_rows, _terminal_width()) if on_terminal(sys.stdout) else None
@@ -36,14 +36,14 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
 
 
 def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
-    """Widths that fill the terminal without cutting a word, headings included; None where none do."""
+    """Widths that fill the terminal without splitting a word; None when there are none."""
     by_column = list(zip(*rows, strict=True))
     widths = [_least_width(cells) for cells in by_column]
     wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
     spare = terminal_width - 1 - FRAME_WIDTH * len(widths) - sum(widths)
     if spare < 0:
         return None
-    for _ in range(spare):  # one more to the column that lacks most
+    for _ in range(spare):  # to the column that lacks most
         lacking = [want - width for want, width in zip(wanted, widths, strict=True)]
         if max(lacking, default=0) <= 0:
             break
@@ -52,7 +52,7 @@ def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[i
 
 
 def _least_width(cells: Sequence[str]) -> int:
-    """Width that a column needs so that no word of it is folded."""
+    """Smallest width of a column that splits no word."""
     return max((len(word) for cell in cells for word in cell.split()), default=0)
 
 
