@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from procedures.engine.errors import JournalCorrupt, JournalNotWritable
 
@@ -22,6 +22,9 @@ FIRST = "0" * 64  # what the first line names as the one before it
 
 
 JournalValue = str | float | bool | None | Sequence["JournalValue"] | Mapping[str, "JournalValue"]
+
+
+Line = Mapping[str, JournalValue]  # one line, as it is read back
 
 
 class Entry(StrEnum):
@@ -127,7 +130,7 @@ class Journal:
         os.close(self._file)
 
 
-def read_journal(path: Path) -> Iterator[dict[str, Any]]:
+def read_journal(path: Path) -> Iterator[Line]:
     """The lines of a journal, in order; raises PRO-011 when the chain is broken.
 
     One torn last line, as a crash leaves it, is not an error and is not returned.

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import ValidationError
 
 from procedures.engine.case import RECORDS_FOLDER, Stored
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.engine.errors import JournalCorrupt
+from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
 from procedures.engine.result import StepResult
 from ronna_hw.config import describe_mistakes
 from ronna_hw.records import BadRecord, OtherVersion, Record, read_record
 
 R = TypeVar("R", bound=StepResult)
-Line = Mapping[str, Any]  # one line of the journal, as JSON has it
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ def read_run(folder: Path) -> RunFolder:
     """Read a run. Raises PRO-011 for a broken journal, REC-001 for a record that is missing or changed."""
     journal = tuple(read_journal(folder / JOURNAL_FILE))
     results = [line for line in journal if line["entry"] == Entry.RESULT]
-    superseded = frozenset(name for line in results for name in line.get("supersedes", ()))
+    superseded = frozenset(name for line in results for name in _texts(line, "supersedes"))
     return RunFolder(folder, journal, tuple(_named_by(line, folder) for line in results), superseded)
 
 
@@ -76,14 +75,27 @@ def typed(record: Record, model: type[R]) -> R:
 
 
 def _named_by(line: Line, folder: Path) -> Record:
-    path = folder / RECORDS_FOLDER / f"{line['record']}.json"
+    path = folder / RECORDS_FOLDER / f"{_text(line, 'record')}.json"
     if not path.exists():
         raise BadRecord(f"{path.name} is missing: the journal names it")
     record = read_record(path)
-    if record.sha256 != line["sha256"]:
+    named = _text(line, "sha256")
+    if record.sha256 != named:
         raise BadRecord(
             f"{path.name} is not the record that the journal names",
-            expected=line["sha256"][:12],
+            expected=named[:12],
             got=record.sha256[:12],
         )
     return record
+
+
+def _text(line: Line, key: str) -> str:
+    value = line.get(key)
+    if not isinstance(value, str):
+        raise JournalCorrupt(f"line {line.get('sequence')} of {JOURNAL_FILE} has no {key}")
+    return value
+
+
+def _texts(line: Line, key: str) -> tuple[str, ...]:
+    values = line.get(key, ())
+    return tuple(str(value) for value in values) if isinstance(values, list) else ()

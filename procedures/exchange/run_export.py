@@ -64,7 +64,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     poses = {name: fit.result.robot_from_ct.transform.rigid.as_matrix() for name, fit in fits.items()}
     texts = {
         "spheres.csv": table(spheres),
-        "spheres.json": document(found.record.payload["markers"], origin),
+        "spheres.json": document([one.model_dump(mode="json") for one in found.result.markers], origin),
         "spheres.mrk.json": slicer_markups(spheres),
         "registrations.csv": registration_table(_rows(fits, poses)),
         "registrations.json": _summary(fits),

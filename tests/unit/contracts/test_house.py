@@ -28,6 +28,25 @@ def test_modules_hold_one_idea() -> None:
     assert lengths[len(lengths) // 2] <= LARGEST_MEDIAN_LINES
 
 
+MOVES_OR_LOOKS = re.compile(r"\.(move_joints|move_linear|move_along_tool|grab_pair|set_areas|surround)\(")
+
+
+def test_procedures_move_and_look_by_the_workcell_only() -> None:
+    workcell = ROOT / "procedures" / "workcell"
+    for path in (ROOT / "procedures").rglob("*.py"):
+        if workcell not in path.parents:
+            calls = [
+                line for line in path.read_text(encoding="utf-8").splitlines() if MOVES_OR_LOOKS.search(line)
+            ]
+            assert [line for line in calls if "workcell." not in line] == [], path.relative_to(ROOT)
+
+
+@pytest.mark.parametrize("folder", ["engine", "steps", "workcell"])
+def test_nothing_in_the_middle_is_of_any_type(folder: str) -> None:
+    for path in (ROOT / "procedures" / folder).rglob("*.py"):
+        assert not re.search(r"\bAny\b", path.read_text(encoding="utf-8")), path.relative_to(ROOT)
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_folder_says_what_lives_in_it(package: str) -> None:
     for path in (ROOT / package).rglob("__init__.py"):
