@@ -32,15 +32,6 @@ class HeadShape:
     centre_mm: tuple[float, float, float]
     semi_axes_mm: tuple[float, float, float]
 
-    def as_payload(self) -> dict[str, Any]:
-        """Plain numbers for a record."""
-        return {"centre_mm": list(self.centre_mm), "semi_axes_mm": list(self.semi_axes_mm)}
-
-    @classmethod
-    def from_payload(cls, payload: dict[str, Any]) -> HeadShape:
-        """The inverse."""
-        return cls(_three(payload["centre_mm"]), _three(payload["semi_axes_mm"]))
-
 
 def head_shape(volume: Volume) -> HeadShape:
     """The least ellipsoid of the head's own proportions that holds all of it. Raises PLAN-014.

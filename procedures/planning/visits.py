@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -112,26 +111,6 @@ class PathCheck:
         if self.unmet:
             lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
             raise NotReachable(f"{len(self.unmet)} pose(s) cannot be driven: {lines}")
-
-    def as_payload(self) -> dict[str, Any]:
-        """Plain numbers for a record."""
-        return {
-            "passed": self.passed,
-            "branch_status": self.branch,
-            "poses": [
-                {
-                    "id": one.visit.identifier,
-                    "kind": one.visit.kind.value,
-                    "approach_rad": list(one.approach_rad),
-                    "at_rad": list(one.at_rad),
-                }
-                for one in self.reached
-            ],
-            "moves": [
-                {"from": move.start, "to": move.end, "largest_rad": move.largest_rad} for move in self.moves
-            ],
-            "unmet": [{"pose": one.pose, "reason": one.reason} for one in self.unmet],
-        }
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ residual, leave-one-out residual, and whether its nearest neighbour on the other
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -103,16 +102,6 @@ class VerificationTable:
         """Every pair is its partner's nearest neighbour in both directions."""
         forward = all(row.partner_is_nearest is not False for row in self.ct_to_room)
         return forward and all(row.partner_is_nearest for row in self.room_to_ct if not row.unmatched)
-
-    def as_payload(self) -> dict[str, Any]:
-        """Plain numbers for a record."""
-        return {
-            "ct_to_room": [asdict(row) for row in self.ct_to_room],
-            "room_to_ct": [{**asdict(row), "instrument": row.instrument.value} for row in self.room_to_ct],
-            "unmatched_ct": list(self.unmatched_ct),
-            "unmatched_room": [[instrument.value, index] for instrument, index in self.unmatched_room],
-            "agrees_both_ways": self.agrees_both_ways,
-        }
 
 
 def verify_two_way(

@@ -75,8 +75,3 @@ def test_air_is_no_head() -> None:
     with pytest.raises(NoHeadInCt) as caught:
         head_shape(_volume(np.zeros(SHAPE, dtype=bool)))
     assert caught.value.code == "PLAN-014"
-
-
-def test_a_shape_travels_as_plain_numbers() -> None:
-    shape = HeadShape((1.0, 2.0, 3.0), (75.0, 95.0, 90.0))
-    assert HeadShape.from_payload(shape.as_payload()) == shape
