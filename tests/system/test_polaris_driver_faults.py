@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 from collections.abc import Iterator
 from typing import Any
 
@@ -180,3 +182,23 @@ def read_or_none(tracker: PolarisTracker) -> TrackerFrame | None:
         return tracker.read_frame()
     except errors.TemperatureHold:
         return None
+
+
+def test_a_unit_held_up_by_its_computer_measures_what_it_would_have_measured(
+    tracker: PolarisTracker, unit: ChildProcess
+) -> None:
+    def measurements(held_up: int | None) -> list[tuple[object, ...]]:
+        tracker.deactivate()
+        tracker.activate()
+        found = []
+        for number in range(6):
+            if number == held_up:
+                os.kill(unit.process.pid, signal.SIGSTOP)
+                with pytest.raises(errors.NoReply):
+                    tracker.read_frame(0.2)
+                os.kill(unit.process.pid, signal.SIGCONT)
+            frame = tracker.read_frame()
+            found.append((frame.stamp.device_clock, frame.tools, frame.strays))
+        return found
+
+    assert measurements(held_up=0) == measurements(held_up=3) == measurements(held_up=None)

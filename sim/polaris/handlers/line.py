@@ -22,6 +22,7 @@ def communication(unit: Unit, argument: str) -> str:
     return wire.REPLY_OKAY
 
 
-def echo(_unit: Unit, argument: str) -> str:
-    """ECHO text"""
+def echo(unit: Unit, argument: str) -> str:
+    """ECHO text: by this a host gets back in step when it has missed a reply."""
+    unit.get_in_step()
     return argument

@@ -29,6 +29,7 @@ class FrameCounter:
         now_ns = self._clock.now_ns()
         if restart:
             self._epoch_ns = now_ns
+        self.missed = 0
         self._counts_per_frame = COUNTS_PER_SECOND // rate_hz
         self._begin = self.last = self._count_at(now_ns)
 
@@ -51,6 +52,11 @@ class FrameCounter:
     def repeats(self) -> bool:
         """True when two requests may get the same frame."""
         return self._clock.paced
+
+    @property
+    def last_is_newest(self) -> bool:
+        """True while a clock that its users advance has come to no frame after the last one."""
+        return not self._clock.paced and self._count_at(self._clock.now_ns()) <= self.last
 
     def since_start(self, frame: int) -> int:
         """Frames since the start of tracking: the counter of the noise."""

@@ -49,6 +49,7 @@ class Unit:
         self.infrared_checked = False
         self.beeps_until_s = 0.0
         self._frame: Frame | None = None
+        self._frame_was_lost = False  # on its way to the host, which will ask for it again
         self.parameters = UserParameters(model, self.wired.count, self.alerts, lambda: self.mode.value)
         rate = min(self.behaviour.saved_illuminator_rate, max(model.illuminator_rates))
         self.parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
@@ -131,7 +132,7 @@ class Unit:
         faulty = self.frames.missed or not self.faults.empty
         if faulty and self._frame is not None and self._holds_frame():
             return self._frame
-        number = self.frames.number()
+        number = self._next_number()
         status = self.alerts.system_status | self.port_changes | self.measurer.light
         kept = self._frame
         if kept is None or kept.number != number or kept.system_status != status:
@@ -139,6 +140,10 @@ class Unit:
         if self.port_changes and self.behaviour.port_change_until == "reply":
             self.port_changes = SystemStatus(0)
         return kept
+
+    def get_in_step(self) -> None:
+        """The host begins again after a disturbance of the line."""
+        self._frame_was_lost = True
 
     def diagnostic_frame(self, port: Port) -> Frame:
         """One tool, enabled or not, and everything else in view, in diagnostic mode."""
@@ -156,6 +161,16 @@ class Unit:
             found = {port.handle: tracked for port, tracked in frame.tools}
             frame = replace(frame, tools=tuple((port, found.get(port.handle)) for port in listed))
         return frame
+
+    def _next_number(self) -> int:
+        """Number of the frame that a request gets.
+
+        Where each request gets exactly one frame, one that was lost on the line is given again: otherwise all
+        that follow would be other ones, with other noise.
+        """
+        lost, self._frame_was_lost = self._frame_was_lost, False
+        again = lost and self._frame is not None and self.frames.last_is_newest
+        return self.frames.last if again else self.frames.number()
 
     def _holds_frame(self) -> bool:
         """True while a fault stops new measurements; another fault makes the unit skip frames."""

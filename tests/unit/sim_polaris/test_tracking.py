@@ -201,6 +201,44 @@ def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
     assert record(built_in_scene("bench", seed=1), 0) != record(scene, 0)
 
 
+def test_a_frame_that_was_lost_on_the_line_is_given_again(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    def record(lost: int | None) -> list[bytes]:
+        bench = make_bench()
+        bench.send("INIT ")
+        bench.enable(pointer)
+        bench.send("TSTART 80")
+        heard = []
+        for number in range(5):
+            if number == lost:
+                bench.raw("BX 1803")
+                assert bench.send("ECHO INSTEP") == "INSTEP"
+            heard.append(bench.raw("BX 1803"))
+        return heard
+
+    assert record(lost=0) == record(lost=3) == record(lost=None)
+
+
+def test_a_lost_frame_is_not_given_again_when_a_newer_one_is_due(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    lost = frame_number(bench.send("TX 0001"))
+    bench.world.clock.sleep(1.0)
+    bench.send("ECHO INSTEP")
+    assert frame_number(bench.send("TX 0001")) > lost + 59
+
+
+def test_tracking_that_starts_anew_gives_no_frame_of_before(bench: Bench, pointer: TrackerTool) -> None:
+    bench.enable(pointer)
+    bench.send("TSTART 80")
+    bench.send("TX 0001")
+    bench.send("TSTOP ")
+    bench.send("ECHO INSTEP")
+    bench.send("TSTART 80")
+    assert frame_number(bench.send("TX 0001")) == 1
+
+
 def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerTool) -> None:
     bench.enable(pointer)
     bench.send("TSTART 80")

@@ -189,6 +189,14 @@ def test_a_unit_that_misses_frames_jumps_in_its_numbers(tracked: Bench) -> None:
     assert frame_numbers(tracked, 2)[1] - jumping[-1] == 2
 
 
+def test_a_unit_that_starts_anew_no_longer_misses_frames(tracked: Bench) -> None:
+    happen(tracked, "skip 4 frames")
+    frame_numbers(tracked, 2)
+    happen(tracked)
+    assert tracked.send("TSTOP ") == tracked.send("TSTART 80") == "OKAY"
+    assert frame_numbers(tracked, 3) == [1, 2, 3]
+
+
 def test_a_dead_unit_says_nothing_and_comes_back_with_reset_as_after_power_up(
     tracked: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
