@@ -111,12 +111,16 @@ class PairGrabber:
         self._trigger(deadline_s)
         frames = self._collect(deadline_s)
         self.block_ids = tuple(frame.block_id if frame else None for frame in frames)  # type: ignore[assignment]
-        # restarting for a pulse that did not come could miss the next one
-        no_pulse = self._options.trigger == "line1" and frames == (None, None)
-        self._out_of_step = None in frames and not no_pulse
+        self._out_of_step = self._restarts_after(frames)
         if None in frames:
             self._explain_absence(frames)
         return self._reading(frames, sequence, triggered_s)
+
+    def _restarts_after(self, frames: Frames) -> bool:
+        """Whether the streams restart before the next trigger: the pair of this one is incomplete."""
+        if self._options.trigger == "line1":  # a restart could miss the next pulse
+            return None in frames and frames != (None, None)
+        return any(frame is None or frame.missing_packets for frame in frames)
 
     def _tie(self, deadline_s: float) -> None:
         """Tie the tick counts of both cameras to theatre time."""

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from faulty_cameras import AREA, LIMIT_S
+from numpy.typing import NDArray
 
 from drivers.basler_stereo import BaslerStereoPair
 from drivers.basler_stereo.errors import TriggerMissed
@@ -17,7 +18,7 @@ from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.gige_vision import TICK_FREQUENCY_HZ
 from sim.theatre.scene.named_scenes import built_in_scene
-from sim.theatre.world import World
+from sim.theatre.world import ArmState, World
 
 # In lock-step two commands one after the other are dated at most 1 ms apart, as on a real network.
 SKEW_MS, LARGEST_SKEW_MS = 1.0, 1.5
@@ -36,6 +37,12 @@ class Theatre:
         """These faults act from now on, and no others."""
         now_s = self.world.clock.now_s()
         self.world.set_fault_script("".join(f"at {now_s:.9f} s: camera {phrase}\n" for phrase in phrases))
+
+    def put_head(self, height_mm: float) -> None:
+        """Hold the stereo head still at a height above the table."""
+        flange = np.diag([1.0, -1.0, -1.0, 1.0])
+        flange[:3, 3] = 400.0, 0.0, height_mm
+        self.world.publish_arm(ArmState((0.0,) * 6, flange, motion_number=0, at_rest=True))
 
     def streaming(self, **options: object) -> BaslerStereoPair:
         config = DeviceConfig(
@@ -143,3 +150,27 @@ def test_the_first_pair_is_judged_although_the_counters_stood_at_zero(theatre: T
     assert pair.grab_pair(LIMIT_S).validity is Validity.UNPAIRED
     theatre.script()
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+
+
+@pytest.mark.parametrize(
+    "loss", [("expose late right 4 ms",), ("lose right 10 %", "forget right")], ids=["unpaired", "partial"]
+)
+def test_a_lost_pair_changes_none_of_the_next_pictures(theatre: Theatre, loss: tuple[str, ...]) -> None:
+    def pictures(lost: int | None) -> list[NDArray[np.integer]]:
+        pair = theatre.streaming(trigger="action")
+        found = []
+        for look in range(3):
+            theatre.put_head(height_mm=600.0 + look)
+            if look == lost:
+                theatre.script(*loss)
+                assert pair.grab_pair(LIMIT_S).validity is not Validity.OK
+                theatre.script()
+            reading = pair.grab_pair(LIMIT_S)
+            assert reading.left is not None
+            assert reading.right is not None
+            found += [reading.left.pixels, reading.right.pixels]
+        pair.close()
+        return found
+
+    undisturbed, disturbed = pictures(lost=None), pictures(lost=1)
+    assert all(map(np.array_equal, undisturbed, disturbed))

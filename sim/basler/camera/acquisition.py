@@ -25,6 +25,7 @@ from sim.basler.camera.timing import (
     readout_us,
     shortest_period_us,
 )
+from sim.basler.camera.trigger_count import TriggerCount
 from sim.basler.faults import NO_FAULTS, NoFaults
 from sim.basler.message.events import EventKind
 from sim.basler.stream.block import Frame
@@ -78,7 +79,8 @@ class Acquisition:
         self._session = 0
         self._running = False
         self._closed = False
-        self._taken = 0
+        self._triggers = TriggerCount()
+        self._free_frames = 0
         self._permitted: int | None = None  # frames until the next AcquisitionStart trigger; None: no limit
         self._ready_ns = 0
         self._free_due_ns = 0
@@ -124,7 +126,8 @@ class Acquisition:
             settings = self._settings()
             self._session += 1
             self._running = True
-            self._taken = self._missed_triggers = 0
+            self._triggers.start()
+            self._free_frames = self._missed_triggers = 0
             self._ready_ns = self._free_due_ns = 0
             self._permitted = 0 if settings.triggers[Trigger.ACQUISITION_START].mode else None
             self._waiting.clear()
@@ -178,23 +181,24 @@ class Acquisition:
             return
         late_us = trigger.delay_us + self._faults.amount("late") * 1e3
         moment_ns = self._moments.of(self._name) + round(late_us * 1e3)
-        self._waiting.append(self._exposure(settings, max(moment_ns, self._ready_ns)))
+        place = self._source.place()
+        number = self._triggers.next(None if place is None else (settings.frame(), place))
+        self._waiting.append(self._exposure(settings, max(moment_ns, self._ready_ns), number))
         self._changed.notify_all()
 
     def _busy(self) -> bool:
         return len(self._waiting) >= FRAMES_UNDER_WAY or self._clock.now_ns() < self._ready_ns
 
-    def _exposure(self, settings: Settings, start_ns: int) -> _Exposure:
+    def _exposure(self, settings: Settings, start_ns: int, number: int) -> _Exposure:
         """The next frame. Ends the acquisition or the permission when it is the last one."""
         frame = settings.frame()
-        self._taken += 1
         self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
         if self._permitted is not None:
             self._permitted -= 1
         if settings.acquisition_mode == AcquisitionMode.SINGLE_FRAME:
             self._running = False
         self._report(EventKind.FRAME_START, 0, start_ns)
-        return _Exposure(self._session, self._taken, start_ns, frame)
+        return _Exposure(self._session, number, start_ns, frame)
 
     def _work(self) -> None:
         while True:
@@ -224,7 +228,8 @@ class Acquisition:
         lag_ns = round((settings.exposure_us + readout_us(settings.frame())) * 1e3) + FRAMES_LATE * period_ns
         start_ns = self._free_due_ns if now_ns - self._free_due_ns < lag_ns else now_ns
         self._free_due_ns = start_ns + period_ns
-        return self._exposure(settings, start_ns)
+        self._free_frames += 1
+        return self._exposure(settings, start_ns, self._free_frames)
 
     def _take(self, exposure: _Exposure, triggered: bool) -> None:
         begun_s = time.monotonic()

@@ -25,6 +25,10 @@ TRIGGERED_LANE, RING_LANE = 0, 1  # of the noise
 class FrameSource(Protocol):
     """Where an acquisition gets its images from."""
 
+    def place(self) -> bytes | None:
+        """Where the camera is, to compare; None when that is unknown. May be called from any thread."""
+        ...
+
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
         """The image of trigger `number` since AcquisitionStart."""
         ...
@@ -50,6 +54,10 @@ class Photographer:
         self._sensor = Sensor(camera.read_noise_electrons, camera.full_well_electrons)
         self._drawing = threading.Lock()
         self._ring = Ring(self)
+
+    def place(self) -> bytes | None:
+        pose = self._view.pose()
+        return None if pose is None else pose.tobytes()
 
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
         return self.draw(frame, self._view.pose(), number, TRIGGERED_LANE)

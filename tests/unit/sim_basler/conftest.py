@@ -54,6 +54,10 @@ class PlainImages:
     def __init__(self) -> None:
         self.gate = threading.Event()
         self.gate.set()
+        self.where: bytes | None = None
+
+    def place(self) -> bytes | None:
+        return self.where
 
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
         assert self.gate.wait(10.0)

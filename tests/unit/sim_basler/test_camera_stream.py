@@ -76,6 +76,43 @@ def test_27_blocks_count_from_one_again_with_every_start(bench: Any) -> None:
         assert bench.set("AcquisitionStop", 1) == bench.set("AcquisitionStart", 1) == OK
 
 
+def pictures(bench: Any, count: int) -> list[int]:
+    """Numbers of the pictures that so many triggers give."""
+    found = []
+    for _ in range(count):
+        assert bench.set("TriggerSoftware", 1) == OK
+        found.append(bench.frame()[1][8])
+    return found
+
+
+def restart(bench: Any) -> None:
+    assert bench.set("AcquisitionStop", 1) == bench.set("AcquisitionStart", 1) == OK
+
+
+def test_a_picture_that_is_taken_again_is_the_same_picture(bench: Any) -> None:
+    bench.images.where = b"here"
+    triggered(bench)
+    assert pictures(bench, 3) == [1, 2, 3]
+    restart(bench)
+    restart(bench)
+    assert pictures(bench, 2) == [3, 4]
+
+
+@pytest.mark.parametrize("change", [("place", b"there"), ("Width", 96), ("ExposureTimeRaw", 5000)])
+def test_an_acquisition_of_something_else_counts_from_one(bench: Any, change: tuple[str, Any]) -> None:
+    bench.images.where = b"here"
+    triggered(bench)
+    assert pictures(bench, 2) == [1, 2]
+    assert bench.set("AcquisitionStop", 1) == OK
+    name, value = change
+    if name == "place":
+        bench.images.where = value
+    else:
+        assert bench.set(name, value) == OK
+    assert bench.set("AcquisitionStart", 1) == OK
+    assert pictures(bench, 2) == [1, 2]
+
+
 def test_27_block_ids_wrap_to_one(bench: Any) -> None:
     triggered(bench)
     bench.camera.channel._next_block_id = 65535
