@@ -1,8 +1,8 @@
-"""Use the angle that a trajectory leaves free: turn about its axis until all is seen and reached well.
+"""Use the free angle of a trajectory: turn about its axis until everything is seen and reached well.
 
-Turns are tried from the plan's own angle to far ones. The first is taken that keeps the wrist clear of its
-singularity; if none does, the clearest. What is chosen is a result, not a change of the plan: entry, target
-and axis stay as they are.
+Turns are tried from the planned angle outwards. The first that keeps the wrist clear of its singularity is
+taken; if none does, the clearest. The choice is a result, not a change of the plan: entry, target and axis
+stay as they are.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class TurnedPaths:
 
 
 def turns_rad() -> Iterator[float]:
-    """0, then away from it on both sides in turn."""
+    """0, then outwards, alternating sides."""
     yield 0.0
     for step in range(1, round(FURTHEST_RAD / STEP_RAD) + 1):
         yield step * STEP_RAD
@@ -50,8 +50,8 @@ def choose_free_angles(
     """Find an angle for each trajectory in which all is seen and one branch drives all.
 
     Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState.good`) comes
-    before one that only passes. When there is none, the answer's `check` names what is unmet at the plan's
-    own angles, or at the nearest that are seen.
+    before one that only passes. When there is none, `check` names what is unmet at the planned
+    angles, or at the nearest ones that are seen.
     """
     fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     options = [_seen(setting, trajectory, fiducials, sight) for trajectory in trajectories]
@@ -99,7 +99,7 @@ def _in_branch(
         check = drive(setting, visits_of(setting, turned, fiducials_mm), branch, turned)
         if check.passed:
             return TurnedPaths(check, turned, tuple(chosen))
-        # Each passes alone, but here it comes from another place: whole turns of an axis may differ.
+        # Each passes alone, but here it is approached from elsewhere: whole turns of an axis may differ.
         failed = {problem.pose.partition("/")[0] for problem in check.unmet}
         for number, trajectory in enumerate(trajectories):
             if trajectory.identifier in failed:

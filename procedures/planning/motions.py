@@ -1,6 +1,6 @@
-"""Every motion of the procedure, previewed, with what hangs on the arm there; and whether all are clear.
+"""Every motion of the procedure with the tool it carries, previewed and checked for clearance.
 
-A move between two approach points that is not clear leads by way of home, when that is clear.
+A move between two approach points that is not clear goes via home, when that is clear.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class PreviewedMotion:
-    """A motion, and what it will be like."""
+    """A motion with its preview."""
 
     motion: Motion
     preview: PathPreview
@@ -59,9 +59,9 @@ def unclear(
     *,
     first_only: bool = False,
 ) -> tuple[Unmet, ...]:
-    """What stands in the way of a procedure whose poses are all reached; empty when all motions are clear.
+    """The motions of a procedure that are not clear, when all its poses are reached; empty when all are.
 
-    With `first_only` it ends at the first, and says little about it: for trying many angles.
+    With `first_only` it stops at the first, without its worst place: for trying many angles.
     """
     found: dict[str, Unmet] = {}
     for motion in motions_of(setting, scene, check, trajectories):

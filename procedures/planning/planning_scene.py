@@ -1,4 +1,4 @@
-"""What is around the arm when a motion is planned: the head of the CT with its spheres, and the cell."""
+"""What surrounds the arm when a motion is planned: the head of the CT with its spheres, and the cell."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class PlanningScene:
     fiducials_ct_mm: Points = ()
 
     def with_stereo_head(self, robot_from_ct: Transform, flange_from_tool: Transform) -> Surroundings:
-        """What is around while spheres are localized."""
+        """The surroundings while spheres are localized."""
         return self._around(self.cell.stereo_head, robot_from_ct, flange_from_tool, None)
 
     def with_guide(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
     ) -> Surroundings:
-        """What is around while the guide hangs there; the way of this trajectory into the head is open."""
+        """The surroundings while the guide is mounted, with this trajectory's corridor into the head open."""
         corridor = None
         if trajectory is not None:
             entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()

@@ -1,4 +1,4 @@
-"""Joint angles for one pose: which branch, which whole turns, and the straight line that leads there."""
+"""Joint angles for one pose: branch, whole turns, and the straight line that leads there."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Posture:
 def ranked_branches(
     kinematics: Kinematics, flanges: Sequence[Transform], start_rad: JointVector
 ) -> tuple[Branch, ...]:
-    """All branches, the one that serves most of the flange poses first; the start's own wins a tie.
+    """All branches, the one that reaches most of the flange poses first; the start's own wins a tie.
 
-    Among the others that serve equally many, the one whose joints stay nearest to the start comes first.
+    Among the others that reach equally many, the one whose joints stay closest to the start comes first.
     """
     own = kinematics.branch_of(start_rad)
     served = dict.fromkeys(kinematics.branches, 0)

@@ -1,4 +1,4 @@
-"""Can the arm do the whole procedure? Every pose, approach and line, in one branch, before anything moves.
+"""Whether the arm can drive the whole procedure: every pose, approach and line in one branch.
 
 Positions are checked in the order in which the procedure visits them: all localizations for every
 trajectory, then every target.
@@ -37,7 +37,7 @@ def check_paths(
     """Find one branch in which the arm can drive every pose and line of the procedure.
 
     Trajectories and fiducials (n, 3) are in CT mm. Branches are tried with the start's own first, then by
-    how little the joints turn. When none serves, the answer names what is unmet in the one with the least.
+    how little the joints turn. When none works, the result names what is unmet in the best of them.
     """
     visits = visits_of(setting, trajectories, fiducials_mm)
     best: PathCheck | None = None
@@ -51,7 +51,7 @@ def check_paths(
 
 
 def branches_for(setting: ArmSetting, visits: Sequence[Visit]) -> tuple[Branch, ...]:
-    """All branches in the order in which they are worth trying for these visits."""
+    """All branches, the most promising for these visits first."""
     flanges = [_flange(setting, visit) for visit in visits]
     return ranked_branches(setting.kinematics, flanges, setting.start_rad)
 
@@ -77,8 +77,8 @@ def drive(
 ) -> PathCheck:
     """Joints for these visits, one after the other, in this branch, and what is unmet in it.
 
-    Whether the motions between them are clear is asked last, when all poses are reached; with `first_only` no
-    further than to the first that is not.
+    Clearance of the motions between them is checked last, when all poses are reached; with `first_only` only
+    up to the first that is not clear.
     """
     limits = setting.limits or working_limits(setting.kinematics)
     journey = _Journey(setting.start_rad)

@@ -1,4 +1,4 @@
-"""The poses that the arm visits in a procedure, and what is found when it is asked to reach them.
+"""The poses that the arm visits in a procedure, and the result of checking them.
 
 Each pose is approached and left along the tool axis, from a point outside.
 """
@@ -73,7 +73,7 @@ class JointMove:
 
 @dataclass(frozen=True)
 class Unmet:
-    """A precondition that fails: which pose, and why."""
+    """A failed precondition: which pose, and why."""
 
     pose: str
     reason: str
@@ -81,7 +81,7 @@ class Unmet:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """The answer: every visit with its joints in one branch, or what is unmet in the best branch."""
+    """The result: every visit with its joints in one branch, or what is unmet in the best branch."""
 
     branch: Branch | None
     reached: tuple[Reached, ...]
@@ -115,7 +115,7 @@ class PathCheck:
 
 @dataclass(frozen=True)
 class ArmSetting:
-    """The arm as the check needs it: where the CT is thought to be, what hangs on the flange, the start.
+    """The arm as the check needs it: where the CT is assumed to be, what is mounted, the start.
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
     head's tool centre point (by design the same; None takes the guide's). With a `scene`, every motion must

@@ -1,4 +1,4 @@
-"""How the wrist of the arm stands over the poses of one trajectory: near its singularity, or turned far.
+"""The wrist over the poses of one trajectory: how close to its singularity, how far turned.
 
 Near the singularity small errors of a pose become large turns of two joints, and what the joints' own errors
 do to the tool changes from pose to pose. A registration takes out what is common to the localizations and the

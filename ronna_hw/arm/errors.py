@@ -3,11 +3,11 @@
 ARM-001 Unreachable        the wrist centre is too far, too near, or the line leaves the reach
 ARM-002 Singular           a joint angle is not defined at the pose
 ARM-003 OutOfJointRange    a solution or a path leaves the range of a joint
-ARM-004 BranchUnavailable  the asked branch has no solution, or the branch would change on the way
+ARM-004 BranchUnavailable  the requested branch has no solution here
 ARM-005 TooFast            a joint would exceed its working speed or acceleration
-ARM-006 MotionInvalid      the motion generator refused its input
-ARM-007 NotClear           on the path a body of arm or tool would come too near to another one
-ARM-008 SurroundingsTooLarge  the cell has more bodies than the real-time process has room for
+ARM-006 MotionInvalid      the motion generator rejected its input
+ARM-007 NotClear           on the path a body of the arm or its tool comes too close to another
+ARM-008 SurroundingsTooLarge  the cell has more bodies than the real-time process can hold
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from ronna_hw.errors import DataError, LimitError
 
 
 class Unreachable(LimitError):
-    """The pose is outside the reach of the arm."""
+    """The pose is out of the arm's reach."""
 
     code = "ARM-001"
     action = "Move the target, the patient or the cart so that the pose comes within reach."
 
 
 class Singular(LimitError):
-    """At this pose a joint angle is not defined, and beside it joints turn without bound."""
+    """A joint angle is undefined at this pose, and near it joint speeds grow without bound."""
 
     code = "ARM-002"
     action = "Choose another angle about the tool axis, or another branch."
@@ -37,7 +37,7 @@ class OutOfJointRange(LimitError):
 
 
 class BranchUnavailable(LimitError):
-    """The branch asked for has no solution here."""
+    """The requested branch has no solution here."""
 
     code = "ARM-004"
     action = "Move to the wanted branch by a joint move first."
@@ -47,28 +47,28 @@ class TooFast(LimitError):
     """A joint would exceed its working speed or acceleration."""
 
     code = "ARM-005"
-    action = "Keep away from the singular pose, or choose a slower motion."
+    action = "Stay farther from the singular pose, or choose a slower motion."
 
 
 class MotionInvalid(DataError):
-    """The motion generator refused its input."""
+    """The motion generator rejected its input."""
 
     code = "ARM-006"
-    action = "Check the numbers of the motion: finite, limits positive, six joints."
+    action = "Check the motion's numbers: finite values, positive limits, one value per joint."
 
 
 class NotClear(LimitError):
-    """On the path a body of the arm or of its tool would come too near to another one."""
+    """On the path a body of the arm or its tool comes too close to another."""
 
     code = "ARM-007"
     action = (
-        "Choose another angle about the tool axis or go by way of another pose; if the body does not stand "
-        "there, correct it in the cell of the theatre file."
+        "Choose another angle about the tool axis or go via another pose; if the body is not really there, "
+        "correct it in the cell of the theatre file."
     )
 
 
 class SurroundingsTooLarge(DataError):
-    """The cell has more bodies than the real-time process has room for."""
+    """The cell has more bodies than the real-time process can hold."""
 
     code = "ARM-008"
-    action = "Describe the cell in the theatre file by fewer bodies, with shorter names."
+    action = "Describe the cell in the theatre file with fewer bodies and shorter names."

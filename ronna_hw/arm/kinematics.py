@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ronna_hw.frames import Transform
 
 Branch = NewType("Branch", int)
-"""Which way the arm is folded. Opaque: only the arm that made it reads it; records name it by its number."""
+"""Which inverse configuration. Opaque outside the arm it belongs to; records store the number."""
 
 RANGE_SLACK_RAD = 1e-9  # rounding at the end of a range is not an excess
 
@@ -51,7 +51,7 @@ class JointRanges(Protocol):
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """What people call the joints."""
+        """Names of the joints, for messages."""
         ...
 
     @property
@@ -72,7 +72,7 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
 
     @property
     def name(self) -> str:
-        """Which arm; calibration records name it so."""
+        """Identifies the arm, also in calibration records."""
         ...
 
     @property
@@ -140,5 +140,5 @@ def nearest(candidates: Iterable[Solution], reference_rad: JointVector) -> Solut
 
     best = min(candidates, key=cost, default=None)
     if best is None:
-        raise BranchUnavailable("there is no solution to choose from")
+        raise BranchUnavailable("no solution to choose from")
     return best

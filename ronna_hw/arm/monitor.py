@@ -1,7 +1,7 @@
-"""The independent monitor: judges every set-point before it is sent, and every measured pose.
+"""The independent monitor: checks every set-point before it is sent, and every measured pose.
 
-It shares no code with the generators: plain comparisons of plain numbers against limits given at start. It
-knows only what was really sent before, and what the receiver said it did not take.
+It shares no code with the generators: plain comparisons against limits given at the start. It knows only what
+was really sent, and what the receiver reported as not taken.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices.readings import JointVector
 
-SPEED_MARGIN = 1.05  # over the working limits: rounding and the end of a ramp are no violation
-ACCELERATION_MARGIN = 2.0  # differences over one cycle see jerk as well
+SPEED_MARGIN = 1.05  # over the working limits: rounding and the end of a ramp do not trip it
+ACCELERATION_MARGIN = 2.0  # differences over one cycle include jerk
 JERK_MARGIN = 4.0
-FOLLOWING_TIME_S = 0.25  # dead time and servo lag together are below 0.1 s; at working speed this is the way
+FOLLOWING_TIME_S = 0.25  # of working speed is the allowed lag: dead time and servo lag stay below 0.1 s
 FOLLOWING_LEAST_RAD = 0.02  # the allowed lag of a slow axis
 RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 
@@ -30,7 +30,7 @@ History = tuple[JointVector, JointVector, JointVector, JointVector]
 
 
 class Violation(NamedTuple):
-    """What was exceeded, on which axis (from 1), by which value over which limit; angles in rad.
+    """What was exceeded, on which axis (from 1), the value and its limit; angles in rad.
 
     For the kinds `CLEARANCE` (mm) and `ZONE_SPEED` (mm/s), `axis` is the index in `Bodies.pairs`.
     """
@@ -97,7 +97,7 @@ def monitor_limits(
 
 
 class Monitor:
-    """One per session. `check` judges without remembering; `sent` and what follows it remember."""
+    """One per session. `check` changes nothing; `sent` and the methods after it record what happened."""
 
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits
@@ -108,7 +108,7 @@ class Monitor:
         self._watch: LiveWatch | None = None
 
     def watch(self, watch: LiveWatch | None) -> None:
-        """From now on judge also where set-points bring the bodies; while the arm is at rest only."""
+        """Also check where set-points take the bodies from now on; call only while the arm is at rest."""
         self._watch = watch
 
     @property
@@ -168,7 +168,7 @@ class Monitor:
             self._watch.sent(joints_rad)
 
     def not_taken(self) -> Violation | None:
-        """The last set-point was not taken: the one before is held. Judges the step from it once more."""
+        """The last set-point was not taken: the one before is held. Checks the step from it once more."""
         held = self._held = self._last[1]
         for i in range(len(held)):
             step = self._last[0][i] - held[i]
@@ -177,7 +177,7 @@ class Monitor:
         return None
 
     def sent_again(self) -> None:
-        """The last set-point was sent once more. What comes next is judged as if there had been no pause."""
+        """The last set-point was sent again. The next one is checked as if there had been no pause."""
         self._held = self._last[0]
 
     def stands(self) -> None:

@@ -1,4 +1,4 @@
-"""What a planned path will do, before it is driven: for people, for records, and for checking all paths."""
+"""What a planned path will do, before it is driven: for people, for records, for the path check."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import duration_s
 from ronna_hw.arm.motion.speed_zones import with_speed_steps
 
-CYCLE_S = 0.004  # of the generator that the duration is taken from
+CYCLE_S = 0.004  # of the generator, for the duration
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ class PathPreview:
 def preview(
     kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, limits: MotionLimits
 ) -> PathPreview:
-    """Look at a planned path as the arm would drive it in these surroundings.
+    """Evaluate a planned path as the arm would drive it in these surroundings.
 
-    Raises ARM-001 to ARM-004 where the path has no solution; a path that is not clear is told, not raised.
+    Raises ARM-001 to ARM-004 where the path has no solution; one that is not clear is reported, not raised.
     """
     path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path)

@@ -81,7 +81,7 @@ class RobotArm(Device, Protocol):
     ) -> PathPreview:
         """What `move_joints` to joints, or `move_linear` to a pose, would do from here; nothing moves.
 
-        Raises as these where there is no such path; one that is not clear says so in `refused`.
+        Raises as these where there is no such path; one that is not clear is reported in `refused`.
         """
         ...
 

@@ -199,7 +199,9 @@ def _solve(pose: Pose, branch: Branch) -> JointVector:
     x, y, _ = pose.apply((0.0, 0.0, -D6))
     radius = hypot(x, y)
     if radius < D4:
-        raise Unreachable("the wrist is too near to the first axis", limit=f"{D4} mm", got=f"{radius:.1f} mm")
+        raise Unreachable(
+            "the wrist is too close to the first axis", limit=f"{D4} mm", got=f"{radius:.1f} mm"
+        )
     if radius - D4 < 1e-6:
         raise Singular("the wrist is over the first axis")
     beside = acos(D4 / radius)

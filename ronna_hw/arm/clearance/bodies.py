@@ -12,7 +12,7 @@ from ronna_hw.arm.links import COLUMN_NAME, ArmBodies, ArmPart
 
 
 class Pair(NamedTuple):
-    """Two bodies that must not come close: index of the moving one, and of the other one.
+    """Two bodies that must keep their distance: index of the moving one, and of the other one.
 
     `other` counts fixed bodies when it is not negative; -1 - k is the moving body k.
     """
@@ -31,7 +31,7 @@ class Bodies:
     surroundings: Surroundings
 
     def names(self, pair: Pair) -> tuple[str, str]:
-        """What people call the two bodies of a pair."""
+        """Names of the two bodies of a pair."""
         if pair.other < 0:
             other = self.moving_names[-1 - pair.other]
         elif pair.other == 0:

@@ -1,4 +1,4 @@
-"""Judges set-points by where they bring the bodies: distances to everything, and speed near the head.
+"""Checks where set-points take the bodies: distances to everything, and speed near the head.
 
 Part of the monitor, so it shares no formula with planning: links come from the arm's closed form, distances
 are the scalar ones. A pair is measured again only when the arm may have moved enough since to bring it to its
@@ -17,11 +17,11 @@ from ronna_hw.arm.links import Segment
 from ronna_hw.devices.readings import JointVector
 
 SPEED_MARGIN = 1.05  # over the cap: planning keeps below it, rounding is no violation
-LEAVING_MM = 0.5  # a body that stands too near may stay or leave; planning leaves open less than this
+LEAVING_MM = 0.5  # a body that starts too close may stay or leave; planning resolves less than this
 
 
 class Encounter(NamedTuple):
-    """What is wrong with a set-point: a pair too close (mm), or a speed over its cap (mm/s)."""
+    """Why a set-point is rejected: a pair too close (mm), or a speed over its cap (mm/s)."""
 
     is_speed: bool
     pair: int  # index in `Bodies.pairs`
@@ -39,7 +39,7 @@ def body_segments(bodies: Bodies, joints_rad: JointVector) -> list[Segment]:
 
 
 class LiveWatch:
-    """One per session and surroundings. `check` judges without remembering; `sent` remembers."""
+    """One per session and surroundings. `check` does not count a set-point as sent; `sent` does."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class LiveWatch:
         cycle_s: float,
         joints_rad: JointVector,
     ) -> None:
-        """`joints_rad` is where the arm rests; what stands too near there may only leave."""
+        """`joints_rad` is where the arm rests; what starts too close may only leave."""
         self._bodies = bodies
         self._surroundings = surroundings = bodies.surroundings
         self._cycle_s = cycle_s
@@ -116,7 +116,7 @@ class LiveWatch:
         )
 
     def _plainly_well(self, most: float) -> bool:
-        """Whether a motion of at most so many mm neither makes a pair due nor reaches any cap of speed."""
+        """Whether a motion of at most `most` mm neither makes a pair due nor reaches a speed cap."""
         travel = self._odometer_mm + most
         if self._due and self._due[0][0] < travel:
             return False
@@ -134,7 +134,7 @@ class LiveWatch:
             gap, floor = self._gap(number, segments), self._floors[number]
             if gap < floor and found is None:
                 found = Encounter(False, number, gap, floor)
-            # A body in its corridor is looked at in every cycle: it may leave it sideways.
+            # A body in its corridor is checked every cycle: it may leave it sideways.
             room = (gap - floor) * self._share(number) if gap < inf else 0.0
             again.append((self._odometer_mm - moved + room, number))
         for one in again:
@@ -189,5 +189,5 @@ class LiveWatch:
         return segment_distance_mm(*segments[pair.moving], *other) - self._thick[number]
 
     def _share(self, number: int) -> float:
-        """Of the room between a pair, what one body may use up: both may move towards each other."""
+        """The share of a pair's gap that one body may use up: both may move towards each other."""
         return 0.5 if self._pairs[number].other < 0 else 1.0

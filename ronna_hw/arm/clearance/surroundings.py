@@ -1,4 +1,4 @@
-"""What the arm carries and what stands around it, as capsules: plain values for the real-time loop too.
+"""What the arm carries and what is around it, as capsules: plain values, for the real-time loop too.
 
 Lengths in mm. Parts of the tool are given in the flange frame, obstacles in $ROBROOT. A `Surroundings` is
 made once per tool and patient position; nothing in it changes while the arm moves.
@@ -15,7 +15,7 @@ from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.links import ArmPart
 from ronna_hw.devices.readings import Vector3
 
-DEEPER_THAN_TARGET_MM = 3.0  # the corridor ends so far beyond the target: a registration may move it
+DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, which a registration may move
 
 
 class Part(NamedTuple):
@@ -27,7 +27,7 @@ class Part(NamedTuple):
 
 
 class Obstacle(NamedTuple):
-    """A body that stands in the room. `is_head`: speeds near it are capped, and corridors lead into it."""
+    """A fixed body in the room. `is_head`: speeds near it are capped, and corridors lead into it."""
 
     name: str
     capsule: Capsule
@@ -70,7 +70,7 @@ class SpeedZone(NamedTuple):
 
 
 class ArmRadii(NamedTuple):
-    """Thickness of the arm's bodies about their axes; own estimates on the safe side (U)."""
+    """Thickness of the arm's bodies about their axes; conservative estimates of our own (U)."""
 
     column_mm: float = 150.0
     upper_arm_mm: float = 85.0

@@ -1,7 +1,7 @@
-"""Is a planned path clear of everything, and how fast may it be gone? Checked over its whole length.
+"""Whether a planned path is clear of every body, checked over its whole length.
 
-The path is sampled, and between two samples no body can come nearer than half of what both distances leave
-after the motion between them. Where that is not enough the interval is halved, down to `FINEST_MM` of motion.
+The path is sampled. Between two samples a pair cannot get closer than half the sum of both distances less the
+motion between them; where that bound does not suffice the interval is halved, down to `FINEST_MM` of motion.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Array = NDArray[np.float64]
 
 FIRST_SAMPLES = 9
 STEP_MM = 12.0  # of motion between two samples at first
-STEP_RAD = 0.1  # of any joint: over it the way between two samples is a straight line to 0.05 %
+STEP_RAD = 0.1  # of any joint: within it a path between two samples is straight to 0.05 %
 FINEST_MM = 0.5
-ARC_FACTOR = 1.01  # a body moves on an arc between two samples, not on the chord
-LEAVING_MM = 0.05  # a body that stands too near may stay or leave; this much is no approach
+ARC_FACTOR = 1.01  # between two samples a body moves along an arc, not its chord
+LEAVING_MM = 0.05  # a body that starts too close may stay or leave; this much does not count as approach
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Closest:
 
 @dataclass(frozen=True)
 class SweptPath:
-    """Samples of a path and what was found there; parameters (n) from 0 to 1, joints (n, axes)."""
+    """Samples of a path and the distances there; parameters (n) from 0 to 1, joints (n, axes)."""
 
     bodies: Bodies
     parameters: Array
@@ -52,7 +52,7 @@ class SweptPath:
 
     @property
     def closest(self) -> Closest | None:
-        """The smallest distance of any pair; None when there is nothing to come near to."""
+        """The smallest distance of any pair; None when there is nothing to meet."""
         gaps = self.swept.gaps_mm
         if not gaps.size or not np.isfinite(gaps).any():
             return None
@@ -60,9 +60,9 @@ class SweptPath:
 
     @property
     def refused(self) -> Closest | None:
-        """The pair that comes too near, where it is worst; None when the path is clear.
+        """The pair that comes too close, at its worst; None when the path is clear.
 
-        A pair that is too near at the start already must not come nearer than it stands there.
+        A pair that starts out too close must not get any closer.
         """
         lacking = self.swept.gaps_mm - floors_mm(self.bodies.surroundings, self.swept.gaps_mm[0])
         if not lacking.size or lacking.min() >= 0.0:
@@ -75,7 +75,7 @@ class SweptPath:
         if bad is None:
             return
         raise NotClear(
-            f"on {what} the {bad.first} would come too near to the {bad.second}, "
+            f"on {what} the {bad.first} would come too close to the {bad.second}, "
             f"{bad.parameter:.0%} of the way",
             limit=f"{self.bodies.surroundings.margin_mm:g} mm",
             got=f"{bad.distance_mm:.1f} mm",
@@ -95,10 +95,10 @@ def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
 def sweep_path(
     kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, to_the_worst: bool = True
 ) -> SweptPath:
-    """Follow a planned path with all bodies. Raises ARM-001 to ARM-004 where the path has no solution.
+    """Sweep all bodies along a planned path. Raises ARM-001 to ARM-004 where the path has no solution.
 
-    A path that is not clear is followed to where it is worst, which people want to know; without
-    `to_the_worst` only until that is certain.
+    A path that is not clear is searched for its worst place, for the message; without `to_the_worst` only
+    until the verdict is certain.
     """
     path = plan.path(kinematics)
     bodies = Bodies(kinematics, surroundings)

@@ -1,4 +1,4 @@
-"""How fast the arm works: a small, fixed part of what it could do."""
+"""Working limits of the arm: a small, fixed share of what it could do."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed one lost packet stays a
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations
 RANGE_MARGIN_RAD = math.radians(
     0.5
-)  # a controller's own end switches may stand a little nearer than a model's
+)  # a controller's software limits may be a little tighter than the model's
 ACCELERATION_RAMP_S = 0.08  # time from none to full acceleration: sets the jerk
-WORKING_LINE_SPEED_MM_S = 100.0  # below half of what a controller allows beside a person (250 mm/s)
+WORKING_LINE_SPEED_MM_S = 100.0  # below half of reduced speed, 250 mm/s
 WORKING_LINE_ACCELERATION_MM_S2 = 400.0
 WORKING_ROTATION_RAD_S = math.radians(30.0)
 WORKING_ROTATION_RAD_S2 = math.radians(120.0)

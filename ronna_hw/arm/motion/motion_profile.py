@@ -1,8 +1,8 @@
-"""Jerk-limited profiles over time: a typed wrapper of ruckig that closes its traps.
+"""Jerk-limited motion profiles over time: a typed wrapper of ruckig that avoids its traps.
 
-Ruckig takes lists of any length and fails later, ignores position limits, speaks in exceptions, extrapolates
-before the start, and asks a service on the network when given waypoints. Here lengths are fixed, extrema are
-returned for checking, errors are ours, times are clamped and there are no waypoints.
+Ruckig takes lists of any length and fails later, raises its own exceptions, extrapolates before the start,
+and calls a network service when given waypoints. Here lengths are fixed, errors are ours, times are clamped
+and there are no waypoints.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Values = Sequence[float]
 
 
 class State(NamedTuple):
-    """Where the axes of a profile are: one value per axis in each."""
+    """Position, velocity and acceleration: one value per axis in each."""
 
     position: list[float]
     velocity: list[float]
@@ -39,7 +39,7 @@ class Bounds(NamedTuple):
     jerk: list[float]
 
 
-class Profile:
+class MotionProfile:
     """One computed profile. Sampling costs well below a microsecond."""
 
     def __init__(self, axes: int) -> None:
@@ -52,7 +52,7 @@ class Profile:
         return State(position, velocity, acceleration)
 
 
-class Profiler:
+class MotionProfiler:
     """Computes profiles for a fixed number of axes."""
 
     def __init__(self, axes: int) -> None:
@@ -72,7 +72,7 @@ class Profiler:
         self._slower.synchronization = Synchronization.No
         self._slower.target_acceleration = [0.0] * axes
 
-    def move(self, start: State, target: Values, bounds: Bounds) -> Profile:
+    def move(self, start: State, target: Values, bounds: Bounds) -> MotionProfile:
         """All axes to rest at `target` at the same time, from any state. Raises ARM-006.
 
         The profile may swing beyond start and target when it starts in motion.
@@ -81,26 +81,26 @@ class Profiler:
         self._move.target_position = list(target)
         return self._calculate(self._move, start, bounds)
 
-    def stop(self, start: State, bounds: Bounds) -> Profile:
+    def stop(self, start: State, bounds: Bounds) -> MotionProfile:
         """Each axis to rest as fast as its bounds allow, from any state. Raises ARM-006."""
         return self._calculate(self._stop, start, bounds)
 
-    def brake(self, start: State, velocity: Values, bounds: Bounds) -> Profile:
+    def brake(self, start: State, velocity: Values, bounds: Bounds) -> MotionProfile:
         """Each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
         self._check(velocity)
         self._slower.target_velocity = list(velocity)
         return self._calculate(self._slower, start, bounds)
 
-    def _calculate(self, request: InputParameter, start: State, bounds: Bounds) -> Profile:
+    def _calculate(self, request: InputParameter, start: State, bounds: Bounds) -> MotionProfile:
         for values in (*start, *bounds):
             self._check(values)
         request.current_position, request.current_velocity, request.current_acceleration = start
         request.max_velocity, request.max_acceleration, request.max_jerk = bounds
-        profile = Profile(self.axes)
+        profile = MotionProfile(self.axes)
         try:
             self._generator.calculate(request, profile.raw)
         except RuckigError as error:
-            raise MotionInvalid("no profile for this motion", got=" ".join(str(error).split())) from error
+            raise MotionInvalid("this motion has no profile", got=" ".join(str(error).split())) from error
         profile.duration_s = profile.raw.duration
         return profile
 

@@ -1,4 +1,4 @@
-"""Geometric paths over a parameter s from 0 to 1, without time."""
+"""Geometric paths over a parameter s from 0 to 1, independent of time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NEARLY_PARALLEL = 0.9999995  # cosine of half a mrad: beyond it slerp divides by
 
 
 class Path(Protocol):
-    """From where the arm stands to where it shall go."""
+    """From the start of a motion to its target."""
 
     def joints(self, s: float, near: JointVector) -> JointVector:
         """Joint angles at `s`, 0..1; among whole turns the ones nearest to `near`."""

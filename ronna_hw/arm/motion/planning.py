@@ -1,4 +1,4 @@
-"""A motion is checked over its whole path before it starts: reach, branch, joint ranges, joint speeds."""
+"""Plans joint moves and straight lines, checked over the whole path: branch, joint ranges, joint speeds."""
 
 from __future__ import annotations
 
@@ -19,14 +19,10 @@ SAMPLE_MM = 0.5  # spacing of the checks along a line
 SAMPLE_RAD = radians(0.2)
 SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples they may turn a little faster
 LEAST_SAMPLES = 16  # enough for the second differences of a short line
-LEAST_SPEED_FRACTION = (
-    0.05  # of the line speed asked for; slower than that, the path is too near a singularity
-)
-PLANNED_SHARE = (
-    0.98  # of acceleration and jerk: what a stop that knows only set-points may err by is the rest
-)
+LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; any slower is too close to a singularity
+PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is for stops that know only set-points
 TOOL_Z: Vector3 = (0.0, 0.0, 1.0)  # along which tools approach
-STANDSTILL_RAD = 1e-9  # a thousandth of what the wire can say; also taken as mm
+STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
 
 
 @dataclass(frozen=True)
@@ -105,7 +101,7 @@ def plan_line(
 
     The line is slowed as a whole so that every joint keeps its speed, acceleration and jerk. Raises ARM-001,
     ARM-002, ARM-003 when a point of it has no solution, ARM-005 when it would have to be slower than
-    a twentieth of the line speed asked for.
+    a twentieth of the requested line speed.
     """
     require_in_range(kinematics, start_rad)
     ranges = limits.ranges(kinematics, start_rad)
@@ -126,7 +122,7 @@ def plan_line(
     allowed = _slowed_for_joints(points, count, asked, limits)
     if allowed.velocity < LEAST_SPEED_FRACTION * asked.velocity:
         raise TooFast(
-            "the line passes too near a singular pose",
+            "the line passes too close to a singular pose",
             limit=f"{LEAST_SPEED_FRACTION:.0%} of the line speed",
             got=f"{allowed.velocity / asked.velocity:.2%}",
         )
@@ -156,7 +152,7 @@ def pose_along_tool(
     flange_from_tool: Pose,
     axis: Vector3 = TOOL_Z,
 ) -> Pose:
-    """The flange's pose when the tool has gone so far along one of its axes (of any length, tool frame).
+    """The flange's pose after the tool has moved `distance_mm` along `axis` (tool frame, any length).
 
     Raises ARM-006 for an axis without direction.
     """

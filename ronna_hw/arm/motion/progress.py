@@ -1,4 +1,4 @@
-"""The path parameter over time: from 0 to 1, jerk-limited, never faster than the path allows where it is.
+"""The path parameter over time: from 0 to 1, jerk-limited, within the speed allowed at each place.
 
 A path may be slower in places (`SpeedStep`): near the head, or where joints turn fast. A lower speed is
 reached before its place begins; a higher one is taken up when its place has begun.
@@ -9,10 +9,10 @@ from __future__ import annotations
 from math import sqrt
 from typing import NamedTuple
 
-from ronna_hw.arm.motion.motion_profile import Bounds, Profile, Profiler, State
+from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfile, MotionProfiler, State
 
-MOST_STEPS = 12  # of a path; so many have a place in the block that carries a plan to the real-time process
-ROUNDING = 1e-9  # relative; a speed that was braked to is met to the last digits only
+MOST_STEPS = 12  # of a path; the block that carries a plan to the real-time process has room for so many
+ROUNDING = 1e-9  # relative: a speed reached by braking is exact only up to the last digits
 
 
 class PathLimits(NamedTuple):
@@ -40,7 +40,7 @@ class StopPrediction(NamedTuple):
 class _Course(NamedTuple):
     """A profile under way: the speed it keeps to, and whether it leads to the end or to a lower speed."""
 
-    profile: Profile
+    profile: MotionProfile
     velocity: float
     to_end: bool
 
@@ -60,18 +60,18 @@ class PathProgress:
         self._steps = steps or (SpeedStep(0.0, limits.velocity),)
         self._cycle_s = cycle_s
         self._fraction = 1.0
-        self._profiler = Profiler(1)
+        self._profiler = MotionProfiler(1)
         self.state = self._before = State.resting([0.0])
         self._ceiling: SpeedStep | None = None  # the slower step ahead that is being braked for
         self._course = self._planned(self._speed_at(0.0))
         self._time_s = 0.0
-        self._halt: Profile | None = None  # the stop under way
+        self._halt: MotionProfile | None = None  # the stop under way
         self._next: tuple[State, _Course, float] | None = None  # go, its course, and the time on it
-        self._next_halt: tuple[State, Profile] | None = None
+        self._next_halt: tuple[State, MotionProfile] | None = None
 
     @property
     def stopping(self) -> bool:
-        """Whether a stop is under way, or was."""
+        """Whether a stop has begun."""
         return self._halt is not None
 
     @property
@@ -104,7 +104,7 @@ class PathProgress:
             self._ceiling = None
 
     def take_stop(self) -> None:
-        """The stop state was used; from now on there is nothing but the stop."""
+        """The stop state was used; from now on only the stop continues."""
         if self._halt is not None:
             self.take_go()
         elif self._next_halt is not None:
@@ -122,13 +122,13 @@ class PathProgress:
         return StopPrediction(max(duration_s - gone_s, 0.0), profile.at(duration_s).position[0])
 
     def limit_speed(self, fraction: float) -> None:
-        """Go on at `fraction` of the planned speed, braking to it smoothly; a stop is left alone."""
+        """Continue at `fraction` of the planned speed, braking smoothly; a stop is not affected."""
         if not self.stopping and not self.finished:
             self._fraction = fraction
             self._next = self._next_halt = None
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """The arm was brought to rest at the last state by somebody else, or at the one before it."""
+        """The arm was brought to rest elsewhere, at the last state or the one before it."""
         at = self._before if one_back else self.state
         self.state = self._before = State.resting([min(max(at.position[0], 0.0), 1.0)])
         self._next = self._next_halt = self._ceiling = None
@@ -171,7 +171,7 @@ class PathProgress:
         return braking, self._cycle_s
 
     def _missed_ahead(self, go: State, velocity: float) -> SpeedStep | None:
-        """The slowest step ahead that could not be met any more if `go` were used, or None."""
+        """The slowest step ahead that could no longer be met if `go` were used, or None."""
         found: SpeedStep | None = None
         here = self.state.position[0]
         for step in self._steps:
@@ -207,7 +207,7 @@ class PathProgress:
         profile = self._stop_from(state)
         return profile.at(profile.duration_s).position[0]
 
-    def _stop_from(self, state: State) -> Profile:
+    def _stop_from(self, state: State) -> MotionProfile:
         return self._profiler.stop(state, self._bounds(self._limits.velocity))
 
     def _speed_at(self, s: float) -> float:
@@ -233,7 +233,7 @@ def _peak(state: State, jerk: float) -> float:
 
 
 def duration_s(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> float:
-    """How long a path takes from rest to rest, by going through it."""
+    """How long a path takes from rest to rest, by stepping through it."""
     progress = PathProgress(limits, steps, cycle_s)
     cycles = 0
     while not progress.finished:

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.motion_profile import Bounds, Profiler, State
+from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfiler, State
 from ronna_hw.arm.motion.path import Path
 from ronna_hw.arm.motion.progress import PathLimits, PathProgress, SpeedStep
 from ronna_hw.arm.motion.stopping import halt
 from ronna_hw.devices.readings import JointVector
 
-LONGER_TOGETHER = 2.0  # times as long may a stop take that keeps the way; planned motions need 1.2
+LONGER_TOGETHER = 2.0  # a stop that keeps its course may take so many times as long; planned ones need 1.2
 
 
 class Prepared(NamedTuple):
@@ -56,7 +56,7 @@ class PathMotion:
         cycle_s: float,
         steps: tuple[SpeedStep, ...] = (),
     ) -> None:
-        """`steps` say where the path must be gone slower. Raises ARM-006 when no profile exists."""
+        """`steps` say where the path must be slower. Raises ARM-006 when no profile exists."""
         self._path = path
         self._along = PathProgress(limits, steps, cycle_s)
         self._joints = start_rad
@@ -100,12 +100,12 @@ class PathMotion:
         return duration_s, self._path.joints(min(max(parameter, 0.0), 1.0), self._joints)
 
     def limit_speed(self, fraction: float) -> None:
-        """Go on at `fraction` of the planned speed, braking to it smoothly; a stop is left alone."""
+        """Continue at `fraction` of the planned speed, braking smoothly; a stop is not affected."""
         self._next = None
         self._along.limit_speed(fraction)
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """The arm was brought to rest at the last point by somebody else: go on from there at speed zero.
+        """The arm was brought to rest elsewhere, at the last point: continue from there at speed zero.
 
         With `one_back` it rests at the point before the last one.
         """
@@ -117,15 +117,15 @@ class PathMotion:
 
 
 class StopMotion:
-    """To rest from any state, trusting no path: straight on along the way the arm goes.
+    """To rest from any state, without trusting a path: straight on along the present course.
 
-    Where the joints cannot brake together in a reasonable time, which no planned motion brings about, each of
-    them brakes by itself.
+    Where the joints cannot brake together in reasonable time, which no planned motion causes, each brakes
+    by itself.
     """
 
     def __init__(self, start: State, limits: MotionLimits, cycle_s: float) -> None:
         self._cycle_s = cycle_s
-        self._profile = Profiler(len(start.position)).stop(start, joint_bounds(limits))
+        self._profile = MotionProfiler(len(start.position)).stop(start, joint_bounds(limits))
         self._halt = halt(start, limits)
         if self._halt is not None:
             if self._halt.profile.duration_s <= LONGER_TOGETHER * self._profile.duration_s:

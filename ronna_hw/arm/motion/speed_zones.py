@@ -1,7 +1,7 @@
-"""Where along a path the arm must be slower: by its distance to the head, and by the operating mode.
+"""Where along a path the arm must slow down: near the head, and in some operating modes.
 
-The result is a few steps of the path parameter's speed. The generator keeps to them; the monitor does not
-know them and measures for itself.
+The result is a few steps of the path parameter's speed. The generator follows them; the monitor does not know
+them and measures for itself.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
 
 Array = NDArray[np.float64]
 
-SHARE_OF_CAP = 0.97  # what planning uses of a cap; the rest is for its sampling
-ALIKE = 0.95  # neighbouring speeds of this ratio become one step
+SHARE_OF_CAP = 0.97  # of a cap that planning uses; the rest covers its sampling
+ALIKE = 0.95  # neighbouring speeds within this ratio become one step
 
 
 def with_speed_steps(plan: MotionPlan, path: SweptPath) -> MotionPlan:

@@ -1,8 +1,8 @@
-"""To rest without trusting a path: straight on along the way the arm goes, as its last set-points tell it.
+"""Comes to rest without trusting a path: straight on along the course of the last set-points.
 
-Joints that brake each by itself turn the tool out of its way and can speed it up meanwhile. So they brake
-together: the arm goes on along the parabola through its last set-points, and only the speed along it falls.
-A path within the limits of its joints is left by the third order of the stopping distance only.
+Joints that brake independently turn the tool off its course and can even speed it up. So they brake together:
+the arm continues along the parabola through its last set-points while the speed along it falls. A path within
+the limits of its joints is left only by the third order of the stopping distance.
 
 With the direction u, the speed v and the acceleration split into a tangential part a and a normal one, the
 parabola is q(l) = q0 + u l + k l^2 / 2 with k = normal / v^2, and
@@ -17,13 +17,13 @@ from math import hypot
 from typing import NamedTuple
 
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.motion_profile import Bounds, Profile, Profiler, State
+from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfile, MotionProfiler, State
 from ronna_hw.devices.readings import JointVector
 
-RESTING_RAD_S = 1e-9  # slower is no direction
-SHARE = 0.99  # of acceleration and jerk: a state taken from set-points is not exact; more than plans use
+RESTING_RAD_S = 1e-9  # anything slower has no direction
+SHARE = 0.99  # of acceleration and jerk: a state estimated from set-points is not exact; more than plans use
 SPEED_MARGIN = 1.05  # over the limits, for the rounding of a state taken from set-points
-BRAKING_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)  # of the largest deceleration: more of it costs jerk
+BRAKING_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)  # of the largest deceleration: more leaves less jerk
 
 
 class Parabola(NamedTuple):
@@ -47,7 +47,7 @@ class Halt(NamedTuple):
     """A way and the profile of one axis along it, from the present speed to rest."""
 
     way: Parabola
-    profile: Profile
+    profile: MotionProfile
 
     def at(self, time_s: float) -> JointVector:
         """The joints after a time."""
@@ -55,7 +55,7 @@ class Halt(NamedTuple):
 
 
 def halt(start: State, limits: MotionLimits) -> Halt | None:
-    """The stop along the way the arm goes, as short as the limits of the joints allow.
+    """The stop along the present course, as short as the limits of the joints allow.
 
     None where the arm has no direction, where its bend alone takes what the limits allow, or where a joint
     would become too fast before the acceleration is taken back. Motions within the limits do none of this.
@@ -76,7 +76,7 @@ def halt(start: State, limits: MotionLimits) -> Halt | None:
     if fastest > SPEED_MARGIN:
         return None
     way = Parabola(start.position, direction, bend)
-    return Halt(way, Profiler(1).stop(State([0.0], [speed], [tangential]), bounds))
+    return Halt(way, MotionProfiler(1).stop(State([0.0], [speed], [tangential]), bounds))
 
 
 def _braking(

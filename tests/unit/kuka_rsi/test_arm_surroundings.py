@@ -42,7 +42,7 @@ def _post_beside(angle_deg: float) -> Surroundings:
 def test_a_goal_with_something_in_the_way_is_refused_before_motion(controller: Any, active_arm: Any) -> None:
     active_arm.surround(_post_beside(15.0))
     sent = controller.replies[-1][1]
-    with pytest.raises(NotClear, match=r"ARM-007: .*hand would come too near to the drip stand") as caught:
+    with pytest.raises(NotClear, match=r"ARM-007: .*hand would come too close to the drip stand") as caught:
         active_arm.move_joints(ASIDE)
     assert "\n" not in str(caught.value)
     assert active_arm.state is Lifecycle.ACTIVE

@@ -1,4 +1,4 @@
-"""A path that comes too near to anything is refused; the live watch stops what slips by."""
+"""A path that comes too close to anything is refused; the live watch stops what slips by."""
 
 import json
 import math
@@ -57,7 +57,7 @@ def _move() -> MotionPlan:
 @pytest.mark.hazard(24)
 def test_a_thin_post_on_the_way_is_found_between_the_first_samples() -> None:
     path = sweep_path(MODEL, _move(), _around(_post(23.0, 9.0)))
-    with pytest.raises(NotClear, match=r"needle would come too near to the post, 4\d% of the way") as caught:
+    with pytest.raises(NotClear, match=r"needle would come too close to the post, 4\d% of the way") as caught:
         path.require("the move")
     assert caught.value.code == "ARM-007"
     assert caught.value.limit == "10 mm"
@@ -89,7 +89,7 @@ def test_only_the_needle_enters_the_head_and_only_along_its_corridor() -> None:
     axis_end = MODEL.forward(into.target_rad).apply(TOOL.position_mm)
     corridor = Corridor((x, y, z), axis_end, 2.5)
     around = _around(head)
-    with pytest.raises(NotClear, match="needle would come too near to the head"):
+    with pytest.raises(NotClear, match="needle would come too close to the head"):
         sweep_path(MODEL, into, around).require()
     sweep_path(MODEL, into, around.into(corridor)).require()
     beside = corridor._replace(

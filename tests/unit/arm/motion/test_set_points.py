@@ -14,7 +14,7 @@ from ronna_hw.arm.errors import MotionInvalid
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.motion.motion_profile import Bounds, Profiler, State
+from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfiler, State
 from ronna_hw.arm.motion.path import LinePath
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import Motion, PathMotion, StopMotion
@@ -171,7 +171,7 @@ def test_a_joint_stop_comes_to_rest_from_any_state(
 
 def test_a_profile_holds_its_ends() -> None:
     bounds = Bounds([1.0], [2.0], [10.0])
-    profile = Profiler(1).move(State([0.0], [0.5], [0.0]), [0.05], bounds)
+    profile = MotionProfiler(1).move(State([0.0], [0.5], [0.0]), [0.05], bounds)
     assert profile.at(-5.0).position == [0.0]
     assert profile.at(1e6).position[0] == pytest.approx(0.05)
 
@@ -190,7 +190,7 @@ def test_bad_numbers_for_a_profile_are_one_typed_error(
     start: State, target: list[float], bounds: Bounds
 ) -> None:
     with pytest.raises(MotionInvalid) as caught:
-        Profiler(1).move(start, target, bounds)
+        MotionProfiler(1).move(start, target, bounds)
     assert caught.value.code == "ARM-006"
     assert "\n" not in str(caught.value)
 
