@@ -12,9 +12,7 @@ from ronna_hw.devices.readings import JointVector
 
 WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed one lost packet stays a small step for the controller
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations
-RANGE_MARGIN_RAD = math.radians(
-    0.5
-)  # a controller's software limits may be a little tighter than the model's
+RANGE_MARGIN_RAD = math.radians(0.5)  # a controller's software limits may be tighter than the model's
 ACCELERATION_RAMP_S = 0.08  # time from none to full acceleration: sets the jerk
 WORKING_LINE_SPEED_MM_S = 100.0  # below half of reduced speed, 250 mm/s
 WORKING_LINE_ACCELERATION_MM_S2 = 400.0
