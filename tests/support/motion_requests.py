@@ -33,7 +33,7 @@ MODEL = kr6_r900(ArmVariant.SIXX)
 CELL = CollisionConfig()
 TOOL = Pose((220.0, 0.0, 60.0))
 HEAD_SEMI_AXES_MM = (75.0, 95.0, 90.0)
-REDUCED_SPEED_SHARE = 1 / 3
+WITH_REDUCED_SPEED = (True, False, False)
 TOLERANCE = 1.0 + 1e-6  # rounding
 CLEARANCE_TOLERANCE_MM = 0.3  # half of the finest motion between two checks of a path
 UNTRUSTED_PATHS = 0.4  # share of the interruptions that do not trust the path
@@ -62,7 +62,7 @@ def drive(seed: int) -> Driven:
     start = _somewhere(rng)
     room = _room(rng, start)
     limits = working_limits(MODEL).slowed(rng.choice((1.0, 1.0, 0.3)))
-    if rng.random() < REDUCED_SPEED_SHARE:
+    if rng.choice(WITH_REDUCED_SPEED):
         limits = limits.at_reduced_speed(MODEL)
     surroundings = replace(room, most_mm_s=limits.body_speed_mm_s)
     found = Driven(limits=limits, surroundings=surroundings)
