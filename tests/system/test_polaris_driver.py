@@ -121,8 +121,8 @@ def test_the_frame_number_rises_at_sixty_per_second(unit: ChildProcess) -> None:
 def test_a_client_that_vanished_leaves_a_unit_that_is_found_again(unit: ChildProcess) -> None:
     first = tracking(unit)
     first.read_frame()
-    assert first._session is not None
-    first._session.transport.close()  # as if the process had been killed: tracking, fast, tools loaded
+    assert first._open_link is not None
+    first._open_link.transport.close()  # as if the process had been killed: tracking, fast, tools loaded
     second = tracking(unit)
     assert second.read_frame().tool("robot_frame").validity is Validity.OK
     second.close()

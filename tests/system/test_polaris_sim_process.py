@@ -252,7 +252,7 @@ def test_the_unconfirmed_behaviours_can_be_listed() -> None:
         command("sim.cli", "polaris", "--list-parameters"), capture_output=True, text=True, timeout=150
     )
     assert done.returncode == 0
-    assert "watch_dog=stop  What the watch dog does" in done.stdout
+    assert "watch_dog=stop  What the watchdog does" in done.stdout
     assert done.stderr == ""
 
 
