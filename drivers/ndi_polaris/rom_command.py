@@ -169,9 +169,9 @@ def compare(
                 for d in differences
             ],
         )
-    told = "no difference" if not differences else f"{len(differences)} difference(s)"
+    summary = "no difference" if not differences else f"{len(differences)} difference(s)"
     shape = "" if shape_mm is None else f"; marker distances differ by at most {shape_mm:.3f} mm"
-    console.tell(told + shape)
+    console.tell(summary + shape)
     return EXIT_FAILED if differences else EXIT_DONE
 
 

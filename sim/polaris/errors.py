@@ -1,4 +1,4 @@
-"""Errors of the simulated tracker when it is set up. What goes wrong later is a code on its line."""
+"""Errors when the simulated tracker is set up; later errors are codes on its line."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from ronna_hw.errors import ConfigurationError, ConnectError
 
 
 class BadUnitParameter(ConfigurationError):
-    """A parameter of the unit does not exist or cannot have that value."""
+    """A parameter of the unit does not exist, or the value is not allowed."""
 
     code = "PSU-001"
-    action = "Give --set NAME=VALUE; ronna-sim polaris --list-parameters tells all names."
+    action = "Give --set NAME=VALUE; ronna-sim polaris --list-parameters lists all names."
 
 
 class LineUnavailable(ConnectError):
-    """This host gives no pseudo-terminal, or does not let it be watched."""
+    """This host provides no pseudo-terminal, or does not allow watching it."""
 
     code = "PSU-003"
     action = "End other simulators, raise fs.inotify.max_user_instances, or use --endpoint tcp://127.0.0.1:0."

@@ -8,6 +8,7 @@ import re
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -38,11 +39,23 @@ TOOLS = [{"name": "robot_frame", "rom": "robot_frame.rom"}]
 BENCH_STRAYS_MM = {(0, -200, -1400), (20, 0, -1600), (-20, 200, -1500)}
 
 
-@pytest.fixture(params=ENDPOINTS, ids=["pty", "tcp"])
+@contextmanager
+def started(endpoint: str) -> Iterator[ChildProcess]:
+    with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris", "--endpoint", endpoint)) as child:
+        yield child
+
+
+@pytest.fixture(scope="module", params=ENDPOINTS, ids=["pty", "tcp"])
 def unit(request: pytest.FixtureRequest) -> Iterator[ChildProcess]:
-    with ChildProcess(
-        "ronna-sim polaris", command("sim.cli", "polaris", "--endpoint", request.param)
-    ) as child:
+    """A unit that the tests of this file share, one after another as its hosts."""
+    with started(request.param) as child:
+        yield child
+
+
+@pytest.fixture(params=ENDPOINTS, ids=["pty", "tcp"])
+def mortal_unit(request: pytest.FixtureRequest) -> Iterator[ChildProcess]:
+    """A unit that the test may end."""
+    with started(request.param) as child:
         yield child
 
 
@@ -128,11 +141,11 @@ def test_a_client_that_vanished_leaves_a_unit_that_is_found_again(unit: ChildPro
     second.close()
 
 
-def test_a_unit_that_dies_is_noticed_and_closing_is_bounded(unit: ChildProcess) -> None:
-    device = tracking(unit)
+def test_a_unit_that_dies_is_noticed_and_closing_is_bounded(mortal_unit: ChildProcess) -> None:
+    device = tracking(mortal_unit)
     device.read_frame()
-    unit.process.kill()
-    unit.process.wait()
+    mortal_unit.process.kill()
+    mortal_unit.process.wait()
     with pytest.raises(LinkLost):
         device.read_frame()
     assert device.state is Lifecycle.FAULT

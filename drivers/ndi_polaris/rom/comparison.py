@@ -71,10 +71,10 @@ def _per_marker(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...]) -> li
 
 def _unexplained(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Difference]:
     """Runs of differing bytes outside all fields, or inside a field whose value is the same."""
-    told = {difference.field.removeprefix("number of ").partition("[")[0] for difference in named}
+    named_fields = {difference.field.removeprefix("number of ").partition("[")[0] for difference in named}
     explained = set(range(layout.CHECKSUM_OFFSET, layout.CHECKSUM_OFFSET + CHECKSUM_BYTES))
     for property_ in FIELDS:
-        if property_.name in told:
+        if property_.name in named_fields:
             for offset, size in property_.spans:
                 explained.update(range(offset, offset + size))
     found = []

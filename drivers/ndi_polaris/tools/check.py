@@ -31,7 +31,9 @@ def check_handle(
     if same_serial and same_part_number:
         return None
     expected = f"part number {definition.part_number}, serial number {sent[::-1].hex().upper()}"
-    told = f"part number {part_number or '-'}, serial number {serial or '-'}"
+    reported = f"part number {part_number or '-'}, serial number {serial or '-'}"
     if not same_serial and not same_part_number:
-        raise ForeignTool(f"handle {handle:02X} holds another tool than {name}", expected=expected, got=told)
-    return f"{name}: the unit reports {told}, the definition has {expected}"
+        raise ForeignTool(
+            f"handle {handle:02X} holds another tool than {name}", expected=expected, got=reported
+        )
+    return f"{name}: the unit reports {reported}, the definition has {expected}"

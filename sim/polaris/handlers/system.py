@@ -12,17 +12,17 @@ from sim.polaris.unit.unit import Unit
 VERSION_CONTROL, VERSION_LEFT, VERSION_RIGHT, VERSION_WIRED, VERSION_ENHANCED, VERSION_COMBINED = range(6)
 BEEPED, BUSY_BEEPING = "1", "0"
 LONGEST_BEEP = 9
-FAULT_ANSWERS = {"ERROR15": ErrorCode.CANNOT_INITIALISE, "ERROR1A": ErrorCode.INTERNAL}
+FAULT_REPLIES = {"ERROR15": ErrorCode.CANNOT_INITIALISE, "ERROR1A": ErrorCode.INTERNAL}
 
 
 def initialise(unit: Unit, argument: str) -> str:
     """INIT"""
     no_argument(argument)
-    answer = unit.behaviour.hardware_fault_at_init if unit.alerts.current & HARDWARE else wire.REPLY_OKAY
-    if answer in FAULT_ANSWERS:
-        raise Refusal(FAULT_ANSWERS[answer])
+    reply = unit.behaviour.hardware_fault_at_init if unit.alerts.current & HARDWARE else wire.REPLY_OKAY
+    if reply in FAULT_REPLIES:
+        raise Refusal(FAULT_REPLIES[reply])
     unit.initialise()
-    return answer
+    return reply
 
 
 def reset(unit: Unit, argument: str) -> str:

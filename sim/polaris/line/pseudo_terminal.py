@@ -40,15 +40,15 @@ class PseudoTerminal:
         self._behaviour = interpreter.unit.behaviour
         self._throttle = throttle
         try:
-            self._master, self._far_end = os.openpty()
-            self._path = os.ttyname(self._far_end)
+            self._master, self._host_end = os.openpty()
+            self._path = os.ttyname(self._host_end)
             self._watch = HostSideWatch(self._path)
         except OSError as error:
             raise LineUnavailable(f"cannot make a serial line: {error.strerror or error}") from error
-        tty.setraw(self._far_end)
-        settings = termios.tcgetattr(self._far_end)
+        tty.setraw(self._host_end)
+        settings = termios.tcgetattr(self._host_end)
         settings[_TERMIOS_INPUT_SPEED] = settings[_TERMIOS_OUTPUT_SPEED] = termios.B9600
-        termios.tcsetattr(self._far_end, termios.TCSANOW, settings)
+        termios.tcsetattr(self._host_end, termios.TCSANOW, settings)
         self._host = HostLine(self._master)
         packet_mode(self._master)
         os.set_blocking(self._master, False)
@@ -119,7 +119,7 @@ class PseudoTerminal:
         """Close both ends."""
         self._watch.close()
         os.close(self._master)
-        os.close(self._far_end)
+        os.close(self._host_end)
 
     def _look_who_is_there(self) -> None:
         opened, left = self._watch.events()

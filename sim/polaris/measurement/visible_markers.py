@@ -92,7 +92,7 @@ class MarkerVisibility:
             for group, end in zip(groups, ends, strict=True)
         }
 
-        def told(tool: TrueTool | None) -> Group | None:
+        def group_of(tool: TrueTool | None) -> Group | None:
             return None if tool is None else self._group(tool, rows[id(tool)], disturbance)
 
         ghosts = phantoms(
@@ -100,8 +100,8 @@ class MarkerVisibility:
         )
         ghost_group = Group(self._optics.sight(ghosts), list(range(len(ghosts))))
         return VisibleMarkers(
-            tools={handle: told(tool) for handle, tool in tools.items()},
-            frame=told(frame),
+            tools={handle: group_of(tool) for handle, tool in tools.items()},
+            frame=group_of(frame),
             fixed=self._group(fixed, rows[id(fixed)], disturbance),
             phantoms=ghost_group,
         )

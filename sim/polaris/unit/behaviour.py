@@ -67,7 +67,7 @@ class UnitBehaviour:
     starts_without_tools: Annotated[bool, "TSTART without an enabled tool is OKAY, not refused with 12."] = (
         True
     )
-    most_tracked: Annotated[int, "TSTART with more enabled tools answers 28."] = 15
+    most_tracked: Annotated[int, "TSTART with more enabled tools returns 28."] = 15
     hardware_fault_at_init: Annotated[
         Literal["WARNING01", "ERROR15", "ERROR1A", "OKAY"], "Answer of INIT with a hardware alert."
     ] = "WARNING01"
@@ -77,7 +77,7 @@ class UnitBehaviour:
     watch_dog: Annotated[
         Literal["stop", "reset"], "What the watchdog does: stops tracking, or resets the unit."
     ] = "stop"
-    beep_s: Annotated[float, "Length of a beep; BEEP answers 0 while the previous one lasts."] = 0.0
+    beep_s: Annotated[float, "Length of a beep; BEEP returns 0 while the previous one lasts."] = 0.0
     absent_command: Annotated[ErrorCode, "GETIO, SETIO, GX and others without a public format: 33 or 01."] = (
         ErrorCode.NOT_AVAILABLE
     )
@@ -106,7 +106,7 @@ class UnitBehaviour:
         bool, "Only definitions with the unique-geometry flag are judged by these rules."
     ] = False
     supported_wavelengths: Annotated[
-        str, "Wavelength codes of markers that the volumes support; others make TSTART answer 22."
+        str, "Wavelength codes of markers that the volumes support; others make TSTART return 22."
     ] = "01"
     memory_of_passive: Annotated[
         Literal["32", "1E/1F"], "PPRD and PPWR of a handle without memory: 32, or 1E and 1F."

@@ -62,7 +62,7 @@ def test_the_lock_names_no_package_index() -> None:
 @pytest.mark.parametrize(
     ("module", "unwanted"),
     [
-        ("sim.polaris.line.server", ("scipy", "cv2", "pydicom")),
+        ("sim.polaris.line.server", ("scipy", "cv2", "pydicom", "pinocchio")),
         ("sim.kuka.controller.cycle_loop", ("scipy", "cv2", "pydicom")),
         ("ronna_hw", ("numpy", "scipy", "cv2", "pydantic", "structlog")),
         ("procedures.cli.procedure", ("numpy", "scipy", "cv2", "pydantic", "pydicom", "matplotlib")),

@@ -23,16 +23,16 @@ from drivers.ndi_polaris.tools.robot_frame import robot_frame
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 
 Make = Callable[..., PolarisTracker]
 
 
 @contextmanager
-def raises_on_one_line(code: str, message: str, action: str) -> Iterator[None]:
+def raises_on_one_line(code: str, message: str, action: str) -> Iterator[pytest.ExceptionInfo[RonnaError]]:
     """The block raises an error of ours with that code, those words and that advice, on one line."""
     with pytest.raises(RonnaError) as caught:
-        yield
+        yield caught
     assert caught.value.code == code
     assert re.search(message, caught.value.what, re.IGNORECASE), caught.value.what
     assert re.search(action, caught.value.advice, re.IGNORECASE), caught.value.advice
@@ -53,8 +53,12 @@ def test_a_wrong_port(tmp_path: Path) -> None:
         tracker_at(f"serial://{tmp_path}/ttyUSB7").connect(1.0)
     with raises_on_one_line("NDI-001", "not a serial port", "not a serial port.*doctor"):
         tracker_at("serial:///dev/null").connect(1.0)
-    with raises_on_one_line("NDI-001", "refused", "nothing listens.*address and port"):
-        tracker_at("tcp://127.0.0.1:1").connect(1.0)
+    device = tracker_at("tcp://127.0.0.1:1")
+    with raises_on_one_line("NDI-001", "refused", "nothing listens.*address and port") as caught:
+        device.connect(1.0)
+    assert caught.value.exit_code == EXIT_NOT_FOUND
+    device.close()
+    assert device.state is Lifecycle.CLOSED
 
 
 def test_a_name_that_no_computer_has() -> None:
@@ -89,10 +93,13 @@ def test_a_port_that_another_program_holds() -> None:
 
 def test_nothing_answers(make_tracker: Make, unit: Any) -> None:
     unit.silent, unit.breaks_work = True, False
+    device = make_tracker()
     with raises_on_one_line(
         "NDI-002", "tried 9600 baud, 115200 baud, .*, 14400 baud, a break", "powered.*this is its port"
     ):
-        make_tracker().connect()
+        device.connect(10.0)
+    assert unit.now_s <= 10.1
+    assert device.state is Lifecycle.DISCONNECTED
 
 
 def test_a_time_limit_too_short_for_every_rate_says_what_was_tried(make_tracker: Make, unit: Any) -> None:
@@ -104,8 +111,9 @@ def test_a_time_limit_too_short_for_every_rate_says_what_was_tried(make_tracker:
 def test_another_program_on_the_port(make_tracker: Make, unit: Any) -> None:
     unit.breaks_work = False
     unit.deliver = lambda name, reply: [(0.01, b"login: ")]
-    with raises_on_one_line("NDI-003", "bytes without", "another device or program"):
+    with raises_on_one_line("NDI-003", "bytes without", "another device or program") as caught:
         make_tracker().connect()
+    assert caught.value.wire
 
 
 @pytest.mark.parametrize(
@@ -171,12 +179,15 @@ def test_a_unit_in_a_mode_that_cannot_track(make_tracker: Make, unit: Any) -> No
 # --- tool definitions -----------------------------------------------------------------------------------
 
 
-def test_a_corrupt_definition(make_tracker: Make, tmp_path: Path) -> None:
+def test_a_corrupt_definition_is_refused_before_the_line_is_opened(
+    make_tracker: Make, unit: Any, tmp_path: Path
+) -> None:
     block = bytearray(encode_definition(robot_frame()))
     block[80] ^= 1
     (tmp_path / "bent.rom").write_bytes(block)
     with raises_on_one_line("NDI-011", "bent.rom has a wrong checksum", "of the tool"):
         make_tracker(tools=[{"name": "M", "rom": str(tmp_path / "bent.rom")}])
+    assert unit.commands == []
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\3\4" + bytes(748), b"NDI\0" + bytes(100)])
@@ -312,8 +323,10 @@ def test_a_bump_behind_another_fault_is_not_cleared_with_it(tracker: PolarisTrac
 @pytest.mark.hazard(15)
 def test_a_hardware_fault_that_stays_refuses_the_recovery(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0010
-    with raises_on_one_line("NDI-020", "hardware fault", "Power-cycle"):
+    with raises_on_one_line("NDI-020", "hardware fault", "Power-cycle") as caught:
         tracker.read_frame()
+    assert "0010" in str(caught.value)
+    assert tracker.state is Lifecycle.FAULT
     unit.parameters["Info.Status.Alerts"] = str(1 << 4)
     with raises_on_one_line("NDI-020", "hardware fault", "Power-cycle"):
         tracker.recover("tester")

@@ -157,7 +157,7 @@ def test_the_crc_is_that_of_its_definition(data: bytes, start: int) -> None:
     assert crc16(data, start) == bit_by_bit(data, start)
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(st.binary(max_size=120), st.booleans())
 def test_any_body_is_decoded_or_refused_with_an_error_of_ours(body: bytes, strays: bool) -> None:
     try:
@@ -167,7 +167,7 @@ def test_any_body_is_decoded_or_refused_with_an_error_of_ours(body: bytes, stray
     assert len(reply.handles) == body[0]
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(
     st.text(alphabet="0123456789ABCDEF+-\nMISNGDBLU", max_size=120)
     | st.integers(0, len(TX_VALID)).flatmap(

@@ -11,7 +11,6 @@ from ronna_hw.wire.polaris import COMMAND_NAMES, PVWR_BLOCK_BYTES, PVWR_SPACE_BY
 from sim.polaris.handlers.table import COMMANDS
 from sim.polaris.unit.unit import Unit
 from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import built_in_scene
 
 if TYPE_CHECKING:
     from conftest import Bench
@@ -84,22 +83,6 @@ def test_a_unit_that_starts_again_hears_nothing_and_then_says_reset(
     assert bench.interpreter.reply_line.baud == 9600
     assert bench.send("INIT ") == "OKAY"
     assert bench.send("PHSR 00") == "00"
-
-
-def test_there_are_never_more_than_fifty_strays(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
-    scene = built_in_scene("bench")
-    many = tuple((-200.0 + 50.0 * (k % 8), -200.0 + 50.0 * (k // 8), -1700.0) for k in range(60))
-    tracker = scene.tracker.model_copy(update={"strays_mm": many, "line_separation_mm": 0.0})
-    bench = make_bench(scene.model_copy(update={"tracker": tracker}))
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
-    block = bench.send("TX 1801").split("\n")[1]
-    assert int(block[:2], 16) == 50
-    assert len(block) == 2 + 13 + 50 * 21 + 4
-    assert bench.raw("BX 1801")[6 + 43] == 50
 
 
 def test_the_whole_virtual_memory_can_be_written_in_blocks(bench: Bench) -> None:

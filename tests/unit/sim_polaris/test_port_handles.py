@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import pytest
 
 from ronna_hw.wire import polaris_rom
 from sim.polaris.tools.definition import write_definition
+from sim.polaris.unit.model import SPECTRA, VICRA, UnitModel
 from sim.theatre.scene.model import TrackerTool
 
 if TYPE_CHECKING:
@@ -94,12 +96,18 @@ def test_a_tool_that_is_not_enabled_cannot_be_disabled(bench: Bench, pointer: Tr
     assert bench.send("PDIS 01") == "ERROR0F"
 
 
-def test_no_more_tools_are_enabled_than_the_unit_tracks(bench: Bench, pointer: TrackerTool) -> None:
-    for _ in range(15):
+@pytest.mark.parametrize(("model", "tools"), [(SPECTRA, 15), (VICRA, 6)])
+def test_no_more_tools_are_enabled_than_the_unit_tracks(
+    make_bench: Callable[..., Bench], pointer: TrackerTool, model: UnitModel, tools: int
+) -> None:
+    bench = make_bench(model=model)
+    bench.send("INIT ")
+    for _ in range(tools):
         bench.enable(pointer)
     handle = bench.load(write_definition(pointer))
     bench.send(f"PINIT {handle:02X}")
     assert bench.send(f"PENA {handle:02X}D") == "ERROR28"
+    assert bench.send("PENA 01S") == "OKAY"  # enabled already
 
 
 def test_port_information_copies_the_definition(bench: Bench, pointer: TrackerTool) -> None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from sim.polaris.tools.definition import write_definition
 from sim.polaris.unit.model import VICRA
 from sim.theatre.scene.model import TrackerTool
 from sim.theatre.scene.named_scenes import built_in_scene
@@ -155,22 +154,6 @@ def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], poin
         bench.send(f"PDIS {handle:02X}")  # its place stays taken
 
 
-def test_it_tracks_six_tools_and_refuses_to_enable_a_seventh(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
-    bench = make_bench(built_in_scene("bench-near"), model=VICRA)
-    bench.send("INIT ")
-    for _ in range(6):
-        bench.enable(pointer)
-    seventh = bench.load(write_definition(pointer))
-    bench.send(f"PINIT {seventh:02X}")
-    assert bench.send(f"PENA {seventh:02X}D") == "ERROR28"
-    assert bench.send("PENA 01S") == "OKAY"  # enabled already
-    assert value(bench, "Features.Tools.Enabled Tools") == "6"
-    bench.send("TSTART 80")
-    assert bench.send("TX 0001").startswith("06")
-
-
 def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
     bench = make_bench(model=VICRA)
     assert bench.send("INIT ") == "OKAY"
@@ -185,6 +168,7 @@ def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTo
     assert bench.send("VER 5") == "014"
     assert value(bench, "Features.Firmware.Version") == "007.000.011"
     assert bench.send("SFLIST 02") == "6"
+    assert value(bench, "Features.Tools.Enabled Tools") == "6"
     assert bench.send("SFLIST 03").startswith("17-133600")
     assert bench.send("SFLIST 00") == "00000012"
     assert bench.send("VSEL 2") == "ERROR24"
