@@ -24,7 +24,7 @@ from ronna_hw.frames import Frame, Transform
 from sim.kuka.arm.true_arm import TrueArm, in_radians
 from sim.theatre.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.theatre.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
 
 ENDPOINTS = {
@@ -134,7 +134,7 @@ class TrueHead:
 
 def true_head(seed: int = 3, **noises: float) -> TrueHead:
     """The head of a built-in scene."""
-    return TrueHead(built_in_scene("mini", seed=seed), **noises)
+    return TrueHead(named_scene("mini", seed=seed), **noises)
 
 
 def observation_set(head: TrueHead, observations) -> ObservationSet:

@@ -14,7 +14,7 @@ from benchmarks.stereo_cell import Start, StereoCell
 from benchmarks.stereo_pictures import Studio
 from ronna_hw.errors import RonnaError
 from sim.theatre.scene.model import Scene
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def servo_campaign(
     tally = ServoTally()
     with tempfile.TemporaryDirectory(prefix="ronna-servo-") as folder:
         for number in range(-(-starts // STARTS_PER_CELL)):
-            scene = scene_of(built_in_scene("default", seed=first_seed + number))
+            scene = scene_of(named_scene("default", seed=first_seed + number))
             count = min(STARTS_PER_CELL, starts - tally.starts)
             cell = calibrated_cell(scene, Path(folder))
             generator = np.random.default_rng([PLACES_SEED, first_seed + number])

@@ -24,7 +24,7 @@ from sim.basler.optics.sphere import Sphere
 from sim.theatre.noise import noise
 from sim.theatre.rigid import matrix_of, rotation_towards
 from sim.theatre.scene.model import CameraTruth, Scene
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -93,7 +93,7 @@ class Pair:
 class Studio:
     """One stereo head and its optics."""
 
-    scene: Scene = field(default_factory=lambda: built_in_scene("default", seed=SCENE_SEED))
+    scene: Scene = field(default_factory=lambda: named_scene("default", seed=SCENE_SEED))
 
     def pairs(self, case: Case, count: int, seed: int = PLACES_SEED) -> Iterator[Pair]:
         """Pairs of a case, one after the other: a full frame of each is too much to keep."""

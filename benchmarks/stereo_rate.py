@@ -125,10 +125,10 @@ def _drawing() -> Figure:
     from sim.basler.camera.photographer import Photographer
     from sim.basler.camera.settings import Settings
     from sim.basler.optics.canvas import Area
-    from sim.theatre.scene.named_scenes import built_in_scene
+    from sim.theatre.scene.named_scenes import named_scene
     from sim.theatre.world import World
 
-    scene = built_in_scene("bench")
+    scene = named_scene("bench")
     photographer = Photographer(World.create(scene, paced=False), scene.left)
     frame = replace(Settings().frame(), area=Area(512, 32, SERVO_AREA_PX, SERVO_AREA_PX))
     spent_ms = []

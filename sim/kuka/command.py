@@ -73,7 +73,7 @@ def kuka(
     from sim.kuka.arm.manipulator import Manipulator
     from sim.kuka.controller.autostart import Autostart
     from sim.kuka.controller.controller import Controller
-    from sim.kuka.controller.cycle_loop import Station
+    from sim.kuka.controller.cycle_loop import CycleLoop
     from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, changed_parameters, parameter_rows
     from sim.kuka.eki.server import EkiServer
     from sim.kuka.rsi.rsi_socket import resolve
@@ -96,10 +96,10 @@ def kuka(
     # In lock-step the theatre's time stands while the submit interpreter loops: there it answers at once.
     project_server = EkiServer(_listening(eki_project), SUBMIT_CYCLE_S if room.clock.paced else 0.0)
     sdk_server = EkiServer(_listening(eki), SUBMIT_CYCLE_S)
-    station = Station(
+    cycle_loop = CycleLoop(
         controller, room, address, project_server, sdk_server, Autostart(controller, wanted=autostart)
     )
-    end_with_parent(station.end)
+    end_with_parent(cycle_loop.end)
     announce(
         "kuka",
         control=control,
@@ -109,7 +109,7 @@ def kuka(
     # What lives now lives to the end: the collector need not look at it during a cycle.
     gc.collect()
     gc.freeze()
-    station.run()
+    cycle_loop.run()
 
 
 def _context(

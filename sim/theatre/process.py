@@ -18,7 +18,7 @@ from ronna_hw.host.parent_process import PARENT
 from sim.theatre.control import ControlPort, Room
 from sim.theatre.faults import read_faults
 from sim.theatre.scene.model import Scene, read_scene
-from sim.theatre.scene.named_scenes import SCENES, built_in_scene
+from sim.theatre.scene.named_scenes import SCENES, named_scene
 from sim.theatre.world import World
 
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
@@ -88,7 +88,7 @@ def open_world(world: str | None, scene: str, faults: Path | None = None) -> tup
 def load_scene(scene: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None) -> Scene:
     """A built-in scene by name, or a scene file; raises SIM-001."""
     if scene in SCENES:
-        return built_in_scene(scene, seed=seed, markers=markers, targets=targets)
+        return named_scene(scene, seed=seed, markers=markers, targets=targets)
     return read_scene(Path(scene))
 
 

@@ -13,7 +13,7 @@ from kuka_clients import Cell, EkiClient, RsiClient
 
 from sim.kuka.arm.robot_description import description
 from sim.theatre.faults.robot import ROBOT_FAULTS, TRIPS
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 pytestmark = pytest.mark.soak
@@ -26,7 +26,7 @@ NAMES = {"mode": ("T1", "AUT"), "trip": TRIPS}
 
 @pytest.fixture
 def world() -> Iterator[World]:
-    world = World.create(built_in_scene("mini", seed=5), paced=False)
+    world = World.create(named_scene("mini", seed=5), paced=False)
     yield world
     world.clock.close()
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.theatre.scene.model import LinkError, Scene
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 STRAIGHT = LinkError(translation_mm=(0.0, 0.0, 0.0), rotation_rad=(0.0, 0.0, 0.0))
 NOUGHT = (0.0,) * 6
@@ -16,7 +16,7 @@ NOUGHT = (0.0,) * 6
 
 def with_ideal_arm(seed: int = 0) -> Scene:
     """The mini scene with an arm that only repeats badly: 0.015 mm per axis."""
-    scene = built_in_scene("mini", seed=seed)
+    scene = named_scene("mini", seed=seed)
     arm = scene.arm.model_copy(
         update={
             "links": (STRAIGHT,) * 6,

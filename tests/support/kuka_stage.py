@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 from kuka_clients import Cell, EkiClient, RsiClient
 
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 CYCLE_S = 0.004
@@ -19,7 +19,7 @@ class Stage:
     """One controller for all tests, brought back to rest between them."""
 
     def __init__(self, stack: ExitStack) -> None:
-        self.world = World.create(built_in_scene("mini", seed=5), paced=False)
+        self.world = World.create(named_scene("mini", seed=5), paced=False)
         self._cell = Cell(stack, world=self.world)
         self.rsi: RsiClient = self._cell.rsi
         self.eki: EkiClient = self._cell.project()

@@ -34,7 +34,7 @@ from ronna_hw.devices.readings import (
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.theatre import Theatre
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
 
 ENDPOINTS = {
@@ -50,7 +50,7 @@ STAMP = Stamp(1, 0, 0.0)
 
 def mini_theatre() -> TheatreFile:
     """The theatre file of the mini scene, with endpoints at which nothing is."""
-    return parse_theatre(theatre_content(built_in_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0))
+    return parse_theatre(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0))
 
 
 @dataclass

@@ -38,7 +38,7 @@ def answer_mutants(count: int, seed: int) -> tuple[int, int]:
     ipoc, answered = FIRST_IPOC, 0
     now = [original.replace(b"<IPOC>0<", b"<IPOC>%(now)<") for original in ORIGINALS]
     for mutant in mutations(now, count, seed):
-        if link.loop.session.phase is not Phase.RUNNING:
+        if link.loop.responder.phase is not Phase.RUNNING:
             link.open()
             assert link.receive(telegram(ipoc)) is not None
         ipoc += CYCLE_MS

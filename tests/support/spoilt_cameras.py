@@ -26,7 +26,7 @@ from sim.basler.faults import NoFaults
 from sim.basler.pair import CameraPair
 from sim.basler.stream.block import Block
 from sim.basler.stream.channel import StreamChannel
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 SERVE_LIMIT_S = 10.0
@@ -40,7 +40,7 @@ class Stand:
     """Both cameras, served by a thread of this process."""
 
     def __init__(self) -> None:
-        self.pair = CameraPair(World.create(built_in_scene("bench"), paced=True))
+        self.pair = CameraPair(World.create(named_scene("bench"), paced=True))
         self.left, self.right = self.pair._cameras
         self._thread = threading.Thread(target=self.pair.serve)
         self._thread.start()

@@ -13,7 +13,7 @@ import pytest
 from user_commands import Commands, one_error
 
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,7 @@ def test_a_fault_script_that_cannot_happen(
 def test_truth_with_a_bad_line(commands: Commands, tmp_path: Path) -> None:
     theatre = tmp_path / "theatre"
     theatre.mkdir()
-    (theatre / "scene.json").write_text(built_in_scene("mini").model_dump_json(by_alias=True))
+    (theatre / "scene.json").write_text(named_scene("mini").model_dump_json(by_alias=True))
     (theatre / "truth.jsonl").write_text("nonsense\n")
     done = commands.run("ronna-sim", "verify", str(tmp_path))
     assert "line 1" in _refused(done, "SIM-007", EXIT_FAILED)

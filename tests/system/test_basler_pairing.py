@@ -17,7 +17,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.gige_vision import TICK_FREQUENCY_HZ
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import ArmState, World
 
 # In lock-step two commands one after the other are dated at most 1 ms apart, as on a real network.
@@ -67,7 +67,7 @@ class Theatre:
 
 @pytest.fixture
 def theatre(request: pytest.FixtureRequest) -> Iterator[Theatre]:
-    world = World.create(built_in_scene("bench"), paced=False)
+    world = World.create(named_scene("bench"), paced=False)
     world.clock.wait_until_ns(getattr(request, "param", POWERED_ON_NS))
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler", "--world", world.endpoint)) as child:
         made = Theatre(world, child)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 LIMIT_S = 30.0
@@ -294,7 +294,7 @@ def test_36_both_cameras_send_full_frames_at_fifty_per_second(cameras: ChildProc
 
 @pytest.mark.slow
 def test_31_packets_that_the_network_loses_are_repaired() -> None:
-    world = World.create(built_in_scene("bench"), paced=True)
+    world = World.create(named_scene("bench"), paced=True)
     world.set_fault_script("at 0 s: camera drop 2 % for 600 s")
     arguments = command("sim.cli", "basler", "--world", world.endpoint)
     with ChildProcess("ronna-sim basler", arguments) as cameras:
@@ -304,7 +304,7 @@ def test_31_packets_that_the_network_loses_are_repaired() -> None:
 
 
 def test_in_lock_step_pairs_take_theatre_time_and_no_more() -> None:
-    world = World.create(built_in_scene("bench"), paced=False)
+    world = World.create(named_scene("bench"), paced=False)
     arguments = command("sim.cli", "basler", "--world", world.endpoint)
     with ChildProcess("ronna-sim basler", arguments) as cameras:
         left, right = (Client(address) for address in addresses(cameras))

@@ -12,7 +12,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 GENEROUS_S = 5.0  # these machines stall
@@ -46,7 +46,7 @@ ROWS = [
 def test_the_arm_arrives_by_joints_by_lines_and_along_its_tool(
     cycle_ms: int, parameters: tuple[str, ...]
 ) -> None:
-    world = World.create(built_in_scene("mini", seed=5), paced=False)
+    world = World.create(named_scene("mini", seed=5), paced=False)
     rsi, free = own_udp_endpoint(), "tcp://127.0.0.1:0"
     arguments = ["--rsi", rsi, "--eki", free, "--eki-project", free, "--world", world.endpoint]
     arguments += ["--cycle-ms", str(cycle_ms), *(f"--set={one}" for one in parameters)]

@@ -12,7 +12,7 @@ import pytest
 from kuka_clients import Cell
 from mutations import mutations
 
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 COUNT = 2_000
@@ -31,7 +31,7 @@ REQUESTS = (b'<External REQTYPE="5" CycleTime="1" ControlMode="1"></External>\n'
 
 @pytest.fixture
 def cell() -> Iterator[Cell]:
-    world = World.create(built_in_scene("mini", seed=5), paced=False)
+    world = World.create(named_scene("mini", seed=5), paced=False)
     with ExitStack() as stack:
         yield Cell(stack, world=world)
     world.clock.close()

@@ -20,13 +20,13 @@ from ronna_hw.wire.polaris import FRAME_RATE_HZ, PortStatus, SystemStatus
 from sim.polaris.tools.definition import write_definition
 from sim.theatre.process import load_scene
 from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import built_in_scene, robot_frame
+from sim.theatre.scene.named_scenes import named_scene, robot_frame
 from sim.theatre.world import World
 
 pytest.importorskip("ndicapy")
 
 PTY, TCP = "serial-pty", "tcp://127.0.0.1:0"
-SCENE = built_in_scene("bench")
+SCENE = named_scene("bench")
 STRAYS = len(SCENE.tracker.strays_mm)
 # Three planar tools whose 18 segments differ by 3 mm and more, and triangles, which a unit finds too alike.
 TOOLS = (

@@ -21,8 +21,8 @@ from drivers.kuka_rsi.realtime.histogram import bin_of
 from drivers.kuka_rsi.realtime.link_state import Command, Orders, Phase, Record
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
 from drivers.kuka_rsi.realtime.rehearsal import Rehearsal
-from drivers.kuka_rsi.realtime.replies import Ready
-from drivers.kuka_rsi.realtime.responder import SESSION_PHASES, Session
+from drivers.kuka_rsi.realtime.replies import PreparedReply
+from drivers.kuka_rsi.realtime.responder import STREAMING_PHASES, Responder
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received
 from drivers.kuka_rsi.realtime.telegram import (
@@ -32,7 +32,7 @@ from drivers.kuka_rsi.realtime.telegram import (
     read_strictly,
     telegram_of,
 )
-from drivers.kuka_rsi.realtime.telegram_receiver import Reception
+from drivers.kuka_rsi.realtime.telegram_receiver import TelegramReceiver
 from ronna_hw.host.processor_affinity import ProcessorAffinity
 
 # Without the parent, no telegram for so long: nobody is left to answer.
@@ -59,10 +59,10 @@ class LinkLoop:
         real_time: bool = False,
         locked: bool = False,
     ) -> None:
-        self.session = Session(settings)
+        self.responder = Responder(settings)
         self._reader = TelegramReader(settings.send_tags)
         self._sockets = LinkSockets(link)
-        self._reception = Reception(
+        self._receiver = TelegramReceiver(
             self._sockets, lead_ns=settings.rehearsal_lead_us * 1000, rehearse=self._rehearse
         )
         self._rehearsal = Rehearsal()
@@ -101,19 +101,19 @@ class LinkLoop:
 
     def _receive(self) -> Received | None:
         """The controller's newest telegram, or None when none came for a while."""
-        if self._peer is not None and self.session.phase not in SESSION_PHASES:
+        if self._peer is not None and self.responder.phase not in STREAMING_PHASES:
             self._part()
-        received = self._reception.next()
+        received = self._receiver.next()
         if received is None:
             return None
-        self._received_ns = self._reception.received_ns
+        self._received_ns = self._receiver.received_ns
         # The usual sender first: a call costs as much as the reading of a telegram.
         newest = None if received[1] != self._peer and self._is_foreign(received[1]) else received
         # What was held up comes in a bunch, one behind the other: only its end is worth an answer.
         late = self._received_ns - self._answered_ns >= self._late_ns
         if late:
             time.sleep(BUNCH_S)
-        if late or self._reception.queued:
+        if late or self._receiver.queued:
             newest = self._drain(newest)
         return newest
 
@@ -122,14 +122,14 @@ class LinkLoop:
             while self._sockets.something_there():
                 received = self._sockets.receive(socket.MSG_DONTWAIT)
                 if not self._is_foreign(received[1]):
-                    self.session.dropped += newest is not None
+                    self.responder.dropped += newest is not None
                     newest = received
         except OSError:
             pass
         return newest
 
     def _meet(self, peer: Address) -> None:
-        """A controller has opened a session."""
+        """A controller has opened a responder."""
         self._mailbox.clear_histograms()
         self._peer = peer
         self._sockets.meet(peer)
@@ -146,47 +146,47 @@ class LinkLoop:
             if address is None:
                 return
             if address != self._peer:  # its own may still lie there from before the session
-                self.session.met_foreign(address[0])
+                self.responder.met_foreign(address[0])
 
     def _is_foreign(self, address: Address) -> bool:
-        session = self.session
-        if session.phase in SESSION_PHASES:
+        responder = self.responder
+        if responder.phase in STREAMING_PHASES:
             foreign = address != self._peer
         else:
             foreign = bool(self._controller_host) and address[0] != self._controller_host
         if foreign:
-            session.met_foreign(address[0])
+            responder.met_foreign(address[0])
         return foreign
 
     def _serve(self, data: bytes, address: Address) -> None:
-        session = self.session
+        responder = self.responder
         found, ready = self._foreseen(data)
         if found is not None and ready is not None:
             self._send(ready.reply, address)
             self._last_data = data
             orders, telegram = self._mailbox.orders(), telegram_of(found)
-            session.answered(telegram, orders, self._received_ns)
+            responder.answered(telegram, orders, self._received_ns)
             self._after_reply(telegram.ipoc, orders)
             return
         orders = self._mailbox.orders()
         try:
             telegram = telegram_of(found) if found is not None else read_strictly(data)
         except BadTelegram:
-            session.rejected += 1
+            responder.rejected += 1
             self._look_around()
             return
-        if session.phase is Phase.ARMED:
+        if responder.phase is Phase.ARMED:
             self._meet(address)
-        head = session.answer(telegram, orders, self._received_ns)
+        head = responder.answer(telegram, orders, self._received_ns)
         if head is None:
             self._look_around()
             return
         self._send(head + telegram.ipoc + REPLY_TAIL, address)
         self._after_reply(telegram.ipoc, orders)
 
-    def _foreseen(self, data: bytes) -> tuple[Found | None, Ready | None]:
+    def _foreseen(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
         """A telegram of the usual form, and the reply made ready when that is the one to send."""
-        found, ready = self._reader.match(data), self.session.ready
+        found, ready = self._reader.match(data), self.responder.ready
         if (
             ready is None
             or found is None
@@ -205,36 +205,36 @@ class LinkLoop:
         try:
             self._sockets.send(reply, address)
         except OSError:
-            self.session.rejected += 1
+            self.responder.rejected += 1
         sent_ns = time.monotonic_ns()
         if self._received_ns - self._answered_ns > self._paced_ns:
             time.sleep(GIVEN_AWAY_S)
-            if self._reception.paced():
+            if self._receiver.paced():
                 self._processor.follow(self._sockets.processor())
         else:
-            self._reception.hurried()
+            self._receiver.hurried()
             self._processor.free()
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 
     def _after_reply(self, ipoc: bytes, orders: Orders) -> None:
         """Prepare the next reply, and keep account of this one."""
-        session, mailbox = self.session, self._mailbox
-        self._stop_sent = session.phase is Phase.ENDING
-        session.after_reply(self._new_command(orders.command_number))
+        responder, mailbox = self.responder, self._mailbox
+        self._stop_sent = responder.phase is Phase.ENDING
+        responder.after_reply(self._new_command(orders.command_number))
         mailbox.count_turnaround(bin_of(self._turnaround_us))
-        mailbox.count_jitter(bin_of(session.jitter_us))
-        self._cycles_since_fault = self._cycles_since_fault + 1 if session.fault else 0
+        mailbox.count_jitter(bin_of(responder.jitter_us))
+        self._cycles_since_fault = self._cycles_since_fault + 1 if responder.fault else 0
         if self._cycles_since_fault <= RECORDED_AFTER_FAULT:
             mailbox.record(
                 Record(
-                    session.cycles,
+                    responder.cycles,
                     int(ipoc),
                     self._received_ns,
                     self._turnaround_us,
-                    session.measured_rad,
-                    session.sent_rad,
-                    session.choice,
+                    responder.measured_rad,
+                    responder.sent_rad,
+                    responder.choice,
                 )
             )
         self._look_at_strangers()
@@ -243,10 +243,10 @@ class LinkLoop:
     def _look_around(self) -> None:
         self._look_at_strangers()
         orders = self._mailbox.orders()
-        self.session.idle(orders, time.monotonic_ns())
+        self.responder.idle(orders, time.monotonic_ns())
         command = self._new_command(orders.command_number)
         if command is not None:
-            self.session.take(command)
+            self.responder.take(command)
         self._publish()
 
     def _new_command(self, number: int) -> Command | None:
@@ -261,7 +261,7 @@ class LinkLoop:
 
     def _publish(self) -> None:
         real_time, locked = self._granted
-        state = self.session.state(real_time=real_time, locked=locked)
+        state = self.responder.state(real_time=real_time, locked=locked)
         self._mailbox.write_state(state)
         self._mailbox.say_alive(time.monotonic_ns())
         told = (
@@ -277,15 +277,15 @@ class LinkLoop:
             os.eventfd_write(self._event_fd, 1)
 
     def _done(self) -> bool:
-        session = self.session
-        if not session.parent_gone:
+        responder = self.responder
+        if not responder.parent_gone:
             return False
-        if session.phase not in SESSION_PHASES:
+        if responder.phase not in STREAMING_PHASES:
             return True
-        if session.phase is Phase.ENDING:
+        if responder.phase is Phase.ENDING:
             self._ending_cycles += 1
         quiet_ns = QUIET_AFTER_STOP_NS if self._stop_sent else QUIET_BEFORE_STOP_NS
         return (
             self._ending_cycles > LONGEST_ENDING_CYCLES
-            or session.silent_for_ns(time.monotonic_ns()) > quiet_ns
+            or responder.silent_for_ns(time.monotonic_ns()) > quiet_ns
         )

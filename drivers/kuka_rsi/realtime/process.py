@@ -64,15 +64,15 @@ def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
     def lifeline() -> None:
         while os.read(0, 1):
             pass
-        loop.session.parent_gone = True
+        loop.responder.parent_gone = True
 
     def parent_died(_signal: int, _frame: FrameType | None) -> None:
         # The system says so also when only the thread that started us has ended.
         if os.getppid() != parent_pid:
-            loop.session.parent_gone = True
+            loop.responder.parent_gone = True
 
     def terminated(_signal: int, _frame: FrameType | None) -> None:
-        loop.session.parent_gone = True
+        loop.responder.parent_gone = True
 
     signal.signal(PARENT_DEATH_SIGNAL, parent_died)
     signal.signal(signal.SIGTERM, terminated)
@@ -80,7 +80,7 @@ def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal_on_parent_death()
     if os.getppid() != parent_pid:
-        loop.session.parent_gone = True
+        loop.responder.parent_gone = True
     threading.Thread(target=lifeline, name="lifeline", daemon=True).start()
 
 

@@ -13,7 +13,7 @@ from ronna_hw.devices.readings import JointVector
 NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class Ready(NamedTuple):
+class PreparedReply(NamedTuple):
     """The whole reply to the telegram that is expected next, should it tell nothing new."""
 
     told: tuple[bytes, bytes]  # Delay and IPOC: the controller's count unchanged, the next cycle
@@ -45,11 +45,11 @@ class Replies:
             hold = self.head(points.last_rad, ending)
             self.heads = (hold, hold)
 
-    def whole(self, choice: Choice, *, last_ipoc: int, told_delay: int, stop_word: int) -> Ready:
+    def whole(self, choice: Choice, *, last_ipoc: int, told_delay: int, stop_word: int) -> PreparedReply:
         """The reply to the next telegram, up to its last byte."""
         ipoc = str(last_ipoc + self._cycle_ms).encode()
         delay = str(told_delay).encode() if told_delay >= 0 else b""
-        return Ready((delay, ipoc), stop_word, choice, self.heads[choice] + ipoc + REPLY_TAIL)
+        return PreparedReply((delay, ipoc), stop_word, choice, self.heads[choice] + ipoc + REPLY_TAIL)
 
     def head(self, joints_rad: JointVector, stop: bool) -> bytes:
         """Everything before the IPOC; corrections in deg with six decimals."""

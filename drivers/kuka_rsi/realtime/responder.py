@@ -26,7 +26,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     StopOrder,
 )
 from drivers.kuka_rsi.realtime.losses import Losses
-from drivers.kuka_rsi.realtime.replies import Ready, Replies
+from drivers.kuka_rsi.realtime.replies import PreparedReply, Replies
 from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
@@ -48,10 +48,10 @@ _STOP_FAULTS = {
     StopOrder.LINK: Fault.LINK_STOP,
     StopOrder.DRIVES_OFF: Fault.DRIVES_OFF,
 }
-SESSION_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
+STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
 
 
-class Session:
+class Responder:
     """State of the link across cycles. `answer`, send, `after_reply`; `idle` when nothing comes."""
 
     def __init__(self, settings: LinkSettings) -> None:
@@ -75,7 +75,7 @@ class Session:
         self.jitter_us = 0.0  # how far the last telegram was from its place in the pace
         self.parent_gone = False
         self.choice = Choice.GO
-        self.ready: Ready | None = None
+        self.ready: PreparedReply | None = None
         self._heartbeat = (0, 0)  # value, and when it was first seen
         self._stop_word = 0  # the last order seen
         self._command_number = 0
@@ -118,7 +118,7 @@ class Session:
             self._losses.count(ipoc, telegram.delay)
             self._ipoc = ipoc
             return self._begin(telegram.axes_deg)
-        if self.phase not in SESSION_PHASES or self._points is None:
+        if self.phase not in STREAMING_PHASES or self._points is None:
             self._ipoc = ipoc
             return None
         missing = self._losses.count(ipoc, telegram.delay)
@@ -212,7 +212,7 @@ class Session:
         """Nothing has come for a while: watch silence and heartbeat, and take stops."""
         self.ready = None
         self._watch_heartbeat(orders.heartbeat, now_ns)
-        if self.phase not in SESSION_PHASES or self._points is None:
+        if self.phase not in STREAMING_PHASES or self._points is None:
             self._stop_word = orders.stop_word
             return
         self._look_at_stop(orders.stop_word)
@@ -378,7 +378,7 @@ class Session:
         unsettled = (
             points.violation is not None or points.path_failed or self.parent_gone or self._losses.unusable
         )
-        if unsettled or self.phase not in SESSION_PHASES:
+        if unsettled or self.phase not in STREAMING_PHASES:
             return
         self.ready = self._replies.whole(
             Choice.STOP if self._stopping else Choice.GO,

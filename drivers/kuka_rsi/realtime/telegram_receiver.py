@@ -16,7 +16,7 @@ from drivers.kuka_rsi.realtime.sockets import IDLE_LOOK_S, LinkSockets, Received
 _NS = 1e9
 
 
-class Reception:
+class TelegramReceiver:
     """Waits for one telegram after the other."""
 
     def __init__(

@@ -10,17 +10,17 @@ from collections import deque
 from collections.abc import Sequence
 from math import exp
 
-from sim.kuka.arm.robot_description import AXES, Description
+from sim.kuka.arm.robot_description import AXES, RobotDescription
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
 
 STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis that has caught up so far sticks again; fast ones slide
 
 
-class MovingArm:
+class Drives:
     """Six axes that follow a command. `step` is called once per cycle."""
 
     def __init__(
-        self, arm: Description, start_deg: Sequence[float], parameters: ControllerParameters
+        self, arm: RobotDescription, start_deg: Sequence[float], parameters: ControllerParameters
     ) -> None:
         self._parameters = parameters
         self._acceleration_deg_s2 = [joint.acceleration_deg_s2 for joint in arm.joints]

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from sim.kuka.arm.robot_description import AXES, FLANGE_PITCH_DEG, Description
+from sim.kuka.arm.robot_description import AXES, FLANGE_PITCH_DEG, RobotDescription
 from sim.theatre.rigid import rotation_from_vector
 from sim.theatre.scene.model import LinkError
 
@@ -24,13 +24,13 @@ POSITION_TOLERANCE_MM = 1e-6
 STEPS_LIMIT = 30
 
 
-class Chain:
+class JointChain:
     """Forward kinematics of the flange in $ROBROOT. Millimetres and radians.
 
     `links` are the errors of the links that follow A1 .. A6, each added at the link's far end.
     """
 
-    def __init__(self, arm: Description, links: Sequence[LinkError] | None = None) -> None:
+    def __init__(self, arm: RobotDescription, links: Sequence[LinkError] | None = None) -> None:
         self._model = pin.Model()
         parent = 0
         for number, joint in enumerate(arm.joints):

@@ -9,8 +9,8 @@ from math import degrees, dist, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.kuka.arm.drives import MovingArm
-from sim.kuka.arm.joint_chain import Chain, rotation_vector
+from sim.kuka.arm.drives import Drives
+from sim.kuka.arm.joint_chain import JointChain, rotation_vector
 from sim.kuka.arm.orientation import frame_of
 from sim.kuka.arm.posture import axes_of_posture
 from sim.kuka.arm.robot_description import description
@@ -36,8 +36,8 @@ class Manipulator:
         parameters: ControllerParameters,
     ) -> None:
         self.description = description(truth.variant)
-        self.drives = MovingArm(self.description, truth.home_deg, parameters)
-        self._nominal = Chain(self.description)
+        self.drives = Drives(self.description, truth.home_deg, parameters)
+        self._nominal = JointChain(self.description)
         self._true = TrueArm(truth, seed)
         self._publish = publish
         self._tool: Matrix | None = None  # $TOOL, None is the flange

@@ -8,7 +8,7 @@ from math import atan2, cos, degrees, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.kuka.arm.robot_description import Description
+from sim.kuka.arm.robot_description import RobotDescription
 
 Matrix = NDArray[np.float64]
 GIMBAL_LIMIT = 1e-9  # cosine of B below which only A - C or A + C is defined
@@ -49,7 +49,7 @@ def pose_of_frame(frame: Sequence[float]) -> Matrix:
     )
 
 
-def status_and_turn(arm: Description, axes_deg: Sequence[float]) -> tuple[int, int]:
+def status_and_turn(arm: RobotDescription, axes_deg: Sequence[float]) -> tuple[int, int]:
     """S and T of E6POS. Bits of S: wrist root behind A1, A3 beyond the stretched arm, A5 not positive."""
     A2, A3, A5 = axes_deg[1], axes_deg[2], axes_deg[4]
     shoulder_mm = arm.joints[1].origin_mm[0]

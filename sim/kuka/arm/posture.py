@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.kuka.arm.orientation import ABOVE_STRETCH, OVERHEAD, WRIST_NOT_POSITIVE
-from sim.kuka.arm.robot_description import FLANGE_PITCH_DEG, Description
+from sim.kuka.arm.robot_description import FLANGE_PITCH_DEG, RobotDescription
 from sim.theatre.rigid import rotation_from_vector
 
 Matrix = NDArray[np.float64]
@@ -21,7 +21,7 @@ ZERO_DEG = 0.01  # a frame of four decimals does not say on which side of zero i
 
 
 def axes_of_posture(
-    arm: Description, flange: Matrix, status: int, turn: int, near_deg: Sequence[float]
+    arm: RobotDescription, flange: Matrix, status: int, turn: int, near_deg: Sequence[float]
 ) -> list[float] | None:
     """Axes (deg) that bring the flange (4, 4, in $ROBROOT) to a pose in the posture S T.
 
@@ -41,7 +41,7 @@ def axes_of_posture(
 
 
 def axes_of_status(
-    arm: Description, flange: Matrix, status: int, near_A4: float = 0.0
+    arm: RobotDescription, flange: Matrix, status: int, near_A4: float = 0.0
 ) -> tuple[float, float, float, float, float, float] | None:
     """Axes (rad, each but for whole turns) that bring the flange (4, 4, in $ROBROOT) to a pose with status S.
 

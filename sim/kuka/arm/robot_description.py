@@ -29,7 +29,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Description:
+class RobotDescription:
     """An arm. `variant` is also what the controller calls itself, `model` what $ROBTRAFO[] holds."""
 
     variant: Variant
@@ -61,14 +61,16 @@ def _arm(
     )
 
 
-_DESCRIPTIONS: dict[Variant, Description] = {
-    "kr6_r900_sixx": Description(
+_DESCRIPTIONS: dict[Variant, RobotDescription] = {
+    "kr6_r900_sixx": RobotDescription(
         "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _arm(35.0, 80.0, (381.0, 388.0, 615.0))
     ),
-    "kr6_r900_2": Description("kr6_r900_2", "#KR6R900_2_C4SR_FLR", _arm(25.0, 90.0, (450.0, 450.0, 540.0))),
+    "kr6_r900_2": RobotDescription(
+        "kr6_r900_2", "#KR6R900_2_C4SR_FLR", _arm(25.0, 90.0, (450.0, 450.0, 540.0))
+    ),
 }
 
 
-def description(variant: Variant) -> Description:
+def description(variant: Variant) -> RobotDescription:
     """The machine data of a variant."""
     return _DESCRIPTIONS[variant]

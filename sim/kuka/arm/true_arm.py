@@ -14,7 +14,7 @@ from math import cos, exp, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.robot_description import description
 from sim.theatre.noise import noise
 from sim.theatre.scene.model import ArmTruth
@@ -31,7 +31,7 @@ class TrueArm:
 
     def __init__(self, truth: ArmTruth, seed: int) -> None:
         arm = description(truth.variant)
-        self._chain = Chain(arm, truth.links)
+        self._chain = JointChain(arm, truth.links)
         self._seed = seed
         self._repeatability_mm = truth.repeatability_mm
         direction = noise(seed, DRIFT, 0).normal(size=3)

@@ -13,7 +13,7 @@ from ronna_hw.wire.kuka_context import RsiContext, context_hash
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
 from sim.kuka.arm.manipulator import Manipulator
 from sim.kuka.controller.frame_table import FrameTable
-from sim.kuka.controller.interlocks import Cell
+from sim.kuka.controller.interlocks import Interlocks
 from sim.kuka.controller.messages import (
     Message,
     collision,
@@ -24,7 +24,7 @@ from sim.kuka.controller.messages import (
     tripped,
 )
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
-from sim.kuka.eki.acknowledgement import DONE, Answer
+from sim.kuka.eki.acknowledgement import DONE, Acknowledgement
 from sim.kuka.eki.motion import EkiMotion
 from sim.kuka.rsi.program_run import RsiRun, RunSettings, StartPose
 from sim.kuka.rsi.reply_reader import Reply
@@ -48,7 +48,7 @@ class Controller:
         self.context_hash = context_hash(context)
         self.arm = arm
         self.mounted_tool = mounted_tool
-        self.cell = Cell()
+        self.interlocks = Interlocks()
         self.frames = FrameTable(arm)
         self.drives_on = False
         self.override_percent = FULL_OVERRIDE
@@ -84,27 +84,27 @@ class Controller:
     @property
     def may_move(self) -> bool:
         """True when a program could move the arm now."""
-        return self.drives_on and not self.cell.forbids_drives and self.message is None
+        return self.drives_on and not self.interlocks.forbids_drives and self.message is None
 
-    def ready(self) -> Answer:
+    def ready(self) -> Acknowledgement:
         """Whether a program may begin to move the arm now, and if not why."""
         if self.run is not None:
-            return Answer(AckCode.BUSY, "RSI is running")
+            return Acknowledgement(AckCode.BUSY, "RSI is running")
         if self.motion is not None:
-            return Answer(AckCode.BUSY, "a motion is under way")
-        forbidden = self.cell.forbids_program
+            return Acknowledgement(AckCode.BUSY, "a motion is under way")
+        forbidden = self.interlocks.forbids_program
         if forbidden:
-            return Answer(AckCode.REFUSED, forbidden)
-        if self.cell.forbids_drives:
-            return Answer(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
+            return Acknowledgement(AckCode.REFUSED, forbidden)
+        if self.interlocks.forbids_drives:
+            return Acknowledgement(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
         if self.message is not None:
-            return Answer(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
+            return Acknowledgement(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
         if not self.drives_on:
-            return Answer(AckCode.NOT_READY, "drives off")
+            return Acknowledgement(AckCode.NOT_READY, "drives off")
         if self.program_state not in IDLE_PROGRAM_STATES:
-            return Answer(AckCode.REFUSED, f"program is {self.program_state}")
+            return Acknowledgement(AckCode.REFUSED, f"program is {self.program_state}")
         if self.moving:
-            return Answer(AckCode.BUSY, "arm is moving")
+            return Acknowledgement(AckCode.BUSY, "arm is moving")
         return DONE
 
     # -- the program
@@ -116,13 +116,13 @@ class Controller:
         correction: str | None = None,
         *,
         counts_from_first_reply: bool = False,
-    ) -> Answer:
+    ) -> Acknowledgement:
         """RSI_ON with the context's settings, or with others."""
         answer = self.ready()
         if answer is not DONE:
             return answer
         if correction is not None and not self._wired.get(correction, False):
-            return Answer(AckCode.BAD_VALUE, f"the context corrects no {correction}")
+            return Acknowledgement(AckCode.BAD_VALUE, f"the context corrects no {correction}")
         self.cycle_ms = cycle_ms or self.cycle_ms
         self.relative = self.relative if relative is None else relative
         self.runs += 1
@@ -135,7 +135,7 @@ class Controller:
             self.relative,
             self.runs,
             counts_from_first_reply,
-            needs_confirmation=self.cell.manual,
+            needs_confirmation=self.interlocks.manual,
             correction_share=self.override_percent / FULL_OVERRIDE if scales else 1.0,
         )
         arm = self.arm
@@ -144,32 +144,32 @@ class Controller:
         self.program_state = ProState.ACTIVE
         return DONE
 
-    def cancel(self) -> Answer:
+    def cancel(self) -> Acknowledgement:
         """End RSI or a motion and deselect the program; the arm comes to rest on its own."""
         if self.message is not None and self.run is None:
-            return Answer(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
+            return Acknowledgement(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
         if self.motion is not None:
             self.arm.drives.brake()
         self._abort_motion("cancelled")
         self._end_run(ProState.FREE)
         return DONE
 
-    def select(self) -> Answer:
+    def select(self) -> Acknowledgement:
         """Select the program without starting it."""
         if self.run is not None or self.motion is not None or self.message is not None:
-            return Answer(AckCode.REFUSED, f"program is {self.program_state}")
+            return Acknowledgement(AckCode.REFUSED, f"program is {self.program_state}")
         self.program_state = ProState.RESET
         return DONE
 
-    def stop(self, *, fast: bool = False) -> Answer:
+    def stop(self, *, fast: bool = False) -> Acknowledgement:
         """Stop the program without cancelling it: the arm brakes, RSI may go on streaming."""
         self._interrupt("stopped", fast=fast)
         return DONE
 
-    def acknowledge(self) -> Answer:
+    def acknowledge(self) -> Acknowledgement:
         """Acknowledge the message and reset the program; a question of a running program is confirmed."""
-        if self.cell.emergency_stop or self.cell.guard_matters:
-            return Answer(AckCode.NOT_READY, "emergency stop or guard")
+        if self.interlocks.emergency_stop or self.interlocks.guard_matters:
+            return Acknowledgement(AckCode.NOT_READY, "emergency stop or guard")
         if self.message is None and self.run is not None and self.run.awaits_confirmation:
             self.run.confirm()
             return DONE
@@ -188,10 +188,10 @@ class Controller:
 
     # -- drives and safety
 
-    def switch_drives(self, on: bool) -> Answer:
+    def switch_drives(self, on: bool) -> Acknowledgement:
         """Drives on or off; off stops the arm."""
-        if on and self.cell.forbids_drives:
-            return Answer(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
+        if on and self.interlocks.forbids_drives:
+            return Acknowledgement(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
         if not on:
             self._interrupt("drives off")
         self.drives_on = on
@@ -199,35 +199,35 @@ class Controller:
 
     def press_emergency_stop(self, pressed: bool) -> None:
         """The button on the pendant. After its release the message is acknowledged."""
-        self.cell.emergency_stop = pressed
+        self.interlocks.emergency_stop = pressed
         if pressed:
             self._stop_with(emergency_stop(self.parameters.emergency_stop_message))
 
     def open_guard(self, is_open: bool) -> None:
         """The safety gate; in the automatic modes it stops the arm."""
-        self.cell.guard_open = is_open
-        if self.cell.guard_matters:
+        self.interlocks.guard_open = is_open
+        if self.interlocks.guard_matters:
             self._stop_with(guard_opened(self.parameters.guard_message))
 
     def turn_key(self, mode: OperationMode) -> None:
         """The key switch; a change stops a running program and switches the drives off."""
-        if mode is not self.cell.mode:
+        if mode is not self.interlocks.mode:
             self._interrupt(f"mode {mode}")
             self.drives_on = False
-        self.cell.mode = mode
+        self.interlocks.mode = mode
 
     def hold_enabling_switch(self, held: bool) -> None:
         """The switch behind the pendant; letting it go in a test mode stops what runs."""
-        self.cell.enabling_switch = held
-        if self.cell.manual and not held:
+        self.interlocks.enabling_switch = held
+        if self.interlocks.manual and not held:
             if self.run is not None or self.motion is not None:
                 self._stop_with(enabling_switch_released(self.parameters.enabling_switch_message))
             self.drives_on = False
 
     def hold_start_key(self, held: bool) -> None:
         """The start key; letting it go in a test mode stops the program."""
-        self.cell.start_key = held
-        if self.cell.manual and not held and (self.run is not None or self.motion is not None):
+        self.interlocks.start_key = held
+        if self.interlocks.manual and not held and (self.run is not None or self.motion is not None):
             self._interrupt("start key released")
 
     def collide(self) -> None:
@@ -261,24 +261,24 @@ class Controller:
 
     # -- override
 
-    def set_override(self, percent: int) -> Answer:
+    def set_override(self, percent: int) -> Acknowledgement:
         """Program override, of the motions of the EKI program and of the next runs' corrections at most."""
         if not 1 <= percent <= FULL_OVERRIDE:
-            return Answer(AckCode.BAD_VALUE, "override is 1 to 100")
+            return Acknowledgement(AckCode.BAD_VALUE, "override is 1 to 100")
         self.override_percent = percent
         return DONE
 
-    def set_tool(self, number: int, frame: Sequence[float]) -> Answer:
+    def set_tool(self, number: int, frame: Sequence[float]) -> Acknowledgement:
         """Define a $TOOL, X Y Z (mm) A B C (deg) in the flange frame, and use it."""
         if self.run is not None or self.motion is not None:
-            return Answer(AckCode.REFUSED, "a program is running")
+            return Acknowledgement(AckCode.REFUSED, "a program is running")
         self.frames.set_tool(number, frame)
         return DONE
 
-    def set_base(self, number: int, frame: Sequence[float]) -> Answer:
+    def set_base(self, number: int, frame: Sequence[float]) -> Acknowledgement:
         """Define a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT, and use it."""
         if self.run is not None or self.motion is not None:
-            return Answer(AckCode.REFUSED, "a program is running")
+            return Acknowledgement(AckCode.REFUSED, "a program is running")
         self.frames.set_base(number, frame)
         return DONE
 
@@ -302,7 +302,7 @@ class Controller:
             self.arm.settle()
         elif self._overloaded:
             self.arm.settle()
-        elif self.cell.manual:
+        elif self.interlocks.manual:
             before = self.arm.frame
             self.arm.follow(run.command_deg, heard=reply is not None)
             self._watch_T1(before)
@@ -332,7 +332,7 @@ class Controller:
 
     def _watch_T1(self, before: Sequence[float]) -> None:
         """In T1 the speed of the tool is watched: too fast is a stop, not a slower motion."""
-        if self.cell.mode is not OperationMode.T1:
+        if self.interlocks.mode is not OperationMode.T1:
             return
         speed_mm_s = dist(before[:3], self.arm.frame[:3]) / (self.cycle_ms / 1000.0)
         limit_mm_s = self.parameters.T1_tool_speed_mm_s
@@ -373,7 +373,7 @@ class Controller:
     def _abort_motion(self, reason: str) -> None:
         motion, self.motion = self.motion, None
         if motion is not None:
-            motion.tell(Answer(AckCode.ABORTED, reason))
+            motion.tell(Acknowledgement(AckCode.ABORTED, reason))
 
     def _end_run(self, state: ProState) -> None:
         self.run = None

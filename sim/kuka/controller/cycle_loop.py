@@ -18,11 +18,11 @@ import time
 from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.controller.autostart import Autostart
 from sim.kuka.controller.controller import Controller
-from sim.kuka.controller.message_display import Pendant
+from sim.kuka.controller.message_display import MessageDisplay
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import EkiServer
-from sim.kuka.faults.controller_faults import CellFaults
+from sim.kuka.faults.controller_faults import ControllerFaults
 from sim.kuka.faults.fault_log import FaultLog
 from sim.kuka.faults.link_faults import LinkFaults
 from sim.kuka.rsi.program_run import RsiRun
@@ -39,7 +39,7 @@ UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
 STALE_LIMIT = 256  # datagrams read in one cycle; a flood must not stop the clock
 
 
-class Station:
+class CycleLoop:
     """Runs a controller until `end` is called."""
 
     def __init__(
@@ -59,8 +59,8 @@ class Station:
         self._takes_second = controller.parameters.second_reply == "taken"
         self._link = LinkFaults(world.scene.seed, log, takes_second=self._takes_second)
         board = FaultBoard(world, "robot", self._cycle_number)
-        self._cell = CellFaults(board, controller, self._servers, self._link, log)
-        self._pendant = Pendant(world.clock.now_s)
+        self._cell = ControllerFaults(board, controller, self._servers, self._link, log)
+        self._pendant = MessageDisplay(world.clock.now_s)
         self._project = ProjectChannel(project_server, controller, autostart)
         self._sdk = SdkChannel(sdk_server, controller, autostart)
         self._autostart = autostart

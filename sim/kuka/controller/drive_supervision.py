@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from sim.kuka.arm.robot_description import Description
+from sim.kuka.arm.robot_description import RobotDescription
 from sim.kuka.controller.messages import (
     Message,
     end_switch,
@@ -28,7 +28,12 @@ class Supervision:
     """Judges every new command against those before; one object per run."""
 
     def __init__(
-        self, arm: Description, cycle_s: float, parameters: ControllerParameters, *, cartesian: bool = False
+        self,
+        arm: RobotDescription,
+        cycle_s: float,
+        parameters: ControllerParameters,
+        *,
+        cartesian: bool = False,
     ) -> None:
         """`cartesian`: a pose is corrected, and a wrist axis that cannot follow means a singularity."""
         self._arm = arm

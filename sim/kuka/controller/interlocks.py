@@ -10,7 +10,7 @@ MANUAL_MODES = (OperationMode.T1, OperationMode.T2)
 
 
 @dataclass
-class Cell:
+class Interlocks:
     """What people and interlocks do. In T1 and T2 somebody stands there and holds the enabling switch."""
 
     mode: OperationMode = OperationMode.EXT

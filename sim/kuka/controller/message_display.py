@@ -8,7 +8,7 @@ from collections.abc import Callable
 from sim.kuka.controller.messages import Message
 
 
-class Pendant:
+class MessageDisplay:
     """`look` as often as something may be new; `now_s` tells the theatre's time."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:

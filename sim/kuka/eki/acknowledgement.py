@@ -7,11 +7,11 @@ from typing import NamedTuple
 from ronna_hw.wire.kuka_eki import AckCode
 
 
-class Answer(NamedTuple):
+class Acknowledgement(NamedTuple):
     """A code, and why."""
 
     code: AckCode = AckCode.OK
     text: str = ""
 
 
-DONE = Answer()
+DONE = Acknowledgement()

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.kuka.arm.joint_chain import rotation_vector
-from sim.kuka.arm.robot_description import Description
+from sim.kuka.arm.robot_description import RobotDescription
 from sim.kuka.controller.messages import Message, end_switch, near_singularity, too_fast
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.kuka.eki.acknowledgement import Answer
+from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.theatre.rigid import rotation_from_vector
 
 Matrix = NDArray[np.float64]
@@ -28,7 +28,7 @@ class EkiMotion:
     """A motion under way. `tell` is called once, with how it ended."""
 
     points: Iterator[list[float] | Message]
-    tell: Callable[[Answer], None]
+    tell: Callable[[Acknowledgement], None]
     message: Message | None = field(default=None, init=False)
 
     def next_point(self) -> list[float] | None:
@@ -59,7 +59,7 @@ def shares(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterat
 
 
 def point_to_point(
-    arm: Description,
+    arm: RobotDescription,
     start_deg: Sequence[float],
     goal_deg: Sequence[float],
     speed_share: float,
@@ -87,7 +87,7 @@ def point_to_point(
 
 
 def line(
-    arm: Description,
+    arm: RobotDescription,
     start: Matrix,
     goal: Matrix,
     start_deg: Sequence[float],
@@ -129,7 +129,7 @@ def line(
 
 
 def _judge(
-    arm: Description,
+    arm: RobotDescription,
     axes_deg: list[float],
     before_deg: list[float],
     parameters: ControllerParameters,

@@ -12,12 +12,12 @@ from ronna_hw.wire.kuka_eki import AckCode, OperationMode
 from sim.kuka.arm.orientation import pose_of_frame
 from sim.kuka.controller.controller import FULL_OVERRIDE, Controller
 from sim.kuka.controller.messages import Message
-from sim.kuka.eki.acknowledgement import Answer
+from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.attributes import axes, frame, number, share, whole
 from sim.kuka.eki.motion import EkiMotion, line, point_to_point
 
 Matrix = NDArray[np.float64]
-ACCEPTED = Answer(AckCode.OK, "accepted")
+ACCEPTED = Acknowledgement(AckCode.OK, "accepted")
 FASTEST_LINE_M_S = 2.0  # $VEL.CP of this arm
 T1_MARGIN = 0.95  # of the tool speed that T1 allows: the way is looked at in steps
 SMALLEST_TRAVEL_MM = 1e-3  # a turn about the tool centre point
@@ -27,15 +27,15 @@ STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T are bits of six
 class EkiMoves:
     """Begins motions; `ended` is told how each of them came to its end."""
 
-    def __init__(self, controller: Controller, ended: Callable[[Answer], None]) -> None:
+    def __init__(self, controller: Controller, ended: Callable[[Acknowledgement], None]) -> None:
         self._controller = controller
         self._ended = ended
 
-    def ptp_axis(self, given: Mapping[str, str]) -> Answer:
+    def ptp_axis(self, given: Mapping[str, str]) -> Acknowledgement:
         """A1..A6 (deg), Vel and Acc (percent)."""
         return self._point_to_point(axes(given), given)
 
-    def ptp_pos(self, given: Mapping[str, str]) -> Answer:
+    def ptp_pos(self, given: Mapping[str, str]) -> Acknowledgement:
         """X..C (mm, deg) in BASE, S, T, Tool, Base, Vel and Acc (percent)."""
         pose = pose_of_frame(frame(given))
         status, turn = whole(given, "S"), whole(given, "T")
@@ -47,10 +47,10 @@ class EkiMoves:
         controller = self._controller
         goal = controller.arm.axes_in_posture(pose, status ^ controller.parameters.inverted_status, turn)
         if goal is None:
-            return Answer(AckCode.LIMIT, f"out of reach in the posture S {status} T {turn}")
+            return Acknowledgement(AckCode.LIMIT, f"out of reach in the posture S {status} T {turn}")
         return self._point_to_point(goal, given)
 
-    def lin(self, given: Mapping[str, str]) -> Answer:
+    def lin(self, given: Mapping[str, str]) -> Acknowledgement:
         """X..C (mm, deg) in BASE, Tool, Base, Vel (m/s); S and T mean nothing on a line."""
         pose = pose_of_frame(frame(given))
         speed_m_s = number(given, "Vel")
@@ -63,9 +63,9 @@ class EkiMoves:
         arm, parameters = controller.arm, controller.parameters
         goal = arm.base @ pose
         if arm.joints_on_the_way(goal) is None:
-            return Answer(AckCode.LIMIT, "no straight way leads there")
+            return Acknowledgement(AckCode.LIMIT, "no straight way leads there")
         speed_mm_s = speed_m_s * 1000.0 * controller.override_percent / FULL_OVERRIDE
-        if controller.cell.mode is OperationMode.T1:
+        if controller.interlocks.mode is OperationMode.T1:
             speed_mm_s = min(speed_mm_s, T1_MARGIN * parameters.T1_tool_speed_mm_s)
         return self._begin(
             line(
@@ -80,7 +80,7 @@ class EkiMoves:
             )
         )
 
-    def _point_to_point(self, goal_deg: list[float], given: Mapping[str, str]) -> Answer:
+    def _point_to_point(self, goal_deg: list[float], given: Mapping[str, str]) -> Acknowledgement:
         speed, acceleration = share(given, "Vel"), share(given, "Acc")
         controller = self._controller
         ready = controller.ready()
@@ -88,10 +88,10 @@ class EkiMoves:
             return ready
         for joint, angle in zip(controller.arm.description.joints, goal_deg, strict=True):
             if not joint.lower_deg <= angle <= joint.upper_deg:
-                return Answer(AckCode.LIMIT, f"{joint.name} {angle:.3f} is beyond its end switch")
+                return Acknowledgement(AckCode.LIMIT, f"{joint.name} {angle:.3f} is beyond its end switch")
         speed *= controller.override_percent / FULL_OVERRIDE
         arm, cycle_s, fastest_1_s = controller.arm, controller.cycle_ms / 1000.0, inf
-        if controller.cell.mode is OperationMode.T1:
+        if controller.interlocks.mode is OperationMode.T1:
             parameters = controller.parameters
             speed *= parameters.T1_axis_speed_share
             travel_mm = max(arm.tool_travel_mm(goal_deg), SMALLEST_TRAVEL_MM)
@@ -100,7 +100,7 @@ class EkiMoves:
             point_to_point(arm.description, arm.axes_deg, goal_deg, speed, acceleration, cycle_s, fastest_1_s)
         )
 
-    def _prepared(self, given: Mapping[str, str]) -> Answer | None:
+    def _prepared(self, given: Mapping[str, str]) -> Acknowledgement | None:
         """Use the tool and base of a motion when it may begin; else why it may not."""
         controller = self._controller
         ready = controller.ready()
@@ -110,6 +110,6 @@ class EkiMoves:
         frames.use(whole(given, "Tool", frames.tool_number), whole(given, "Base", frames.base_number))
         return None
 
-    def _begin(self, points: Iterator[list[float] | Message]) -> Answer:
+    def _begin(self, points: Iterator[list[float] | Message]) -> Acknowledgement:
         self._controller.move(EkiMotion(points, self._ended))
         return ACCEPTED

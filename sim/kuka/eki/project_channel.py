@@ -26,7 +26,7 @@ from ronna_hw.wire.kuka_eki import (
 from sim.kuka.arm.orientation import status_and_turn
 from sim.kuka.controller.autostart import Autostart
 from sim.kuka.controller.controller import Controller
-from sim.kuka.eki.acknowledgement import Answer
+from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.attributes import flag, frame, text, whole
 from sim.kuka.eki.move_commands import EkiMoves
 from sim.kuka.eki.server import EkiServer
@@ -48,7 +48,7 @@ class ProjectChannel:
         self._told: tuple[str, ...] = ()
         self._motion_name = self._motion_id = ""
         moves = EkiMoves(controller, self._motion_ended)
-        self._handlers: dict[str, Callable[[Mapping[str, str]], Answer]] = {
+        self._handlers: dict[str, Callable[[Mapping[str, str]], Acknowledgement]] = {
             CommandName.RSI_START: self._rsi_start,
             CommandName.RSI_STOP: self._rsi_stop,
             CommandName.DRIVES: self._drives,
@@ -76,7 +76,7 @@ class ProjectChannel:
         self._controller.lose_eki()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Answer one command; anything else is skipped."""
+        """Acknowledgement one command; anything else is skipped."""
         if element.tag != CMD:
             return
         identifier, name = element.get("Id", UNASKED), element.get("Name", "")
@@ -88,20 +88,20 @@ class ProjectChannel:
             answer = (
                 handler(element.attrib)
                 if handler is not None
-                else Answer(AckCode.BAD_VALUE, f"unknown command {name}")
+                else Acknowledgement(AckCode.BAD_VALUE, f"unknown command {name}")
             )
         except ValueError as mistake:
-            answer = Answer(AckCode.BAD_VALUE, str(mistake))
+            answer = Acknowledgement(AckCode.BAD_VALUE, str(mistake))
         if name in MOTIONS and answer.code is AckCode.OK:
             self._motion_name, self._motion_id = name, identifier
         self._acknowledge(identifier, name, answer)
         self.tick(time.monotonic())
 
-    def _motion_ended(self, answer: Answer) -> None:
+    def _motion_ended(self, answer: Acknowledgement) -> None:
         """A motion is answered twice: when it was accepted, and when it is done or aborted."""
         self._acknowledge(self._motion_id, self._motion_name, answer)
 
-    def _acknowledge(self, identifier: str, name: str, answer: Answer) -> None:
+    def _acknowledge(self, identifier: str, name: str, answer: Acknowledgement) -> None:
         self._server.send(
             f'<{ACK} Id="{self._text(identifier)}" Cmd="{self._text(name)}" Code="{answer.code.value}"'
             f' Text="{self._text(answer.text)}"></{ACK}>'
@@ -123,10 +123,10 @@ class ProjectChannel:
     def _facts(self) -> tuple[str, ...]:
         controller = self._controller
         return (
-            controller.cell.mode.value,
+            controller.interlocks.mode.value,
             str(int(controller.drives_on)),
-            str(int(controller.cell.emergency_stop)),
-            str(int(controller.cell.guard_open)),
+            str(int(controller.interlocks.emergency_stop)),
+            str(int(controller.interlocks.guard_open)),
             controller.program_state.value,
             str(int(controller.moving)),
             str(controller.override_percent),
@@ -160,7 +160,7 @@ class ProjectChannel:
 
     # -- commands
 
-    def _rsi_start(self, given: Mapping[str, str]) -> Answer:
+    def _rsi_start(self, given: Mapping[str, str]) -> Acknowledgement:
         cycle_ms = whole(given, "Cycle") if "Cycle" in given else None
         if cycle_ms is not None and cycle_ms not in CYCLES_MS:
             raise ValueError("Cycle is 4 or 12")
@@ -169,28 +169,28 @@ class ProjectChannel:
         self._autostart.give_way()
         return self._controller.start(cycle_ms, relative, correction)
 
-    def _rsi_stop(self, _: Mapping[str, str]) -> Answer:
+    def _rsi_stop(self, _: Mapping[str, str]) -> Acknowledgement:
         self._autostart.disarm()
         return self._controller.cancel()
 
-    def _drives(self, given: Mapping[str, str]) -> Answer:
+    def _drives(self, given: Mapping[str, str]) -> Acknowledgement:
         return self._controller.switch_drives(flag(given, "On"))
 
-    def _stop(self, given: Mapping[str, str]) -> Answer:
+    def _stop(self, given: Mapping[str, str]) -> Acknowledgement:
         kind = StopRequest(given.get("Kind", StopRequest.PATH))
         self._autostart.disarm()
         return self._controller.stop(fast=kind is StopRequest.FAST)
 
-    def _set_override(self, given: Mapping[str, str]) -> Answer:
+    def _set_override(self, given: Mapping[str, str]) -> Acknowledgement:
         return self._controller.set_override(whole(given, "Val"))
 
-    def _set_tool(self, given: Mapping[str, str]) -> Answer:
+    def _set_tool(self, given: Mapping[str, str]) -> Acknowledgement:
         number = whole(given, "No")
         if not 1 <= number <= LAST_TOOL:
             raise ValueError(f"No is 1 to {LAST_TOOL}")
         return self._controller.set_tool(number, frame(given))
 
-    def _set_base(self, given: Mapping[str, str]) -> Answer:
+    def _set_base(self, given: Mapping[str, str]) -> Acknowledgement:
         number = whole(given, "No")
         if not 1 <= number <= LAST_BASE:
             raise ValueError(f"No is 1 to {LAST_BASE}")

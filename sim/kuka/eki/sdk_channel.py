@@ -111,7 +111,7 @@ class SdkChannel:
         self._controller.lose_eki()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Answer one request with one response."""
+        """Acknowledgement one request with one response."""
         if element.tag != REQUEST:
             return
         try:
@@ -173,7 +173,7 @@ class SdkChannel:
     def _start(self) -> Event:
         correction = CORRECTIONS.get(self._control_mode)
         controller = self._controller
-        if correction is None or controller.cell.mode is not OperationMode.EXT:
+        if correction is None or controller.interlocks.mode is not OperationMode.EXT:
             return Event.ERROR
         self._autostart.give_way()
         if controller.run is None and controller.program_state is not ProState.FREE:
@@ -206,11 +206,11 @@ class SdkChannel:
             self._control_mode,
             self._cycle,
             int(controller.drives_on),
-            int(controller.cell.emergency_stop),
-            int(controller.cell.guard_open),
+            int(controller.interlocks.emergency_stop),
+            int(controller.interlocks.guard_open),
             int(controller.moving),
             int(controller.may_move and controller.program_state is ProState.ACTIVE),
-            OPERATION_MODES[controller.cell.mode],
+            OPERATION_MODES[controller.interlocks.mode],
             int(controller.message is not None),
         )
 

@@ -23,7 +23,7 @@ EKI_HAPPENINGS: dict[str, Callable[[EkiServer], None]] = {
 }
 
 
-class CellFaults:
+class ControllerFaults:
     """Looks at the script once per cycle and does to the controller what it says."""
 
     def __init__(
@@ -50,21 +50,21 @@ class CellFaults:
         self._log.look(acting)
         self._link.look(acting)
         arguments = {fault.kind.name: fault.argument for fault in acting}
-        controller, cell = self._controller, self._controller.cell
+        controller, interlocks = self._controller, self._controller.interlocks
         mode = OperationMode(arguments.get("mode", OperationMode.EXT))
-        if mode is not cell.mode:
+        if mode is not interlocks.mode:
             controller.turn_key(mode)
         pressed = "emergency_stop" in arguments
-        if pressed is not cell.emergency_stop:
+        if pressed is not interlocks.emergency_stop:
             controller.press_emergency_stop(pressed)
         is_open = "guard" in arguments
-        if is_open is not cell.guard_open:
+        if is_open is not interlocks.guard_open:
             controller.open_guard(is_open)
         held = "enabling_switch" not in arguments
-        if held is not cell.enabling_switch:
+        if held is not interlocks.enabling_switch:
             controller.hold_enabling_switch(held)
         key = "start_key" in arguments
-        if key is not cell.start_key:
+        if key is not interlocks.start_key:
             controller.hold_start_key(key)
         stick = frozenset(int(fault.argument) - 1 for fault in acting if fault.kind.name == "stick")
         controller.arm.drives.stick(stick)

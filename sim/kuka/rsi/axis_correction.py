@@ -11,7 +11,7 @@ from ronna_hw.wire.kuka_context import (
     AxisCorrection,
     AxisMonitor,
 )
-from sim.kuka.arm.robot_description import AXES, Description
+from sim.kuka.arm.robot_description import AXES, RobotDescription
 from sim.kuka.controller.messages import Message, out_of_range
 
 ACTIVE_BIT = 1  # bit 0 of Stat; bit n says that axis n is at a limit
@@ -22,7 +22,7 @@ class AxisCorrector:
 
     def __init__(
         self,
-        arm: Description,
+        arm: RobotDescription,
         base_deg: Sequence[float],
         correction: AxisCorrection | None,
         monitor: AxisMonitor | None,

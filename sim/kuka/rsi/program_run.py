@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import RsiState
-from sim.kuka.arm.robot_description import Description
+from sim.kuka.arm.robot_description import RobotDescription
 from sim.kuka.controller.drive_supervision import Supervision
 from sim.kuka.controller.messages import Message, rsi_bad, rsi_timeout
 from sim.kuka.controller_parameters import ControllerParameters
@@ -69,7 +69,7 @@ class RsiRun:
     def __init__(
         self,
         settings: RunSettings,
-        arm: Description,
+        arm: RobotDescription,
         start: StartPose,
         inverse: Callable[[Matrix, Sequence[float]], list[float] | None],
         parameters: ControllerParameters,

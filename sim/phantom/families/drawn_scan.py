@@ -35,7 +35,7 @@ from sim.theatre.noise import noise
 from sim.theatre.rigid import rotation_towards
 from sim.theatre.scene.head import CAP_AXIS_CT, CENTRE_CT_MM
 from sim.theatre.scene.model import CtProtocol, Fiducial, Head, Scene, Target
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 Vector = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def protocol_named(name: str) -> CtProtocol:
 
 def _scene(family: Family, protocol: str, seed: int, head: Head, fiducials: str) -> Scene:
     words = [family.name, protocol] + ([fiducials] if fiducials != FREE else [])
-    room = built_in_scene("default", seed=seed)
+    room = named_scene("default", seed=seed)
     return room.model_copy(update={"name": "-".join(words), "head": head, "ct": protocol_named(protocol)})
 
 
@@ -103,7 +103,7 @@ def _draw_head(
     sizes = (family.half_width_mm, family.half_depth_mm, family.half_height_mm)
     width, depth, height = (float(generator.uniform(*size)) for size in sizes)
     along = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
-    bare = built_in_scene("default", seed=seed).head.model_copy(
+    bare = named_scene("default", seed=seed).head.model_copy(
         update={"centre_ct_mm": CENTRE_CT_MM, "semi_axes_mm": (width, depth, height)}
     )
     entry, normal = skin_point(bare, along)

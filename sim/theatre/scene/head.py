@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim.errors import BadScene
 from sim.theatre.rigid import apply, matrix_from, pose_of, rotation_from_vector, rotation_towards
 from sim.theatre.scene.model import Fiducial, Head, Target
-from sim.theatre.scene.plan_feasibility import Reach
+from sim.theatre.scene.plan_feasibility import PlanFeasibility
 
 Vector = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def _draw_targets(
     """Trajectories between the spheres that the arm can serve, all in one posture."""
     axis = np.array(CAP_AXIS_CT)
     spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials])
-    reach = Reach(apply(robot_from_ct, spheres))
+    reach = PlanFeasibility(apply(robot_from_ct, spheres))
     targets: list[Target] = []
     drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
     for _ in range(ATTEMPTS):

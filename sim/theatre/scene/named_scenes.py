@@ -33,9 +33,7 @@ BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
 SceneName = Literal["default", "mini", "bench", "bench-near"]
 
 
-def built_in_scene(
-    name: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None
-) -> Scene:
+def named_scene(name: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None) -> Scene:
     """Draw a built-in scene; raises SIM-001 for an unknown name.
 
     The default scene has 5 markers and 3 targets, the mini scene 3 and 1.

@@ -29,7 +29,7 @@ MARGIN_RAD = radians(3.0)  # to the end switches: a coarse registration is some 
 LIMITED = (0, 1, 2, 4)
 
 
-class Reach:
+class PlanFeasibility:
     """The arm at its place, and the spheres (n, 3) it must look at."""
 
     def __init__(self, spheres_mm: Vector, variant: Variant = "kr6_r900_sixx") -> None:

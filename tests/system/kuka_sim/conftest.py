@@ -9,7 +9,7 @@ import pytest
 from kuka_clients import Cell
 from kuka_stage import Stage
 
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 
@@ -21,7 +21,7 @@ def cell() -> Iterator[Callable[..., Cell]]:
 
 @pytest.fixture
 def lock_step_world() -> Iterator[World]:
-    world = World.create(built_in_scene("mini", seed=5), paced=False)
+    world = World.create(named_scene("mini", seed=5), paced=False)
     yield world
     world.clock.close()
 

@@ -11,7 +11,7 @@ from kuka_clients import Cell
 from kuka_stage import Stage, on_a1, rests_at
 
 from ronna_hw.host.control_port import ask_control_port
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 STOPS = [
@@ -214,7 +214,7 @@ def test_a_controller_may_end_rsi_with_a_stop_and_fall_silent(
 
 @pytest.fixture
 def world() -> Iterator[World]:
-    world = World.create(built_in_scene("mini", seed=5), paced=False)
+    world = World.create(named_scene("mini", seed=5), paced=False)
     yield world
     world.clock.close()
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from kuka_clients import LIMIT_S, Cell
 
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 
@@ -80,7 +80,7 @@ def test_the_true_pose_after_a_motion_is_the_same_bit_for_bit(cell: Callable[...
     goal = (5.0, -4.0, 3.0, 2.0, 1.0, 8.0)
     found = []
     for idle in (3, 90):
-        world = World.create(built_in_scene("mini", seed=5), paced=False)
+        world = World.create(named_scene("mini", seed=5), paced=False)
         here = cell(world=world)
         eki, rsi = here.project(), here.rsi
         here.start(eki)

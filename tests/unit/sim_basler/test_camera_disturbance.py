@@ -20,7 +20,7 @@ from sim.errors import BadFaultScript
 from sim.theatre.faults import check_faults, parse_faults
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.theatre.scene.model import CameraTruth
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import ArmState, World
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ FULL = Area(0, 0, 2048, 1088)
 
 def bare_camera() -> CameraTruth:
     """The left camera of a scene, without distortion."""
-    return built_in_scene("default").left.model_copy(
+    return named_scene("default").left.model_copy(
         update={
             "focal_px": (FOCAL_PX, FOCAL_PX),
             "principal_point_px": PRINCIPAL_PX,
@@ -142,7 +142,7 @@ def picture(world: World, truth: CameraTruth, number: int) -> NDArray[np.int16]:
     ],
 )
 def test_a_fault_changes_the_pictures_of_its_cameras_while_it_acts(line: str, sides: str) -> None:
-    world = World.create(built_in_scene("bench"), paced=False)
+    world = World.create(named_scene("bench"), paced=False)
     cameras = {"left": world.scene.left, "right": world.scene.right}
     before = {side: picture(world, truth, 1) for side, truth in cameras.items()}
     world.set_fault_script(f"now: {line} for 1 s")
@@ -155,7 +155,7 @@ def test_a_fault_changes_the_pictures_of_its_cameras_while_it_acts(line: str, si
 
 
 def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
-    world = World.create(built_in_scene("default", seed=4), paced=False)
+    world = World.create(named_scene("default", seed=4), paced=False)
     scene = world.scene
     centre = apply(matrix_of(scene.head.robot_from_ct), scene.head.fiducials[0].centre_ct_mm)
     tool = matrix_from(centre, rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
@@ -173,7 +173,7 @@ def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
 
 
 def test_a_creeping_camera_turns_on_with_the_time_of_the_theatre() -> None:
-    world = World.create(built_in_scene("bench"), paced=False)
+    world = World.create(named_scene("bench"), paced=False)
     left, right = (Disturbances.of(world, truth) for truth in (world.scene.left, world.scene.right))
     world.set_fault_script("at 10 s: camera creep left -0.02 deg per min for 60 s")
     turned_deg = []
@@ -196,4 +196,4 @@ def test_a_creeping_camera_turns_on_with_the_time_of_the_theatre() -> None:
 )
 def test_a_fault_of_sight_that_names_nothing_real_is_refused(line: str, mistake: str) -> None:
     with pytest.raises(BadFaultScript, match=mistake):
-        check_faults(parse_faults(f"now: {line}"), built_in_scene("default"))
+        check_faults(parse_faults(f"now: {line}"), named_scene("default"))

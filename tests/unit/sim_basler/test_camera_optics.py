@@ -21,7 +21,7 @@ from sim.basler.optics.sphere import Sphere
 from sim.theatre.noise import noise
 from sim.theatre.rigid import rotation_from_vector
 from sim.theatre.scene.model import CameraTruth
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 
@@ -135,7 +135,7 @@ def test_a_distorting_lens_moves_every_point_of_the_rim_where_it_should_be() -> 
 
 def bare_camera() -> CameraTruth:
     """The left camera of a scene, without distortion."""
-    truth = built_in_scene("default").left
+    truth = named_scene("default").left
     return truth.model_copy(
         update={
             "focal_px": (FOCAL_PX, FOCAL_PX),
@@ -216,7 +216,7 @@ def test_the_rim_is_as_soft_as_a_thin_lens_makes_it_at_that_depth(depth_mm: floa
 
 
 def test_the_light_is_uneven_in_a_way_of_each_camera_and_darker_in_the_corners() -> None:
-    scene = built_in_scene("default", seed=3)
+    scene = named_scene("default", seed=3)
     left, right = (Lighting(3, camera.serial, (2048, 1088)) for camera in (scene.left, scene.right))
     for light in (left, right):
         on_film = light.on_film(FULL)

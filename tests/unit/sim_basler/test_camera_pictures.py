@@ -16,7 +16,7 @@ from sim.basler.optics.sensor import Sensor
 from sim.basler.view import View
 from sim.theatre.noise import noise
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import ArmState, World
 
 READ_NOISE, FULL_WELL = 13.5, 11900.0
@@ -90,7 +90,7 @@ def test_test_images_are_ramps() -> None:
 
 
 def test_the_same_trigger_number_gives_the_same_bytes() -> None:
-    world = World.create(built_in_scene("bench"), paced=False)
+    world = World.create(named_scene("bench"), paced=False)
     camera = Photographer(world, world.scene.left)
     again = Photographer(world, world.scene.left)
     first = camera.triggered(frame(), 7)
@@ -104,7 +104,7 @@ def brightest(image: bytes) -> int:
 
 
 def test_the_bench_shows_a_sphere_to_both_cameras() -> None:
-    world = World.create(built_in_scene("bench"), paced=False)
+    world = World.create(named_scene("bench"), paced=False)
     for truth in (world.scene.left, world.scene.right):
         pixels = np.frombuffer(Photographer(world, truth).triggered(frame(), 1), np.uint8).reshape(1024, 1024)
         assert 180 < pixels[400:600, 400:600].mean() < 230
@@ -112,7 +112,7 @@ def test_the_bench_shows_a_sphere_to_both_cameras() -> None:
 
 
 def test_without_an_arm_nothing_is_in_view() -> None:
-    world = World.create(built_in_scene("default"), paced=False)
+    world = World.create(named_scene("default"), paced=False)
     assert brightest(Photographer(world, world.scene.left).triggered(frame(), 1)) < 30
 
 
@@ -126,7 +126,7 @@ def at_first_fiducial(world: World, offset_mm: tuple[float, float, float] = (0.0
 
 
 def test_the_sphere_at_the_tool_centre_point_is_where_projection_puts_it() -> None:
-    world = World.create(built_in_scene("default", seed=4), paced=False)
+    world = World.create(named_scene("default", seed=4), paced=False)
     for offset in ((0.0, 0.0, 0.0), (4.0, -3.0, 2.0)):
         at_first_fiducial(world, offset)
         for truth in (world.scene.left, world.scene.right):
@@ -141,7 +141,7 @@ def test_the_sphere_at_the_tool_centre_point_is_where_projection_puts_it() -> No
 
 
 def test_with_the_guide_mounted_the_cameras_see_nothing() -> None:
-    world = World.create(built_in_scene("default"), paced=False)
+    world = World.create(named_scene("default"), paced=False)
     at_first_fiducial(world)
     camera = Photographer(world, world.scene.left)
     assert brightest(camera.triggered(frame(), 1)) > 150
@@ -150,7 +150,7 @@ def test_with_the_guide_mounted_the_cameras_see_nothing() -> None:
 
 
 def test_a_free_running_camera_repeats_ready_pictures_until_the_sight_changes() -> None:
-    world = World.create(built_in_scene("default"), paced=False)
+    world = World.create(named_scene("default"), paced=False)
     at_first_fiducial(world)
     camera = Photographer(world, world.scene.left)
     first = camera.running(frame(), 0)[1]
@@ -164,7 +164,7 @@ def test_a_free_running_camera_repeats_ready_pictures_until_the_sight_changes() 
 
 
 def test_a_picture_of_the_ring_says_what_it_was_taken_with() -> None:
-    world = World.create(built_in_scene("bench"), paced=False)
+    world = World.create(named_scene("bench"), paced=False)
     camera = Photographer(world, world.scene.left)
     small = frame(width=64, height=32)
     settings, image = camera.running(small, 0)

@@ -6,13 +6,13 @@ import pytest
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import Settings
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import ArmState, World
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_picture_is_drawn_wherever_the_head_stands_over_a_sphere(seed: int) -> None:
-    scene = built_in_scene("default", seed=seed)
+    scene = named_scene("default", seed=seed)
     world = World.create(scene, paced=False)
     photographer = Photographer(world, scene.left)
     generator = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ from sim.phantom.scanner import blur
 from sim.phantom.scanner.grid import place_grid
 from sim.phantom.scanner.painting import paint
 from sim.theatre.scene.model import CtProtocol, Scene
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 AXIS = np.linspace(-20.0, 20.0, 81, dtype=np.float32)
 X, Y, Z = AXIS[None, None, :], AXIS[None, :, None], AXIS[:, None, None]
@@ -25,7 +25,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 @pytest.mark.parametrize("name", ["default", "mini", "bench"])
 @pytest.mark.parametrize("seed", range(5))
 def test_all_spheres_and_trajectories_lie_in_the_field(name: str, seed: int) -> None:
-    scene = built_in_scene(name, seed=seed, markers=3 + seed)
+    scene = named_scene(name, seed=seed, markers=3 + seed)
     grid = place_grid(scene.head, scene.ct)
     low = np.array([grid.x_mm[0], grid.y_mm[0], grid.z_mm[0]])
     high = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]])

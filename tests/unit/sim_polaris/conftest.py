@@ -16,7 +16,7 @@ from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.model import SPECTRA, UnitModel
 from sim.polaris.unit.unit import Unit
 from sim.theatre.scene.model import Scene, TrackerTool
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 POINTER = TrackerTool(
@@ -85,7 +85,7 @@ def make_bench() -> Callable[..., Bench]:
         wired: WiredPorts | None = None,
         **behaviour: Any,
     ) -> Bench:
-        world = World.create(scene or built_in_scene("bench"), paced=paced)
+        world = World.create(scene or named_scene("bench"), paced=paced)
         behaviour.setdefault("saved_illuminator_rate", EVERY_FRAME)
         unit = Unit(world, model, UnitBehaviour(**behaviour), wired)
         return Bench(world, unit, CommandInterpreter(unit))

@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.robot_description import description
 from sim.polaris.optics.marker_noise import eyes_mm
 from sim.polaris.scene.disturbance import NONE
 from sim.polaris.scene.line_of_sight import Capsule, Ellipsoid, visible
 from sim.polaris.scene.true_scene import TrueScene
 from sim.theatre.rigid import matrix_of
-from sim.theatre.scene.named_scenes import SceneName, built_in_scene
+from sim.theatre.scene.named_scenes import SceneName, named_scene
 from sim.theatre.world import ArmState, World
 
 EYE = np.zeros((1, 3))
 
 
 def stage_at_home(name: SceneName, seed: int) -> tuple[TrueScene, World]:
-    scene = built_in_scene(name, seed=seed)
+    scene = named_scene(name, seed=seed)
     world = World.create(scene, paced=False)
     joints = tuple(np.radians(scene.arm.home_deg).tolist())
-    flange = Chain(description(scene.arm.variant)).flange(joints)
+    flange = JointChain(description(scene.arm.variant)).flange(joints)
     world.publish_arm(ArmState(joints, flange, 0, True))
     return TrueScene(world), world
 

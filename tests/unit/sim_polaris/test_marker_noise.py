@@ -10,7 +10,7 @@ from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, VICRA
 from sim.polaris.unit.model import SPECTRA
 from sim.theatre.noise import noise
 from sim.theatre.scene.model import TrackerTruth
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 READINGS = 30  # at each place, of which a maker takes the mean
 PLACES = 1500
@@ -19,7 +19,7 @@ STATED_MM = {"Pyramid": 0.25, "Extended Pyramid": 0.30, "Vicra": 0.25}
 
 @pytest.fixture
 def truth() -> TrackerTruth:
-    return built_in_scene("default").tracker
+    return named_scene("default").tracker
 
 
 def optics(truth: TrackerTruth, seed: int, *volumes: Volume) -> Optics:

@@ -20,7 +20,7 @@ from sim.polaris.line.server import EndSignal, Server
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.mode import Mode
 from sim.polaris.unit.unit import Unit
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 ANSWER_LIMIT_S = 30.0
@@ -83,7 +83,7 @@ class Line:
     """A unit on a serial line, in a thread of its own."""
 
     def __init__(self, *, throttle: bool = False, faults: str = "", **behaviour: Any) -> None:
-        world = World.create(built_in_scene("bench"), paced=True)
+        world = World.create(named_scene("bench"), paced=True)
         world.set_fault_script(faults)
         self.interpreter = CommandInterpreter(Unit(world, behaviour=UnitBehaviour(**behaviour)))
         self._end = EndSignal()
@@ -297,7 +297,7 @@ def test_a_host_without_pseudo_terminals_is_told_so(monkeypatch: pytest.MonkeyPa
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "openpty", refuse)
-    interpreter = CommandInterpreter(Unit(World.create(built_in_scene("bench"), paced=True)))
+    interpreter = CommandInterpreter(Unit(World.create(named_scene("bench"), paced=True)))
     with pytest.raises(LineUnavailable, match="No space left") as refused:
         PseudoTerminal(interpreter, throttle=False)
     assert refused.value.code == "PSU-003"

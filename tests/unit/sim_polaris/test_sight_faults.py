@@ -13,7 +13,7 @@ from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
 from sim.polaris.optics.measuring_volume import PYRAMID
 from sim.polaris.scene.extra_strays import REFLECTION_PRESENCE
 from sim.theatre.scene.model import Scene, TrackerTool
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 if TYPE_CHECKING:
     from conftest import Bench
@@ -239,7 +239,7 @@ def test_the_same_faults_give_the_same_frames_again(
 
 def phantom_scene() -> Scene:
     """The bench with two strays in one plane with both sensors, and a unit that tells rays 0.5 mm apart."""
-    scene = built_in_scene("bench")
+    scene = named_scene("bench")
     pair = ((60.0, -80.0, -1600.0), (60.0, 40.0, -1600.0), (-90.0, 0.0, -1400.0))
     return scene.model_copy(
         update={"tracker": scene.tracker.model_copy(update={"strays_mm": pair, "line_separation_mm": 0.5})}
@@ -266,7 +266,7 @@ def test_two_spheres_in_one_plane_with_both_sensors_make_two_phantoms(
 def test_in_and_out_bits_tell_which_strays_are_inside(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
-    scene = built_in_scene("bench")
+    scene = named_scene("bench")
     strays = ((0.0, 0.0, -1500.0), (0.0, 0.0, -2600.0), (0.0, 700.0, -1500.0))
     tracker = scene.tracker.model_copy(update={"strays_mm": strays})
     bench = make_bench(scene.model_copy(update={"tracker": tracker}))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.robot_description import description
 from sim.theatre.rigid import (
     apply,
@@ -18,7 +18,7 @@ from sim.theatre.rigid import (
     quaternion_from_rotation,
 )
 from sim.theatre.scene.model import Scene, TrackerTool
-from sim.theatre.scene.named_scenes import built_in_scene, robot_frame
+from sim.theatre.scene.named_scenes import named_scene, robot_frame
 from sim.theatre.world import ArmState
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def put_arm(bench: Bench) -> np.ndarray:
     """Let an arm at home carry the reference frame M; returns its true pose tracker <- M."""
     scene = bench.world.scene
     joints = tuple(np.radians(scene.arm.home_deg).tolist())
-    flange = Chain(description(scene.arm.variant)).flange(joints)
+    flange = JointChain(description(scene.arm.variant)).flange(joints)
     bench.world.publish_arm(ArmState(joints, flange, 0, True))
     mount = scene.mount
     flange_from_marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
@@ -57,7 +57,7 @@ def put_arm(bench: Bench) -> np.ndarray:
 
 def at_depth(depth_mm: float) -> Scene:
     """The bench with its first place moved along the axis of the tracker."""
-    scene = built_in_scene("bench")
+    scene = named_scene("bench")
     place = scene.tracker.places[0].model_copy(update={"translation_mm": (0.0, 0.0, -depth_mm)})
     tracker = scene.tracker.model_copy(update={"places": (place,)})
     return scene.model_copy(update={"tracker": tracker})
@@ -194,11 +194,11 @@ def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
         bench.world.clock.sleep((skipped + 0.5) / 60.0)
         return [bench.raw("BX 1803") for _ in range(20)]
 
-    scene = built_in_scene("bench")
+    scene = named_scene("bench")
     assert record(scene, 0) == record(scene, 0)
     # frames that nobody asked for change nothing in those that follow
     assert record(scene, 5) == record(scene, 0)[5:] + record(scene, 20)[:5]
-    assert record(built_in_scene("bench", seed=1), 0) != record(scene, 0)
+    assert record(named_scene("bench", seed=1), 0) != record(scene, 0)
 
 
 def test_a_frame_that_was_lost_on_the_line_is_given_again(
@@ -255,7 +255,7 @@ def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerToo
 
 
 def test_the_reference_frame_hangs_on_the_arm(make_bench: Callable[..., Bench]) -> None:
-    scene = built_in_scene("default")
+    scene = named_scene("default")
     bench = make_bench(scene)
     truth = put_arm(bench)
     bench.send("INIT ")
@@ -268,7 +268,7 @@ def test_the_reference_frame_hangs_on_the_arm(make_bench: Callable[..., Bench]) 
 
 
 def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> None:
-    scene = built_in_scene("mini", seed=4)
+    scene = named_scene("mini", seed=4)
     bench = make_bench(scene)
     put_arm(bench)
     bench.send("INIT ")
@@ -289,7 +289,7 @@ def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> N
 def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
-    bench = make_bench(built_in_scene("mini", seed=4))
+    bench = make_bench(named_scene("mini", seed=4))
     put_arm(bench)
     bench.send("INIT ")
     bench.enable(pointer)
@@ -300,7 +300,7 @@ def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
 
 
 def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench(built_in_scene("mini", seed=4))
+    bench = make_bench(named_scene("mini", seed=4))
     put_arm(bench)
     bench.send("INIT ")
     tool = robot_frame()
@@ -317,7 +317,7 @@ def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: Call
 def test_faults_hide_what_they_name_for_as_long_as_they_last(
     make_bench: Callable[..., Bench], line: str
 ) -> None:
-    bench = make_bench(built_in_scene("mini", seed=4))
+    bench = make_bench(named_scene("mini", seed=4))
     put_arm(bench)
     bench.send("INIT ")
     bench.enable(robot_frame())
@@ -352,7 +352,7 @@ def test_a_tool_behind_the_volume_is_missing_unless_asked_for(
 def test_a_tool_half_out_of_the_volume_says_so(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
-    scene = built_in_scene("bench")
+    scene = named_scene("bench")
     place = scene.tracker.places[0].model_copy(update={"translation_mm": (0.0, 490.0, -1500.0)})
     tracker = scene.tracker.model_copy(update={"places": (place,)})
     bench = make_bench(scene.model_copy(update={"tracker": tracker}))

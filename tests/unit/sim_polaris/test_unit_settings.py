@@ -9,7 +9,7 @@ import pytest
 
 from sim.polaris.unit.model import VICRA
 from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 if TYPE_CHECKING:
     from conftest import Bench
@@ -142,7 +142,7 @@ def test_a_beep_may_take_its_time(make_bench: Callable[..., Bench]) -> None:
 
 
 def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
-    bench = make_bench(built_in_scene("bench-near"), model=VICRA)
+    bench = make_bench(named_scene("bench-near"), model=VICRA)
     bench.send("INIT ")
     for _ in bench.world.scene.tracker.places:
         handle = bench.enable(pointer)

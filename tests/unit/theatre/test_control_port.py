@@ -9,7 +9,7 @@ import pytest
 
 from ronna_hw.endpoints import parse_endpoint
 from sim.theatre.control import ControlPort, Room
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 RESET = struct.pack("ii", 1, 0)  # linger for 0 s: closing sends a reset
@@ -17,7 +17,7 @@ RESET = struct.pack("ii", 1, 0)  # linger for 0 s: closing sends a reset
 
 @pytest.fixture
 def room(tmp_path: Path) -> Room:
-    return Room(World.create(built_in_scene("mini"), paced=False), tmp_path)
+    return Room(World.create(named_scene("mini"), paced=False), tmp_path)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from sim.theatre.faults import (
     parse_faults,
     read_faults,
 )
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 
@@ -40,7 +40,7 @@ def test_a_line_that_is_no_fault_is_refused_with_its_place(line: str) -> None:
 
 
 def test_a_fault_acts_from_its_onset_for_its_duration() -> None:
-    world = World.create(built_in_scene("mini"), paced=False)
+    world = World.create(named_scene("mini"), paced=False)
     board = FaultBoard(world, "tracker")
     world.set_fault_script("at 1 s: tracker occlude marker 2 for 0.5 s")
     seen = []
@@ -51,7 +51,7 @@ def test_a_fault_acts_from_its_onset_for_its_duration() -> None:
 
 
 def test_a_fault_of_a_step_begins_with_the_step_and_concerns_its_device_only() -> None:
-    world = World.create(built_in_scene("mini"), paced=False)
+    world = World.create(named_scene("mini"), paced=False)
     world.set_fault_script("when step == relocalization: robot drop 5 % for 1 s")
     robot, tracker = FaultBoard(world, "robot"), FaultBoard(world, "tracker")
     assert robot.active("drop") == ()
@@ -80,11 +80,11 @@ def test_every_wrong_line_is_named() -> None:
 )
 def test_what_is_not_in_the_scene_cannot_fail(line: str, said: str) -> None:
     with pytest.raises(BadFaultScript, match=f"SIM-003: line 2: there is {said}"):
-        check_faults(parse_faults("\n" + line), built_in_scene("mini"))
+        check_faults(parse_faults("\n" + line), named_scene("mini"))
 
 
 def test_a_step_of_any_name_is_taken() -> None:
-    check_faults(parse_faults("when step == tea: robot drop 5 % for 1 s"), built_in_scene("mini"))
+    check_faults(parse_faults("when step == tea: robot drop 5 % for 1 s"), named_scene("mini"))
 
 
 def test_a_script_that_fits_the_scene_is_taken_whole(tmp_path: Path) -> None:
@@ -93,25 +93,25 @@ def test_a_script_that_fits_the_scene_is_taken_whole(tmp_path: Path) -> None:
         "at 0 s: tracker occlude marker 3 for 1 s\nat 1 s: tracker occlude tool robot_frame for 1 s\n"
         "when step == at_target:T1: camera drop 100 % for 1 s\n"
     )
-    assert read_faults(path, built_in_scene("mini")) == path.read_text()
+    assert read_faults(path, named_scene("mini")) == path.read_text()
 
 
 def test_a_script_that_is_not_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "faults.txt"
     path.write_bytes(b"at 0 s: \xff\xfe")
     with pytest.raises(BadFaultScript, match=r"SIM-003: faults.txt is not text"):
-        read_faults(path, built_in_scene("mini"))
+        read_faults(path, named_scene("mini"))
     with pytest.raises(BadFaultScript, match="cannot read"):
-        read_faults(tmp_path, built_in_scene("mini"))
+        read_faults(tmp_path, named_scene("mini"))
 
 
 def test_a_share_of_more_than_everything_is_refused() -> None:
     with pytest.raises(BadFaultScript, match="line 1: 500 % is more than everything"):
-        check_faults(parse_faults("at 3 s: robot drop 500 % for 1 s"), built_in_scene("mini"))
+        check_faults(parse_faults("at 3 s: robot drop 500 % for 1 s"), named_scene("mini"))
 
 
 def test_a_fault_without_a_duration_lasts_to_the_end() -> None:
-    world = World.create(built_in_scene("mini"), paced=False)
+    world = World.create(named_scene("mini"), paced=False)
     world.set_fault_script("now: robot drop 5 %")
     world.clock.sleep(1e6)
     assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)

@@ -8,7 +8,7 @@ from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
 from sim.theatre.rigid import inverse, matrix_of
 from sim.theatre.scene.model import Scene
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 
 ENDPOINTS = {
@@ -31,7 +31,7 @@ def _written(scene: Scene, folder: Path) -> Path:
 
 
 def test_the_written_theatre_file_is_a_valid_one(tmp_path: Path) -> None:
-    theatre = read_theatre_file(_written(built_in_scene("mini", seed=4), tmp_path))
+    theatre = read_theatre_file(_written(named_scene("mini", seed=4), tmp_path))
     assert theatre.banner
     assert theatre.calibration is not None
 
@@ -39,7 +39,7 @@ def test_the_written_theatre_file_is_a_valid_one(tmp_path: Path) -> None:
 def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path: Path) -> None:
     found = []
     for seed in range(30):
-        scene = built_in_scene("mini", seed=seed)
+        scene = named_scene("mini", seed=seed)
         record = read_theatre_file(_written(scene, tmp_path)).calibration
         assert record is not None
         tip = np.subtract(
@@ -54,7 +54,7 @@ def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path
 
 
 def test_the_record_of_the_head_holds_the_nominal_mount_not_the_true_one(tmp_path: Path) -> None:
-    scene = built_in_scene("mini", seed=4)
+    scene = named_scene("mini", seed=4)
     record = read_theatre_file(_written(scene, tmp_path)).calibration
     assert record is not None
     assert record.stereo_head.flange_from_tool == scene.mount.flange_from_tool_nominal
@@ -62,7 +62,7 @@ def test_the_record_of_the_head_holds_the_nominal_mount_not_the_true_one(tmp_pat
 
 
 def test_a_cameras_record_sees_the_tool_centre_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
-    scene = built_in_scene("mini", seed=4)
+    scene = named_scene("mini", seed=4)
     record = read_theatre_file(_written(scene, tmp_path)).calibration
     assert record is not None
     true = matrix_of(scene.left.camera_from_tool)
@@ -74,7 +74,7 @@ def test_a_cameras_record_sees_the_tool_centre_within_a_tenth_of_a_millimetre(tm
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_calibration_that_is_no_number_is_refused(value: float) -> None:
     content = theatre_content(
-        built_in_scene("mini"), ENDPOINTS, "host:", {"robot_frame": "robot_frame.rom"}, 2.0
+        named_scene("mini"), ENDPOINTS, "host:", {"robot_frame": "robot_frame.rom"}, 2.0
     )
     head = content["calibration"]["stereo_head"]
     head["flange_from_tool"]["translation_mm"] = [value, 0.0, 0.0]
@@ -83,7 +83,7 @@ def test_a_calibration_that_is_no_number_is_refused(value: float) -> None:
 
 
 def test_a_robot_at_another_cycle_is_told_to_its_driver() -> None:
-    scene = built_in_scene("mini")
+    scene = named_scene("mini")
     for cycle_ms, told in ((12, 12), (None, None)):
         theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms))
         assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == told

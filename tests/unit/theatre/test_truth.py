@@ -3,19 +3,19 @@ from pathlib import Path
 import pytest
 
 from sim.errors import BadTruth
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.truth import TRUTH_FILE, append_sample, read_samples, sample_tip
 from sim.theatre.world import World
 
 
 def test_samples_are_read_as_they_were_taken(tmp_path: Path) -> None:
-    sample = sample_tip(World.create(built_in_scene("mini"), paced=False), "T1")
+    sample = sample_tip(World.create(named_scene("mini"), paced=False), "T1")
     append_sample(sample, tmp_path)
     assert read_samples(tmp_path) == [sample]
 
 
 def test_every_bad_line_of_the_truth_is_named(tmp_path: Path) -> None:
-    append_sample(sample_tip(World.create(built_in_scene("mini"), paced=False), "T1"), tmp_path)
+    append_sample(sample_tip(World.create(named_scene("mini"), paced=False), "T1"), tmp_path)
     with (tmp_path / TRUTH_FILE).open("a") as file:
         file.write('{"target": "T1"\nnonsense\n')
     with pytest.raises(BadTruth, match=r"SIM-007: .* 2 bad line\(s\): line 2: .*line 3: "):

@@ -10,11 +10,11 @@ import pytest
 
 from ronna_hw.records import Record, write_record
 from sim.errors import NothingToVerify
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.truth import SCENE_FILE, TipSample, append_sample
 from sim.theatre.verify import RECORDS_FOLDER, THEATRE_FOLDER, verify_run
 
-SCENE = built_in_scene("mini")
+SCENE = named_scene("mini")
 FIDUCIALS_MM = [fiducial.centre_ct_mm for fiducial in SCENE.head.fiducials]
 ENTRY_MM, TARGET_MM = (10.0, 20.0, 80.0), (10.0, 20.0, 30.0)  # straight down, 50 mm deep
 

@@ -7,12 +7,12 @@ from ronna_hw.clock import open_clock
 from ronna_hw.wire.theatre_clock import CLOCK_BYTES
 from sim.errors import WorldUnavailable
 from sim.theatre.rigid import matrix_from, rotation_from_vector
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import ArmState, World
 
 
 def test_another_process_sees_scene_arm_tool_step_and_faults() -> None:
-    world = World.create(built_in_scene("mini", seed=5), paced=False)
+    world = World.create(named_scene("mini", seed=5), paced=False)
     seen = World.open(world.endpoint)
     pose = matrix_from((1.0, 2.0, 3.0), rotation_from_vector((0.1, 0.2, 0.3)))
     world.publish_arm(ArmState((0.1, 0.2, 0.3, 0.4, 0.5, 0.6), pose, 7, True))
@@ -35,7 +35,7 @@ def test_a_world_that_has_gone_is_refused() -> None:
 
 
 def test_the_clock_lies_in_a_block_of_its_own_with_nothing_of_the_scene() -> None:
-    world = World.create(built_in_scene("mini"), paced=False)
+    world = World.create(named_scene("mini"), paced=False)
     assert world.clock_endpoint != world.endpoint
     assert Path(world.clock_endpoint.removeprefix("shm://")).stat().st_size == CLOCK_BYTES
     world.clock.sleep(2.0)

@@ -11,7 +11,7 @@ from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 LEAST_BEND_RAD = math.radians(4.0)
 
@@ -21,7 +21,7 @@ LEAST_BEND_RAD = math.radians(4.0)
     ("name", "markers", "targets"), [("default", 5, 3), ("default", 8, 6), ("mini", 3, 1)]
 )
 def test_every_pose_of_a_built_in_scene_is_reached(name: str, markers: int, targets: int, seed: int) -> None:
-    scene = built_in_scene(name, seed=seed, markers=markers, targets=targets)
+    scene = named_scene(name, seed=seed, markers=markers, targets=targets)
     setting = ArmSetting(
         kr6_r900(scene.arm.variant),
         scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT),

@@ -1,4 +1,4 @@
-"""Reception wakes up once before each telegram that is due, to rehearse. Time is told, never measured."""
+"""The receiver wakes up once before each telegram that is due, to rehearse. Time is given, never measured."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rsi_loop import CYCLE_MS, FIRST_IPOC, InProcessLink, telegram
 
 from drivers.kuka_rsi.realtime.pace import STEADY_ARRIVALS
 from drivers.kuka_rsi.realtime.sockets import bind
-from drivers.kuka_rsi.realtime.telegram_receiver import Reception
+from drivers.kuka_rsi.realtime.telegram_receiver import TelegramReceiver
 
 CYCLE_NS = 4_000_000
 LEAD_NS = 500_000
@@ -48,8 +48,8 @@ class ToldTime:
     def rehearse(self) -> None:
         self.rehearsed_ns.append(self.now_ns)
 
-    def reception(self, lead_ns: int = LEAD_NS) -> Reception:
-        return Reception(
+    def reception(self, lead_ns: int = LEAD_NS) -> TelegramReceiver:
+        return TelegramReceiver(
             self,  # type: ignore[arg-type]
             lead_ns=lead_ns,
             rehearse=self.rehearse,
@@ -65,7 +65,7 @@ def places(count: int, cycle_ns: int = CYCLE_NS) -> list[int]:
     return [BEGIN_NS + cycle_ns * k for k in range(1, count + 1)]
 
 
-def served(world: ToldTime, reception: Reception) -> int:
+def served(world: ToldTime, reception: TelegramReceiver) -> int:
     """Telegrams received until nothing has come three times; each after a whole cycle."""
     count = nothing = 0
     while nothing < 3:
@@ -183,7 +183,7 @@ def test_of_telegrams_that_were_held_up_only_the_newest_is_taken(rehearses: bool
         own.open()
         now_ns = time.monotonic_ns()
         for place in reversed(range(40)):  # the pace is known, and the next one due in a moment
-            own.loop._reception._pace.arrived(now_ns - place * CYCLE_NS)
+            own.loop._receiver._pace.arrived(now_ns - place * CYCLE_NS)
         own.loop._sockets.sleep = slowly  # type: ignore[method-assign]
         own.loop._answered_ns = 0 if late else now_ns + CYCLE_NS
         held = [telegram(FIRST_IPOC + CYCLE_MS * k) for k in range(5)]
@@ -192,5 +192,5 @@ def test_of_telegrams_that_were_held_up_only_the_newest_is_taken(rehearses: bool
         taken = own.loop._receive()
         assert taken is not None
         assert taken[0] == held[-1]
-        assert own.loop.session.dropped == 4
+        assert own.loop.responder.dropped == 4
         own.close()

@@ -8,7 +8,7 @@ from ronna_hw.errors import EXIT_USAGE, ConfigurationError
 from sim.errors import BadDeviceParameter
 from sim.theatre.device_parameters import parameters_by_device
 from sim.theatre.launch import Theatre
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 
 def test_settings_are_sorted_by_device() -> None:
@@ -51,7 +51,7 @@ def test_each_device_is_started_with_its_own(monkeypatch: pytest.MonkeyPatch, tm
     monkeypatch.setattr("sim.theatre.launch.ChildProcess", started_without_waiting)
     with pytest.raises(Enough):
         Theatre(
-            built_in_scene("mini", seed=1),
+            named_scene("mini", seed=1),
             tmp_path,
             paced=False,
             cycle_ms=12,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from session_cell import (
+from responder_stand import (
     begun,
     fault_of,
     moving,
@@ -60,74 +60,74 @@ def test_the_time_stamp_may_wrap_and_may_repeat_but_not_run_back() -> None:
 
 @pytest.mark.hazard(18)
 def test_overtaken_and_repeated_telegrams_get_no_reply_and_disturb_no_motion() -> None:
-    cell = moving()
+    stand = moving()
     for back in (4, 8, 12):
-        cell.ipoc -= back
-        assert not cell.cycle()
-        cell.ipoc += back - 4
-        assert cell.cycle()
-    cell.run()
-    assert cell.session.result is Result.DONE
-    assert cell.session.fault is Fault.NONE
-    assert cell.smooth()
+        stand.ipoc -= back
+        assert not stand.cycle()
+        stand.ipoc += back - 4
+        assert stand.cycle()
+    stand.run()
+    assert stand.responder.result is Result.DONE
+    assert stand.responder.fault is Fault.NONE
+    assert stand.smooth()
 
 
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("stall_ms", [8, 20, 50, 100, 250, 400, 500])
 def test_after_a_stall_of_the_host_the_motion_goes_on_smoothly_and_arrives(stall_ms: int) -> None:
-    cell = moving()
-    assert cell.cycle(lost=stall_ms // 4)
-    cell.run()
-    assert cell.session.result is Result.DONE
-    assert cell.session.fault is Fault.NONE
-    assert cell.smooth()
-    state = cell.session.state(real_time=False, locked=False)
+    stand = moving()
+    assert stand.cycle(lost=stall_ms // 4)
+    stand.run()
+    assert stand.responder.result is Result.DONE
+    assert stand.responder.fault is Fault.NONE
+    assert stand.smooth()
+    state = stand.responder.state(real_time=False, locked=False)
     assert state.lost == stall_ms // 4
 
 
 def test_a_repeated_telegram_gets_no_second_reply() -> None:
-    cell = begun()
-    cell.ipoc -= 4
-    assert not cell.cycle()
+    stand = begun()
+    stand.ipoc -= 4
+    assert not stand.cycle()
 
 
 @pytest.mark.hazard(18)
 def test_after_a_long_gap_the_held_point_is_sent_and_the_motion_begins_from_rest() -> None:
-    cell = moving()
-    before = cell.sent[-1][0]
-    cell.cycle(lost=6)
-    assert cell.sent[-1][0] == before
-    cell.cycle()
-    assert max(abs(b - a) for a, b in zip(before, cell.sent[-1][0], strict=True)) < 1e-3
-    cell.run()
-    assert cell.session.result is Result.DONE
-    assert cell.smooth()
+    stand = moving()
+    before = stand.sent[-1][0]
+    stand.cycle(lost=6)
+    assert stand.sent[-1][0] == before
+    stand.cycle()
+    assert max(abs(b - a) for a, b in zip(before, stand.sent[-1][0], strict=True)) < 1e-3
+    stand.run()
+    assert stand.responder.result is Result.DONE
+    assert stand.smooth()
 
 
 @pytest.mark.hazard(34)
 def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
-    cell = moving()
-    cell.ipoc = 12
-    assert not cell.cycle()
-    assert cell.session.fault is Fault.RESTARTED
-    assert not cell.cycle()
+    stand = moving()
+    stand.ipoc = 12
+    assert not stand.cycle()
+    assert stand.responder.fault is Fault.RESTARTED
+    assert not stand.cycle()
 
 
 @pytest.mark.hazard(34)
 def test_when_only_another_sender_is_left_the_controller_was_started_again() -> None:
-    cell = moving()
-    orders = Orders(cell.beat, 0, cell.commands)
-    cell.session.met_foreign("10.0.0.3")
-    cell.session.idle(orders, cell.now_ns + 240_000_000)
-    assert fault_of(cell) is Fault.NONE
-    cell.session.idle(orders, cell.now_ns + 260_000_000)
-    assert fault_of(cell) is Fault.RESTARTED
+    stand = moving()
+    orders = Orders(stand.beat, 0, stand.commands)
+    stand.responder.met_foreign("10.0.0.3")
+    stand.responder.idle(orders, stand.now_ns + 240_000_000)
+    assert fault_of(stand) is Fault.NONE
+    stand.responder.idle(orders, stand.now_ns + 260_000_000)
+    assert fault_of(stand) is Fault.RESTARTED
 
 
 def test_a_stranger_among_the_telegrams_changes_nothing() -> None:
-    cell = moving()
-    cell.session.met_foreign("10.0.0.3")
-    cell.run()
-    assert cell.session.result is Result.DONE
-    state = cell.session.state(real_time=False, locked=False)
+    stand = moving()
+    stand.responder.met_foreign("10.0.0.3")
+    stand.run()
+    assert stand.responder.result is Result.DONE
+    state = stand.responder.state(real_time=False, locked=False)
     assert (state.foreign, state.foreign_host) == (1, "10.0.0.3")

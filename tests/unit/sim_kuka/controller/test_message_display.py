@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from sim.kuka.controller.message_display import Pendant
+from sim.kuka.controller.message_display import MessageDisplay
 from sim.kuka.controller.messages import rsi_timeout, too_fast
 
 
 def test_messages_and_texts_are_shown_once_each_and_their_acknowledgement(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    pendant = Pendant(lambda: 12.5)
+    pendant = MessageDisplay(lambda: 12.5)
     silence, speed = rsi_timeout(100), too_fast("A1", 400.0, 360.0)
     for message, notice in (
         (None, ""),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.orientation import frame_of, pose_of_frame, status_and_turn
 from sim.kuka.arm.robot_description import Variant, description
 from sim.kuka.arm.true_arm import TrueArm
@@ -52,7 +52,7 @@ def in_radians(axes_deg: tuple[float, ...]) -> list[float]:
 @pytest.mark.parametrize("row", GOLDEN)
 def test_the_chain_reaches_the_golden_poses(variant: Variant, row: tuple[tuple[float, ...], ...]) -> None:
     axes_deg, sixx_mm, second_mm, orientation_deg = row
-    pose = Chain(description(variant)).flange(in_radians(axes_deg))
+    pose = JointChain(description(variant)).flange(in_radians(axes_deg))
     expected = pose_of_frame((*(sixx_mm if variant == "kr6_r900_sixx" else second_mm), *orientation_deg))
     assert np.abs(pose[:3, 3] - expected[:3, 3]).max() < 0.001
     turn = expected[:3, :3].T @ pose[:3, :3]
@@ -63,7 +63,7 @@ def test_the_chain_reaches_the_golden_poses(variant: Variant, row: tuple[tuple[f
 @pytest.mark.parametrize("row", GOLDEN)
 def test_the_written_orientation_is_the_golden_one(row: tuple[tuple[float, ...], ...]) -> None:
     axes_deg, _, _, orientation_deg = row
-    written = frame_of(Chain(description("kr6_r900_sixx")).flange(in_radians(axes_deg)))[3:]
+    written = frame_of(JointChain(description("kr6_r900_sixx")).flange(in_radians(axes_deg)))[3:]
     difference = [(a - b + 180.0) % 360.0 - 180.0 for a, b in zip(written, orientation_deg, strict=True)]
     assert max(abs(value) for value in difference) < 0.001
 
@@ -85,13 +85,13 @@ def test_the_pose_that_is_told_is_that_of_the_axes_with_tool_and_base(make_bench
         tool[4], base[4] = tool[4] / 2, base[4] / 2
         controller.set_tool(number, tool)
         controller.set_base(number, base)
-        flange = Chain(controller.arm.description).flange(in_radians(tuple(controller.arm.axes_deg)))
+        flange = JointChain(controller.arm.description).flange(in_radians(tuple(controller.arm.axes_deg)))
         expected = np.linalg.inv(pose_of_frame(base)) @ flange @ pose_of_frame(tool)
         assert np.abs(pose_of_frame(controller.arm.frame) - expected).max() < 1e-9
 
 
 def test_inverse_kinematics_finds_the_joints_of_a_pose_near_by() -> None:
-    chain = Chain(description("kr6_r900_sixx"))
+    chain = JointChain(description("kr6_r900_sixx"))
     joints = in_radians((30, -75, 110, -20, 45, 60))
     found = chain.joints_at(chain.flange(joints), [angle + 0.03 for angle in joints])
     assert found is not None
@@ -99,7 +99,7 @@ def test_inverse_kinematics_finds_the_joints_of_a_pose_near_by() -> None:
 
 
 def test_inverse_kinematics_gives_up_out_of_reach() -> None:
-    chain = Chain(description("kr6_r900_sixx"))
+    chain = JointChain(description("kr6_r900_sixx"))
     far = chain.flange(in_radians((0, 0, 0, 0, 0, 0)))
     far[0, 3] += 500.0
     assert chain.joints_at(far, in_radians((0, -20, 30, 0, 10, 0))) is None
@@ -117,13 +117,13 @@ def test_status_and_turn_tell_postures_apart() -> None:
 def test_a_true_arm_without_errors_is_the_nominal_arm(perfect_arm: Callable[..., ArmTruth]) -> None:
     true = TrueArm(perfect_arm(), seed=0)
     joints = in_radians((30, -75, 110, -20, 45, 60))
-    nominal = Chain(description("kr6_r900_sixx")).flange(joints)
+    nominal = JointChain(description("kr6_r900_sixx")).flange(joints)
     assert np.allclose(true.at_rest(joints, (1.0,) * 6, 3), nominal, atol=1e-9)
 
 
 def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Callable[..., ArmTruth]) -> None:
     home = in_radians(HOME_DEG)
-    nominal = Chain(description("kr6_r900_sixx")).flange(home)[:3, 3]
+    nominal = JointChain(description("kr6_r900_sixx")).flange(home)[:3, 3]
 
     def moved_mm(flank: float = 0.0, **errors: object) -> float:
         pose = TrueArm(perfect_arm(**errors), seed=0).moving(home, (flank,) * 6)
@@ -147,7 +147,7 @@ def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Callable[...,
 def test_sag_turns_the_stretched_arm_down(perfect_arm: Callable[..., ArmTruth]) -> None:
     stretched = in_radians((0, 0, 0, 0, 0, 0))
     sagging = TrueArm(perfect_arm(sag_rad=(radians(0.03), radians(0.03))), seed=0)
-    nominal = Chain(description("kr6_r900_sixx")).flange(stretched)
+    nominal = JointChain(description("kr6_r900_sixx")).flange(stretched)
     assert sagging.moving(stretched, (0.0,) * 6)[2, 3] < nominal[2, 3] - 0.5
 
 
@@ -167,6 +167,6 @@ def test_a_drawn_arm_is_off_by_the_size_of_an_uncalibrated_robot() -> None:
         joints = in_radians(truth.home_deg)
         true = TrueArm(truth, seed).at_rest(joints, (0.0,) * 6, 0)
         errors_mm.append(
-            np.linalg.norm(true[:3, 3] - Chain(description("kr6_r900_sixx")).flange(joints)[:3, 3])
+            np.linalg.norm(true[:3, 3] - JointChain(description("kr6_r900_sixx")).flange(joints)[:3, 3])
         )
     assert 0.5 < float(np.mean(errors_mm)) < 3.0

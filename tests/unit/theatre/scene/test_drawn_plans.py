@@ -14,29 +14,29 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame
 from sim.theatre.rigid import apply, inverse, matrix_of
 from sim.theatre.scene.model import Scene
-from sim.theatre.scene.named_scenes import built_in_scene
-from sim.theatre.scene.plan_feasibility import Reach
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.scene.plan_feasibility import PlanFeasibility
 
 ONCE_OUT_OF_REACH = 104  # the third trajectory drawn for this seed asked more of A5 than it has
 
 
-def reach_of(scene: Scene) -> tuple[Reach, list[tuple[np.ndarray, np.ndarray]]]:
+def reach_of(scene: Scene) -> tuple[PlanFeasibility, list[tuple[np.ndarray, np.ndarray]]]:
     """The reach question of a scene, and its trajectories in the robot frame."""
     place = matrix_of(scene.head.robot_from_ct)
     spheres = apply(place, [fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
     ends = [(apply(place, t.entry_ct_mm), apply(place, t.target_ct_mm)) for t in scene.head.targets]
-    return Reach(spheres), ends
+    return PlanFeasibility(spheres), ends
 
 
 @pytest.mark.parametrize("markers", [3, 5, 8])
 def test_every_seed_draws_a_plan_within_reach(markers: int) -> None:
     for seed in range(100, 112):
-        reach, ends = reach_of(built_in_scene("default", seed=seed, markers=markers))
+        reach, ends = reach_of(named_scene("default", seed=seed, markers=markers))
         assert reach.serves(ends)
 
 
 def test_a_trajectory_from_below_is_out_of_reach() -> None:
-    reach, ends = reach_of(built_in_scene("default", seed=0))
+    reach, ends = reach_of(named_scene("default", seed=0))
     (entry, target), *_ = ends
     assert reach.serves([(entry, target)])
     assert not reach.serves([(target, entry)])  # the same line from the other side of the head
@@ -45,7 +45,7 @@ def test_a_trajectory_from_below_is_out_of_reach() -> None:
 
 @pytest.mark.parametrize("seed", [0, ONCE_OUT_OF_REACH])
 def test_the_planner_agrees(seed: int) -> None:
-    scene = built_in_scene("default", seed=seed)
+    scene = named_scene("default", seed=seed)
     robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
     tool = scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
     arm = kr6_r900(scene.arm.variant)

@@ -25,7 +25,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     StopOrder,
 )
 from drivers.kuka_rsi.realtime.losses import WINDOW_CYCLES, Losses
-from drivers.kuka_rsi.realtime.responder import Session
+from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.set_points import Choice
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
@@ -59,7 +59,7 @@ class HoldingController:
     """Takes what arrives, keeps it otherwise. `tells`: by how many telegrams too late; None is never."""
 
     def __init__(self, tells: int | None = 0) -> None:
-        self.session = Session(
+        self.responder = Responder(
             LinkSettings(
                 host="127.0.0.1",
                 port=1,
@@ -88,7 +88,7 @@ class HoldingController:
         self.late = [0, 0]  # the count as of each cycle's begin
         self.taken: list[JointVector] = [(0.0,) * 6]  # the corrections that act, one per cycle
         self.sent: list[JointVector] = []
-        self.session.take(self._new(CommandKind.OPEN))
+        self.responder.take(self._new(CommandKind.OPEN))
         for _ in range(3):
             self.cycle()
 
@@ -110,7 +110,7 @@ class HoldingController:
             a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, held, strict=True))
             told = 0 if self._tells is None else self.late[-1 - self._tells]
             ipoc = str(CYCLE_MS * (1000 + self._cycle)).encode()
-            head = self.session.answer(
+            head = self.responder.answer(
                 Telegram((a, b, c, d, e, f), told, ipoc),
                 Orders(self._cycle, self.stop_word, self._commands),
                 1_000_000_000 + self._cycle * CYCLE_MS * 1_000_000,
@@ -118,7 +118,7 @@ class HoldingController:
             assert head is not None
             A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
             self.sent.append((A1, A2, A3, A4, A5, A6))
-            self.session.after_reply(self._command)
+            self.responder.after_reply(self._command)
         if not loss:
             held = self.sent[-1]
         self.taken.append(held)
@@ -127,7 +127,7 @@ class HoldingController:
     def finish(self) -> None:
         """Cycles without loss until the motion has a result."""
         for _ in range(3000):
-            if self.session.result is not Result.RUNNING:
+            if self.responder.result is not Result.RUNNING:
                 return
             self.cycle()
         raise AssertionError("no result")
@@ -166,7 +166,7 @@ def _whole() -> list[JointVector]:
 
 
 def _arrived(controller: HoldingController) -> bool:
-    session = controller.session
+    session = controller.responder
     there = tuple(degrees(angle) for angle in FAR)
     assert (session.result, session.fault, session.violation) == (Result.DONE, Fault.NONE, None)
     return controller.end_deg == pytest.approx(there, abs=2e-6)
@@ -185,7 +185,7 @@ def test_the_path_slips_by_one_cycle_for_each_lost_reply(neighbours: int) -> Non
     controller.finish()
     assert controller.taken == whole[:at] + [whole[at - 1]] * neighbours + whole[at:]
     assert _arrived(controller)
-    assert controller.session.state(real_time=False, locked=False).late == neighbours
+    assert controller.responder.state(real_time=False, locked=False).late == neighbours
 
 
 @pytest.mark.hazard(18)
@@ -195,7 +195,7 @@ def test_after_more_than_three_neighbouring_lost_replies_the_motion_begins_from_
     held = controller.taken[-1]
     controller.lose(["reply"] * neighbours)
     controller.cycle()
-    assert controller.session.choice is Choice.HOLD
+    assert controller.responder.choice is Choice.HOLD
     assert controller.taken[-1] == held  # the arm stood there, not one point further
     controller.cycle()
     assert max(abs(y - x) for x, y in zip(held, controller.taken[-1], strict=True)) < 1e-3
@@ -208,18 +208,18 @@ def test_after_more_than_three_neighbouring_lost_replies_the_motion_begins_from_
 def test_more_than_three_lost_replies_in_a_second_halve_the_speed_until_four_seconds_are_clean() -> None:
     controller = _moving(100)
     for lost in range(1, 5):
-        assert not controller.session.state(real_time=False, locked=False).degraded
+        assert not controller.responder.state(real_time=False, locked=False).degraded
         controller.lose(["reply", ""])
-        assert controller.session.state(real_time=False, locked=False).late == lost
+        assert controller.responder.state(real_time=False, locked=False).late == lost
         controller.lose([""] * 3)
-    assert controller.session.state(real_time=False, locked=False).degraded
+    assert controller.responder.state(real_time=False, locked=False).degraded
     controller.lose([""] * 60)  # jerk-limited braking to half the speed
     slowed = len(controller.taken)
     controller.finish()
     del controller.taken[:slowed]
     assert controller.largest_share <= WORKING_SHARE / 2 * ROUNDING
     controller.lose([""] * 1000)
-    assert not controller.session.state(real_time=False, locked=False).degraded
+    assert not controller.responder.state(real_time=False, locked=False).degraded
 
 
 @pytest.mark.hazard(18)
@@ -235,15 +235,15 @@ def test_whatever_is_lost_each_step_that_acts_is_one_prepared_step(before: int, 
 
 def test_a_point_that_is_too_far_from_the_held_one_is_not_sent_again() -> None:
     controller = _moving()
-    points = controller.session._points
+    points = controller.responder._points
     assert points is not None
     points.monitor.limits = replace(points.monitor.limits, step_rad=(1e-6,) * 6)
     held = controller.taken[-1]
     controller.lose(["reply", ""])
     assert controller.taken[-1] == held
-    assert controller.session.fault is Fault.MONITOR
+    assert controller.responder.fault is Fault.MONITOR
     controller.lose([""] * 5)
-    assert not controller.session.moving
+    assert not controller.responder.moving
     assert controller.taken[-1] == held
 
 
@@ -259,8 +259,8 @@ def test_a_stop_while_replies_are_lost_is_smooth_and_ends_at_rest(before: int, l
     controller.stop()
     controller.lose(losses)
     controller.lose([""] * 150)
-    assert not controller.session.moving
-    assert controller.session.fault is Fault.NONE
+    assert not controller.responder.moving
+    assert controller.responder.fault is Fault.NONE
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
     assert len(set(controller.taken[-20:])) == 1
 
@@ -277,7 +277,7 @@ def test_a_lost_telegram_is_no_lost_reply_though_the_controller_counts_it(gap: i
     controller.lose(["telegram"] * gap)
     controller.cycle()
     # The last reply acted before the gap: the path goes on from it, and nothing is sent twice.
-    assert controller.session.choice is Choice.GO
+    assert controller.responder.choice is Choice.GO
     assert controller.taken[at - 1 :] == [whole[at - 1]] * (gap + 1) + [whole[at]]
 
 
@@ -287,7 +287,7 @@ def test_a_reply_lost_just_before_a_gap_is_sent_again_after_it() -> None:
     controller = _moving()
     at = len(controller.taken)
     controller.lose(["reply", "telegram", ""])
-    assert controller.session.choice is Choice.REPEAT
+    assert controller.responder.choice is Choice.REPEAT
     assert controller.taken[at - 1 :] == [whole[at - 1]] * 3 + [whole[at]]
     controller.cycle()
     assert controller.taken[-1] == whole[at + 1]
@@ -323,7 +323,7 @@ def test_a_controller_that_never_tells_gets_the_path_as_it_was_planned() -> None
     controller.lose(["reply", "", "reply", "reply", ""])
     undisturbed.lose([""] * 5)
     assert controller.sent == undisturbed.sent
-    assert controller.session.state(real_time=False, locked=False).late == 0
+    assert controller.responder.state(real_time=False, locked=False).late == 0
 
 
 # The counts
@@ -356,13 +356,13 @@ def test_when_half_of_the_replies_are_lost_for_seconds_the_arm_is_stopped_and_to
     controller = _moving()
     for _ in range(2 * WINDOW_CYCLES):
         controller.lose(["reply", ""])
-        if controller.session.fault:
+        if controller.responder.fault:
             break
-    assert controller.session.fault is Fault.LOSSES
+    assert controller.responder.fault is Fault.LOSSES
     controller.lose(["reply", ""] * 100)
-    assert not controller.session.moving
+    assert not controller.responder.moving
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
-    state = controller.session.state(real_time=False, locked=False)
+    state = controller.responder.state(real_time=False, locked=False)
     error = error_of_fault("robot.master", state, KukaOptions())
     assert isinstance(error, LinkUnusable)
     assert "late or lost by the controller's count" in str(error)
@@ -371,7 +371,7 @@ def test_when_half_of_the_replies_are_lost_for_seconds_the_arm_is_stopped_and_to
 @pytest.mark.parametrize("every", [5, 8])
 def test_up_to_a_fifth_of_all_replies_may_be_lost_for_ever(every: int) -> None:
     controller = _moving()
-    while controller.session.result is Result.RUNNING:
+    while controller.responder.result is Result.RUNNING:
         controller.lose(["reply", *[""] * (every - 1)])
     assert _arrived(controller)
 
@@ -388,5 +388,5 @@ def test_one_stall_of_half_a_second_is_no_unusable_link() -> None:
 def test_lost_cycles_at_rest_are_counted_and_stop_nothing() -> None:
     controller = HoldingController()
     controller.lose(["reply", ""] * 600)
-    assert controller.session.fault is Fault.NONE
-    assert controller.session.state(real_time=False, locked=False).late == 600
+    assert controller.responder.fault is Fault.NONE
+    assert controller.responder.state(real_time=False, locked=False).late == 600

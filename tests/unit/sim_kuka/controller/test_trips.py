@@ -13,7 +13,7 @@ from sim.kuka.controller.messages import TRIPS as MESSAGES
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.theatre.faults import FaultBoard, check_faults, parse_faults
 from sim.theatre.faults.robot import TRIPS
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
 
 NUMBERS = {
@@ -37,7 +37,7 @@ def on_a1(value: float) -> tuple[float, ...]:
 def test_a_script_can_name_exactly_the_messages_there_are() -> None:
     assert set(TRIPS) == set(MESSAGES) == set(NUMBERS)
     with pytest.raises(BadFaultScript, match="there is no trip 'tea', only timeout, "):
-        check_faults(parse_faults("now: robot trip tea"), built_in_scene("mini"))
+        check_faults(parse_faults("now: robot trip tea"), named_scene("mini"))
 
 
 @pytest.mark.parametrize("name", TRIPS)
@@ -84,7 +84,7 @@ def test_narrowed_corrections_are_clamped_where_they_are_and_stat_tells_it(bench
 
 
 def test_a_fault_of_a_cycle_begins_with_that_telegram_and_lasts_in_theatre_time() -> None:
-    world = World.create(built_in_scene("mini"), paced=False)
+    world = World.create(named_scene("mini"), paced=False)
     seen: list[tuple[bool, int]] = []
     board = FaultBoard(world, "robot", lambda: len(seen) + 1)
     world.set_fault_script("at cycle 3: robot drop 7 % for 0.007 s\nat cycle 4: robot collision")
@@ -97,4 +97,4 @@ def test_a_fault_of_a_cycle_begins_with_that_telegram_and_lasts_in_theatre_time(
 
 def test_only_the_robot_has_cycles() -> None:
     with pytest.raises(BadFaultScript, match="the tracker has no cycles, only the robot"):
-        check_faults(parse_faults("at cycle 3: tracker occlude marker 1"), built_in_scene("mini"))
+        check_faults(parse_faults("at cycle 3: tracker occlude marker 1"), named_scene("mini"))

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState
-from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.orientation import frame_of, status_and_turn
 from sim.kuka.arm.posture import axes_of_posture
 from sim.kuka.arm.robot_description import Variant, description
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.kuka.eki.acknowledgement import Answer
+from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.motion import shares
 from sim.kuka.eki.move_commands import EkiMoves
 
@@ -30,16 +30,16 @@ class Program:
 
     def __init__(self, bench: Any) -> None:
         self.controller = bench.controller
-        self.ends: list[Answer] = []
+        self.ends: list[Acknowledgement] = []
         self.moves = EkiMoves(self.controller, self.ends.append)
         self.axes: list[list[float]] = []
         self.places: list[list[float]] = []
 
-    def ptp(self, axes_deg: tuple[float, ...] = GOAL_DEG, **more: object) -> Answer:
+    def ptp(self, axes_deg: tuple[float, ...] = GOAL_DEG, **more: object) -> Acknowledgement:
         given = {f"A{n}": str(angle) for n, angle in enumerate(axes_deg, 1)}
         return self.moves.ptp_axis({**given, **{key: str(value) for key, value in more.items()}})
 
-    def to_pose(self, kind: str, frame: list[float], **more: object) -> Answer:
+    def to_pose(self, kind: str, frame: list[float], **more: object) -> Acknowledgement:
         given = {name: repr(value) for name, value in zip(FRAME, frame, strict=True)}
         attributes = {**given, **{key: str(value) for key, value in more.items()}}
         return self.moves.lin(attributes) if kind == "LIN" else self.moves.ptp_pos(attributes)
@@ -68,7 +68,7 @@ def program(make_bench: Callable[..., Any]) -> Program:
 @pytest.mark.parametrize("variant", ["kr6_r900_sixx", "kr6_r900_2"])
 def test_status_and_turn_lead_back_to_the_axes_they_were_told_of(variant: Variant) -> None:
     arm, generator = description(variant), np.random.default_rng(8)
-    chain = Chain(arm)
+    chain = JointChain(arm)
     for _ in range(2000):
         axes_deg = [generator.uniform(joint.lower_deg, joint.upper_deg) for joint in arm.joints]
         status, turn = status_and_turn(arm, axes_deg)
@@ -80,7 +80,7 @@ def test_status_and_turn_lead_back_to_the_axes_they_were_told_of(variant: Varian
 def test_a_straight_wrist_keeps_A4_where_it_is() -> None:
     arm = description("kr6_r900_sixx")
     axes_deg = [10.0, -80.0, 100.0, 35.0, 0.0, 20.0]
-    flange = Chain(arm).flange(np.radians(axes_deg))
+    flange = JointChain(arm).flange(np.radians(axes_deg))
     found = axes_of_posture(arm, flange, *status_and_turn(arm, axes_deg), near_deg=axes_deg)
     assert found is not None
     assert np.allclose(found, axes_deg, atol=1e-6)
@@ -88,7 +88,7 @@ def test_a_straight_wrist_keeps_A4_where_it_is() -> None:
 
 def test_out_of_reach_and_beyond_an_end_switch_there_is_no_posture() -> None:
     arm = description("kr6_r900_sixx")
-    flange = Chain(arm).flange(np.radians(GOAL_DEG))
+    flange = JointChain(arm).flange(np.radians(GOAL_DEG))
     status, turn = status_and_turn(arm, GOAL_DEG)
     far = flange.copy()
     far[0, 3] += 2000.0
@@ -106,7 +106,7 @@ def test_a_profile_begins_and_ends_at_rest_within_its_limits() -> None:
 
 
 def test_a_ptp_arrives_exactly_and_says_so_twice(program: Program) -> None:
-    assert program.ptp(Vel=50, Acc=50) == Answer(AckCode.OK, "accepted")
+    assert program.ptp(Vel=50, Acc=50) == Acknowledgement(AckCode.OK, "accepted")
     assert program.controller.program_state is ProState.ACTIVE
     assert not program.ends
     assert program.ptp().code is AckCode.BUSY  # while the first one runs
@@ -127,7 +127,7 @@ def test_a_ptp_keeps_the_axis_limits_and_the_override(program: Program) -> None:
 
 def test_a_pose_is_reached_in_the_posture_that_was_asked_for(program: Program) -> None:
     arm = description("kr6_r900_sixx")
-    frame = frame_of(Chain(arm).flange(np.radians(GOAL_DEG)))
+    frame = frame_of(JointChain(arm).flange(np.radians(GOAL_DEG)))
     status, turn = status_and_turn(arm, GOAL_DEG)
     assert program.to_pose("PTP_POS", frame, S=status, T=turn).code is AckCode.OK
     assert program.finish() is AckCode.OK
@@ -183,7 +183,7 @@ def test_a_line_through_the_straight_wrist_is_stopped_and_not_jumped(program: Pr
     program.finish()
     program.axes.clear()
     arm = description("kr6_r900_sixx")
-    across = frame_of(Chain(arm).flange(np.radians((0.0, -80.0, 100.0, 20.0, -8.0, 0.0))))
+    across = frame_of(JointChain(arm).flange(np.radians((0.0, -80.0, 100.0, 20.0, -8.0, 0.0))))
     answer = program.to_pose("LIN", across, Vel=0.5)
     if answer.code is AckCode.OK:
         assert program.finish() is AckCode.ABORTED
@@ -292,7 +292,7 @@ def test_the_true_arm_follows_a_motion_with_its_own_geometry(make_bench: Callabl
     program.finish()
     assert bench.published[-1].at_rest
     assert bench.published[-1].motion_number == 1
-    nominal = Chain(description("kr6_r900_sixx")).flange(np.radians(GOAL_DEG))
+    nominal = JointChain(description("kr6_r900_sixx")).flange(np.radians(GOAL_DEG))
     assert 0.1 < dist(bench.published[-1].robot_from_flange[:3, 3], nominal[:3, 3]) < 6.0
 
 

@@ -39,7 +39,7 @@ def test_a_controller_that_is_held_up_for_less_than_its_timeout_is_still_told_to
 
     assert b"<Stop>0</Stop>" in reply(0)
     assert not done_after(10_000)  # its parent is there
-    link.loop.session.parent_gone = True
+    link.loop.responder.parent_gone = True
     assert not done_after(390)
     assert done_after(410)
     cycle = 1

@@ -17,7 +17,7 @@ def test_a_rehearsal_changes_nothing_and_sends_nothing() -> None:
         link.open()
         link.receive(telegram(FIRST_IPOC))
         link.receive(telegram(FIRST_IPOC + CYCLE_MS))
-        session = link.loop.session
+        session = link.loop.responder
         before = (session.state(real_time=False, locked=False), session.ready, session.cycles)
         sent, memory = len(link.replies.sent), link.mailbox.read_state()
         link.loop._rehearse()

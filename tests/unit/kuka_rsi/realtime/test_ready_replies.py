@@ -52,8 +52,8 @@ class Follower:
         if event == "strict form":
             data = data.replace(b"/>", b" />")
         if not self.ahead:
-            self.link.loop.session.ready = None
-        self.ahead_used += self.link.loop.session.ready is not None
+            self.link.loop.responder.ready = None
+        self.ahead_used += self.link.loop.responder.ready is not None
         reply = self.link.receive(data)
         self.replies.append(reply)
         if event == "reply lost":
@@ -80,7 +80,7 @@ def test_made_ahead_or_on_arrival_the_replies_are_the_same(events: list[str]) ->
         follower.link.give(MOVE)
         for event in events:
             follower.cycle(event)
-        state = follower.link.loop.session.state(real_time=False, locked=False)
+        state = follower.link.loop.responder.state(real_time=False, locked=False)
         follower.link.close()
         assert state.violation_kind == ""
         assert state.fault in (Fault.NONE, Fault.PROTECTIVE)
@@ -94,7 +94,7 @@ def test_a_stop_ordered_after_a_reply_was_made_ready_acts_on_the_very_next_one(
     link.receive(telegram(FIRST_IPOC))
     link.give(MOVE)
     last = [corrections_of(link.receive(telegram(FIRST_IPOC + CYCLE_MS * k)) or b"") for k in range(1, 60)]
-    ready = link.loop.session.ready
+    ready = link.loop.responder.ready
     assert ready is not None
     link.stop(StopOrder.HOLD)
     reply = link.receive(telegram(FIRST_IPOC + CYCLE_MS * 60)) or b""
@@ -118,7 +118,7 @@ def test_a_broken_telegram_gets_no_reply_though_its_time_stamp_is_the_expected_o
     link: InProcessLink, change: object
 ) -> None:
     assert link.receive(telegram(FIRST_IPOC))
-    assert link.loop.session.ready is not None
+    assert link.loop.responder.ready is not None
     assert link.receive(change(telegram(FIRST_IPOC + CYCLE_MS))) is None  # type: ignore[operator]
-    assert link.loop.session.rejected == 1
+    assert link.loop.responder.rejected == 1
     assert link.receive(telegram(FIRST_IPOC + 2 * CYCLE_MS))

@@ -8,23 +8,23 @@ import pytest
 from sim.errors import BadScene
 from sim.theatre.scene.head import SMALLEST_DISTANCE_MM
 from sim.theatre.scene.model import parse_scene, read_scene
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 
 def test_the_same_seed_draws_the_same_scene_and_another_seed_another() -> None:
-    assert built_in_scene("default", seed=3) == built_in_scene("default", seed=3)
-    assert built_in_scene("default", seed=3) != built_in_scene("default", seed=4)
+    assert named_scene("default", seed=3) == named_scene("default", seed=3)
+    assert named_scene("default", seed=3) != named_scene("default", seed=4)
 
 
 @pytest.mark.parametrize(("name", "markers", "targets"), [("default", 5, 3), ("mini", 3, 1)])
 def test_the_built_in_scenes_have_their_promised_size(name: str, markers: int, targets: int) -> None:
-    scene = built_in_scene(name)
+    scene = named_scene(name)
     assert (len(scene.head.fiducials), len(scene.head.targets)) == (markers, targets)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_three_spheres_can_be_told_apart_by_their_distances(seed: int) -> None:
-    head = built_in_scene("mini", seed=seed).head
+    head = named_scene("mini", seed=seed).head
     centres = np.array([fiducial.centre_ct_mm for fiducial in head.fiducials])
     sides = sorted(np.linalg.norm(centres - np.roll(centres, 1, axis=0), axis=1))
     assert sides[0] >= SMALLEST_DISTANCE_MM
@@ -33,7 +33,7 @@ def test_three_spheres_can_be_told_apart_by_their_distances(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_targets_lie_inside_the_head_and_entries_on_its_skin(seed: int) -> None:
-    head = built_in_scene("default", seed=seed).head
+    head = named_scene("default", seed=seed).head
     for target in head.targets:
         relative = [np.subtract(p, head.centre_ct_mm) for p in (target.entry_ct_mm, target.target_ct_mm)]
         entry, inside = (float(np.linalg.norm(p / np.array(head.semi_axes_mm))) for p in relative)
@@ -43,17 +43,17 @@ def test_targets_lie_inside_the_head_and_entries_on_its_skin(seed: int) -> None:
 
 def test_an_unknown_scene_names_those_that_exist() -> None:
     with pytest.raises(BadScene, match="default, mini, bench"):
-        built_in_scene("theatre royal")
+        named_scene("theatre royal")
 
 
 @pytest.mark.parametrize(("markers", "targets"), [(2, 1), (9, 1), (4, 0), (4, 11)])
 def test_impossible_numbers_of_markers_or_targets_are_refused(markers: int, targets: int) -> None:
     with pytest.raises(BadScene):
-        built_in_scene("default", markers=markers, targets=targets)
+        named_scene("default", markers=markers, targets=targets)
 
 
 def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
-    content = built_in_scene("mini").model_dump(by_alias=True)
+    content = named_scene("mini").model_dump(by_alias=True)
     content["colour"] = "green"
     content["seed"] = "x"
     with pytest.raises(BadScene, match=r"2 mistake\(s\)"):
@@ -76,7 +76,7 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
 def test_an_impossible_scene_is_refused_by_name(
     path: tuple[str | int, ...], value: Any, said: str, tmp_path: Path
 ) -> None:
-    content = json.loads(built_in_scene("mini").model_dump_json(by_alias=True))
+    content = json.loads(named_scene("mini").model_dump_json(by_alias=True))
     place = content
     for part in path[:-1]:
         place = place[part]
@@ -90,5 +90,5 @@ def test_an_impossible_scene_is_refused_by_name(
 def test_every_built_in_scene_survives_its_file(tmp_path: Path) -> None:
     for name in ("default", "mini", "bench"):
         file = tmp_path / "scene.json"
-        file.write_text(built_in_scene(name).model_dump_json(by_alias=True))
-        assert read_scene(file) == built_in_scene(name)
+        file.write_text(named_scene(name).model_dump_json(by_alias=True))
+        assert read_scene(file) == named_scene(name)

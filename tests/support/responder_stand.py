@@ -17,7 +17,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.realtime.responder import Session
+from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.angles import radians6
@@ -56,11 +56,11 @@ NUMBERS = re.compile(rb'"(-?\d+\.\d{6})"')
 WORKING_STEP_DEG = [degrees(v) * 0.004 for v in LIMITS.speed_rad_s]
 
 
-class Cell:
+class ResponderStand:
     """A session and the arm that follows it exactly, cycle by cycle."""
 
     def __init__(self, **changes: Any) -> None:
-        self.session = Session(replace(SETTINGS, **changes))
+        self.responder = Responder(replace(SETTINGS, **changes))
         self.now_ns = 1_000_000_000
         self.ipoc = 1000
         self.delay = 0
@@ -78,7 +78,7 @@ class Cell:
         seen = self.stop_word >> 3 if stop_number is None else stop_number
         self.pending: Command | None = Command(self.commands, kind, plan, seen)
         if not self.sent:
-            self.session.take(self.pending)
+            self.responder.take(self.pending)
 
     def stop(self, kind: StopOrder) -> None:
         self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind
@@ -89,13 +89,13 @@ class Cell:
         self.beat += self.beats
         self.ipoc += 4 * (1 + lost)
         telegram = Telegram(self.axes, self.delay, str(self.ipoc).encode())
-        head = self.session.answer(telegram, Orders(self.beat, self.stop_word, self.commands), self.now_ns)
+        head = self.responder.answer(telegram, Orders(self.beat, self.stop_word, self.commands), self.now_ns)
         if head is None:
             return False
         A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
         corrections = (A1, A2, A3, A4, A5, A6)
         self.sent.append((corrections, int(head[head.index(b"<Stop>") + 6 : head.index(b"</Stop>")])))
-        self.session.after_reply(self.pending)
+        self.responder.after_reply(self.pending)
         if self.follows:
             a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, corrections, strict=True))
             self.axes = (a, b, c, d, e, f)
@@ -104,7 +104,7 @@ class Cell:
     def run(self, most: int = 3000) -> int:
         """Cycles until the motion's result is there."""
         for count in range(most):
-            if self.session.result is not Result.RUNNING:
+            if self.responder.result is not Result.RUNNING:
                 return count
             self.cycle()
         raise AssertionError("no result")
@@ -119,29 +119,29 @@ class Cell:
         return all(step <= limit * share for step, limit in steps)
 
 
-def begun(cycles: int = 3, **changes: Any) -> Cell:
-    cell = Cell(**changes)
+def begun(cycles: int = 3, **changes: Any) -> ResponderStand:
+    stand = ResponderStand(**changes)
     for _ in range(cycles):
-        cell.cycle()
-    return cell
+        stand.cycle()
+    return stand
 
 
-def moving(cycles: int = 120, target: JointVector = FAR) -> Cell:
-    cell = begun()
-    cell.give(CommandKind.MOVE, plan_joint_move(MODEL, START, target, LIMITS))
+def moving(cycles: int = 120, target: JointVector = FAR) -> ResponderStand:
+    stand = begun()
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, target, LIMITS))
     for _ in range(cycles):
-        cell.cycle()
-    assert cell.session.moving
-    return cell
+        stand.cycle()
+    assert stand.responder.moving
+    return stand
 
 
-def result_of(cell: Cell) -> Result:
-    return cell.session.result
+def result_of(stand: ResponderStand) -> Result:
+    return stand.responder.result
 
 
-def phase_of(cell: Cell) -> Phase:
-    return cell.session.phase
+def phase_of(stand: ResponderStand) -> Phase:
+    return stand.responder.phase
 
 
-def fault_of(cell: Cell) -> Fault:
-    return cell.session.fault
+def fault_of(stand: ResponderStand) -> Fault:
+    return stand.responder.fault

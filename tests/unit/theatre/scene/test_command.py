@@ -8,7 +8,7 @@ import pytest
 
 from sim.theatre.scene.command import scene
 from sim.theatre.scene.model import read_scene
-from sim.theatre.scene.named_scenes import built_in_scene
+from sim.theatre.scene.named_scenes import named_scene
 
 
 @pytest.mark.parametrize("name", ["default", "mini", "bench"])
@@ -18,4 +18,4 @@ def test_a_scene_that_was_printed_is_the_same_when_read_again(
     scene(scene=name, seed=4)
     file = tmp_path / "scene.toml"
     file.write_text(capsys.readouterr().out, encoding="utf-8")
-    assert read_scene(file) == built_in_scene(name, seed=4)
+    assert read_scene(file) == named_scene(name, seed=4)

@@ -1,0 +1,159 @@
+"""A session in which monitor, silence or the parent's heart stops the arm."""
+
+from __future__ import annotations
+
+from math import radians
+
+import pytest
+from responder_stand import (
+    FAR,
+    MODEL,
+    RAMP_DOWN_SHARE,
+    SETTINGS,
+    START,
+    ResponderStand,
+    begun,
+    fault_of,
+    moving,
+)
+
+from drivers.kuka_rsi.realtime.link_state import (
+    CommandKind,
+    Fault,
+    Orders,
+    Phase,
+)
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.monitor import FOLLOWING_TIME_S
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import PathLimits
+from ronna_hw.arm.pose import Pose
+
+CYCLE_S = SETTINGS.cycle_ms / 1000.0
+LONGEST_STOP_S = 0.5  # of a path stop, as the table of disturbances promises
+MOST_CYCLES = 1000
+
+
+@pytest.mark.parametrize(
+    ("limits", "kind"),
+    [
+        (PathLimits(5.0, 5.0, 20.0), "step"),
+        (PathLimits(1.0, 10.0, 100.0), "acceleration"),
+        (PathLimits(0.5, 50.0, 5000.0), "jerk"),
+    ],
+)
+def test_a_generator_that_asks_too_much_is_stopped_by_the_monitor(limits: PathLimits, kind: str) -> None:
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, FAR, limits))
+    for _ in range(400):
+        stand.cycle()
+    assert stand.responder.fault is Fault.MONITOR
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == kind
+    assert not stand.responder.moving
+    assert stand.responder.phase is Phase.FAULT
+    assert stand.smooth(RAMP_DOWN_SHARE)
+
+
+def test_a_path_that_leads_out_of_range_is_stopped_at_the_range() -> None:
+    beyond = radians6(0, -90, 90, 0, 125, 0)
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
+    for _ in range(1500):
+        stand.cycle()
+    assert stand.responder.fault is Fault.MONITOR
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == "range"
+    assert stand.responder.sent_rad[4] <= MODEL.upper_rad[4] + radians(2.0)
+    assert stand.smooth()
+
+
+def test_a_line_without_a_solution_on_the_way_is_stopped_by_the_joints() -> None:
+    here = MODEL.forward(START)
+    away = Pose((here.position_mm[0] + 900, here.position_mm[1], here.position_mm[2]), here.rotation)
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, (*START[:5], 0.1), PathLimits(0.1, 0.1, 1.0), away))
+    for _ in range(3000):
+        stand.cycle()
+        if stand.responder.fault and not stand.responder.moving:
+            break
+    assert stand.responder.fault in (Fault.PATH, Fault.MONITOR)
+    assert not stand.responder.moving
+    assert stand.smooth(RAMP_DOWN_SHARE)
+
+
+@pytest.mark.hazard(38)
+def test_an_axis_that_does_not_follow_stops_the_arm() -> None:
+    stand = moving(cycles=150, target=(START[0] + radians(60), *START[1:]))  # one axis, at its working speed
+    stand.follows = False
+    cycles = _until_fault(stand)
+    assert stand.responder.fault is Fault.MONITOR
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == "following error"
+    assert cycles == pytest.approx(FOLLOWING_TIME_S / CYCLE_S, abs=3)
+    assert _rests_within(stand, LONGEST_STOP_S)
+    assert stand.smooth()
+
+
+def test_silence_beyond_the_limit_is_latched_and_the_motion_forgotten() -> None:
+    stand = moving()
+    orders = Orders(stand.beat, 0, stand.commands)
+    stand.responder.idle(orders, stand.now_ns + 240_000_000)
+    assert fault_of(stand) is Fault.NONE
+    stand.responder.idle(orders, stand.now_ns + 260_000_000)
+    assert stand.responder.fault is Fault.SILENCE
+    assert not stand.responder.moving
+    before = stand.sent[-1][0]
+    stand.cycle(lost=70)
+    assert stand.sent[-1][0] == before
+
+
+@pytest.mark.hazard(30)
+def test_a_late_heartbeat_stops_the_arm_and_ends_the_program() -> None:
+    stand = moving(cycles=1)
+    stand.beats = False
+    cycles = _until_fault(stand)
+    assert stand.responder.fault is Fault.HEARTBEAT
+    assert cycles == pytest.approx(SETTINGS.heartbeat_limit_s / CYCLE_S, abs=2)
+    assert _rests_within(stand, LONGEST_STOP_S)
+    stand.cycle()
+    assert stand.responder.phase is Phase.ENDING
+    assert stand.sent[-1][1] == 1
+    assert stand.smooth()
+
+
+def test_a_heart_that_beats_now_and_then_keeps_the_session() -> None:
+    stand = begun()
+    for k in range(1000):
+        stand.beats = k % 200 == 0
+        stand.cycle()
+    assert stand.responder.fault is Fault.NONE
+
+
+@pytest.mark.hazard(30)
+def test_without_its_parent_the_arm_stops_and_the_program_is_ended() -> None:
+    stand = moving()
+    stand.responder.parent_gone = True
+    assert _rests_within(stand, LONGEST_STOP_S)
+    stand.cycle()
+    assert stand.responder.phase is Phase.ENDING
+    assert stand.sent[-1][1] == 1
+    assert stand.smooth()
+
+
+def _until_fault(stand: ResponderStand) -> int:
+    """Cycles until a fault is latched."""
+    for cycles in range(1, MOST_CYCLES):
+        stand.cycle()
+        if stand.responder.fault:
+            return cycles
+    raise AssertionError("no fault")
+
+
+def _rests_within(stand: ResponderStand, limit_s: float) -> bool:
+    """Whether the set-points come to rest in that time."""
+    for _ in range(round(limit_s / CYCLE_S)):
+        stand.cycle()
+        if not stand.responder.moving:
+            return True
+    return False

@@ -1,0 +1,194 @@
+"""A session from its first telegram to its end: motions, stops, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from responder_stand import (
+    FAR,
+    LIMITS,
+    MODEL,
+    SETTINGS,
+    START,
+    START_DEG,
+    ResponderStand,
+    begun,
+    moving,
+    phase_of,
+    result_of,
+)
+
+from drivers.kuka_rsi.realtime.link_state import (
+    CommandKind,
+    Fault,
+    Orders,
+    Phase,
+    Result,
+    StopOrder,
+)
+from drivers.kuka_rsi.realtime.responder import Responder
+from drivers.kuka_rsi.realtime.telegram import Telegram
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.progress import PathLimits
+from ronna_hw.arm.pose import Pose
+
+
+def test_nothing_is_answered_before_a_session_is_open() -> None:
+    session = Responder(SETTINGS)
+    assert session.answer(Telegram(START_DEG, 0, b"4"), Orders(1, 0, 0), 1) is None
+    assert session.phase is Phase.IDLE
+
+
+def test_the_first_correction_is_zero_whatever_the_pose() -> None:
+    stand = ResponderStand()
+    stand.axes = (1.2345, -77.7777, 99.9999, -3.3333, 12.3456, 200.0001)
+    stand.follows = False
+    for _ in range(5):
+        stand.cycle()
+    assert {s for s, _ in stand.sent} == {(0.0,) * 6}
+    assert stand.responder.phase is Phase.RUNNING
+
+
+def test_a_first_pose_outside_the_ranges_is_a_fault_and_still_gets_zero() -> None:
+    stand = ResponderStand()
+    stand.axes = (0.0, 60.0, 0.0, 0.0, 0.0, 0.0)
+    stand.follows = False
+    stand.cycle()
+    assert stand.responder.fault is Fault.BASE
+    assert stand.sent[-1][0] == (0.0,) * 6
+
+
+def test_a_motion_ends_at_its_target_and_is_done_after_ten_settled_cycles() -> None:
+    stand = begun()
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
+    stand.cycle()
+    cycles = stand.run()
+    assert stand.responder.result is Result.DONE
+    assert stand.responder.sent_rad == FAR
+    assert stand.smooth()
+    last_change = max(k for k in range(1, len(stand.sent)) if stand.sent[k] != stand.sent[k - 1])
+    assert len(stand.sent) - last_change >= 10
+    assert cycles > 200
+
+
+def test_a_motion_is_not_done_while_the_arm_is_off_by_more_than_the_tolerance() -> None:
+    stand = moving(cycles=1, target=radians6(0.5, -90, 90, 0, 60, 0))
+    for _ in range(300):
+        stand.cycle()
+        stand.axes = (stand.axes[0] - 0.0003, *stand.axes[1:])
+    assert result_of(stand) is Result.RUNNING
+    stand.cycle()
+    stand.run(50)
+    assert stand.responder.result is Result.DONE
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    cycles=st.integers(1, 260),
+    kind=st.sampled_from([StopOrder.HOLD, StopOrder.PROTECTIVE, StopOrder.DRIVES_OFF]),
+    line=st.booleans(),
+)
+def test_a_stop_in_any_cycle_is_smooth(cycles: int, kind: StopOrder, line: bool) -> None:
+    stand = begun()
+    here = MODEL.forward(START)
+    x, y, z = here.position_mm
+    plan = (
+        plan_line(MODEL, START, Pose((x - 40, y + 60, z - 40), here.rotation), LIMITS, (0.0, 0.0, 200.0))
+        if line
+        else plan_joint_move(MODEL, START, FAR, LIMITS)
+    )
+    stand.give(CommandKind.MOVE, plan)
+    for _ in range(cycles):
+        stand.cycle()
+    stand.stop(kind)
+    for _ in range(150):
+        stand.cycle()
+    assert not stand.responder.moving
+    assert stand.smooth()
+    assert stand.responder.violation is None
+    expected = Phase.RUNNING if kind is StopOrder.HOLD else Phase.FAULT
+    assert stand.responder.phase is expected
+
+
+def test_a_stop_acts_on_the_reply_to_the_very_next_telegram() -> None:
+    one, other = moving(), moving()
+    other.stop(StopOrder.HOLD)
+    one.cycle()
+    other.cycle()
+    assert one.sent[:-1] == other.sent[:-1]
+    assert one.sent[-1] != other.sent[-1]
+
+
+def test_link_stop_ceases_replies_at_once() -> None:
+    stand = moving()
+    stand.stop(StopOrder.LINK)
+    assert not stand.cycle()
+    assert stand.responder.fault is Fault.LINK_STOP
+    assert stand.responder.phase is Phase.SILENT
+    assert not stand.responder.moving
+
+
+def test_the_end_sends_stop_with_the_last_point() -> None:
+    stand = begun()
+    stand.give(CommandKind.END)
+    for _ in range(4):
+        stand.cycle()
+    assert phase_of(stand) is Phase.ENDING
+    assert stand.sent[-1] == ((0.0,) * 6, 1)
+    stand.give(CommandKind.CLOSE)
+    stand.cycle()
+    assert stand.responder.phase is Phase.IDLE
+    assert not stand.cycle()
+
+
+def test_the_end_waits_for_rest() -> None:
+    stand = moving()
+    stand.give(CommandKind.END)
+    stand.cycle()
+    assert stand.responder.phase is Phase.RUNNING
+    assert stand.sent[-1][1] == 0
+
+
+def test_a_motion_from_another_start_is_refused() -> None:
+    stand = begun()
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, FAR, START, LIMITS))
+    stand.cycle()
+    assert stand.responder.result is Result.REFUSED_START
+    assert not stand.responder.moving
+
+
+def test_a_motion_during_another_is_refused() -> None:
+    stand = moving()
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
+    stand.cycle()
+    assert stand.responder.result is Result.REFUSED_BUSY
+    assert stand.responder.moving
+
+
+@pytest.mark.hazard(32)
+def test_a_motion_planned_before_a_stop_is_refused() -> None:
+    stand = begun()
+    stand.stop(StopOrder.HOLD)
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS), stop_number=0)
+    stand.cycle()
+    assert stand.responder.result is Result.REFUSED_STOP
+    assert not stand.responder.moving
+
+
+def test_a_motion_with_impossible_numbers_is_refused() -> None:
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, FAR, PathLimits(1.0, -1.0, 1.0)))
+    stand.cycle()
+    assert stand.responder.result is Result.REFUSED_NUMBERS
+
+
+@pytest.mark.hazard(32)
+def test_a_motion_while_a_fault_is_latched_is_refused() -> None:
+    stand = begun()
+    stand.stop(StopOrder.PROTECTIVE)
+    stand.cycle()
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
+    stand.cycle()
+    assert stand.responder.result is Result.REFUSED_PHASE
