@@ -12,7 +12,7 @@ from procedures.calibration.arm_geometry import (
     error_columns,
 )
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from sim.kuka.arm.joint_chain import Chain
+from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.robot_description import description
 from sim.theatre.scene.model import LinkError
 
@@ -24,7 +24,7 @@ SMALL = 1e-3
 
 
 def ball_with(links: list[LinkError], joints=JOINTS):
-    return (Chain(description(VARIANT), links).flange(joints) @ IN_FLANGE_MM)[:3]
+    return (JointChain(description(VARIANT), links).flange(joints) @ IN_FLANGE_MM)[:3]
 
 
 def exact() -> list[LinkError]:
