@@ -92,7 +92,8 @@ def theatre(tmp_path: Path) -> Path:
         "tracker_frame": {**record, "tool": "M", "tool_from_marker": POSE},
     }
     path = tmp_path / "theatre.toml"
-    robot = {"driver": "kuka_rsi", "endpoint": "udp://127.0.0.1:1", "options": {"variant": "kr6_r900_sixx"}}
+    endpoints = {"rsi": "udp://127.0.0.1:59152", "eki_project": "tcp://127.0.0.1:54602"}
+    robot = {"driver": "kuka_rsi", "endpoints": endpoints, "options": {"variant": "kr6_r900_sixx"}}
     path.write_text(
         f'schema = 1\ntheatre = "test"\n'
         f"robot = {{master = {table(robot)}}}\ncalibration = {table(calibration)}\n"
