@@ -47,6 +47,12 @@ class Said:
         return json.loads(self.out)
 
 
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a command leaves without `--out` is left here."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture
 def stereo(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
     """Runs `ronna-stereo` in this process, which is what the console script does."""
@@ -177,6 +183,7 @@ def test_a_theatre_without_calibration_is_refused(
     said = stereo("measure", "--config", tmp_path / "theatre.toml")
     assert said.code == 2
     assert one_error(said.errors)[0].startswith("DEV-007")
+    assert list(Path("calibrations").iterdir()) == []
 
 
 def test_an_expired_calibration_is_refused_before_any_device_is_asked(

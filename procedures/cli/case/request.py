@@ -10,6 +10,7 @@ from pathlib import Path
 
 from procedures.cli.case.scene_choice import SceneChoice
 from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.log_output import LOG_FILE
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,6 @@ def new_run_folder(request: CaseRequest) -> Path:
 
 
 def forget_if_empty(folder: Path) -> None:
-    """Remove a run folder in which nothing was written."""
-    if not any(path.is_file() for path in folder.rglob("*")):
+    """Remove a run folder in which nothing but the log was written."""
+    if not any(path.is_file() and not path.name.startswith(LOG_FILE) for path in folder.rglob("*")):
         shutil.rmtree(folder, ignore_errors=True)

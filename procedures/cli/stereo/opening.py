@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.operators import ScriptedOperator, SimulatedRoom, TerminalOperator, TerminalRoom
+from procedures.cli.case.request import forget_if_empty
 from procedures.cli.case.running import ignore_further_signals
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.case.simulated_theatre import SimulatedTheatre
@@ -52,8 +53,12 @@ def run_steps(
 
     With `expired_too` the records only serve as a start, and their age does not matter.
     """
-    with _opened(source, folder, steps, progress, expired_too=expired_too) as engine:
-        engine.run_to()
+    try:
+        with _opened(source, folder, steps, progress, expired_too=expired_too) as engine:
+            engine.run_to()
+    except BaseException:
+        forget_if_empty(folder)
+        raise
     return engine
 
 
