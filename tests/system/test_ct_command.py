@@ -15,6 +15,9 @@ import pytest
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 from scipy.special import erfc
+from user_commands import in_this_process
+
+from procedures.cli.ct import app
 
 COMMAND = [sys.executable, "-P", "-c", "from procedures.cli.ct import main; main()"]
 SPACING_MM = (1.0, 0.5, 0.5)
@@ -208,7 +211,7 @@ def test_bad_input_is_one_clear_message_with_its_code(series: Path, tmp_path: Pa
         (["measure"], 2, "CLI-001", "measure"),
     ]
     for arguments, exit_code, code, named in cases:
-        done = ronna_ct(*arguments)
+        done = in_this_process(app, *arguments)
         assert (done.returncode, done.stdout) == (exit_code, ""), arguments
         assert done.stderr.startswith(f"{code}: "), done.stderr
         assert named in done.stderr

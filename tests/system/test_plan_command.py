@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import resource
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+from user_commands import in_this_process
+
+from procedures.cli.plan import app
 
 SERIES = "1.2.826.0.1.3680043.8.498.77"
 PLAN = f"""
@@ -102,15 +103,7 @@ def theatre(tmp_path: Path) -> Path:
 
 
 def ronna_plan(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        "-P",
-        "-c",
-        "from procedures.cli.plan import main; main()",
-        *map(str, arguments),
-    ]
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONWARNINGS"}
-    return subprocess.run(command, capture_output=True, text=True, timeout=150, env=environment)
+    return in_this_process(app, *arguments)
 
 
 def one_line(done: subprocess.CompletedProcess[str]) -> str:

@@ -135,6 +135,7 @@ def test_where_there_is_no_sphere_the_whole_pattern_is_looked_at_and_then_refuse
     assert "Check that the sphere is mounted" in caught.value.action
 
 
+@pytest.mark.slow
 @pytest.mark.hazard(27)
 def test_black_images_end_in_a_refusal_that_says_so(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
@@ -179,6 +180,7 @@ def test_a_pair_that_is_out_of_step_once_is_taken_again(cell: StereoCell) -> Non
     assert cell.centre(start).residuals_mm[-1] <= END_MM
 
 
+@pytest.mark.slow
 @pytest.mark.hazard(27)
 def test_a_hidden_rim_gives_no_point_however_often_it_is_looked_at(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
