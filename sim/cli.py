@@ -1,4 +1,4 @@
-"""`ronna-sim`: the simulated theatre and each of its devices alone, for any client."""
+"""`ronna-sim`: the simulated theatre, or any of its devices alone, for any client."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ class BadScene(ConfigurationError):
     """A scene file is missing or has mistakes."""
 
     code = "SIM-001"
-    action = "Correct the scene file, or name one of the built-in scenes: default, mini, bench."
+    action = "Correct the scene file, or name one of default, mini, bench."
 
 
 class WorldUnavailable(ConnectError):
@@ -27,21 +27,21 @@ class BadFaultScript(ConfigurationError):
 
 
 class EndpointTaken(ConnectError):
-    """The address that a simulated device should listen on is in use."""
+    """The address a simulated device should listen on is in use."""
 
     code = "SIM-004"
     action = "Choose another endpoint, or end the program that holds it."
 
 
 class NothingToVerify(DataError):
-    """A run folder holds nothing that truth can be compared with."""
+    """A run folder holds nothing to compare with the truth."""
 
     code = "SIM-006"
     action = "Give the folder of a run that was made with --sim and reached a target."
 
 
 class BadTruth(DataError):
-    """The samples of the truth in a run folder cannot be read."""
+    """The truth samples in a run folder cannot be read."""
 
     code = "SIM-007"
     action = "The file was changed or cut off after the run; repeat the run."

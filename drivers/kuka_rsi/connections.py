@@ -13,7 +13,7 @@ from ronna_hw.wire.kuka_context import RsiContext
 
 
 class Connections:
-    """Opened and closed one by one; what is asked for and not open raises."""
+    """Opened and closed one by one; accessing one that is not open raises."""
 
     def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
         """Opens nothing. Raises CFG-001 or CFG-002 for a missing or wrong endpoint."""
@@ -30,18 +30,18 @@ class Connections:
     def eki(self) -> EkiClient:
         """The EKI session; raises EKI-001 when there is none."""
         if self.open_eki is None:
-            raise ControllerNotFound(f"{self._name}: there is no EKI session")
+            raise ControllerNotFound(f"{self._name}: no EKI session is open")
         return self.open_eki
 
     @property
     def link(self) -> LinkClient:
         """The real-time process; raises RSI-002 when there is none."""
         if self.open_link is None:
-            raise NoTelegram(f"{self._name}: there is no real-time process")
+            raise NoTelegram(f"{self._name}: no real-time process is running")
         return self.open_link
 
     def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
-        """Open the EKI session and check who answers; `retry`: again and again until the time is over.
+        """Open the EKI session and identify the controller; `retry`: repeatedly until the time limit.
 
         Raises EKI-001 when nothing answers, EKI-005 or EKI-006 when it is another controller or set-up.
         """

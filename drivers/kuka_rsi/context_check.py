@@ -1,4 +1,4 @@
-"""Whether an RSI context is one that the driver may move an arm with. Looked at before anything is opened."""
+"""Whether the driver may move an arm with an RSI context. Checked before anything is opened."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def usable_context(device: str, options: KukaOptions) -> RsiContext:
 
 
 def reasons_against(context: RsiContext) -> Iterator[str]:
-    """Everything that makes a context unsafe, or blind, for this driver."""
+    """Everything that makes a context unsafe, or that it fails to report."""
     holdon = {element.indx: element.holdon for element in context.receive}
     axes = [w for w in context.wiring if w.object == "AXISCORR"]
     stops = [w for w in context.wiring if w.object == "STOP"]

@@ -3,27 +3,27 @@
 RSI-001 LinkNotStarted      the real-time process did not start, or its port is taken
 RSI-002 NoTelegram          the controller sends nothing
 RSI-003 LinkSilent          telegrams ceased while the stream was running
-RSI-004 LinkStopped         replies were ceased on request
+RSI-004 LinkStopped         replies were stopped on request
 RSI-005 MotionTripped       the monitor stopped the arm
 RSI-006 HeartbeatLate       this program was late, and the real-time process stopped the arm
 RSI-007 LinkProcessDied     the real-time process ended
 RSI-008 ControllerRestarted another run of the controller's program took over
-RSI-009 ProtectiveStop      a protective stop was asked for
+RSI-009 ProtectiveStop      a protective stop was requested
 RSI-010 MotionStopped       a motion was stopped before its end
 RSI-011 MotionNotFinished   a motion did not end, or the arm did not settle, in time
 RSI-012 MotionRefused       the real-time process refused a motion
 RSI-013 BadOptions          the driver's options in the theatre file are wrong
-RSI-014 BadTelegram         bytes from the controller are no telegram of ours
+RSI-014 BadTelegram         bytes from the controller are not a valid telegram
 RSI-015 PoseDisagrees       RSI and EKI report different axes
 RSI-016 PathFailed          a path had no solution on the way
 RSI-017 ContextUnusable     the RSI context is unsafe, or blind, for this driver
-RSI-018 HandshakeFailed     an unverified controller did not do what it was told
+RSI-018 HandshakeFailed     an unverified controller failed the micro-move
 RSI-019 LinkUnusable        too many replies were lost for too long
-RSI-020 LinkProcessStalled  the real-time process runs no more
+RSI-020 LinkProcessStalled  the real-time process no longer runs
 EKI-001 ControllerNotFound  nothing answers at the address
 EKI-002 ControllerLost      the connection broke
 EKI-003 NoAnswer            a command was not answered in time
-EKI-004 BadEkiTelegram      bytes from the controller are no telegram
+EKI-004 BadEkiTelegram      bytes from the controller are not a valid telegram
 EKI-005 WrongController     cycle, mode, HOLDON, context or arm are not what the driver was made for
 EKI-006 Unverified          the controller cannot say what it runs
 EKI-007 ControllerNotReady  mode, drives, emergency stop, guard or a message forbid motion
@@ -86,10 +86,10 @@ class LinkSilent(LinkTimeout):
 
 
 class LinkStopped(StateError):
-    """Replies were ceased on request; the controller ends the stream by its Timeout."""
+    """Replies were stopped on request; the controller ends the stream by its Timeout."""
 
     code = "RSI-004"
-    action = "Find out why, then recover the arm."
+    action = "Find the reason, then recover the arm."
 
 
 class MotionTripped(LimitError):
@@ -100,7 +100,7 @@ class MotionTripped(LimitError):
 
 
 class HeartbeatLate(LinkTimeout):
-    """The real-time process heard nothing from this program and stopped the arm."""
+    """The real-time process received no heartbeat from this program and stopped the arm."""
 
     code = "RSI-006"
     action = "Relieve the computer, or find what blocked the program; then recover the arm."
@@ -114,17 +114,17 @@ class LinkProcessDied(DeviceError):
 
 
 class ControllerRestarted(DeviceError):
-    """The telegrams come from another run than the one that was started."""
+    """The telegrams come from a run that this program did not start."""
 
     code = "RSI-008"
     action = "Check who started the program, then recover the arm."
 
 
 class ProtectiveStop(StateError):
-    """A protective stop was asked for and is latched."""
+    """A protective stop was requested and is latched."""
 
     code = "RSI-009"
-    action = "Find out why, then recover the arm."
+    action = "Find the reason, then recover the arm."
 
 
 class MotionStopped(StateError):
@@ -156,7 +156,7 @@ class BadOptions(ConfigurationError):
 
 
 class BadTelegram(ProtocolError):
-    """Bytes from the controller are no telegram of the agreed form."""
+    """Bytes from the controller are not a valid telegram."""
 
     code = "RSI-014"
     action = "Load the Ethernet file of this driver on the controller."
@@ -170,39 +170,39 @@ class PoseDisagrees(DeviceError):
 
 
 class PathFailed(LimitError):
-    """A path had no solution on the way; the arm was stopped by its joints."""
+    """A path had no solution partway; the arm was stopped along its joints."""
 
     code = "RSI-016"
     action = "Recover the arm and move away from the singular pose by a joint move."
 
 
 class ContextUnusable(ConfigurationError):
-    """The RSI context is unsafe, or blind, for this driver."""
+    """The RSI context is unsafe, or reports too little, for this driver."""
 
     code = "RSI-017"
-    action = "Correct the named entries, generate the controller's files anew and load them."
+    action = "Correct the named entries, then generate and load the controller's files again."
 
 
 class HandshakeFailed(DeviceError):
-    """An unverified controller did not do what it was told in the micro-move."""
+    """An unverified controller did not move as commanded in the micro-move."""
 
     code = "RSI-018"
-    action = "Load the files of drivers/kuka_rsi/controller on the controller; do not move the arm before."
+    action = "Load the files of drivers/kuka_rsi/controller on the controller before moving the arm."
 
 
 class LinkUnusable(LinkTimeout):
     """Too many replies were lost for too long: the arm was stopped."""
 
     code = "RSI-019"
-    action = "Find what loads the computer or the RSI network (nothing else belongs on it), then recover."
+    action = "Find what loads the computer or the RSI network (it must carry nothing else), then recover."
 
 
 class LinkProcessStalled(DeviceError):
-    """The real-time process is there, but has not run for too long: nobody answers the controller."""
+    """The real-time process is alive but has not run for too long: the controller gets no replies."""
 
     code = "RSI-020"
     action = (
-        "The controller stops the arm by its Timeout. Find what holds the process or the computer up; "
+        "The controller stops the arm by its Timeout. Find what blocks the process or the computer; "
         "recover the arm, which starts a new process."
     )
 
@@ -229,7 +229,7 @@ class NoAnswer(LinkTimeout):
 
 
 class BadEkiTelegram(ProtocolError):
-    """Bytes from the controller are no telegram of the agreed form."""
+    """Bytes from the controller are not a valid telegram."""
 
     code = "EKI-004"
     action = (
@@ -239,7 +239,7 @@ class BadEkiTelegram(ProtocolError):
 
 
 class WrongController(ConnectError):
-    """The controller runs another context, cycle, mode or arm than the driver was made for."""
+    """The controller's context, cycle, mode or arm is not the one the driver is configured for."""
 
     code = "EKI-005"
     action = (
@@ -249,12 +249,12 @@ class WrongController(ConnectError):
 
 
 class Unverified(ConnectError):
-    """The controller cannot say which context it runs."""
+    """The controller does not report which context it runs."""
 
     code = "EKI-006"
     action = (
         "Load the EKI program of this driver, which reports it; or set option accept_unverified and call "
-        "activate_unverified(confirmed_by), which shows it by a micro-move."
+        "activate_unverified(confirmed_by), which tests it by a micro-move."
     )
 
 
@@ -280,7 +280,7 @@ class DrivesOff(StateError):
     """The drives were switched off on request; the fault is latched."""
 
     code = "EKI-009"
-    action = "Find out why, then recover the arm."
+    action = "Find the reason, then recover the arm."
 
 
 class ControllerStopped(LimitError):

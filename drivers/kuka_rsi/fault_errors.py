@@ -1,4 +1,4 @@
-"""Turns what the real-time process reports into the error that is raised and latched."""
+"""The error to raise and latch for a fault that the real-time process reports."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
 from ronna_hw.errors import RonnaError
 
 _REFUSALS = {
-    Result.REFUSED_BUSY: "another motion is under way",
-    Result.REFUSED_START: "it was planned from another pose than the last one sent",
+    Result.REFUSED_BUSY: "another motion is running",
+    Result.REFUSED_START: "it was planned from a pose other than the last one sent",
     Result.REFUSED_PHASE: "no correction stream is running",
-    Result.REFUSED_NUMBERS: "no profile exists for its numbers",
-    Result.REFUSED_STOP: "a stop was asked for after it was planned",
+    Result.REFUSED_NUMBERS: "no motion profile exists for its values",
+    Result.REFUSED_STOP: "a stop was requested after it was planned",
 }
 
 
@@ -52,7 +52,7 @@ def error_of_fault(
         case Fault.SILENCE:
             said = f"; the controller shows message {message}" if message else ""
             return LinkSilent(
-                f"{where} telegrams ceased{said}",
+                f"{where} telegrams stopped{said}",
                 expected="a telegram in every cycle",
                 limit=f"{options.silence_limit_s:g} s",
                 got=f"IPOC {state.IPOC}",
@@ -62,21 +62,21 @@ def error_of_fault(
                 f"{where} this program's heartbeat was late", limit=f"{options.heartbeat_limit_s:g} s"
             )
         case Fault.PROTECTIVE:
-            return ProtectiveStop(f"{name}: a protective stop was asked for")
+            return ProtectiveStop(f"{name}: a protective stop was requested")
         case Fault.LINK_STOP:
-            return LinkStopped(f"{name}: replies were ceased on request")
+            return LinkStopped(f"{name}: replies were stopped on request")
         case Fault.DRIVES_OFF:
             return DrivesOff(f"{name}: the drives were switched off on request")
         case Fault.PATH:
             return PathFailed(f"{where} the path had no solution")
         case Fault.RESTARTED:
             return ControllerRestarted(
-                f"{where} telegrams of another run came{strangers_text(state)}", got=f"IPOC {state.IPOC}"
+                f"{where} received telegrams of another run{strangers_text(state)}", got=f"IPOC {state.IPOC}"
             )
         case Fault.LOSSES:
             return LinkUnusable(
-                f"{where} too few replies were taken{losses_text(NO_STATE, state)}",
-                limit=f"{UNUSABLE_SHARE:.0%} of {WINDOW_CYCLES} cycles, twice in a row",
+                f"{where} too few replies were accepted{losses_text(NO_STATE, state)}",
+                limit=f"{UNUSABLE_SHARE:.0%} of {WINDOW_CYCLES} cycles, in two consecutive windows",
             )
         case Fault.BASE:
             return PoseDisagrees(
@@ -105,13 +105,13 @@ def _tripped(where: str, state: LinkState, bodies: Bodies) -> MotionTripped:
 
 
 def error_of_refusal(name: str, state: LinkState) -> MotionRefused:
-    """The error of a motion that the real-time process did not accept."""
+    """The error for a motion that the real-time process refused."""
     why = _REFUSALS.get(state.result, f"result {state.result.name}")
     return MotionRefused(f"{name}: the motion was refused: {why}")
 
 
 def losses_text(begun: LinkState, state: LinkState) -> str:
-    """What was lost meanwhile, for a message; nothing when nothing was."""
+    """Losses in between, for a message; empty when there were none."""
     cycles, late, lost = (
         max(now - before, 0)
         for now, before in ((state.cycles, begun.cycles), (state.late, begun.late), (state.lost, begun.lost))
@@ -122,7 +122,7 @@ def losses_text(begun: LinkState, state: LinkState) -> str:
 
 
 def strangers_text(state: LinkState) -> str:
-    """Who else sent telegrams, for a message."""
+    """The foreign sender, for a message."""
     return f" from {state.foreign_host}" if state.foreign else ""
 
 

@@ -1,4 +1,4 @@
-"""Latches what goes wrong: in the real-time process, on the EKI channel, and at the controller itself.
+"""Latches faults: of the real-time process, the EKI channel, and the controller itself.
 
 The real-time process stops the arm for what it sees by itself. What only EKI tells (emergency stop, guard,
 mode, drives, a message, or that the channel broke) is noticed here as soon as it arrives, and stops the arm.
@@ -36,7 +36,7 @@ class FaultWatch:
         # As patient as that process is with us, and with the controller.
         self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
         self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
-        self._told: RonnaError | None = None  # the fault that a caller has already been given
+        self._raised: RonnaError | None = None  # the fault that a caller has already been given
         self.mode = OperationMode.EXT  # in which the stream was started: a change stops the arm
 
     @property
@@ -46,7 +46,7 @@ class FaultWatch:
         return self._guard.fault
 
     def notice(self) -> None:
-        """Latch what the real-time process or the EKI channel has found wrong meanwhile."""
+        """Latch faults found by the real-time process or the EKI channel since the last call."""
         eki = self._connections.open_eki
         if self._guard.state not in STREAMING:
             if eki is not None and eki.failure and self._guard.state in READABLE:
@@ -66,8 +66,8 @@ class FaultWatch:
         elif eki is not None and eki.failure is not None:
             self._stop_for(eki.failure)
         elif eki is not None and eki.silent_s > self._eki_limit_s:
-            # An emergency stop would not be told any more.
-            where = f"{self._name}: {eki.where} says nothing"
+            # An emergency stop would no longer be reported.
+            where = f"{self._name}: {eki.where} is silent"
             self._stop_for(NoAnswer(where, expected="a State every 0.1 s", limit=f"{self._eki_limit_s:g} s"))
 
     def latch(self, error: RonnaError) -> None:
@@ -76,20 +76,20 @@ class FaultWatch:
         if link is not None and self._guard.state in STREAMING:
             self._keep(error, link)
         self._guard.latch(error)
-        self._told = self._guard.fault
+        self._raised = self._guard.fault
 
     def raise_new(self) -> None:
         """Raise a latched fault to the first call that meets it; later calls are refused and name it."""
         fault = self.fault
-        if fault is not None and fault is not self._told:
-            self._told = fault
+        if fault is not None and fault is not self._raised:
+            self._raised = fault
             raise fault
 
     def raise_any(self) -> None:
         """Raise a latched fault."""
         fault = self.fault
         if fault is not None:
-            self._told = fault
+            self._raised = fault
             raise fault
 
     def controller_said(self, state: ControllerState) -> None:

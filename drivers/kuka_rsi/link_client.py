@@ -1,4 +1,4 @@
-"""The driver's end of the real-time process: starts it, keeps it alive by a heartbeat, orders and waits."""
+"""The driver's end of the real-time process: start, heartbeat, orders, and waiting for results."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class LinkClient:
 
     @property
     def state(self) -> LinkState:
-        """What the process last said of itself."""
+        """The last state the process published."""
         return self._mailbox.read_state()
 
     @property
@@ -83,7 +83,7 @@ class LinkClient:
 
     @property
     def stalled_s(self) -> float:
-        """Host time since the process last looked around; it does so every 10 ms."""
+        """Host time since the process was last seen running; it reports every 10 ms."""
         said_ns = self._mailbox.said_alive_ns()
         return (time.monotonic_ns() - said_ns) / 1e9 if said_ns else 0.0
 
@@ -111,7 +111,7 @@ class LinkClient:
             return self._stops
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """The first state that fulfils the condition, or None after the time limit (host time).
+        """The first state that meets the condition, or None after the time limit (host time).
 
         Raises RSI-007 when the process has ended.
         """
@@ -129,7 +129,7 @@ class LinkClient:
                 self._changed.wait(min(rest, HEARTBEAT_S))
 
     def death(self) -> LinkProcessDied:
-        """The error to raise when the process has ended by itself."""
+        """The error for a process that ended unexpectedly."""
         if self._words is None:
             self._words = self._last_words()
         return LinkProcessDied(f"the real-time process ended: {self._words}")
@@ -192,9 +192,11 @@ class LinkClient:
             raise LinkNotStarted(str(error.what)) from None
         where = f"udp://{self._settings.host}:{self._settings.port}"
         if state is None:
-            raise LinkNotStarted(f"the real-time process for {where} says nothing", limit=f"{timeout_s:g} s")
+            raise LinkNotStarted(
+                f"the real-time process for {where} does not report", limit=f"{timeout_s:g} s"
+            )
         if state.phase is Phase.FAILED:
-            known = os.strerror(state.errno) if state.errno > 0 else "there is no such address"
+            known = os.strerror(state.errno) if state.errno > 0 else "no such address"
             reason = f"cannot listen on {where}: {known}"
             if state.errno <= 0 or state.errno == errno.EADDRNOTAVAIL:
                 raise LinkNotStarted(reason, expected="an address of this computer", action=GIVE_OUR_ADDRESS)

@@ -1,4 +1,4 @@
-"""The micro-move: a controller that does not say what it runs shows what it does with a correction.
+"""The micro-move: tests what an unverified controller does with a correction.
 
 Each axis goes out and back by so little that nothing on the arm moves by more than 0.05 mm. The last axis
 comes first: it moves next to nothing, and a controller that adds corrections up shows itself there.
@@ -33,7 +33,7 @@ PROBE_RAD = 1e-4
 
 
 def verify_by_motion(name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits) -> None:
-    """Raises RSI-018 when the cycle is another, or an axis does not do exactly what it is told.
+    """Raises RSI-018 when the cycle differs, or an axis does not move exactly as commanded.
 
     The caller ends the stream then: corrections that add up go on as long as they are sent.
     """
@@ -64,7 +64,7 @@ def _require_cycle(name: str, link: LinkClient) -> None:
     seen = link.wait(lambda s: s.cycles >= begun.cycles + CYCLES_WATCHED, TELEGRAMS_LIMIT_S)
     if seen is None or seen.lost - begun.lost >= CYCLES_WATCHED:
         lost = "no telegrams" if seen is None else f"{seen.lost - begun.lost} cycles lost by IPOC"
-        raise HandshakeFailed(f"{name}: the cycle is another one: {lost} within {CYCLES_WATCHED} telegrams")
+        raise HandshakeFailed(f"{name}: the cycle differs: {lost} within {CYCLES_WATCHED} telegrams")
 
 
 def _go(
@@ -98,13 +98,13 @@ def _require_small(name: str, link: LinkClient, state: LinkState, start: JointVe
         allowed = STRAY_RAD + (LARGEST_ANGLE_RAD if other == axis else 0.0)
         if abs(at - was) > allowed:
             moved = f"{AXIS_NAMES[other]} moved by {degrees(at - was):.4f} deg"
-            _refuse(name, link, f"{moved} while {AXIS_NAMES[axis]} was told to", allowed)
+            _refuse(name, link, f"{moved} while {AXIS_NAMES[axis]} was commanded", allowed)
 
 
 def _refuse(name: str, link: LinkClient, what: str, limit_rad: float) -> None:
     link.stop(StopOrder.HOLD)
     raise HandshakeFailed(
-        f"{name}: the controller does not do what it is told: {what}", limit=f"{degrees(limit_rad):.4f} deg"
+        f"{name}: the controller does not move as commanded: {what}", limit=f"{degrees(limit_rad):.4f} deg"
     )
 
 

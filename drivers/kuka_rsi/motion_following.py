@@ -1,4 +1,4 @@
-"""Gives one motion to the real-time process and follows it to its end."""
+"""Hands one motion to the real-time process and follows it to its end."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ class MotionFollower:
         self._under_way = threading.Lock()  # held while a motion is followed
 
     def follow(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
-        """Carry out a plan that was made when `stops` stops were known; the state when it has settled.
+        """Execute a plan that was made when `stops` stops were known; returns the state once it has settled.
 
         Raises RSI-010 when it was stopped, RSI-011 when it used up `timeout_s` of the controller's cycles,
         RSI-012 when it was refused, and the fault that ended it.
         """
         if not self._under_way.acquire(blocking=False):
-            raise MotionRefused(f"{self._name}: another motion is under way")
+            raise MotionRefused(f"{self._name}: another motion is running")
         try:
             return self._carry_out(plan, stops, timeout_s)
         finally:
             self._under_way.release()
 
     def await_end(self, timeout_s: float) -> None:
-        """Let another thread notice that its motion has been stopped, before the link ends."""
+        """Let another thread see that its motion was stopped, before the link ends."""
         if self._under_way.acquire(timeout=max(0.0, timeout_s)):
             self._under_way.release()
 
@@ -78,7 +78,7 @@ class MotionFollower:
                 )
         self._watch.raise_any()
         if state.result is Result.STOPPED:
-            raise MotionStopped(f"{self._name}: stopped on the way", got=axes_text(state))
+            raise MotionStopped(f"{self._name}: stopped before its end", got=axes_text(state))
         if state.result is not Result.DONE:
             raise error_of_refusal(self._name, state)
         return state

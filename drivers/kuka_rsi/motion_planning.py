@@ -1,4 +1,4 @@
-"""Plans the motions of one arm: within its limits and mode, and clear of what stands around it."""
+"""Plans the motions of one arm: within its limits and mode, and clear of its surroundings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class MotionPlanner:
         self.surroundings = Surroundings()
 
     def limits(self, mode: OperationMode, speed_fraction: float = 1.0) -> MotionLimits:
-        """Limits of motions in an operating mode; raises ARM-006 for a fraction that is none."""
+        """Motion limits in an operating mode; raises ARM-006 for an invalid fraction."""
         limits = self._limits
         if mode is OperationMode.T1:
             limits = limits.at_reduced_speed(self._kinematics)
@@ -46,7 +46,7 @@ class MotionPlanner:
         if around != link.surroundings:  # the real-time process reads what is new only
             link.surroundings = around
         path = sweep_path(self._kinematics, plan, link.surroundings)
-        path.require(f"the way of {self._name}")
+        path.require(f"the path of {self._name}")
         return with_speed_steps(plan, path)
 
     def preview(

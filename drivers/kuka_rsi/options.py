@@ -33,43 +33,61 @@ class KukaOptions(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    variant: ArmVariant = Field(ArmVariant.SIXX, description="Which arm stands there; read its plate.")
+    variant: ArmVariant = Field(ArmVariant.SIXX, description="Variant of the arm, as on its name plate.")
     context: Path | None = Field(
-        None, description="Another description of the RSI context than our own, in the same form."
+        None, description="Description of another RSI context, in the form of our own."
     )
-    cycle_ms: Literal[4, 12] | None = Field(None, description="Another cycle than the description's.")
+    cycle_ms: Literal[4, 12] | None = Field(
+        None, description="Cycle, when it differs from the description's."
+    )
     accept_unverified: bool = Field(
-        False, description="Connect to a controller that does not say what it runs; it must show it then."
+        False,
+        description="Connect to a controller that does not report its context; a micro-move verifies it.",
     )
     controller_host: ControllerHost = Field(
-        "", description="The only address that may open a session by RSI; empty for whoever sends first."
+        "", description="The only address that may open an RSI session; empty: the first sender."
     )
     silence_limit_s: float = Field(
-        SILENCE_LIMIT_S, gt=0.02, le=60.0, description="Without a telegram for so long the arm is in fault."
+        SILENCE_LIMIT_S,
+        gt=0.02,
+        le=60.0,
+        description="Time without a telegram after which the arm is in fault.",
     )
     heartbeat_limit_s: float = Field(
-        HEARTBEAT_LIMIT_S, ge=0.1, le=60.0, description="A program held up for longer has its arm stopped."
+        HEARTBEAT_LIMIT_S,
+        ge=0.1,
+        le=60.0,
+        description="The arm is stopped when the program stalls for longer.",
     )
     settle_tolerance_deg: float = Field(
-        SETTLE_TOLERANCE_DEG, ge=0.0001, le=1.0, description="A motion has ended when all axes are so near."
+        SETTLE_TOLERANCE_DEG,
+        ge=0.0001,
+        le=1.0,
+        description="A motion has ended when all axes are this close.",
     )
     speed_fraction: float = Field(
-        WORKING_SPEED_FRACTION, gt=0.0, lt=LARGEST_SPEED_FRACTION, description="Working speed of the axes."
+        WORKING_SPEED_FRACTION,
+        gt=0.0,
+        lt=LARGEST_SPEED_FRACTION,
+        description="Working speed of the axes, as a fraction of full speed.",
     )
     range_margin_deg: float = Field(
-        degrees(RANGE_MARGIN_RAD), ge=0.0, le=30.0, description="Kept from both ends of each axis's range."
+        degrees(RANGE_MARGIN_RAD),
+        ge=0.0,
+        le=30.0,
+        description="Margin kept from both ends of each axis's range.",
     )
     line_speed_mm_s: float | None = Field(
-        None, gt=0.0, le=250.0, description="Largest speed on straight lines, instead of the usual one."
+        None, gt=0.0, le=250.0, description="Largest speed on straight lines, instead of the default."
     )
     real_time_priority: int = Field(
-        FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 asks for none."
+        FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 requests none."
     )
     rehearsal_lead_us: int = Field(
         REHEARSAL_LEAD_US,
         ge=0,
         le=2000,
-        description="The reply is rehearsed so long before its telegram is due; 0 is never.",
+        description="The reply is rehearsed this long before its telegram is due; 0: never.",
     )
 
 

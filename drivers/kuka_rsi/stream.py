@@ -36,14 +36,14 @@ STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was
 
 
 def rest_of(deadline: float) -> float:
-    """What is left until a deadline of the host's monotonic clock, not negative, s."""
+    """Time left until a deadline of the host's monotonic clock, not negative, s."""
     return max(deadline - time.monotonic(), 0.0)
 
 
 def open_controller(
     address: Endpoint, context: RsiContext, options: KukaOptions, timeout_s: float
 ) -> tuple[EkiClient, Identity, bool]:
-    """Connect by EKI and check that the controller runs our context for our arm; True when it says so.
+    """Connect by EKI and check that the controller runs our context for our arm; True when it confirms that.
 
     Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 when it is set up otherwise, EKI-006 when it
     does not say and option `accept_unverified` is off.
@@ -54,7 +54,7 @@ def open_controller(
         state = eki.status(rest_of(deadline))
         unsaid = require_ours(state, context, options.variant)
         if unsaid and not options.accept_unverified:
-            raise Unverified("the controller does not say its " + ", ".join(unsaid))
+            raise Unverified("the controller does not report its " + ", ".join(unsaid))
     except RonnaError as error:
         eki.close()
         if isinstance(error, TimeoutError):
@@ -66,7 +66,7 @@ def open_controller(
         ("context", str(state.context_hash)),
         ("cycle_ms", str(state.cycle_ms)),
         ("mode", str(state.mode)),
-        ("verified", "no, it does not say its " + ", ".join(unsaid) if unsaid else "yes"),
+        ("verified", "no, it does not report its " + ", ".join(unsaid) if unsaid else "yes"),
     )
     # EKI carries neither serial number nor software version of the controller.
     model = state.variant or "unknown"
@@ -76,7 +76,7 @@ def open_controller(
 def reopen_controller(
     address: Endpoint, context: RsiContext, options: KukaOptions, timeout_s: float
 ) -> tuple[EkiClient, Identity, bool]:
-    """As `open_controller`, again and again with growing pauses: after a loss the server opens anew first."""
+    """As `open_controller`, retried with growing pauses: after a loss the server must first reopen."""
     deadline = time.monotonic() + timeout_s
     pause_s = FIRST_PAUSE_S
     while True:
@@ -92,7 +92,7 @@ def reopen_controller(
 def link_settings(
     rsi: Endpoint, context: RsiContext, options: KukaOptions
 ) -> Callable[[int, int], LinkSettings]:
-    """Settings of the real-time process, but for the two descriptors of its mailbox."""
+    """Settings of the real-time process, except for the descriptors of mailbox and event."""
 
     def settings(mailbox_fd: int, event_fd: int) -> LinkSettings:
         return LinkSettings(
@@ -158,22 +158,22 @@ def start_stream(
     if mode is OperationMode.EXT:
         eki.require(CommandName.RSI_START, rest_of(deadline), **wanted)
     else:
-        # Whether or not the controller takes it here: somebody starts the program with the pendant.
+        # Whether or not the controller accepts it: in T1 an operator starts the program on the pendant.
         eki.command(CommandName.RSI_START, rest_of(deadline), **wanted)
     first = link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), rest_of(deadline))
     if first is None:
         said = link.state
         others = f"; {said.foreign} came from {said.foreign_host}" if said.foreign else ""
-        others += f"; {said.rejected} were of another form or Type" if said.rejected else ""
+        others += f"; {said.rejected} were malformed or of another Type" if said.rejected else ""
         raise NoTelegram(
-            f"{name}: the RSI program runs, but no telegram of it comes here{others}",
+            f"{name}: the RSI program runs, but none of its telegrams arrive here{others}",
             expected=f"telegrams of {options.controller_host}" if options.controller_host else None,
             limit=f"{timeout_s:g} s",
         )
-    for axis, (told, measured) in enumerate(zip(state.axes_deg, first.base_rad, strict=True)):
-        if abs(told - degrees(measured)) > AXES_AGREE_DEG:
+    for axis, (by_eki, measured) in enumerate(zip(state.axes_deg, first.base_rad, strict=True)):
+        if abs(by_eki - degrees(measured)) > AXES_AGREE_DEG:
             raise PoseDisagrees(
-                f"{name}: A{axis + 1} is {told:.3f} deg by EKI and {degrees(measured):.3f} by RSI",
+                f"{name}: A{axis + 1} is {by_eki:.3f} deg by EKI and {degrees(measured):.3f} by RSI",
                 limit=f"{AXES_AGREE_DEG} deg",
             )
     if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, rest_of(deadline)) is None:
@@ -186,7 +186,7 @@ def start_stream(
 
 
 def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadline: float) -> None:
-    """Acknowledge the controller's messages and read it anew, with no RSI program running.
+    """Acknowledge the controller's messages and read its state again, with no RSI program running.
 
     Raises EKI-008 when it refuses, EKI-005 to EKI-007 for what is not as it must be.
     """
@@ -198,7 +198,7 @@ def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadl
 
 
 def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:
-    """End the RSI program by the STOP object, by EKI when that cannot help, and close the session."""
+    """End the RSI program by the STOP object, or by EKI when that fails, and close the session."""
     number = link.command(CommandKind.END)
     state = link.wait(lambda s: s.command_number >= number, rest_of(deadline))
     ended = None

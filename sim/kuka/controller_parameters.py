@@ -1,4 +1,4 @@
-"""What is not known for certain about the controller, each as one named parameter with its meaning.
+"""Unconfirmed behaviour of the controller, each as a named parameter with its meaning.
 
 The values are best estimates. A driver must live with every alternative; `ronna-sim kuka --set NAME=VALUE`
 chooses one.
@@ -29,68 +29,73 @@ class ControllerParameters:
     """
 
     # drives
-    dead_time_cycles: Annotated[int, "From a reply to the first movement; 2 to 3 were seen on a robot."] = 2
+    dead_time_cycles: Annotated[
+        int, "From a reply to the first movement; 2 to 3 were observed on a robot."
+    ] = 2
     lag_s: Annotated[float, "Of the drives, first order; 10 to 30 ms are published."] = 0.015
     ipo_filter_s: Annotated[
         float, "First-order filter of corrections in a 12 ms run (#IPO); 0 is none. #IPO_FAST has none."
     ] = 0.012
     readout_step_deg: Annotated[
-        float, "Step in which axes are measured; 0: finer than the digits in which they are told."
+        float, "Resolution of the measured axes; 0: finer than the reported digits."
     ] = 0.0
-    rest_error_deg: Annotated[float, "Nearer than this to its command the servo has arrived."] = 0.0005
+    rest_error_deg: Annotated[float, "The servo has arrived when it is this close to its command."] = 0.0005
     # One held value after one lost reply at 1/8 of full speed is a step of 2/8, which passes.
     step_share: Annotated[
-        float, "Share of the axis's full-speed step above which a commanded step trips the drives."
+        float, "Fraction of the axis's full-speed step above which a commanded step trips the drives."
     ] = 0.25
-    overspeed_cycles: Annotated[int, "In a row above the axis limit that trip the drives."] = 3
+    overspeed_cycles: Annotated[int, "Consecutive cycles above the axis limit that trip the drives."] = 3
     # Over a time and not from cycle to cycle, so that one held value and the step after it pass.
     acceleration_window_s: Annotated[float, "Time over which an acceleration is judged."] = 0.040
     acceleration_share: Annotated[
-        float, "Of a planner's accelerations that may be commanded; what the drives bear is not public."
+        float, "Multiple of a planner's accelerations that may be commanded; the drives' limit is not public."
     ] = 1.5
-    acceleration_cycles: Annotated[int, "In a row of too much acceleration that trip the drives."] = 3
-    held_cycles: Annotated[int, "Values held over so many lost replies do not break a motion in two."] = 3
+    acceleration_cycles: Annotated[
+        int, "Consecutive cycles of excessive acceleration that trip the drives."
+    ] = 3
+    held_cycles: Annotated[int, "Values held over this many lost replies do not split a motion in two."] = 3
     at_end_switch: Annotated[
-        Literal["stop", "clamp"], "A command beyond a software end switch stops the arm, or is cut there."
+        Literal["stop", "clamp"], "A command beyond a software end switch stops the arm, or is clamped there."
     ] = "stop"
-    path_stop_share: Annotated[float, "Share of the axis accelerations that a stop uses."] = 1.0
+    path_stop_share: Annotated[float, "Fraction of the axis accelerations that a stop uses."] = 1.0
     fast_stop_share: Annotated[float, "The same for STOP FAST."] = 2.0
     # A joint reverses its flank when the command comes back by more than this from its extreme.
-    reversal_deg: Annotated[float, "Way back after which a joint lies on its other flank."] = 0.0005
+    reversal_deg: Annotated[float, "Reversal after which a joint rests on its other flank."] = 0.0005
     # Above the last step of a jerk-limited profile (1.2 thousandths of a degree in 4 ms), so that motions
     # are counted by what is commanded and not by how long the arm waited between them.
     motion_speed_deg_s: Annotated[float, "Speed of the command at which a new motion begins."] = 0.3
-    stick_breakaway_deg: Annotated[float, "A sticking axis slips when the command is so far ahead of it."] = (
-        0.05
-    )
+    stick_breakaway_deg: Annotated[
+        float, "A sticking axis slips when the command is this far ahead of it."
+    ] = 0.05
 
     # RSI: telegrams and replies
-    ipoc_start: Annotated[int, "Time stamp from which those of the runs are made.", Most(2**64 - 1)] = (
+    ipoc_start: Annotated[int, "Time stamp from which those of the runs are derived.", Most(2**64 - 1)] = (
         4_208_163_632
     )
     ipoc_bits: Annotated[int, "Width of the time stamp: 32 wraps after 49 days.", Most(64)] = 32
     delay_tells: Annotated[
         Literal["total", "in_a_row", "nothing"],
-        "D: late replies since RSI_ON, those in a row up to now, or always 0.",
+        "D: late replies since RSI_ON, consecutive late replies up to now, or always 0.",
     ] = "total"
-    delay_lag_cycles: Annotated[int, "Telegrams by which D is behind what was late."] = 0
-    stat_tells_limits: Annotated[bool, "Stat has bits for limits beside bit 0, correction active."] = True
+    delay_lag_cycles: Annotated[int, "Number of telegrams by which D lags behind."] = 0
+    stat_tells_limits: Annotated[bool, "Stat has bits for limits besides bit 0, correction active."] = True
     reply_window: Annotated[
-        float, "Share of the cycle within which a reply is in time; lock-step waits for it.", Most(1.0)
+        float, "Fraction of the cycle within which a reply is in time; lock-step waits for it.", Most(1.0)
     ] = 1.0
     second_reply: Annotated[
         Literal["ignored", "taken"], "A second reply to the same telegram, while its cycle lasts."
     ] = "ignored"
     missing_element: Annotated[
         Literal["holdon", "kept", "zero"],
-        "An element that a reply lacks: by its HOLDON as if the reply were missing, kept, or 0.",
+        "An element missing from a reply: treated by its HOLDON as if the reply were missing, kept, or 0.",
     ] = "holdon"
-    reads_exponents: Annotated[bool, "A number such as 1.5e-3 is one."] = True
+    reads_exponents: Annotated[bool, "A number such as 1.5e-3 is accepted."] = True
     bad_number: Annotated[
-        Literal["no_reply", "missing"], "NaN, inf or text for a number spoils the reply, or its element."
+        Literal["no_reply", "missing"],
+        "NaN, inf or text instead of a number invalidates the reply, or its element.",
     ] = "no_reply"
     longest_file_name: Annotated[
-        int, "Characters of an Ethernet file's name without ending; some KSS 8.5.8 take below 20."
+        int, "Characters of an Ethernet file's name without extension; some KSS 8.5.8 accept fewer than 20."
     ] = 255
 
     # RSI: the run
@@ -102,7 +107,7 @@ class ControllerParameters:
     ] = "movecorr"
     movecorr_after_cycles: Annotated[int, "Cycles from RSI_ON to RSI_MOVECORR."] = 3
     timeout_counting: Annotated[
-        Literal["consecutive", "total"], "What Timeout counts: late replies in a row, or all since RSI_ON."
+        Literal["consecutive", "total"], "What Timeout counts: consecutive late replies, or all since RSI_ON."
     ] = "consecutive"
     streams_after_stop: Annotated[bool, "A stopped but not cancelled program keeps sending."] = True
     override_scales_corrections: Annotated[bool, "The program override at RSI_ON scales corrections too."] = (
@@ -111,8 +116,8 @@ class ControllerParameters:
 
     # EKI
     eki_loss_cancels: Annotated[bool, "An EKI connection that is lost ends the RSI program."] = False
-    longest_text: Annotated[int, "Characters of one KRL string in one EKI element."] = 512
-    inverted_status: Annotated[int, "Bits of S in E6POS that mean the opposite.", Most(7)] = 0
+    longest_text: Annotated[int, "Longest KRL string in an EKI element, in characters."] = 512
+    inverted_status: Annotated[int, "Bits of S in E6POS with the opposite meaning.", Most(7)] = 0
     line_acceleration_mm_s2: Annotated[float, "Of a LIN of the EKI program."] = 1000.0
     line_turn_rad_s: Annotated[float, "Fastest turn of the tool on a LIN."] = 1.0
 
@@ -143,7 +148,7 @@ def changed_parameters(assignments: Iterable[str]) -> ControllerParameters:
 
 
 def parameter_rows() -> list[tuple[str, str, str]]:
-    """Of each parameter its name, best estimate, and meaning with the values of an enumeration."""
+    """Name, best estimate and meaning of each parameter, with the values of an enumeration."""
     kinds = _kinds()
     rows = []
     for entry in fields(ControllerParameters):

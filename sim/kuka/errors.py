@@ -1,4 +1,4 @@
-"""Errors of the robot controller when it is set up. What goes wrong later is a message on its pendant."""
+"""Errors of the robot controller at start-up. Later problems are messages on its pendant."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ class EthernetFileInvalid(ConfigurationError):
 
 
 class ClientAddressInvalid(ConfigurationError):
-    """Telegrams cannot be sent to the address of the client."""
+    """Telegrams cannot be sent to the client's address."""
 
     code = "KRC-002"
-    action = "Say where the client listens with --rsi udp://ADDRESS:PORT."
+    action = "Give the address where the client listens: --rsi udp://ADDRESS:PORT."
 
 
 class UnknownParameter(ConfigurationError):
-    """A parameter of the controller that is not there, or that cannot have this value."""
+    """The controller has no such parameter, or the parameter cannot have this value."""
 
     code = "KRC-003"
-    action = "Give --set NAME=VALUE; ronna-sim kuka --list-parameters tells all names."
+    action = "Give --set NAME=VALUE; ronna-sim kuka --list-parameters lists all names."

@@ -1,1 +1,1 @@
-"""The scene, its shared memory, the one clock, faults, truth."""
+"""The simulated theatre: scene, shared memory, clock, faults, truth."""

@@ -26,9 +26,7 @@ class Speed(StrEnum):
 
 
 def theatre(
-    out: Annotated[Path, typer.Option(help="Folder for theatre.toml and what belongs to it.")] = Path(
-        "theatre"
-    ),
+    out: Annotated[Path, typer.Option(help="Folder for theatre.toml and its files.")] = Path("theatre"),
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 0,
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
@@ -43,11 +41,11 @@ def theatre(
         typer.Option(
             "--set",
             metavar="DEVICE.NAME=VALUE",
-            help="Change a parameter of the robot or the tracker, as robot.lag_s=0.03; repeatable.",
+            help="Change a parameter of the robot or the tracker, such as robot.lag_s=0.03; repeatable.",
         ),
     ] = None,
 ) -> None:
-    """Start all devices over one scene and write theatre.toml; runs until it is ended."""
+    """Start all devices on one scene and write theatre.toml; runs until terminated."""
     import threading
 
     from ronna_hw.errors import EXIT_FAILED
@@ -95,8 +93,8 @@ def theatre(
 
 
 def mount(
-    number: Annotated[int, typer.Argument(min=0, help="Tool to hang on the mount; 0 takes it off.")],
-    control: Annotated[str, typer.Option(help="Control port, as the theatre's READY line tells it.")],
+    number: Annotated[int, typer.Argument(min=0, help="Tool to mount; 0 removes it.")],
+    control: Annotated[str, typer.Option(help="Control port, from the theatre's READY line.")],
 ) -> None:
     """Exchange the tool of a running theatre, as the staff would."""
     from ronna_hw.host.control_port import ask_control_port
@@ -107,21 +105,23 @@ def mount(
 def fault(
     line: Annotated[
         str | None,
-        typer.Argument(help="A fault, such as 'tracker occlude marker 3 for 2 s'; none lists all."),
+        typer.Argument(
+            help="A fault, such as 'tracker occlude marker 3 for 2 s'; without one, all kinds are listed."
+        ),
     ] = None,
-    control: Annotated[str | None, typer.Option(help="Control port, as the READY line tells it.")] = None,
+    control: Annotated[str | None, typer.Option(help="Control port, from the READY line.")] = None,
     clear: Annotated[bool, typer.Option("--clear", help="End all faults first.")] = False,
 ) -> None:
-    """Switch a fault on in a running theatre or simulator, at once or as the line says; or list all kinds."""
+    """Inject a fault into a running theatre or simulator, at once or as the line says; or list all kinds."""
     from ronna_hw.host.control_port import ask_control_port
     from sim.theatre.faults import FAULT_KINDS, TRIGGERS
 
     if line is None and not clear:
         rows = [(kind.usage, "once" if kind.momentary else "lasts", kind.meaning) for kind in FAULT_KINDS]
-        print_table("Faults that can be switched on", ("fault", "", "what happens"), rows)
+        print_table("Faults that can be injected", ("fault", "", "what happens"), rows)
         return
     if control is None:
-        raise typer.BadParameter("say whose: --control tcp://...", param_hint="--control")
+        raise typer.BadParameter("give the control port: --control tcp://...", param_hint="--control")
     if clear:
         ask_control_port(control, "clear_faults")
     if line is not None:

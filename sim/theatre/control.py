@@ -1,4 +1,4 @@
-"""The control port: the one door by which the scripted operator reaches the simulated room.
+"""The control port: the only access of the scripted operator to the simulated room.
 
 JSON lines over TCP on loopback, one answer per request: `{"do": "step", "name": "..."}`,
 `{"do": "mount", "number": 2}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. Naming the

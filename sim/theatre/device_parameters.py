@@ -1,4 +1,4 @@
-"""Parameters of single devices, as one gives them to the whole theatre: `robot.lag_s=0.03`."""
+"""Parameters of single devices, given to the whole theatre: `robot.lag_s=0.03`."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's de
 
 
 def announce(device: str, endpoint: str | None = None, control: str | None = None, **more: object) -> None:
-    """Print the one line `READY {json}` that says that clients may connect."""
+    """Print the line `READY {json}`: clients may connect."""
     content: dict[str, object] = {"device": device}
     if endpoint is not None:
         content["endpoint"] = endpoint
@@ -62,7 +62,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
 
 
 def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
-    """A device half of whose threads are dead would only fall silent: end it, and say why."""
+    """A device with a dead thread would only fall silent: report the reason and end the process."""
     traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback)
     sys.stderr.write(f"{failure.thread.name if failure.thread else 'a thread'} failed: {failure.exc_value}\n")
     sys.stderr.flush()
@@ -86,13 +86,13 @@ def open_world(world: str | None, scene: str, faults: Path | None = None) -> tup
 
 
 def load_scene(scene: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None) -> Scene:
-    """A built-in scene by name, or a scene file; raises SIM-001."""
+    """A named scene, or a scene file; raises SIM-001."""
     if scene in SCENES:
         return named_scene(scene, seed=seed, markers=markers, targets=targets)
     return read_scene(Path(scene))
 
 
 def fail(message: str, exit_code: int) -> None:
-    """Say why a device process cannot start, and end."""
+    """Report why a device process cannot start, and exit."""
     sys.stderr.write(message + "\n")
     raise SystemExit(exit_code)

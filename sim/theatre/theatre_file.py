@@ -1,4 +1,4 @@
-"""Writes the theatre file: the endpoints that the devices told, and calibration records.
+"""Writes the theatre file: the endpoints that the devices announced, and calibration records.
 
 A record is the truth plus an error of the stated size, drawn from the seed, as a laboratory would have
 measured it. The tool frame is the exception that the field knows: the record holds the nominal pose, and

@@ -1,4 +1,4 @@
-"""What is really where, for the verifier and for nobody else."""
+"""Ground truth of tip and targets, for the verifier only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Truth against a finished run: what the CT localizer missed and where the guide's tip really was.
+"""Compares a finished run with the truth: what the CT localizer missed, where the guide's tip really was.
 
 Reads the records that the run left and the truth that the theatre sampled; neither knows the other.
 """

@@ -101,11 +101,11 @@ class World:
 
     @property
     def clock_endpoint(self) -> str:
-        """Where anybody opens the clock of this world, and nothing else of it."""
+        """Where the clock of this world, and nothing else, is opened."""
         return f"shm://{self._clock_path}"
 
     def publish_arm(self, state: ArmState) -> None:
-        """Say where the arm is. For the robot simulator only."""
+        """Publish where the arm is. For the robot simulator only."""
         sequence = _sequence.unpack_from(self._memory, ARM_SEQUENCE_OFFSET)[0]
         _sequence.pack_into(self._memory, ARM_SEQUENCE_OFFSET, sequence + 1)
         _arm.pack_into(
@@ -138,11 +138,11 @@ class World:
         return pose
 
     def mounted_tool(self) -> int:
-        """Number of the tool that hangs on the mount."""
+        """Number of the mounted tool."""
         return int(_tool.unpack_from(self._memory, TOOL_OFFSET)[0])
 
     def mount_tool(self, number: int) -> None:
-        """Hang another tool on the mount. For the control port only."""
+        """Mount another tool. For the control port only."""
         _tool.pack_into(self._memory, TOOL_OFFSET, number)
 
     def step(self) -> tuple[str, int]:
@@ -151,7 +151,7 @@ class World:
         return name.rstrip(b"\0").decode(), started_ns
 
     def enter_step(self, name: str) -> None:
-        """Say which step runs now. For the control port only."""
+        """Set the running step. For the control port only."""
         _step.pack_into(self._memory, STEP_OFFSET, self.clock.now_ns(), name.encode()[:64])
 
     def fault_version(self) -> int:

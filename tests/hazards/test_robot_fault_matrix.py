@@ -54,7 +54,7 @@ WORKED_THROUGH = (
     Case("robot foreign sender for 4 s", counter="foreign_telegrams"),
 )
 STOPPED = (
-    Case("robot drop 50 % for 60 s", ("RSI-019",), "too few replies were taken"),
+    Case("robot drop 50 % for 60 s", ("RSI-019",), "too few replies were accepted"),
     Case("robot corrupt replies 100 % for 60 s", CONTROLLER_GAVE_UP, ""),
     Case("robot wrong ipoc 100 % for 60 s", CONTROLLER_GAVE_UP, ""),
     Case("robot delay 2 cycles for 60 s", CONTROLLER_GAVE_UP, ""),
@@ -71,8 +71,8 @@ STOPPED = (
     Case("robot overload", ("RSI-005",), "following error"),
     Case("robot program restart", ("RSI-008", "RSI-003", "EKI-010"), ""),
     Case("robot eki cut", ("EKI-002",), "closed the connection"),
-    Case("robot eki half telegram", ("EKI-004",), "breaks off"),
-    Case("robot eki silence for 60 s", ("EKI-003",), "says nothing", speed_fraction=0.1),
+    Case("robot eki half telegram", ("EKI-004",), "is cut off"),
+    Case("robot eki silence for 60 s", ("EKI-003",), "is silent", speed_fraction=0.1),
 )
 QUICK = ("robot foreign sender for 4 s", "robot overload")  # others stop in test_robot_stop_times.py
 

@@ -1,4 +1,4 @@
-"""The EKI channel: commands with answers, and the controller's state, which also comes unasked.
+"""The EKI channel: commands with answers, and the controller's state, which is also sent unsolicited.
 
 A thread takes everything the controller sends, because it sends also when nothing was asked; a controller
 whose telegrams are not taken closes the connection.
@@ -50,11 +50,11 @@ class Listener(Protocol):
     """Called from the reader's thread: be quick."""
 
     def controller_said(self, state: ControllerState) -> None:
-        """A state came, asked or unasked."""
+        """A state arrived, requested or unsolicited."""
         ...
 
     def controller_quiet(self) -> None:
-        """Nothing has come for `QUIET_S`; called again and again."""
+        """Nothing was received for `QUIET_S`; called repeatedly."""
         ...
 
     def controller_lost(self, failure: RonnaError) -> None:
@@ -93,7 +93,7 @@ class EkiClient:
 
     @property
     def latest(self) -> ControllerState | None:
-        """The last state the controller sent, asked or unasked."""
+        """The last state the controller sent, requested or unsolicited."""
         return self._latest
 
     @property
@@ -108,13 +108,13 @@ class EkiClient:
         return self._failure
 
     def listen(self, listener: Listener) -> None:
-        """Tell somebody of every state, and of the loss of the connection."""
+        """Register for every state, and for the loss of the connection."""
         self._listener = listener
         if self._failure is not None and not self._closing:
             listener.controller_lost(self._failure)
 
     def status(self, timeout_s: float) -> ControllerState:
-        """Ask for the state. Raises EKI-003 when none comes in time, EKI-002 or EKI-004 on a broken link."""
+        """Request the state. Raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
         number = self._send(CommandName.STATUS, {})
         state = self._await(lambda: self._states.get(number), timeout_s)
         if state is None:
@@ -122,7 +122,7 @@ class EkiClient:
         return state
 
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
-        """Give a command and wait for its answer, whatever it is. Raises EKI-003, EKI-002 or EKI-004."""
+        """Send a command and wait for its answer, of any code. Raises EKI-003, EKI-002 or EKI-004."""
         number = self._send(name, values)
         ack = self._await(lambda: self._acks.get(number), timeout_s)
         if ack is None:
@@ -208,7 +208,7 @@ class EkiClient:
             self._listener.controller_lost(failure)
 
     def _next(self) -> bytes:
-        """What the controller says next; empty when it has closed the connection."""
+        """The next bytes from the controller; empty when it has closed the connection."""
         while True:
             try:
                 return self._socket.recv(RECEIVE_BYTES)

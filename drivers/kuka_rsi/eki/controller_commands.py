@@ -8,12 +8,12 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.wire.kuka_eki import CommandName
 
-AT_REST = (Lifecycle.CONNECTED, Lifecycle.CONFIGURED)  # no corrections act that a new frame could change
+AT_REST = (Lifecycle.CONNECTED, Lifecycle.CONFIGURED)  # no active corrections that a new frame could change
 DEFAULT_TIMEOUT_S = 5.0
 
 
 class ControllerCommands:
-    """`arm.controller`. Each call raises EKI-003 without an answer and EKI-008 when it is refused."""
+    """`arm.controller`. Each call raises EKI-003 without an answer and EKI-008 when refused."""
 
     def __init__(self, name: str, guard: LifecycleGuard, connections: Connections) -> None:
         self._name = name
@@ -21,7 +21,7 @@ class ControllerCommands:
         self._connections = connections
 
     def state(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> ControllerState:
-        """What the controller says of itself now."""
+        """The controller's present state."""
         self._guard.require("controller.state", (*READABLE, Lifecycle.FAULT))
         return self._connections.eki.status(timeout_s)
 

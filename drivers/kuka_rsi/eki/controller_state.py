@@ -1,4 +1,4 @@
-"""What the controller says of itself in a `State`, and whether it is the one the driver was made for."""
+"""The controller's `State`, and whether it matches the driver's configuration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ IN_A_CONTEXT = "a context of the same telegrams, Type, wiring, limits, HOLDON, T
 
 @dataclass(frozen=True)
 class ControllerState:
-    """One `State`. The last five are None when the controller does not say."""
+    """One `State`. The last five are None when the controller does not report them."""
 
     received_s: float  # host monotonic
     mode: OperationMode
@@ -45,7 +45,7 @@ class ControllerState:
 
 
 def read_state(element: ElementTree.Element, received_s: float) -> ControllerState:
-    """Read a `State` element; raises EKI-004 when something that must be there is missing or no number."""
+    """Read a `State` element; raises EKI-004 when something that must be there is missing or not a number."""
     get = element.get
     axis = element.find(AXIS)
     if element.tag != STATE or axis is None:
@@ -77,7 +77,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
 
 
 def require_ours(state: ControllerState, context: RsiContext, variant: ArmVariant) -> tuple[str, ...]:
-    """What the controller does not say; raises EKI-005 listing every fact that is said and is another."""
+    """Facts that the controller does not report; raises EKI-005 listing every reported one that differs."""
     reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
     facts = (
         ("cycle in ms", context.program.cycle_ms, state.cycle_ms),
@@ -111,7 +111,7 @@ def require_ready(
 def what_forbids_motion(
     state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...]
 ) -> list[str]:
-    """Everything at once, in words."""
+    """All of them, in words."""
     unmet = []
     if state.mode not in modes:
         unmet.append(f"operating mode is {state.mode}, not {' or '.join(modes)}")
@@ -130,7 +130,7 @@ def _number(text: str) -> float:
     """A comparison with what is not a number is never true: it must not get as far as one."""
     value = float(text)
     if not isfinite(value):
-        raise ValueError(f"{text!r} is no number")
+        raise ValueError(f"{text!r} is not a number")
     return value
 
 

@@ -1,4 +1,4 @@
-"""Finds whole telegrams in a stream of bytes: EKI has no framing, a telegram ends with its root element.
+"""Splits a byte stream into telegrams: EKI has no framing, a telegram ends with its root element.
 
 What breaks off is told with the first bytes of the next telegram. Else the next one would count as a part of
 it, and the controller would go unheard until the longest telegram is full.
@@ -22,7 +22,7 @@ _NAME = re.compile(rb"[^\s/>]*")
 
 
 class TelegramScanner:
-    """Feed it what was received; it gives the root elements that are complete.
+    """Feed it received bytes; it returns the complete root elements.
 
     Padding and anything else before a root is skipped. A declaration of a document type is refused.
     """
@@ -40,7 +40,7 @@ class TelegramScanner:
             start, end = tag
             inner = bytes(self._buffer[start + 1 : end])
             if inner[:1] == b"!":
-                raise BadEkiTelegram("a declaration in a telegram", wire=bytes(self._buffer))
+                raise BadEkiTelegram("an XML declaration inside a telegram", wire=bytes(self._buffer))
             if inner[:1] == b"?":
                 continue
             if self._begin < 0:
@@ -59,7 +59,7 @@ class TelegramScanner:
                 self._begin, self._place = -1, 0
         if len(self._buffer) > LONGEST_TELEGRAM:
             raise BadEkiTelegram(
-                "a telegram does not end", limit=f"{LONGEST_TELEGRAM} bytes", wire=bytes(self._buffer)
+                "a telegram without an end", limit=f"{LONGEST_TELEGRAM} bytes", wire=bytes(self._buffer)
             )
 
     def _next_tag(self) -> tuple[int, int] | None:
@@ -90,7 +90,7 @@ class TelegramScanner:
         return None
 
     def _break_off(self) -> NoReturn:
-        raise BadEkiTelegram("a telegram breaks off", expected="its end", wire=bytes(self._buffer))
+        raise BadEkiTelegram("a telegram is cut off", expected="its end", wire=bytes(self._buffer))
 
 
 def _name(tag: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""The vocabulary between the driver and its real-time process: orders, commands, states, faults, results."""
+"""Vocabulary between the driver and its real-time process: orders, commands, states, faults, results."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class StopOrder(IntEnum):
 
 
 class Phase(IntEnum):
-    """Where the real-time process stands."""
+    """Phase of the real-time process."""
 
     STARTING = 0
     IDLE = 1  # no session: telegrams are not answered
@@ -60,7 +60,7 @@ class Fault(IntEnum):
 
 
 class Result(IntEnum):
-    """What became of the last motion."""
+    """Outcome of the last motion."""
 
     NONE = 0
     RUNNING = 1
@@ -82,7 +82,7 @@ CHOICES = ("go", "stop", "repeat", "hold")
 
 
 class Orders(NamedTuple):
-    """The three words the real-time process looks at in every cycle."""
+    """The three words the real-time process reads in every cycle."""
 
     heartbeat: int
     stop_word: int
@@ -100,7 +100,7 @@ class Command(NamedTuple):
 
 
 class LinkState(NamedTuple):
-    """What the real-time process says of itself, once per cycle. Angles in rad."""
+    """State of the real-time process, published once per cycle. Angles in rad."""
 
     cycles: Annotated[int, "Q"]
     IPOC: Annotated[int, "Q"]
@@ -119,7 +119,7 @@ class LinkState(NamedTuple):
     lost: Annotated[int, "Q"]  # telegrams that never came, by the gap in IPOC
     rejected: Annotated[int, "Q"]
     dropped: Annotated[int, "Q"]  # older ones that were queued behind a stall
-    foreign: Annotated[int, "Q"]  # from somebody else than the controller
+    foreign: Annotated[int, "Q"]  # from any other sender than the controller
     foreign_host: Annotated[str, IPV4_HOST]  # the last of those, "" for none
     measured_rad: Annotated[JointVector, "6d"]
     commanded_rad: Annotated[JointVector, "6d"]

@@ -36,7 +36,7 @@ from drivers.kuka_rsi.realtime.telegram_receiver import TelegramReceiver
 from ronna_hw.host.processor_affinity import ProcessorAffinity
 
 # Without the parent, no telegram for so long: nobody is left to answer.
-QUIET_AFTER_STOP_NS = 100_000_000  # the program has been told to end
+QUIET_AFTER_STOP_NS = 100_000_000  # the program has been asked to end
 QUIET_BEFORE_STOP_NS = 400_000_000  # the usual Timeout of a controller: a computer under load stalls for less
 LONGEST_ENDING_CYCLES = 250  # of Stop being sent after the parent is gone
 BUNCH_S = 200e-6  # in which telegrams that were held up together come
@@ -79,7 +79,7 @@ class LinkLoop:
         self._turnaround_us = 0.0  # until its reply was out
         self._peer: Address | None = None
         self._command_number = 0
-        self._told: tuple[object, ...] = ()
+        self._published: tuple[object, ...] = ()
         self._ending_cycles = 0
         self._stop_sent = False  # by the last reply
         self._cycles_since_fault = 0
@@ -95,12 +95,12 @@ class LinkLoop:
                 self._serve(*received)
 
     def close(self) -> None:
-        """Give the sockets back that are the loop's own."""
+        """Close the loop's own sockets."""
         self._sockets.part()
         self._rehearsal.close()
 
     def _receive(self) -> Received | None:
-        """The controller's newest telegram, or None when none came for a while."""
+        """The controller's newest telegram, or None when none arrived for a while."""
         if self._peer is not None and self.responder.phase not in STREAMING_PHASES:
             self._part()
         received = self._receiver.next()
@@ -135,7 +135,7 @@ class LinkLoop:
         self._sockets.meet(peer)
 
     def _part(self) -> None:
-        """The session is over: the next may come from another port."""
+        """The session has ended: the next may come from another port."""
         self._peer = None
         self._sockets.part()
         self._processor.free()
@@ -185,19 +185,19 @@ class LinkLoop:
         self._after_reply(telegram.ipoc, orders)
 
     def _foreseen(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
-        """A telegram of the usual form, and the reply made ready when that is the one to send."""
+        """The match of a regular telegram, and the prepared reply when that is the one to send."""
         found, ready = self._reader.match(data), self.responder.ready
         if (
             ready is None
             or found is None
-            or found.group("D", "IPOC") != ready.told
+            or found.group("D", "IPOC") != ready.delay_and_ipoc
             or self._mailbox.stop_word() != ready.stop_word
         ):
             return found, None
         return found, ready
 
     def _rehearse(self) -> None:
-        """What comes between telegram and reply, without effect."""
+        """Run through the path from telegram to reply, without effect."""
         self._rehearsal.exchange(self._last_data)
         self._foreseen(self._last_data)
 
@@ -218,7 +218,7 @@ class LinkLoop:
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 
     def _after_reply(self, ipoc: bytes, orders: Orders) -> None:
-        """Prepare the next reply, and keep account of this one."""
+        """Record this reply and prepare the next one."""
         responder, mailbox = self.responder, self._mailbox
         self._stop_sent = responder.phase is Phase.ENDING
         responder.after_reply(self._new_command(orders.command_number))
@@ -264,7 +264,7 @@ class LinkLoop:
         state = self.responder.state(real_time=real_time, locked=locked)
         self._mailbox.write_state(state)
         self._mailbox.say_alive(time.monotonic_ns())
-        told = (
+        published = (
             state.phase,
             state.fault,
             state.result,
@@ -272,8 +272,8 @@ class LinkLoop:
             state.command_number,
             state.stop_number,
         )
-        if told != self._told:
-            self._told = told
+        if published != self._published:
+            self._published = published
             os.eventfd_write(self._event_fd, 1)
 
     def _done(self) -> bool:

@@ -31,7 +31,7 @@ class Losses:
         self._stale = 0  # in a row
         self._window = (0, 0)  # cycles and losses of the present one
         self._bad_windows = 0  # in a row
-        self.told = -1  # the controller's own count in the last telegram, -1 when it sends none
+        self.reported_late = -1  # the controller's own count in the last telegram, -1 when it sends none
         self.lost = 0
         self.late = 0
         self.degraded = False
@@ -41,7 +41,7 @@ class Losses:
     def count(self, ipoc: int, delay: int) -> int | None:
         """Cycles missing before this telegram; -1 for a repeated or overtaken one, None for another run's."""
         if self._last_ipoc is None:
-            self._last_ipoc, self._last_delay, self.told = ipoc, max(delay, 0), delay
+            self._last_ipoc, self._last_delay, self.reported_late = ipoc, max(delay, 0), delay
             return 0
         step = ipoc - self._last_ipoc
         if step < -IPOC_WRAP // 2:
@@ -56,7 +56,7 @@ class Losses:
         late = 0
         if delay >= 0:
             late = max(delay - self._last_delay, 0)
-            self._last_delay = self.told = delay
+            self._last_delay = self.reported_late = delay
         self.lost += missing
         self.late += late
         self.untaken = late > missing
@@ -67,7 +67,7 @@ class Losses:
 
     @property
     def unusable(self) -> bool:
-        """Whether so much was lost for so long that no motion gets anywhere."""
+        """True when losses have been too high for too long for any motion to make progress."""
         return self._bad_windows >= UNUSABLE_WINDOWS
 
     def _judge_window(self, cycles: int, losses: int) -> None:

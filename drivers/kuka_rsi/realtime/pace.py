@@ -1,4 +1,4 @@
-"""When the next telegram is due: the controller keeps an absolute schedule, and its telegrams tell it.
+"""When the next telegram is due: learnt from the arrivals, as the controller keeps an absolute schedule.
 
 The pace is learnt from the arrivals alone. A telegram may be held up on its way, but never comes before it
 was sent: an early one corrects the schedule at once, a late one only a little.
@@ -41,5 +41,5 @@ class Pace:
         self._interval_ns += interval_gain * off_ns / steps
 
     def forget(self) -> None:
-        """Nobody keeps a schedule any more."""
+        """There is no schedule any more."""
         self._steady, self._interval_ns = 0, 0.0

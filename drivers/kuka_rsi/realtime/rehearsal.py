@@ -1,4 +1,4 @@
-"""A telegram and a reply to nobody, so that the way of the next ones lies in the caches."""
+"""A dry run of receiving and sending, so that the code path of the next cycle is in the caches."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.kuka_rsi.realtime.telegram import LONGEST_TELEGRAM
 
 
 class Rehearsal:
-    """Sends to itself on this machine; nobody else can send to it, and nothing leaves."""
+    """A socket connected to itself on loopback; nothing leaves this machine."""
 
     def __init__(self) -> None:
         self._own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

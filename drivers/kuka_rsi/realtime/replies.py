@@ -1,4 +1,4 @@
-"""The replies of one session, made ready before their telegrams come."""
+"""The replies of one session, prepared before their telegrams arrive."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PreparedReply(NamedTuple):
-    """The whole reply to the telegram that is expected next, should it tell nothing new."""
+    """The complete reply to the next expected telegram, valid if that telegram brings nothing new."""
 
-    told: tuple[bytes, bytes]  # Delay and IPOC: the controller's count unchanged, the next cycle
+    delay_and_ipoc: tuple[bytes, bytes]  # the controller's count unchanged, the next cycle
     stop_word: int  # no new stop
     choice: Choice
     reply: bytes
@@ -34,7 +34,7 @@ class Replies:
         self.heads = (b"", b"")  # to go on and to stop
 
     def begin(self, base_deg: JointVector) -> None:
-        """A new run: the controller adds corrections to these axes."""
+        """Start a run: the controller adds corrections to these axes."""
         self._base_deg = base_deg
 
     def prepare(self, points: SetPoints, *, ending: bool) -> None:
@@ -45,10 +45,10 @@ class Replies:
             hold = self.head(points.last_rad, ending)
             self.heads = (hold, hold)
 
-    def whole(self, choice: Choice, *, last_ipoc: int, told_delay: int, stop_word: int) -> PreparedReply:
-        """The reply to the next telegram, up to its last byte."""
+    def whole(self, choice: Choice, *, last_ipoc: int, reported_late: int, stop_word: int) -> PreparedReply:
+        """The complete reply to the next telegram."""
         ipoc = str(last_ipoc + self._cycle_ms).encode()
-        delay = str(told_delay).encode() if told_delay >= 0 else b""
+        delay = str(reported_late).encode() if reported_late >= 0 else b""
         return PreparedReply((delay, ipoc), stop_word, choice, self.heads[choice] + ipoc + REPLY_TAIL)
 
     def head(self, joints_rad: JointVector, stop: bool) -> bytes:

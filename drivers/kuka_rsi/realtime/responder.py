@@ -147,7 +147,7 @@ class Responder:
         return self._replies.heads[self.choice]
 
     def answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
-        """The telegram was as `ready` expected, and its reply is out: what `answer` would have noted."""
+        """The telegram was the one `ready` expected and its reply is out: the bookkeeping of `answer`."""
         self._axes_deg = telegram.axes_deg
         self._before_ns, self._received_ns = self._received_ns, now_ns
         self._another_sends = False
@@ -183,7 +183,7 @@ class Responder:
         self._make_ready(points)
 
     def met_foreign(self, host: str) -> None:
-        """A telegram came from somebody who is not this session's controller; it gets no reply."""
+        """A telegram from another sender than this session's controller; it gets no reply."""
         self.foreign += 1
         self.foreign_host = host
         self._another_sends = True
@@ -209,7 +209,7 @@ class Responder:
             self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
 
     def idle(self, orders: Orders, now_ns: int) -> None:
-        """Nothing has come for a while: watch silence and heartbeat, and take stops."""
+        """Nothing arrived for a while: watch silence and heartbeat, and act on stops."""
         self.ready = None
         self._watch_heartbeat(orders.heartbeat, now_ns)
         if self.phase not in STREAMING_PHASES or self._points is None:
@@ -343,7 +343,7 @@ class Responder:
         self._stopping = self.moving
 
     def _cease(self, points: SetPoints) -> None:
-        """Reply no more: the controller holds the last point and ends the run by its Timeout."""
+        """Stop replying: the controller holds the last point and ends the run by its Timeout."""
         self.phase = Phase.SILENT
         points.abandon()
         self._follow_motion(points)
@@ -373,7 +373,7 @@ class Responder:
         self._replies.prepare(points, ending=self.phase is Phase.ENDING)
 
     def _make_ready(self, points: SetPoints) -> None:
-        """Make the whole next reply, when only something new could change it."""
+        """Prepare the complete next reply, when only new information could change it."""
         self.ready = None
         unsettled = (
             points.violation is not None or points.path_failed or self.parent_gone or self._losses.unusable
@@ -383,6 +383,6 @@ class Responder:
         self.ready = self._replies.whole(
             Choice.STOP if self._stopping else Choice.GO,
             last_ipoc=self._ipoc,
-            told_delay=self._losses.told,
+            reported_late=self._losses.reported_late,
             stop_word=self._stop_word,
         )

@@ -1,4 +1,4 @@
-"""What the real-time process is told at its start: plain values, as JSON on its standard input."""
+"""Settings of the real-time process: plain values, passed as JSON on its standard input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sockets of one link: one that anybody may send to, in a session also one for its controller alone.
+"""The sockets of one link: an open one, and during a session one connected to its controller.
 
 The kernel gives a connected socket what its peer sends and nothing else: no stranger's datagram stands
 between a telegram and its reply. It also remembers which processor took the last of them in.
@@ -36,7 +36,7 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 class LinkSockets:
-    """Telegrams come by the session's socket once `meet` was called, until `part`."""
+    """Telegrams arrive on the session's socket between `meet` and `part`."""
 
     def __init__(self, listening: socket.socket) -> None:
         self._listening = listening
@@ -73,7 +73,7 @@ class LinkSockets:
 
     def receive(self, flags: int = 0) -> Received:
         """The next datagram; raises OSError when none came for a while, or the network refused a reply."""
-        if self._peer is not None:  # cheaper than to be told the address each time
+        if self._peer is not None:  # cheaper than receiving the address each time
             return self._line.recv(LONGEST_TELEGRAM, flags), self._peer
         received: Received = self._line.recvfrom(LONGEST_TELEGRAM, flags)
         return received
@@ -94,7 +94,7 @@ class LinkSockets:
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
     def stranger(self) -> Address | None:
-        """Who sent the next of the datagrams that are not the session's; None when there is none."""
+        """Sender of the next datagram that is not the session's; None when there is none."""
         if self._peer is None or ioctl(self._listening, termios.FIONREAD, _NO_BYTES) == _NO_BYTES:
             return None
         try:
@@ -104,7 +104,7 @@ class LinkSockets:
         return address
 
     def processor(self) -> int:
-        """Number of the one that took in the last telegram; -1 when the kernel does not say."""
+        """Number of the processor that received the last telegram; -1 when unknown."""
         return self._line.getsockopt(socket.SOL_SOCKET, socket.SO_INCOMING_CPU) if self._peer else -1
 
 

@@ -136,7 +136,7 @@ def read_strictly(data: bytes) -> Telegram:
             kind = attributes.get("Type", attributes.get("TYPE"))
             if name != ROOT or kind != ROOT_TYPE:
                 raise BadTelegram(
-                    "a telegram of another type",
+                    "wrong root element or Type",
                     expected=f'<{ROOT} Type="{ROOT_TYPE}">',
                     got=f'<{name} Type="{kind}">',
                     wire=data,
@@ -162,18 +162,18 @@ def read_strictly(data: bytes) -> Telegram:
     parser.StartDoctypeDeclHandler = refuse
     end_of_root = data.rfind(b"</Rob>")
     if end_of_root < 0 or len(data) > LONGEST_TELEGRAM:
-        raise BadTelegram("no whole telegram", expected="<Rob>...</Rob>", wire=data)
+        raise BadTelegram("incomplete telegram", expected="<Rob>...</Rob>", wire=data)
     try:
         parser.Parse(data[: end_of_root + len(b"</Rob>")], True)  # bytes after the root are tolerated
         A1, A2, A3, A4, A5, A6 = (float(values["AIPos", axis]) for axis in AXIS_NAMES)
         if not all(isfinite(angle) for angle in (A1, A2, A3, A4, A5, A6)):
-            raise BadTelegram("an axis without a finite value", wire=data)
+            raise BadTelegram("an axis value is not finite", wire=data)
         delay = int(float(values["Delay", "D"])) if ("Delay", "D") in values else -1
         ipoc = values["IPOC", ""]
         if not (ipoc.isascii() and ipoc.isdigit() and len(ipoc) <= 20):
             raise BadTelegram("the IPOC is not an integer", got=ipoc[:32], wire=data)
     except (expat.ExpatError, KeyError, ValueError, OverflowError) as error:
-        raise BadTelegram(f"not a telegram of the agreed form: {error}", wire=data) from error
+        raise BadTelegram(f"malformed telegram: {error}", wire=data) from error
     return Telegram((A1, A2, A3, A4, A5, A6), delay, ipoc.encode())
 
 

@@ -1,4 +1,4 @@
-"""Takes telegrams from the socket, warm when one is due.
+"""Receives telegrams from the socket, with warm caches when one is due.
 
 A process that has slept for a cycle finds cold caches, and that would be seen as turnaround. So while the
 controller keeps a pace, it wakes up once a while before the next telegram is due, runs through the reply
@@ -38,7 +38,7 @@ class TelegramReceiver:
         self.queued = False  # whether it was there before anybody waited: others may be behind it
 
     def next(self) -> Received | None:
-        """The next datagram, from whomever, or None when none came for a while."""
+        """The next datagram, from any sender, or None when none arrived for a while."""
         try:
             self.queued = self._sockets.something_there()
             if self._lead_ns and not self.queued:
@@ -59,7 +59,7 @@ class TelegramReceiver:
         return self._keeps_pace
 
     def hurried(self) -> None:
-        """It was one that followed as soon as the reply was out: nobody keeps a pace."""
+        """It followed as soon as the reply was out: lock-step, there is no schedule."""
         self._pace.forget()
         self._keeps_pace = False
 

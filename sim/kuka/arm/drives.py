@@ -1,4 +1,4 @@
-"""The drives: dead time, lag, coming to rest exactly, braking, and the count of motions.
+"""The drives: dead time, lag, exact settling, braking, and the motion counter.
 
 Angles are encoder degrees. A list of angles is never changed in place, so an unchanged command is the same
 object, and an arm at rest costs nothing.
@@ -91,13 +91,13 @@ class Drives:
         self._braking_share = parameters.fast_stop_share if fast else parameters.path_stop_share
 
     def stick(self, axes: frozenset[int]) -> None:
-        """Say which axes (0 to 5) move by fits and starts from now on."""
+        """Set which axes (0 to 5) move with stick-slip from now on."""
         if axes != self._slipping.keys():
             self._slipping = {axis: self._slipping.get(axis, False) for axis in axes}
             self.at_rest = self.at_rest and self.axes_deg == self.command_deg
 
     def settle(self) -> None:
-        """One cycle without a program: finish braking, or the way to the last command."""
+        """One cycle without a program: finish braking, or reach the last command."""
         if not self._braking:
             self.step(self.command_deg)
             return
@@ -121,7 +121,7 @@ class Drives:
 
     @property
     def braking(self) -> bool:
-        """True while the arm comes to a stop of its own."""
+        """True while the arm brakes."""
         return self._braking
 
     def _filter(self, follow_deg: list[float]) -> list[float]:
@@ -141,7 +141,7 @@ class Drives:
         return all(-limit < u - y < limit for u, y in zip(command_deg, axes_deg, strict=True))
 
     def _stick(self, axes_deg: list[float], before_deg: list[float], follow_deg: list[float]) -> None:
-        """Hold the sticking axes until the command has run far enough ahead; then they catch up."""
+        """Hold the sticking axes until the command is far enough ahead; then they catch up."""
         for axis in self._slipping:
             ahead = abs(follow_deg[axis] - before_deg[axis])
             if ahead > self._parameters.stick_breakaway_deg:
@@ -152,7 +152,7 @@ class Drives:
                 axes_deg[axis] = before_deg[axis]
 
     def _resting(self, axes_deg: list[float], command_deg: list[float]) -> list[float]:
-        """Where the arm rests: exactly at the command, but for axes that stick."""
+        """Where the arm rests: exactly at the command, except for sticking axes."""
         held = [axis for axis, slips in self._slipping.items() if not slips]
         if not held:
             return command_deg

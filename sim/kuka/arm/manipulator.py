@@ -1,4 +1,4 @@
-"""The arm in its world: drives, nominal geometry for the controller, true geometry for all who look."""
+"""The arm in its world: drives, nominal geometry for the controller, true geometry for the observers."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class Manipulator:
         self._base: Matrix | None = None  # $BASE in $ROBROOT, None is $ROBROOT
         self._readout_step_deg = parameters.readout_step_deg
         self._read: list[float] | None = None
-        self._told: list[float] = []
-        self._told_frame: list[float] | None = None
+        self._reported: list[float] = []
+        self._reported_frame: list[float] | None = None
         self._published: tuple[int, bool] | None = None
         self.publish()
 
@@ -55,12 +55,12 @@ class Manipulator:
         return self.drives.axes_deg
 
     @property
-    def told_deg(self) -> list[float]:
-        """Encoder angles as they are read and told; the same object while nothing moves."""
+    def reported_deg(self) -> list[float]:
+        """Encoder angles as reported; the same object while nothing moves."""
         if self._read is not self.drives.axes_deg:
-            self._read, step, self._told_frame = self.drives.axes_deg, self._readout_step_deg, None
-            self._told = [round(angle / step) * step for angle in self._read] if step else self._read
-        return self._told
+            self._read, step, self._reported_frame = self.drives.axes_deg, self._readout_step_deg, None
+            self._reported = [round(angle / step) * step for angle in self._read] if step else self._read
+        return self._reported
 
     @property
     def frame(self) -> list[float]:
@@ -68,12 +68,12 @@ class Manipulator:
         return self._frame_at(self.drives.axes_deg)
 
     @property
-    def told_frame(self) -> list[float]:
-        """The same for the axes as they are told; the same object while nothing moves."""
-        told_deg = self.told_deg
-        if self._told_frame is None:
-            self._told_frame = self._frame_at(told_deg)
-        return self._told_frame
+    def reported_frame(self) -> list[float]:
+        """The same for the reported axes; the same object while nothing moves."""
+        reported_deg = self.reported_deg
+        if self._reported_frame is None:
+            self._reported_frame = self._frame_at(reported_deg)
+        return self._reported_frame
 
     @property
     def base(self) -> Matrix:
@@ -81,7 +81,7 @@ class Manipulator:
         return NO_FRAME if self._base is None else self._base
 
     def tool_point(self, axes_deg: Sequence[float] | None = None) -> Matrix:
-        """Believed pose (4, 4) of the tool in $ROBROOT, now or at other axes."""
+        """Nominal pose (4, 4) of the tool in $ROBROOT, now or at other axes."""
         axes = self.drives.axes_deg if axes_deg is None else axes_deg
         flange = self._nominal.flange([radians(angle) for angle in axes])
         return flange if self._tool is None else flange @ self._tool
@@ -91,7 +91,7 @@ class Manipulator:
         return frame_of(pose if self._base is None else inverse(self._base) @ pose)
 
     def tool_travel_mm(self, goal_deg: Sequence[float]) -> float:
-        """Speed of the tool, mm per whole way, where it is fastest on the way of all axes to a goal."""
+        """Largest tool speed, in mm per path parameter, of a synchronous motion to a goal."""
         start_deg = self.drives.axes_deg
         places = [
             self.tool_point([a + n / WAY_POINTS * (b - a) for a, b in zip(start_deg, goal_deg, strict=True)])[
@@ -106,25 +106,25 @@ class Manipulator:
 
     def set_tool(self, tool: Matrix) -> None:
         """Use another $TOOL, (4, 4) in the flange frame."""
-        self._tool, self._told_frame = tool, None
+        self._tool, self._reported_frame = tool, None
 
     def set_base(self, base: Matrix) -> None:
         """Use another $BASE, (4, 4) in $ROBROOT."""
-        self._base, self._told_frame = base, None
+        self._base, self._reported_frame = base, None
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
-        """Joint angles (deg) that bring the tool to a believed pose; None where that fails."""
+        """Joint angles (deg) that bring the tool to a nominal pose; None where that fails."""
         flange = self._flange_of(tool_point)
         joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
         return None if joints is None else [degrees(angle) for angle in joints]
 
     def axes_in_posture(self, frame: Matrix, status: int, turn: int) -> list[float] | None:
-        """Axes (deg) that bring the tool to a pose (4, 4) in BASE in the posture S T; None out of reach."""
+        """Axes (deg) that bring the tool to a pose (4, 4) in BASE with posture S T; None out of reach."""
         flange = self._flange_of(self.base @ frame)
         return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
 
     def joints_on_the_way(self, tool_point: Matrix) -> list[float] | None:
-        """Axes (deg) at the end of a straight way to a pose in $ROBROOT; None when no way leads there."""
+        """Axes (deg) at the end of a straight line to a pose in $ROBROOT; None when there is none."""
         start, near_deg = self.tool_point(), self.drives.axes_deg
         turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
         for number in range(1, WAY_POINTS + 1):
@@ -147,12 +147,12 @@ class Manipulator:
         self.publish()
 
     def settle(self) -> None:
-        """One cycle of coming to rest without a command."""
+        """One cycle of settling without a command."""
         self.drives.settle()
         self.publish()
 
     def publish(self) -> None:
-        """Tell the world where the flange is; nothing to tell while nothing has changed."""
+        """Publish where the flange is, when that has changed."""
         drives = self.drives
         if drives.at_rest and self._published == (id(drives.axes_deg), True):
             return

@@ -1,4 +1,4 @@
-"""How a KUKA controller writes an orientation, and which of several arm postures it is in."""
+"""KUKA's orientation angles, and status and turn of an arm posture."""
 
 from __future__ import annotations
 

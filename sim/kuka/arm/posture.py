@@ -82,7 +82,7 @@ def _wrist(wrist: Matrix, not_positive: bool, near_A4: float) -> tuple[float, fl
 
 
 def _turned(angle_deg: float, negative: bool) -> float:
-    """The same direction with the sign that the turn asks for; at zero both signs are the same."""
+    """The same direction with the sign required by the turn; at zero both signs are the same."""
     if abs(angle_deg) < ZERO_DEG:
         return angle_deg
     if negative and angle_deg >= 0.0:

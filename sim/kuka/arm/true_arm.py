@@ -1,4 +1,4 @@
-"""The arm as it really is: where the flange stands when the encoders say what they say.
+"""The arm as it really is: the flange pose for given encoder angles.
 
 The controller believes its encoders and the nominal chain. The true flange differs by link errors, and by
 what happens between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. An arm

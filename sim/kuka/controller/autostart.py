@@ -1,4 +1,4 @@
-"""A program that starts by itself, so that a client without EKI finds a streaming controller."""
+"""Automatic start of the RSI program, so that a client without EKI finds a streaming controller."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S
 
 
 class Autostart:
-    """Starts the program, and again a while after a run has ended or was stopped.
+    """Starts the program, and restarts it a while after a run has ended or was stopped.
 
     A client that went away, asked for the end or commanded what the arm cannot do is followed by the next
     run, and so is an emergency stop that was released: without EKI nobody else could acknowledge the message.
@@ -21,7 +21,7 @@ class Autostart:
 
     @property
     def wanted(self) -> bool:
-        """True when the program was asked to start by itself."""
+        """True when automatic start was requested."""
         return self._wanted
 
     def begin(self) -> None:
@@ -44,17 +44,17 @@ class Autostart:
             controller.start(counts_from_first_reply=True)
 
     def give_way(self) -> None:
-        """Somebody starts the program on purpose: a run that nobody asked for ends."""
+        """A client starts the program explicitly: an automatic run ends."""
         run = self._controller.run
         if self._armed and run is not None and run.settings.counts_from_first_reply:
             self._controller.cancel()
         self.disarm()
 
     def disarm(self) -> None:
-        """Do not start by itself any more."""
+        """Turn automatic start off."""
         self._armed = False
         self._ended_s = None
 
     def arm(self) -> None:
-        """Start by itself again, if that was wanted."""
+        """Turn automatic start on again, if it was requested."""
         self._armed = self._wanted

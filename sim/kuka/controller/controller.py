@@ -87,7 +87,7 @@ class Controller:
         return self.drives_on and not self.interlocks.forbids_drives and self.message is None
 
     def ready(self) -> Acknowledgement:
-        """Whether a program may begin to move the arm now, and if not why."""
+        """Whether a program may move the arm now, and if not, why."""
         if self.run is not None:
             return Acknowledgement(AckCode.BUSY, "RSI is running")
         if self.motion is not None:
@@ -139,7 +139,7 @@ class Controller:
             correction_share=self.override_percent / FULL_OVERRIDE if scales else 1.0,
         )
         arm = self.arm
-        pose = StartPose(arm.axes_deg, arm.told_deg, arm.told_frame, arm.tool_point(), arm.base)
+        pose = StartPose(arm.axes_deg, arm.reported_deg, arm.reported_frame, arm.tool_point(), arm.base)
         self.run = RsiRun(settings, self.arm.description, pose, self.arm.joints_for, self.parameters)
         self.program_state = ProState.ACTIVE
         return DONE
@@ -231,11 +231,11 @@ class Controller:
             self._interrupt("start key released")
 
     def collide(self) -> None:
-        """The torque monitor trips: the arm brakes and holds, and says so."""
+        """The torque monitor trips: the arm brakes, holds, and shows a message."""
         self._stop_with(collision(self.parameters.collision_message))
 
     def overload(self) -> None:
-        """The brakes close and nobody is told: the program runs on, the axes stop following."""
+        """The brakes close without a message: the program runs on, the axes stop following."""
         self._overloaded = True
         self.arm.drives.brake()
 
@@ -245,17 +245,17 @@ class Controller:
             self._fail(tripped(name, self.parameters))
 
     def narrow_corrections(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections of the run so near to where they are now; None takes that back."""
+        """Clamp the axis corrections to this distance from their present values; None removes the clamp."""
         if self.run is not None:
             self.run.narrow_corrections(within_deg)
 
     def restart(self) -> None:
-        """The program ends without a word; whoever did that starts it again when the arm rests."""
+        """The program ends without a message and is started again once the arm is at rest."""
         self.arm.drives.brake()
         self._end_run(ProState.FREE)
 
     def lose_eki(self) -> None:
-        """An EKI client has gone: its interrupt may cancel the RSI program, or nobody notices."""
+        """An EKI client disconnected: its interrupt may cancel the RSI program, or nothing happens."""
         if self.parameters.eki_loss_cancels and self.run is not None:
             self.cancel()
 
@@ -310,7 +310,7 @@ class Controller:
             self.arm.follow(run.command_deg, heard=reply is not None)
 
     def settle(self) -> None:
-        """One cycle without RSI: the next point of a motion, or coming to rest."""
+        """One cycle without RSI: the next point of a motion, or settling."""
         motion = self.motion
         if motion is None:
             self.arm.settle()
@@ -331,7 +331,7 @@ class Controller:
             motion.tell(DONE)
 
     def _watch_T1(self, before: Sequence[float]) -> None:
-        """In T1 the speed of the tool is watched: too fast is a stop, not a slower motion."""
+        """T1 monitors the tool speed: exceeding it stops the arm, it does not slow the motion."""
         if self.interlocks.mode is not OperationMode.T1:
             return
         speed_mm_s = dist(before[:3], self.arm.frame[:3]) / (self.cycle_ms / 1000.0)
@@ -341,14 +341,14 @@ class Controller:
             self._fail(too_fast_for_T1(self.parameters.T1_speed_message, speed_mm_s, limit_mm_s))
 
     def _fail(self, message: Message) -> None:
-        """The program cannot go on: it ends with a message."""
+        """The program cannot continue: it ends with a message."""
         self._show(message)
         self.arm.drives.brake()
         self._abort_motion(message.text)
         self._end_run(ProState.STOP)
 
     def _stop_with(self, message: Message) -> None:
-        """Somebody stops the arm from outside: the program stands, and may go on streaming."""
+        """An external stop: the program is stopped, and may go on streaming."""
         self._show(message)
         self._interrupt(message.text)
 

@@ -1,6 +1,6 @@
 """The controller's loop: cycles in real time or in lock-step, and the EKI channels between them.
 
-One thread does everything, so nothing needs a lock and no other thread takes the interpreter away. Waiting
+A single thread does everything: no locks, and no other thread competes for the interpreter. Waiting
 is one `select` over the RSI socket and the channels.
 
 Real time: telegram k leaves at t0 + k cycles. Lock-step (a theatre at full speed): the next telegram leaves
@@ -112,7 +112,7 @@ class CycleLoop:
         controller = self._controller
         cycle_s = run.settings.cycle_ms / 1000.0
         began_s = time.monotonic()
-        telegram = run.telegram(controller.arm.told_frame, controller.arm.told_deg)
+        telegram = run.telegram(controller.arm.reported_frame, controller.arm.reported_deg)
         answerable = True
         self._link.begin_cycle(self.cycles + 1)
         if not run.streams:
@@ -218,7 +218,7 @@ class CycleLoop:
                 self._wait(self._deadline_s)
             else:
                 self._clock.advance_cycle(round(cycle_s * 1e9))
-                self._end_stream_at_rest()  # before anybody is told that the motion is over
+                self._end_stream_at_rest()  # before the motion is reported as done
                 self._wait_once(0.0, None)  # a motion may be stopped on its way
         self._end_stream_at_rest()
         self._notice_change()
@@ -232,7 +232,7 @@ class CycleLoop:
         self._pendant.look(self._controller.message, run.notice if run is not None else "")
 
     def _notice_change(self) -> None:
-        """Tell a changed state to the channels at once, not when their period is over."""
+        """Report a changed state to the channels at once instead of at the end of their period."""
         state = (self._controller.rsi_state, self._controller.moving)
         if state != self._noticed:
             self._noticed = state

@@ -1,4 +1,4 @@
-"""What the drives accept: no step, speed, acceleration or angle that a real arm could not follow.
+"""Drive supervision: rejects any step, speed, acceleration or angle that a real arm could not follow.
 
 Never a teleport. A step is judged from cycle to cycle; speed and acceleration only when they last, so that
 one value held over a lost reply, and the longer step after it, pass at the speeds a careful client uses.
@@ -25,7 +25,7 @@ TURNING_AXES = (3, 5)  # A4 and A6 turn fast where the wrist is nearly straight
 
 
 class Supervision:
-    """Judges every new command against those before; one object per run."""
+    """Checks every new command against the previous ones; one object per run."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class Supervision:
         return command_deg if cut == command_deg else cut
 
     def judge(self, command_deg: list[float], before_deg: list[float], *, heard: bool) -> Message | None:
-        """None when the arm can follow, else why it stops.
+        """None when the arm can follow, otherwise the message of the stop.
 
         Acceleration is what replies ask for: values held where none came (`heard` is false) are not judged
         by it, and after a few of them what comes begins from rest.

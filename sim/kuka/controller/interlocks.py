@@ -1,4 +1,4 @@
-"""The cell around the controller: emergency stop, guard, key switch, and the hand on the pendant."""
+"""Interlocks and operator controls: emergency stop, guard, key switch, enabling switch, start key."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MANUAL_MODES = (OperationMode.T1, OperationMode.T2)
 
 @dataclass
 class Interlocks:
-    """What people and interlocks do. In T1 and T2 somebody stands there and holds the enabling switch."""
+    """State of the interlocks. In T1 and T2 an operator is present and holds the enabling switch."""
 
     mode: OperationMode = OperationMode.EXT
     emergency_stop: bool = False
@@ -26,7 +26,7 @@ class Interlocks:
 
     @property
     def guard_matters(self) -> bool:
-        """True when an open guard forbids motion; in the test modes people work behind it."""
+        """True when an open guard forbids motion; in the test modes people work inside it."""
         return self.guard_open and not self.manual
 
     @property

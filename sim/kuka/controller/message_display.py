@@ -1,4 +1,4 @@
-"""What the controller shows on its pendant, on standard error: messages by their numbers, and EStr texts."""
+"""Messages of the teach pendant, printed on standard error: by number, and EStr texts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sim.kuka.controller.messages import Message
 
 
 class MessageDisplay:
-    """`look` as often as something may be new; `now_s` tells the theatre's time."""
+    """Call `look` whenever something may have changed; `now_s` gives the theatre's time."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:
         self._now_s = now_s

@@ -1,4 +1,4 @@
-"""What the controller shows on its pendant when it stops: numbers of the maker, words of our own."""
+"""Messages that the controller shows when it stops: KUKA's numbers, our own wording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OVERSPEED = 421
 
 
 class Message(NamedTuple):
-    """An acknowledgement message. `drives_off` when the drives stop, else the arm brakes on its path."""
+    """A message to be acknowledged. `drives_off`: the drives stop; otherwise the arm brakes on its path."""
 
     number: int
     text: str
@@ -43,7 +43,7 @@ def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message
 
 
 def step_too_large(axis: str, step_deg: float, limit_deg: float) -> Message:
-    """One command was too far from the one before."""
+    """One command was too far from the previous one."""
     return Message(
         COMMAND_ACCELERATION,
         f"command acceleration {axis}: step {step_deg:.4f} deg, at most {limit_deg:.4f}",
@@ -52,7 +52,7 @@ def step_too_large(axis: str, step_deg: float, limit_deg: float) -> Message:
 
 
 def too_much_acceleration(axis: str, acceleration_deg_s2: float, limit_deg_s2: float) -> Message:
-    """The command gained or lost speed faster than the axis can, for longer than one cycle."""
+    """The commanded acceleration exceeds the axis limit for longer than one cycle."""
     return Message(
         COMMAND_ACCELERATION,
         f"command acceleration {axis}: {acceleration_deg_s2:.0f} deg/s2, at most {limit_deg_s2:.0f}",
@@ -61,7 +61,7 @@ def too_much_acceleration(axis: str, acceleration_deg_s2: float, limit_deg_s2: f
 
 
 def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
-    """The command moved faster than the axis can."""
+    """The commanded speed exceeds the axis limit."""
     return Message(
         COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
     )
@@ -120,5 +120,5 @@ TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
 
 
 def tripped(name: str, parameters: ControllerParameters) -> Message:
-    """The message of a cause that a fault orders."""
+    """The message of an injected cause."""
     return TRIPS[name](parameters)

@@ -1,4 +1,4 @@
-"""What the controller answers a request with."""
+"""The controller's reply to a request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Attributes of EKI commands: read strictly, and written so that no parser stumbles."""
+"""Attributes of EKI commands: read strictly, written so that every parser accepts them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _QUOTES = {'"': "&quot;", "\n": " ", "\r": " "}
 
 
 def whole(given: Mapping[str, str], name: str, otherwise: int | None = None) -> int:
-    """A whole number; ValueError when it is none, or missing and nothing else is meant by that."""
+    """An integer; ValueError when it is malformed, or missing without a default."""
     if otherwise is not None and name not in given:
         return otherwise
     try:
         return int(given[name])
     except (KeyError, ValueError):
-        raise ValueError(f"{name} is missing or no whole number") from None
+        raise ValueError(f"{name} is missing or not an integer") from None
 
 
 def flag(given: Mapping[str, str], name: str) -> bool:
@@ -38,15 +38,15 @@ def number(given: Mapping[str, str], name: str, otherwise: float | None = None) 
     except (KeyError, ValueError):
         value = float("nan")
     if not isfinite(value):
-        raise ValueError(f"{name} is missing or no number")
+        raise ValueError(f"{name} is missing or not a number")
     return value
 
 
 def share(given: Mapping[str, str], name: str) -> float:
-    """A percentage above 0 up to 100 as a share; everything when it is missing."""
+    """A percentage above 0 and at most 100 as a fraction; 1 when it is missing."""
     value = number(given, name, 100.0)
     if not 0.0 < value <= 100.0:
-        raise ValueError(f"{name} is a percentage above 0 up to 100")
+        raise ValueError(f"{name} must be a percentage above 0 and at most 100")
     return value / 100.0
 
 

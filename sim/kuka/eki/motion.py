@@ -25,7 +25,7 @@ Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]
 
 @dataclass
 class EkiMotion:
-    """A motion under way. `tell` is called once, with how it ended."""
+    """A motion in progress. `tell` is called once with its outcome."""
 
     points: Iterator[list[float] | Message]
     tell: Callable[[Acknowledgement], None]
@@ -41,7 +41,7 @@ class EkiMotion:
 
 
 def shares(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterator[float]:
-    """Way from 0 to 1 with constant acceleration, speed, and deceleration, cycle by cycle; the last is 1."""
+    """Path parameter from 0 to 1 with a trapezoidal speed profile, cycle by cycle; the last is 1."""
     speed = min(speed_1_s, acceleration_1_s2**0.5)  # the way may be too short to reach the speed
     ramp_s = speed / acceleration_1_s2
     cruise_s = 1.0 / speed - ramp_s
@@ -67,7 +67,7 @@ def point_to_point(
     cycle_s: float,
     fastest_1_s: float = inf,
 ) -> Iterator[list[float] | Message]:
-    """All axes begin and end together; the slowest sets the pace. Shares are of the axis limits.
+    """All axes start and end together; the slowest sets the pace. Fractions are of the axis limits.
 
     `fastest_1_s` is how often per second the whole way may be gone at most.
     """
@@ -96,7 +96,7 @@ def line(
     parameters: ControllerParameters,
     cycle_s: float,
 ) -> Iterator[list[float] | Message]:
-    """The tool centre point on a straight line, (4, 4) in $ROBROOT, turning evenly about one axis."""
+    """The tool centre point on a straight line, (4, 4) in $ROBROOT, turning uniformly about one axis."""
     turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
     length_mm = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
     angle_rad = float(np.linalg.norm(turn))

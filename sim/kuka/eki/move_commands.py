@@ -25,7 +25,7 @@ STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T are bits of six
 
 
 class EkiMoves:
-    """Begins motions; `ended` is told how each of them came to its end."""
+    """Starts motions; `ended` is called with the outcome of each."""
 
     def __init__(self, controller: Controller, ended: Callable[[Acknowledgement], None]) -> None:
         self._controller = controller
@@ -63,7 +63,7 @@ class EkiMoves:
         arm, parameters = controller.arm, controller.parameters
         goal = arm.base @ pose
         if arm.joints_on_the_way(goal) is None:
-            return Acknowledgement(AckCode.LIMIT, "no straight way leads there")
+            return Acknowledgement(AckCode.LIMIT, "no straight path leads there")
         speed_mm_s = speed_m_s * 1000.0 * controller.override_percent / FULL_OVERRIDE
         if controller.interlocks.mode is OperationMode.T1:
             speed_mm_s = min(speed_mm_s, T1_MARGIN * parameters.T1_tool_speed_mm_s)
@@ -101,7 +101,7 @@ class EkiMoves:
         )
 
     def _prepared(self, given: Mapping[str, str]) -> Acknowledgement | None:
-        """Use the tool and base of a motion when it may begin; else why it may not."""
+        """Activate the tool and base of a motion if it may start; otherwise the reason why not."""
         controller = self._controller
         ready = controller.ready()
         if ready.code is not AckCode.OK:

@@ -1,4 +1,4 @@
-"""The project's EKI channel: commands, acknowledgements, and the state that is told unasked."""
+"""The project's EKI channel: commands, acknowledgements, and the state, which is also sent unsolicited."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ LAST_TOOL, LAST_BASE = 16, 32
 
 
 class ProjectChannel:
-    """Answers one client. Losing it ends nothing but the conversation."""
+    """Serves one client. Losing it ends only the conversation."""
 
     def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
         self._server = server
         self._controller = controller
         self._autostart = autostart
         self._next_state_s = 0.0
-        self._told: tuple[str, ...] = ()
+        self._sent: tuple[str, ...] = ()
         self._motion_name = self._motion_id = ""
         moves = EkiMoves(controller, self._motion_ended)
         self._handlers: dict[str, Callable[[Mapping[str, str]], Acknowledgement]] = {
@@ -66,17 +66,17 @@ class ProjectChannel:
         server.attach(self)
 
     def opened(self) -> None:
-        """A client has come; it is told the state at once."""
-        self._told = ()
+        """A client has connected and is sent the state at once."""
+        self._sent = ()
         self.tick(time.monotonic())
 
     def closed(self) -> None:
-        """The client has gone; whether that ends a running program is a parameter."""
+        """The client has disconnected; a parameter decides whether that ends a running program."""
         self._autostart.arm()
         self._controller.lose_eki()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Acknowledgement one command; anything else is skipped."""
+        """Answer one command; anything else is skipped."""
         if element.tag != CMD:
             return
         identifier, name = element.get("Id", UNASKED), element.get("Name", "")
@@ -108,12 +108,12 @@ class ProjectChannel:
         )
 
     def tick(self, now_s: float) -> float:
-        """Tell the state when it has changed or its period is over; returns when to be called again."""
+        """Send the state when it has changed or its period is over; returns when to call again."""
         if not self._server.connected:
             return inf
         facts = self._facts()
-        if facts != self._told or now_s >= self._next_state_s:
-            self._told = facts
+        if facts != self._sent or now_s >= self._next_state_s:
+            self._sent = facts
             self._next_state_s = now_s + STATE_PERIOD_MS / 1000.0
             self._server.send(self._state(UNASKED))
         return self._next_state_s
@@ -147,11 +147,11 @@ class ProjectChannel:
         head = " ".join(f'{name}="{value}"' for name, value in zip(StateAttribute, values, strict=True))
         arm = self._controller.arm
         axes = " ".join(
-            f'{name}="{angle:.4f}"' for name, angle in zip(AXIS_ATTRIBUTES, arm.told_deg, strict=True)
+            f'{name}="{angle:.4f}"' for name, angle in zip(AXIS_ATTRIBUTES, arm.reported_deg, strict=True)
         )
-        status, turn = status_and_turn(arm.description, arm.told_deg)
+        status, turn = status_and_turn(arm.description, arm.reported_deg)
         status ^= self._controller.parameters.inverted_status
-        places = (*(f"{value:.4f}" for value in arm.told_frame), str(status), str(turn))
+        places = (*(f"{value:.4f}" for value in arm.reported_frame), str(status), str(turn))
         position = " ".join(f'{name}="{value}"' for name, value in zip(POS_ATTRIBUTES, places, strict=True))
         return f"<{STATE} {head}><{AXIS} {axes}></{AXIS}><{POS} {position}></{POS}></{STATE}>"
 

@@ -1,4 +1,4 @@
-"""The EKI channel of the maker's C++ client SDK: program control by numbered requests, status on change."""
+"""The EKI channel of KUKA's C++ client SDK: program control by numbered requests, status on change."""
 
 from __future__ import annotations
 
@@ -86,32 +86,32 @@ OPERATION_MODES = {OperationMode.T1: 1, OperationMode.T2: 2, OperationMode.AUT: 
 
 
 class SdkChannel:
-    """Answers one client. The program's state is reset when it goes."""
+    """Serves one client. The program's state is reset when it disconnects."""
 
     def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
         self._server = server
         self._controller = controller
         self._autostart = autostart
-        self._told: tuple[int, ...] | None = None
+        self._sent: tuple[int, ...] | None = None
         self._first_status_s = 0.0
         self._cycle = DEFAULT_CYCLE
         self._reset()
         server.attach(self)
 
     def opened(self) -> None:
-        """A client has come; the status follows by itself."""
+        """A client has connected; the status follows unsolicited."""
         self._reset()
-        self._told = None
+        self._sent = None
         self._first_status_s = time.monotonic() + FIRST_STATUS_LOOPS * SUBMIT_CYCLE_S
 
     def closed(self) -> None:
-        """The client has gone."""
+        """The client has disconnected."""
         self._reset()
         self._autostart.arm()
         self._controller.lose_eki()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Acknowledgement one request with one response."""
+        """Answer one request with one response."""
         if element.tag != REQUEST:
             return
         try:
@@ -137,15 +137,15 @@ class SdkChannel:
         # The status tells what has changed, a loop later.
 
     def tick(self, now_s: float) -> float:
-        """Tell the status when it has changed; returns when to be called again."""
+        """Send the status when it has changed; returns when to call again."""
         if not self._server.connected:
             return inf
         again_s = now_s + SUBMIT_CYCLE_S
         if self._server.writes_later or now_s < self._first_status_s:
             return again_s
         values = self._values()
-        if values != self._told:
-            self._told = values
+        if values != self._sent:
+            self._sent = values
             self._server.send(f"<Robot>{self._status()}</Robot>")
         return again_s
 

@@ -31,7 +31,7 @@ _OPENING = re.compile(rb"<[A-Za-z_]")
 
 
 class Peer(Protocol):
-    """What a channel talks to."""
+    """The other end of a channel."""
 
     def opened(self) -> None:
         """A client has connected."""
@@ -40,7 +40,7 @@ class Peer(Protocol):
         """A whole request has come."""
 
     def closed(self) -> None:
-        """The client has gone."""
+        """The client has disconnected."""
 
 
 class EkiServer:
@@ -65,18 +65,18 @@ class EkiServer:
         self._full = False
 
     def attach(self, peer: Peer) -> None:
-        """Say who answers."""
+        """Set the channel that answers."""
         self._peer = peer
 
     @property
     def endpoint(self) -> str:
-        """Where clients connect; with port 0 asked for, the port that was given."""
+        """Where clients connect, with the actual port when port 0 was requested."""
         host, port = self._listener.getsockname()[:2]
         return f"tcp://{host}:{port}"
 
     @property
     def connected(self) -> bool:
-        """True while a client is there."""
+        """True while a client is connected."""
         return self._client is not None
 
     @property
@@ -94,15 +94,15 @@ class EkiServer:
 
     @property
     def writes_later(self) -> bool:
-        """True while something waits for its turn to be written."""
+        """True while something is queued for writing."""
         return bool(self._outgoing)
 
     def spoil_next(self, how: Callable[[bytes], bytes]) -> None:
-        """Write the next telegram to the present client spoilt: `half`, `after_garbage` or `padded`."""
+        """Corrupt the next telegram to the present client: `half`, `after_garbage` or `padded`."""
         self._spoils = how if self.connected else None
 
     def overflow(self) -> None:
-        """Fill the memory of the channel: the next request of the present client finds no room."""
+        """Fill the buffer of the channel: the next request of the present client does not fit."""
         self._full = self.connected
 
     def serve(self, ready: socket.socket) -> None:
@@ -140,7 +140,7 @@ class EkiServer:
                 self.drop()
 
     def drop(self) -> None:
-        """Let the client go."""
+        """Disconnect the client."""
         client, self._client = self._client, None
         self._received = b""
         self._outgoing.clear()
@@ -176,7 +176,7 @@ class EkiServer:
 
     @staticmethod
     def _waiting(client: socket.socket) -> bool:
-        """True when a client has sent something, or has gone."""
+        """True when a client has sent something or disconnected."""
         try:
             client.recv(1, socket.MSG_PEEK)
         except BlockingIOError:
@@ -205,7 +205,7 @@ class EkiServer:
         self._hand_over()
 
     def _hand_over(self) -> None:
-        """Let the program read: all that waits, or one request per loop."""
+        """Let the program read: everything pending, or one request per loop."""
         while self._unread and self._client is not None and not self.silent:
             now_s = time.monotonic()
             if now_s < self._next_read_s:
@@ -226,17 +226,17 @@ def half(telegram: bytes) -> bytes:
 
 
 def after_garbage(telegram: bytes) -> bytes:
-    """A telegram with something before its root that belongs to none."""
+    """A telegram preceded by garbage."""
     return GARBAGE + telegram
 
 
 def padded(telegram: bytes) -> bytes:
-    """A telegram with NUL before and behind it."""
+    """A telegram padded with NUL on both sides."""
     return PADDING + telegram + PADDING
 
 
 def cut_requests(stream: bytes) -> tuple[list[bytes], bytes]:
-    """Whole root elements in a stream, and the rest that may still become one."""
+    """Complete root elements in a stream, and the remainder that may still become one."""
     requests: list[bytes] = []
     position = 0
     while True:

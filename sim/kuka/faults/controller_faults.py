@@ -1,4 +1,4 @@
-"""Faults of the cell, the arm and the EKI channels, as the script has them now."""
+"""Faults of interlocks, arm and EKI channels, as the script has them now."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EKI_HAPPENINGS: dict[str, Callable[[EkiServer], None]] = {
 
 
 class ControllerFaults:
-    """Looks at the script once per cycle and does to the controller what it says."""
+    """Applies the script to the controller, once per cycle."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class ControllerFaults:
         self._restart: RunSettings | None = None
 
     def poll(self) -> None:
-        """Do what has become due; nothing while the script has no fault of the robot."""
+        """Apply what has become due; nothing while the script has no fault of the robot."""
         if self._board.empty and self._quiet:
             return
         acting = self._board.acting()
@@ -98,7 +98,7 @@ class ControllerFaults:
                 EKI_HAPPENINGS[kind](server)
 
     def _start_again(self) -> None:
-        """A restarted program begins where the arm has come to rest."""
+        """A restarted program starts where the arm came to rest."""
         settings = self._restart
         if settings is None or self._controller.moving:
             return

@@ -1,4 +1,4 @@
-"""What was injected, and at which telegram: one line on standard error each time it begins or ends."""
+"""Log of injected faults: one line on standard error, with the telegram, when one begins or ends."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class FaultLog:
         self._hits: dict[str, int] = {}
 
     def look(self, acting: tuple[Fault, ...]) -> None:
-        """Note what has begun and what has ended since the last look."""
+        """Log what has begun and what has ended since the last call."""
         now = {(fault.line, fault.at_s): fault for fault in acting}
         for key, fault in now.items():
             if key not in self._acting:
@@ -29,11 +29,11 @@ class FaultLog:
         self._acting = now
 
     def hit(self, kind: str) -> None:
-        """Count one telegram or reply that a lasting fault has met."""
+        """Count one telegram or reply affected by a lasting fault."""
         self._hits[kind] = self._hits.get(kind, 0) + 1
 
     def happened(self, fault: Fault) -> None:
-        """Note a momentary fault."""
+        """Log a momentary fault."""
         self._write(_named(fault))
 
     def _write(self, what: str) -> None:

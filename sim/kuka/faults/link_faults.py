@@ -1,4 +1,4 @@
-"""Faults of the RSI link: what becomes of a telegram on its way out, and of a reply on its way in.
+"""Faults of the RSI link: what happens to outgoing telegrams and incoming replies.
 
 Counted in cycles, so that in lock-step, too, a reply is dropped or late by the controller's own time. Chances
 are drawn by cycle number and not one after another: the same cycles are met whatever was met before.
@@ -43,11 +43,11 @@ class LinkFaults:
 
     @property
     def idle(self) -> bool:
-        """True while nothing acts and nothing is under way."""
+        """True while no fault acts and nothing is delayed."""
         return not self._acting and not self._under_way
 
     def look(self, acting: tuple[Fault, ...]) -> None:
-        """Take over which faults act now."""
+        """Update which faults act now."""
         self._acting = {}
         for fault in acting:
             self._acting.setdefault(fault.kind.name, []).append(fault)
@@ -59,7 +59,7 @@ class LinkFaults:
         self._cycle = cycle
 
     def begin_run(self) -> None:
-        """Forget what was under way to the run before."""
+        """Forget what was still delayed in the previous run."""
         self._under_way.clear()
 
     def acts(self, kind: str) -> bool:
@@ -108,7 +108,7 @@ class LinkFaults:
         return [*copies, *before]
 
     def _altered(self, datagram: bytes) -> bytes:
-        """A reply that is XML still, and yet none."""
+        """A reply that is still XML but not a valid reply."""
         if self._meets("wrong_ipoc"):
             datagram = _restamped(datagram, WRONG_BY)
         if self._meets("future_ipoc"):
@@ -136,7 +136,7 @@ class LinkFaults:
         return True
 
     def _broken(self, data: bytes, kind: str) -> bytes:
-        """Cut short, or with one byte that cannot be."""
+        """Truncated, or with one invalid byte."""
         chance = self._chance(kind)
         chance.random()  # the number that decided that it is met
         place = int(chance.integers(0, len(data)))

@@ -49,7 +49,7 @@ class AxisCorrector:
         self.stat = 0
 
     def narrow(self, within_deg: float | None) -> bool:
-        """Clamp so near to the present totals, None: by the context's limits alone. True when that is new."""
+        """Clamp this close to the present totals; None: by the context's limits alone. True when changed."""
         if within_deg == self._within_deg:
             return False
         self._within_deg = within_deg
@@ -66,7 +66,7 @@ class AxisCorrector:
         return True
 
     def take(self, inputs_deg: Sequence[float]) -> Message | None:
-        """Add one cycle's inputs up; the monitor's message when the total is beyond its limit."""
+        """Add up one cycle's inputs; the monitor's message when the total exceeds its limit."""
         wanted = (
             [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
             if self._relative

@@ -43,7 +43,7 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
     config = {name: _text(root, name) for name in ("IP_NUMBER", "PORT", "SENTYPE", "ONLYSEND")}
     protocol = (root.findtext("CONFIG/PROTOCOL") or "UDP").strip().upper()
     if protocol != "UDP":
-        raise EthernetFileInvalid(f"{path.name}: PROTOCOL {protocol} is not served", expected="UDP")
+        raise EthernetFileInvalid(f"{path.name}: PROTOCOL {protocol} is not supported", expected="UDP")
     elements = {
         section: [_element(element, path, section) for element in root.findall(f"{section}/ELEMENTS/ELEMENT")]
         for section in SECTIONS
@@ -119,7 +119,7 @@ def _integer(text: str, path: Path, what: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise EthernetFileInvalid(f"{path.name}: {what} is {text!r}", expected="a whole number") from None
+        raise EthernetFileInvalid(f"{path.name}: {what} is {text!r}", expected="an integer") from None
 
 
 def _program() -> dict[str, Any]:

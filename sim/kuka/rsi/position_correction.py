@@ -56,7 +56,7 @@ class PositionCorrector:
         self.stat = 0
 
     def take(self, inputs: Sequence[float]) -> Message | None:
-        """Take X Y Z (mm) A B C (deg) of one cycle; a message when a monitor or the arm objects."""
+        """Take X Y Z (mm) A B C (deg) of one cycle; a message when a monitor trips or no joints are found."""
         step = pose_of_frame(inputs)
         shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
         turn = step[:3, :3] @ self._turn if self._relative else step[:3, :3]

@@ -41,7 +41,7 @@ def first_ipoc(run_number: int, cycle_ms: int, parameters: ControllerParameters)
 
 @dataclass(frozen=True)
 class RunSettings:
-    """How a run was asked for."""
+    """How a run was requested."""
 
     context: RsiContext
     cycle_ms: int
@@ -54,17 +54,17 @@ class RunSettings:
 
 @dataclass(frozen=True)
 class StartPose:
-    """Where the arm is at RSI_ON: axes (deg), what is told of it, and TCP and BASE in $ROBROOT."""
+    """Where the arm is at RSI_ON: axes (deg), the reported frame, and TCP and BASE in $ROBROOT."""
 
     axes_deg: list[float]
-    told_deg: Sequence[float]
-    told_frame: Sequence[float]  # X Y Z (mm) A B C (deg) in BASE
+    reported_deg: Sequence[float]
+    reported_frame: Sequence[float]  # X Y Z (mm) A B C (deg) in BASE
     tool_point: Matrix
     base: Matrix
 
 
 class RsiRun:
-    """The state of one run. When it is `over`, `message` says why; None when the client asked for it."""
+    """The state of one run. When it is `over`, `message` says why; None when the client requested it."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class RsiRun:
         self.over = False
         self.message: Message | None = None
         self.notice = ""  # last EStr
-        self._heard_once = self._told_once = self._held = False
+        self._heard_once = self._sent_once = self._held = False
         self._confirmed = not settings.needs_confirmation
         self._late_in_a_row = 0
         self._counting = not settings.counts_from_first_reply and not context.ethernet.only_send
@@ -95,7 +95,11 @@ class RsiRun:
         self._timeout = context.ethernet.timeout_packets
         self._stop_mode = context.stop.mode if context.stop is not None else EXIT_MOVE_CORR
         self._writer = TelegramWriter(
-            context.send, context.ethernet.precision, start.told_deg, start.told_frame, context.feedback
+            context.send,
+            context.ethernet.precision,
+            start.reported_deg,
+            start.reported_frame,
+            context.feedback,
         )
         self._reader = ReplyReader(context.receive, context.ethernet.sentype, parameters)
         self._outputs = EthernetOutputs(context, parameters.missing_element)
@@ -148,12 +152,12 @@ class RsiRun:
     @property
     def begins(self) -> bool:
         """True before the cycle of the first telegram has ended."""
-        return not self._told_once
+        return not self._sent_once
 
     @property
     def streams(self) -> bool:
         """True when telegrams leave; a program may begin with that late."""
-        return self._told_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
+        return self._sent_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
 
     def short_telegram(self) -> bytes:
         """A nearly empty telegram, as the first one of an RSI before 3.0."""
@@ -165,17 +169,17 @@ class RsiRun:
         return telegram.replace(f">{self.ipoc}<".encode("ascii"), f">{other}<".encode("ascii"))
 
     def read(self, data: bytes) -> Reply | None:
-        """A reply that belongs to this cycle, or None: broken, foreign, or of another cycle."""
+        """A reply to this cycle's telegram; None for a broken or foreign one, or one of another cycle."""
         reply = self._reader.read(data)
         return reply if reply is not None and reply.ipoc == self.ipoc else None
 
     def finish(self, reply: Reply | None) -> None:
         """End the cycle with the reply that came, or without one; sets `over` when the run ends."""
         self._cycles += 1
-        if not self._told_once and not self.streams:
+        if not self._sent_once and not self.streams:
             self._enter_movecorr()
             return
-        self._told_once = True
+        self._sent_once = True
         self.ipoc = (self.ipoc + self.settings.cycle_ms) % self._ipoc_range
         if self.settings.context.ethernet.only_send:
             reply = None
@@ -199,17 +203,17 @@ class RsiRun:
             self._enter_movecorr()
 
     def hold(self) -> None:
-        """The program is stopped but not cancelled: it keeps streaming, corrections act no more."""
+        """The program is stopped but not cancelled: it keeps streaming, corrections no longer act."""
         self._held = True
         self.state = RsiState.ON
 
     def narrow_corrections(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections so near to where they are now; None takes that back."""
+        """Clamp the axis corrections to this distance from their present values; None removes the clamp."""
         self._flow.narrow(within_deg)
 
     @property
     def awaits_confirmation(self) -> bool:
-        """True while nobody has confirmed that corrections become active."""
+        """True until an operator confirms that corrections become active."""
         return not self._confirmed and self._cycles >= self._parameters.movecorr_after_cycles
 
     def confirm(self) -> None:
@@ -250,7 +254,7 @@ class RsiRun:
     def _stop_asked(self) -> bool:
         """A rising edge at STOP; True when the run goes on."""
         if self._stop_mode == INFO_MESSAGE:
-            self.notice = "STOP1: a stop was asked for"
+            self.notice = "STOP1: stop requested"
             return True
         if self._stop_mode != EXIT_MOVE_CORR:
             self.hold()

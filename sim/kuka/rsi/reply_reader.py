@@ -56,7 +56,7 @@ class ReplyReader:
         self._dense = list(self._places.values()) == list(range(self._count))
 
     def read(self, data: bytes) -> Reply | None:
-        """The reply, or None when it is none."""
+        """The reply, or None when it is not one."""
         found = self._match(data)
         if found is None:
             return self._read_strictly(data)

@@ -21,7 +21,7 @@ _TIMEVAL = struct.Struct("ll")
 
 
 def resolve(endpoint: Endpoint) -> tuple[str, int]:
-    """Address of the client as numbers; raises KRC-002. An Ethernet file holds numbers, never names."""
+    """Numeric address of the client; raises KRC-002. An Ethernet file holds numbers, never names."""
     host = LOOPBACK if endpoint.host == "localhost" else endpoint.host
     try:
         socket.inet_pton(socket.AF_INET, host)
@@ -55,7 +55,7 @@ class RsiSocket:
         return data if source[0] == self._host else b""
 
     def await_datagram(self, *, awake: bool = False) -> bytes | None:
-        """The same, but wait a moment for one; the cheapest way to wait for nothing else.
+        """The same, but wait briefly for one: the cheapest wait for a single socket.
 
         `awake`: look again and again at first. Two processes that take turns within tens of microseconds
         spend more on sending each other to sleep and waking each other than on all the rest.
@@ -74,5 +74,5 @@ class RsiSocket:
             return data if source[0] == self._host else b""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self.socket.close()

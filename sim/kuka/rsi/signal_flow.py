@@ -123,7 +123,7 @@ class SignalFlow:
         return None
 
     def narrow(self, within_deg: float | None) -> None:
-        """As of `AxisCorrector`, where there is one; the present values are looked at anew."""
+        """As for `AxisCorrector`, where there is one; the present values are judged again."""
         if self._axis is not None and self._axis.narrow(within_deg):
             self._last = None
 

@@ -31,7 +31,7 @@ KEYWORDS = {
     "MECur": (EXTERNAL, NOTHING),
 }
 DELAY = "Delay"
-LATE_PLACE = 0  # in what is told as whole numbers: late packets, Stat of AXISCORR, Stat of POSCORR
+LATE_PLACE = 0  # among the integers: late packets, Stat of AXISCORR, Stat of POSCORR
 STAT_PLACES = {"AXISCORR": 1, "POSCORR": 2}
 ONLY_DELAY = [LATE_PLACE]
 ZERO_OF = {"BOOL": "0", "LONG": "0", "STRING": ""}
@@ -85,8 +85,8 @@ class TelegramWriter:
             self._last = (axes_deg, frame)
         if self._counts == ONLY_DELAY:
             return (self._filled % (late, ipoc)).encode("ascii")
-        told = (late, *stats)
-        return (self._filled % (*(told[place] for place in self._counts), ipoc)).encode("ascii")
+        counts = (late, *stats)
+        return (self._filled % (*(counts[place] for place in self._counts), ipoc)).encode("ascii")
 
     def _add(
         self,
@@ -128,7 +128,7 @@ class TelegramWriter:
                 (name, "".join(f' {a}="{value}"' for a, value in zip(attributes, values, strict=True)))
             )
         else:
-            raise EthernetFileInvalid(f"SEND: {tag} is not a keyword of RSI")
+            raise EthernetFileInvalid(f"SEND: {tag} is not an RSI keyword")
 
     @staticmethod
     def _attribute(groups: list[tuple[str, str]], name: str, text: str) -> None:

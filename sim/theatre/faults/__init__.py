@@ -1,4 +1,4 @@
-"""Faults by script and live: what can go wrong in the theatre, and when it does.
+"""Faults, scripted and live: what goes wrong in the theatre, and when.
 
 Each device has a module with its kinds of fault; a device asks its own board whether one acts now.
 """

@@ -1,4 +1,4 @@
-"""What a device asks before it acts: which faults concern me now?"""
+"""The faults that concern a device now."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class FaultBoard:
         self._cycles_began_s: dict[int, float] = {}  # of the cycles that faults begin with
         self._version = -1
         self._faults: tuple[Fault, ...] = ()
-        self._happened: set[tuple[int, float]] = set()  # line and onset of momentary faults already told
+        self._happened: set[tuple[int, float]] = set()  # line and onset of momentary faults already reported
 
     @property
     def empty(self) -> bool:
-        """True while the script has no fault of this device; the cheapest question of all."""
+        """True while the script has no fault of this device; the cheapest query."""
         self._refresh()
         return not self._faults
 
@@ -41,18 +41,18 @@ class FaultBoard:
         )
 
     def happened(self, kind: str) -> tuple[Fault, ...]:
-        """Momentary faults of that kind whose moment has come since the last call; each is told once.
+        """Momentary faults of that kind that have become due since the last call; each is reported once.
 
         One that is bound to a step happens once each time the step is entered.
         """
         now_s = self._world.clock.now_s()
-        told = []
+        due = []
         for fault, onset_s in self._onsets(now_s):
             key = (fault.line, onset_s)
             if fault.kind.name == kind and onset_s <= now_s and key not in self._happened:
                 self._happened.add(key)
-                told.append(fault)
-        return tuple(told)
+                due.append(fault)
+        return tuple(due)
 
     def _onsets(self, now_s: float) -> Iterator[tuple[Fault, float]]:
         """Each fault with the theatre time at which it begins."""

@@ -1,4 +1,4 @@
-"""Faults of what the cameras see: blood, glare, something in the way, a camera turned in its mount."""
+"""Faults of what the cameras see: blood, glare, an obstruction, a camera twisted in its mount."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _side(arguments: Arguments, _scene: Scene) -> Iterator[str]:
 def _side_and_share(arguments: Arguments, scene: Scene) -> Iterator[str]:
     yield from _side(arguments, scene)
     if float(arguments[1]) > WHOLE_PERCENT:
-        yield f"{arguments[1]} % is more than everything"
+        yield f"{arguments[1]} % is more than 100 %"
 
 
 def _stain(arguments: Arguments, scene: Scene) -> Iterator[str]:
@@ -43,28 +43,28 @@ SIGHT_FAULTS = (
         "glare",
         "camera",
         "glare NAME NUMBER px",
-        "A lamp is mirrored in the image of the left or right camera, with that radius.",
+        "A lamp reflects into the image of the left or right camera, with that radius.",
         check=_side,
     ),
     FaultKind(
         "occluder",
         "camera",
         "occlude NAME NUMBER %",
-        "A straight edge hides that share of the rim of the sphere before the left or right camera.",
+        "A straight edge hides that share of the sphere's rim from the left or right camera.",
         check=_side_and_share,
     ),
     FaultKind(
         "twist",
         "camera",
         "twist NAME SIGNED deg",
-        "The left or right camera turns so far in its mount, in the plane of both.",
+        "The left or right camera turns by that angle in its mount, in the plane of both.",
         check=_side,
     ),
     FaultKind(
         "creep",
         "camera",
         "creep NAME SIGNED deg per min",
-        "The left or right camera goes on turning in its mount while this lasts, in the plane of both.",
+        "The left or right camera keeps turning in its mount at that rate, in the plane of both.",
         check=_side,
     ),
 )

@@ -1,4 +1,4 @@
-"""What a kind of fault is: the phrase that a script writes, what it needs of the scene, and what it means."""
+"""A kind of fault: its phrase in a script, what it requires of the scene, and what it means."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class FaultKind:
 
     @property
     def usage(self) -> str:
-        """The phrase as a person reads it."""
+        """The phrase in readable form."""
         words = {"INT": "N", "NUMBER": "X", "SIGNED": "±X", "NAME": "NAME", "HEX": "HEX"}
         return " ".join([self.device, *(words.get(word, word) for word in self.phrase.split())])
 
 
 def at_most_all(arguments: Arguments, _scene: Scene) -> Iterator[str]:
-    """Check of a share in per cent."""
+    """Check a percentage."""
     if float(arguments[0]) > WHOLE_PERCENT:
-        yield f"{arguments[0]} % is more than everything"
+        yield f"{arguments[0]} % is more than 100 %"

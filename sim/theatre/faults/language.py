@@ -71,9 +71,9 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
             mistakes.append(f"line {number}{place}: {line.strip()!r} is not a fault")
             continue
         for statement in tree.children:
-            fault, told = _fault(statement, number)
+            fault, has_duration = _fault(statement, number)
             faults.append(fault)
-            if told and fault.kind.momentary:
+            if has_duration and fault.kind.momentary:
                 mistakes.append(f"line {number}: {fault.kind.usage!r} happens once and has no duration")
     _refuse(mistakes)
     return tuple(faults)
@@ -133,7 +133,7 @@ def _symbol(word: str) -> str:
 
 
 def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
-    """The fault, and whether the line told a duration."""
+    """The fault, and whether the line gave a duration."""
     trigger, phrase, *ending = statement.children
     kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
     duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)

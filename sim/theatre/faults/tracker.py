@@ -85,26 +85,40 @@ SIGHT_FAULTS = (
         "One marker of a tool is hidden; they count from 1.",
         check=_tool_marker,
     ),
-    _of_tool("bend_tool", "bend tool NAME NUMBER mm", "The last marker of a tool stands so far outwards."),
-    _of_tool("turn_tool", "turn tool NAME SIGNED deg", "A tool is turned so far about its own x axis."),
+    _of_tool(
+        "bend_tool",
+        "bend tool NAME NUMBER mm",
+        "The last marker of a tool is displaced outwards by that distance.",
+    ),
+    _of_tool(
+        "turn_tool", "turn tool NAME SIGNED deg", "A tool is turned by that angle about its own x axis."
+    ),
     _of_tool(
         "move_tool",
         "move tool NAME SIGNED SIGNED SIGNED mm",
         "A tool is moved along x, y and z of the tracker.",
     ),
-    _of_tool("interference", "interference tool NAME", "Infrared light disturbs the sight of one tool."),
-    _lasting("sunlight", "sunlight", "The sun shines in: too much infrared, more noise, reflections."),
-    FaultKind("strays", "tracker", "strays INT", "So many more spheres lie in the volume.", check=_few),
+    _of_tool("interference", "interference tool NAME", "Infrared interference on one tool."),
+    _lasting("sunlight", "sunlight", "Sunlight: too much infrared, more noise, reflections."),
     FaultKind(
-        "reflections", "tracker", "reflections INT", "So many more surfaces shine now and then.", check=_few
+        "strays", "tracker", "strays INT", "That many additional spheres lie in the volume.", check=_few
+    ),
+    FaultKind(
+        "reflections",
+        "tracker",
+        "reflections INT",
+        "That many additional surfaces glint now and then.",
+        check=_few,
     ),
     _lasting(
-        "phantoms", "phantoms NUMBER mm", "Rays that pass each other so near count as one marker: phantoms."
+        "phantoms",
+        "phantoms NUMBER mm",
+        "Rays that pass this close to each other count as one marker: phantom markers.",
     ),
 )
 
 UNIT_FAULTS = (
-    _once("bump", "bump", "The unit is knocked: no poses until the host has read the alert."),
+    _once("bump", "bump", "The unit was bumped: no poses until the host has read the alert."),
     _lasting("cold", "cold", "The unit has not warmed up: no poses."),
     _lasting("hot", "hot", "The unit is too hot: no poses."),
     FaultKind(
@@ -114,34 +128,40 @@ UNIT_FAULTS = (
         "That alert bit is set; 0 to 8 are faults of the hardware.",
         check=_alert,
     ),
-    _lasting("power_off", "power off", "The unit is dead; when power returns it sends RESET at 9600 baud."),
+    _lasting(
+        "power_off", "power off", "The unit has no power; when it returns, it sends RESET at 9600 baud."
+    ),
     _once("unit_restart", "restart", "The unit restarts at once."),
-    _once("watchdog", "watchdog", "The unit thinks that the host is gone, and stops to track."),
+    _once("watchdog", "watchdog", "The unit assumes that the host is gone and stops tracking."),
     FaultKind(
         "plug",
         "tracker",
         "plug INT",
-        "A wired tool is in that socket, and leaves it at the end.",
+        "A wired tool is plugged into that socket, and unplugged at the end.",
         check=_socket,
     ),
     FaultKind(
         "unplug",
         "tracker",
         "unplug INT",
-        "The wired tool of that socket is pulled out, and put back at the end.",
+        "The wired tool of that socket is unplugged, and plugged in again at the end.",
         check=_socket,
     ),
     _lasting(
-        "corrupt_definitions", "corrupt definitions", "A definition that is initialised proves corrupt."
+        "corrupt_definitions",
+        "corrupt definitions",
+        "A tool definition proves corrupt when it is initialised.",
     ),
-    _lasting("enabled_limit", "allow INT tools", "No more tools than that can be enabled."),
-    _lasting("handle_limit", "allow INT handles", "No more port handles than that are to be had."),
-    _lasting("wavelength", "wrong wavelength", "The selected volume does not take the light of any tool."),
+    _lasting("enabled_limit", "allow INT tools", "At most that many tools can be enabled."),
+    _lasting("handle_limit", "allow INT handles", "At most that many port handles are available."),
+    _lasting(
+        "wavelength", "wrong wavelength", "The selected volume does not accept the wavelength of any tool."
+    ),
     FaultKind(
-        "slow", "tracker", "slow NAME NUMBER s", "INIT, PINIT or TSTART takes so much longer.", check=_slow
+        "slow", "tracker", "slow NAME NUMBER s", "INIT, PINIT or TSTART takes that much longer.", check=_slow
     ),
-    _lasting("repeat_frames", "repeat frames", "The unit measures nothing new: the same frame again."),
-    _lasting("skip_frames", "skip INT frames", "After each frame the unit misses so many."),
+    _lasting("repeat_frames", "repeat frames", "The unit repeats the same frame."),
+    _lasting("skip_frames", "skip INT frames", "After each frame the unit skips that many."),
 )
 
 LINE_FAULTS = (

@@ -1,4 +1,4 @@
-"""The patient: an ellipsoid head, spheres on screws where the surgeon can reach, trajectories into it."""
+"""The patient: an ellipsoid head, spheres on bone screws where a surgeon can reach, trajectories."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ATTEMPTS = 20_000
 
 
 def draw_head(generator: np.random.Generator, markers: int, targets: int) -> Head:
-    """Draw a head with so many spheres (3..8) and targets; raises SIM-001 when they do not fit."""
+    """Draw a head with that many spheres (3..8) and targets; raises SIM-001 when they do not fit."""
     if not 3 <= markers <= 8:
         raise BadScene(f"a head carries 3 to 8 markers, not {markers}")
     if not 1 <= targets <= 10:
@@ -107,7 +107,7 @@ def _well_spread(centres: Vector) -> bool:
 def _draw_targets(
     generator: np.random.Generator, count: int, fiducials: tuple[Fiducial, ...], robot_from_ct: Vector
 ) -> tuple[Target, ...]:
-    """Trajectories between the spheres that the arm can serve, all in one posture."""
+    """Trajectories between the spheres that the arm can reach, all in one posture."""
     axis = np.array(CAP_AXIS_CT)
     spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials])
     reach = PlanFeasibility(apply(robot_from_ct, spheres))

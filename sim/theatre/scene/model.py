@@ -58,13 +58,13 @@ class Head(Strict):
     )
 
     @model_validator(mode="after")
-    def _told_apart(self) -> Self:
+    def _identifiers_are_unique(self) -> Self:
         numbers = [fiducial.number for fiducial in self.fiducials]
         identifiers = [target.identifier for target in self.targets]
         if len(set(numbers)) < len(numbers):
-            raise ValueError(f"every fiducial needs a number of its own, not {numbers}")
+            raise ValueError(f"fiducial numbers must be unique, got {numbers}")
         if len(set(identifiers)) < len(identifiers):
-            raise ValueError(f"every target needs an identifier of its own, not {identifiers}")
+            raise ValueError(f"target identifiers must be unique, got {identifiers}")
         return self
 
 

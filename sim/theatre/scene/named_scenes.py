@@ -1,4 +1,4 @@
-"""The built-in scenes: `default`, `mini`, `bench` and `bench-near`, each drawn from a seed.
+"""The named scenes: `default`, `mini`, `bench` and `bench-near`, each drawn from a seed.
 
 The room: the robot's base is the origin, x forward, z up. The patient half sits, the vertex up and towards
 the robot; the tracker looks at the head from above and the side.
@@ -34,7 +34,7 @@ SceneName = Literal["default", "mini", "bench", "bench-near"]
 
 
 def named_scene(name: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None) -> Scene:
-    """Draw a built-in scene; raises SIM-001 for an unknown name.
+    """Draw a named scene; raises SIM-001 for an unknown name.
 
     The default scene has 5 markers and 3 targets, the mini scene 3 and 1.
     """

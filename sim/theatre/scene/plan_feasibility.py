@@ -1,4 +1,4 @@
-"""Can the arm do what a drawn plan asks? So that no scene is drawn that no arm of this kind could serve.
+"""Whether the arm can carry out a drawn plan, so that every drawn scene is feasible.
 
 A trajectory is served when some turn about its axis brings the tool to every sphere in the orientation of
 the trajectory, then to the target, and each time from a point above, with all poses in one posture of the
@@ -30,7 +30,7 @@ LIMITED = (0, 1, 2, 4)
 
 
 class PlanFeasibility:
-    """The arm at its place, and the spheres (n, 3) it must look at."""
+    """The arm, and the spheres (n, 3) it must look at."""
 
     def __init__(self, spheres_mm: Vector, variant: Variant = "kr6_r900_sixx") -> None:
         self._arm = description(variant)
@@ -39,7 +39,7 @@ class PlanFeasibility:
         self._known: dict[tuple[int, bytes], bool] = {}
 
     def serves(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
-        """True when one posture serves all trajectories, each entry (3,) and target (3,)."""
+        """True when one posture reaches all trajectories, each entry (3,) and target (3,)."""
         return any(all(self._one(*ends, status) for ends in trajectories) for status in STATUSES)
 
     def _one(self, entry_mm: Vector, target_mm: Vector, status: int) -> bool:

@@ -40,7 +40,7 @@ def _configured(arm: Any) -> Any:
 
 @pytest.mark.parametrize(
     ("host", "reason"),
-    [("203.0.113.7", "Cannot assign requested address"), ("nowhere.invalid", "there is no such address")],
+    [("203.0.113.7", "Cannot assign requested address"), ("nowhere.invalid", "no such address")],
 )
 def test_an_address_that_is_not_this_computers_is_told_when_the_port_is_taken(
     controller: Any, host: str, reason: str
@@ -74,7 +74,7 @@ def test_the_named_host_is_answered(controller: Any, make_arm: Any) -> None:
 def test_telegrams_of_another_type_get_no_reply_and_are_named(controller: Any, make_arm: Any) -> None:
     controller.root_type = "OTHER"
     arm = _configured(make_arm())
-    with pytest.raises(NoTelegram, match="were of another form or Type"):
+    with pytest.raises(NoTelegram, match="were malformed or of another Type"):
         arm.activate(timeout_s=1.0)
     assert not controller.replies
 

@@ -43,7 +43,7 @@ def test_a_channel_that_says_nothing_any_more_is_latched_though_nobody_asks(
     controller.tells = False
     eventually(lambda: active_arm._guard.state is Lifecycle.FAULT)
     assert isinstance(active_arm.fault, NoAnswer)
-    assert "says nothing" in str(active_arm.fault)
+    assert "is silent" in str(active_arm.fault)
     controller.tells = True
     active_arm.recover("Ana")
     active_arm.activate()
@@ -106,7 +106,7 @@ def silent_controller(controller: Any) -> Any:
 
 def _configured(make_arm: Any) -> Any:
     arm = make_arm(accept_unverified=True)
-    assert ("verified", "no, it does not say its cycle in ms, corrections, HOLDON, context hash, arm") in (
+    assert ("verified", "no, it does not report its cycle in ms, corrections, HOLDON, context hash, arm") in (
         arm.connect().details
     )
     arm.configure()

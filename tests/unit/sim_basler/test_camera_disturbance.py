@@ -188,7 +188,7 @@ def test_a_creeping_camera_turns_on_with_the_time_of_the_theatre() -> None:
     ("line", "mistake"),
     [
         ("camera glare middle 40 px", "there is no camera 'middle'"),
-        ("camera occlude left 130 %", "130 % is more than everything"),
+        ("camera occlude left 130 %", "130 % is more than 100 %"),
         ("camera stain marker 9 5 %", "there is no marker 9"),
         ("camera stain marker 1 95 %", "more than the 60 %"),
         ("camera twist top 0.1 deg", "there is no camera 'top'"),

@@ -56,7 +56,7 @@ class Bench:
     def telegram(self) -> bytes:
         run = self.controller.run
         assert run is not None
-        return run.telegram(self.controller.arm.told_frame, self.controller.arm.told_deg)
+        return run.telegram(self.controller.arm.reported_frame, self.controller.arm.reported_deg)
 
     def answer(self, axes_deg: Sequence[float] = ZERO6, stop: int = 0) -> None:
         """One whole cycle with a reply."""

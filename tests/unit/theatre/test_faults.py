@@ -106,7 +106,7 @@ def test_a_script_that_is_not_text_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_share_of_more_than_everything_is_refused() -> None:
-    with pytest.raises(BadFaultScript, match="line 1: 500 % is more than everything"):
+    with pytest.raises(BadFaultScript, match="line 1: 500 % is more than 100 %"):
         check_faults(parse_faults("at 3 s: robot drop 500 % for 1 s"), named_scene("mini"))
 
 

@@ -120,14 +120,14 @@ def _half(controller: Any, ends_with: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("broken", "words"),
     [
-        pytest.param(lambda c: _half(c, b'Mode="E'), "breaks off", id="half, within a value"),
+        pytest.param(lambda c: _half(c, b'Mode="E'), "is cut off", id="half, within a value"),
         pytest.param(
-            lambda c: _half(c, b"</Axis>"), "breaks off", id="half, between elements", marks=pytest.mark.slow
+            lambda c: _half(c, b"</Axis>"), "is cut off", id="half, between elements", marks=pytest.mark.slow
         ),
         pytest.param(
-            lambda c: b'<State Id="0">' + b"x" * 2 * LONGEST_TELEGRAM, "does not end", id="without end"
+            lambda c: b'<State Id="0">' + b"x" * 2 * LONGEST_TELEGRAM, "without an end", id="without end"
         ),
-        pytest.param(lambda c: b"\x01\x02<\xff\xfe&", "breaks off", id="noise", marks=pytest.mark.slow),
+        pytest.param(lambda c: b"\x01\x02<\xff\xfe&", "is cut off", id="noise", marks=pytest.mark.slow),
         pytest.param(
             lambda c: c.state().replace(b'Err="0"', b'Err="none"'),
             "cannot be read",

@@ -330,7 +330,7 @@ def test_a_stop_object_may_only_tell_and_the_motion_goes_on(
     bench.enter_movecorr()
     bench.ramp(on_a1(3.0))
     bench.answer(on_a1(3.0), stop=1)
-    assert bench.controller.run.notice == "STOP1: a stop was asked for"
+    assert bench.controller.run.notice == "STOP1: stop requested"
     bench.ramp(on_a1(4.0), from_deg=on_a1(3.0))
     bench.rest(on_a1(4.0))
     assert axis_of(bench) == 4.0

@@ -67,7 +67,7 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
         (("head", "fiducials"), [], "head.fiducials"),
         (("head", "targets"), [], "head.targets"),
         (("head", "fiducials", 0, "radius_mm"), -5.75, "head.fiducials.0.radius_mm"),
-        (("head", "fiducials", 0, "number"), 2, "head: every fiducial needs a number of its own"),
+        (("head", "fiducials", 0, "number"), 2, "head: fiducial numbers must be unique"),
         (("head", "centre_ct_mm"), [float("nan"), 0.0, 0.0], "head.centre_ct_mm.0"),
         (("mount", "tool_number_guide"), 1, "mount: both tools have the number 1"),
         (("tracker", "noise_z_mm"), float("inf"), "tracker.noise_z_mm"),
