@@ -15,15 +15,16 @@ from procedures.engine.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.engine.operator import Question
 from procedures.engine.order import CaseOrder
 from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
-from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import (
+    AreaOfInterest,
     ArmReading,
     JointVector,
     LinkStatistics,
@@ -34,6 +35,7 @@ from ronna_hw.devices.readings import (
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.theatre import Theatre
+from sim.theatre.scene.model import Scene
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
 
@@ -48,9 +50,14 @@ HOME: JointVector = (A1, A2, A3, A4, A5, A6)
 STAMP = Stamp(1, 0, 0.0)
 
 
+def theatre_of(scene: Scene) -> TheatreFile:
+    """The theatre file of a scene, with endpoints at which nothing is."""
+    return parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0))
+
+
 def mini_theatre() -> TheatreFile:
-    """The theatre file of the mini scene, with endpoints at which nothing is."""
-    return parse_theatre(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0))
+    """The theatre file of the mini scene."""
+    return theatre_of(named_scene("mini", seed=3))
 
 
 @dataclass
@@ -60,7 +67,6 @@ class RecordingDevice:
     name: str
     state: Lifecycle = Lifecycle.DISCONNECTED
     notices: tuple[str, ...] = ()
-    serials: tuple[str, str] = ("", "")
     calls: list[str] = field(default_factory=list)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
@@ -80,6 +86,17 @@ class RecordingDevice:
 
     def close(self) -> None:
         self.state = Lifecycle.CLOSED
+
+
+@dataclass
+class RecordingStereo(RecordingDevice):
+    """The stereo head: notes which parts of its sensors are read."""
+
+    serials: tuple[str, str] = ("", "")
+    areas: list[AreaOfInterest] = field(default_factory=list)
+
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
+        self.areas.append(left)
 
 
 @dataclass
@@ -142,18 +159,21 @@ class RecordingOperator:
         return self.answer
 
 
+@dataclass
 class RecordingRoom:
-    """Changes tools on the arm, and remembers which steps were announced."""
+    """Changes tools on the arm, and remembers which steps were announced and how the arm stood meanwhile."""
 
-    def __init__(self, arm: RecordingArm) -> None:
-        self._arm = arm
-        self.announced: list[str] = []
+    arm: RecordingArm
+    mounts: int | None = None  # in place of what is asked for
+    announced: list[str] = field(default_factory=list)
+    changed: list[tuple[int, Lifecycle, JointVector]] = field(default_factory=list)
 
     def announce(self, step: str) -> None:
         self.announced.append(step)
 
     def change_tool(self, number: int, description: str) -> None:
-        self._arm.mounted = number
+        self.changed.append((number, self.arm.state, self.arm.joints_rad))
+        self.arm.mounted = number if self.mounts is None else self.mounts
 
 
 class RecordingTheatre(Theatre):
@@ -179,11 +199,13 @@ class RecordingCell:
     folder: Path
     theatre: TheatreFile = field(default_factory=mini_theatre)
     operator: RecordingOperator = field(default_factory=RecordingOperator)
+    strategy: Strategy = field(default_factory=lambda: strategy_named("ocs"))
 
     def __post_init__(self) -> None:
+        self.folder.mkdir(exist_ok=True)
         head = self.calibrations.stereo_head
         self.arm = RecordingArm("arm")
-        self.stereo = RecordingDevice("stereo", serials=(head.left.serial, head.right.serial))
+        self.stereo = RecordingStereo("stereo", serials=(head.left.serial, head.right.serial))
         self.tracker = RecordingDevice("tracker")
         self.journal = Journal(self.folder)
         self.room = RecordingRoom(self.arm)
@@ -207,8 +229,8 @@ class RecordingCell:
             operator=self.operator,
             room=self.room,
             settings=ProcedureSettings(),
-            surroundings=CollisionConfig(),
-            strategy=strategy_named("ocs"),
+            surroundings=self.theatre.cell,
+            strategy=self.strategy,
             theatre=self.opened,
         )
 

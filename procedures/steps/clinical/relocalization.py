@@ -10,6 +10,8 @@ the target, so that backlash is the same in all of them and cancels.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -76,7 +78,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
         found.append(sphere)
     coarse_mm = np.array([item.tool_pose.translation_mm for item in planned])
     differences = np.array([sphere.point_mm for sphere in found]) - coarse_mm
-    _gate(differences, settings.coarse_fine_limit_mm)
+    _gate(differences, [sphere.fiducial for sphere in found], settings.coarse_fine_limit_mm)
     return Outcome(
         Relocalization(
             fiducials=tuple(sphere.fiducial for sphere in found),
@@ -110,7 +112,7 @@ def _shifted(pose: Transform, offset_mm: Array) -> Transform:
     )
 
 
-def _gate(differences_mm: Array, limit_mm: float) -> None:
+def _gate(differences_mm: Array, fiducials: Sequence[int], limit_mm: float) -> None:
     """A sphere whose fine position disagrees with the coarse one is another one, or the patient moved.
 
     What all spheres share is the tool frame's error and is removed first.
@@ -118,7 +120,7 @@ def _gate(differences_mm: Array, limit_mm: float) -> None:
     apart_mm = np.linalg.norm(differences_mm - differences_mm.mean(axis=0), axis=1)
     if float(apart_mm.max()) > limit_mm:
         raise GateFailed(
-            f"sphere {int(apart_mm.argmax()) + 1} is not where the tracker saw it",
+            f"sphere {fiducials[int(apart_mm.argmax())] + 1} is not where the tracker saw it",
             limit=f"{limit_mm:g} mm",
             got=f"{apart_mm.max():.2f} mm",
             action="Check that the patient has not moved, then localize with the tracker again.",

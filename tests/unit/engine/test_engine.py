@@ -178,7 +178,7 @@ def test_an_interruption_while_the_intent_is_written_is_journalled(
     assert cell.entries() == [("intent", "image"), ("interrupted", "image")]
 
 
-@pytest.mark.hazard(7)
+@pytest.mark.hazard(24)
 def test_with_the_guide_at_one_target_the_retreat_of_another_trajectory_is_refused(
     cell: RecordingCell,
 ) -> None:

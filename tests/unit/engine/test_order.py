@@ -68,7 +68,7 @@ def test_any_trajectory_may_be_the_first() -> None:
     assert unmet("approach:T2", "tool_on", *REGISTERED) == ()
 
 
-@pytest.mark.hazard(7)
+@pytest.mark.hazard(24)
 def test_with_the_instrument_inside_only_the_same_trajectory_goes_on() -> None:
     inside = (*REGISTERED, "approach:T1", "held:T1", "back:T1", "approach:T2", "held:T2")
     assert unmet("back:T2", "held:T2", *inside) == ()

@@ -138,7 +138,7 @@ OTHER_MOTIONS: dict[str, Anything] = {
 }
 
 
-@pytest.mark.hazard(7)
+@pytest.mark.hazard(24)
 @pytest.mark.parametrize("what", OTHER_MOTIONS)
 def test_while_an_instrument_is_inside_nothing_moves_but_along_its_axis(
     cell: RecordingCell, what: str
@@ -150,7 +150,7 @@ def test_while_an_instrument_is_inside_nothing_moves_but_along_its_axis(
     assert len(cell.arm.motions) == moved
 
 
-@pytest.mark.hazard(7)
+@pytest.mark.hazard(24)
 def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> None:
     inserted(cell, "T2")
     moved = len(cell.arm.motions)
@@ -159,7 +159,7 @@ def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> N
     assert len(cell.arm.motions) == moved
 
 
-@pytest.mark.hazard(7)
+@pytest.mark.hazard(24)
 def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> None:
     inserted(cell)
     A1, A2, A3, A4, A5, A6 = cell.arm.joints_rad
@@ -171,7 +171,7 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
     assert cell.workcell.insertion is not None
 
 
-@pytest.mark.hazard(7)
+@pytest.mark.hazard(24)
 def test_an_insertion_that_fails_half_way_leaves_the_instrument_known_to_be_inside(
     cell: RecordingCell,
 ) -> None:

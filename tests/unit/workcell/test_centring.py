@@ -1,4 +1,4 @@
-"""The step's loop onto one sphere, with a true arm and drawn pictures in this process."""
+"""Centring one sphere, with a true arm and drawn pictures in this process."""
 
 from __future__ import annotations
 

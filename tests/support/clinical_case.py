@@ -1,0 +1,342 @@
+"""A clinical case on the truth of a scene: what each step would have left, and a stereo head that sees it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from recording_cell import GUIDE, STAMP, STEREO_HEAD, RecordingCell, theatre_of
+
+from procedures.engine.case import Stored
+from procedures.engine.engine import Engine
+from procedures.engine.order import order_of
+from procedures.engine.result import FramedPose, StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.planning.plan import FiducialKind, PatientPosition, Plan, PlannedTrajectory
+from procedures.registration.correspondence import MatchStatus
+from procedures.relocalization import StereoPoint
+from procedures.relocalization.errors import NoSphere
+from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.link_health import LinkHealth
+from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
+from procedures.steps.clinical.plan_check import CheckedPlan, HeadEllipsoid
+from procedures.steps.clinical.registration import Prediction, RegisteredRobot
+from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.two_way import TwoWayTable
+from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.trajectory import Trajectory
+from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.stereo_look import Look
+from ronna_hw.calibration import Numbers3
+from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector, StereoReading, Validity
+from ronna_hw.frames import Frame, Transform
+from sim.theatre.scene.named_scenes import named_scene
+
+Array = NDArray[np.float64]
+
+SERIES = "1.2.826.0.1.3680043.8.498.7"
+SCENE = named_scene("mini", seed=3, markers=4, targets=2)
+TRAJECTORIES = tuple(target.identifier for target in SCENE.head.targets)
+FIRST, LAST = TRAJECTORIES
+ROBOT_FROM_CT = SCENE.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
+CENTRES_CT_MM = np.array([fiducial.centre_ct_mm for fiducial in SCENE.head.fiducials])
+SPHERES_MM = ROBOT_FROM_CT.apply(CENTRES_CT_MM)
+A1, A2, A3, A4, A5, A6 = (math.radians(angle) for angle in SCENE.arm.home_deg)
+HOME_RAD: JointVector = (A1, A2, A3, A4, A5, A6)
+STANDOFF_MM = ProcedureSettings().standoff_mm
+ARRIVING = (1, -1, 1, -1, 1, -1)  # direction in which each joint arrives at a target
+IN_VIEW_MM = 12.0  # of the tool centre: what lies farther away is outside both pictures
+SIGMA_MM = 0.01  # per axis, of a sphere in the CT or before the stereo head
+NO_PICTURES = StereoReading(STAMP, Validity.OK, None, None)
+OUTLINE = SphereImage(
+    centre_px=(1024.0, 544.0),
+    axes_px=(120.0, 119.0),
+    quality=1.0,
+    status=SphereStatus.OK,
+    covariance_px2=((1e-4, 0.0), (0.0, 1e-4)),
+    rim_fraction=1.0,
+    scatter_px=0.1,
+    blur_px=1.0,
+)
+NO_TABLE = TwoWayTable(
+    ct_to_room=(), room_to_ct=(), unmatched_ct=(), unmatched_room=(), agrees_both_ways=True
+)
+LINK = LinkHealth(
+    **{name: 0 for name in LinkHealth.model_fields if not name.endswith(("edges_us", "counts"))},
+    histogram_edges_us=(),
+    histogram_counts=(),
+    jitter_counts=(),
+)
+
+
+@dataclass(frozen=True)
+class OnceForAll(OrientationCorrection):
+    """Localizes in the orientation of the first trajectory, for all; targets are held as planned."""
+
+    name: str = "once"
+    localizes_per_trajectory: bool = False
+
+    def target_pose(
+        self, trajectory: Trajectory, robot_from_ct: Transform, *, localized_as: Transform | None = None
+    ) -> Transform:
+        return super().target_pose(trajectory, robot_from_ct)
+
+
+class SeeingWorkcell(Workcell):
+    """A workcell that sees the sphere nearest to the tool centre where it is, without pictures."""
+
+    spheres_mm: Array
+
+    def look(self) -> Look:
+        seen_mm = self.tool_pose().inverse().apply(self.spheres_mm)
+        nearest = seen_mm[np.linalg.norm(seen_mm, axis=1).argmin()]
+        if np.linalg.norm(nearest) > IN_VIEW_MM:
+            return Look(NO_PICTURES, None, None, None, NoSphere("no sphere in view"))
+        point = StereoPoint(nearest, np.eye(3) * SIGMA_MM**2, 0.001, 5.75, reliable=True)
+        return Look(NO_PICTURES, OUTLINE, OUTLINE, point)
+
+
+@dataclass
+class ClinicalCell(RecordingCell):
+    """The recording cell over the scene, with the spheres where they are."""
+
+    theatre: TheatreFile = field(default_factory=lambda: theatre_of(SCENE))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.arm.joints_rad = HOME_RAD
+
+    def make_workcell(self, calibrations: Calibrations | None = None) -> SeeingWorkcell:
+        workcell = SeeingWorkcell(self.opened, self.journal, calibrations=calibrations)
+        workcell.spheres_mm = SPHERES_MM.copy()
+        return workcell
+
+    def carrying(self, tool: MountedTool) -> ClinicalCell:
+        """After the set-up, with that tool mounted and checked."""
+        self.arm.state = self.stereo.state = Lifecycle.CONFIGURED
+        self.arm.mounted = GUIDE if tool is MountedTool.GUIDE else STEREO_HEAD
+        self.workcell.check_mounted(tool)
+        self.workcell.set_home()
+        return self
+
+    def begin(self, *steps: StepSpec[StepResult] | StepResult) -> Engine:
+        """An engine for these steps; for a result, a step that leaves it."""
+        specs = [given(step) if isinstance(step, StepResult) else step for step in steps]
+        once = not self.strategy.localizes_per_trajectory
+        return self.engine(order_of(specs, TRAJECTORIES, localizes_per_trajectory=not once))
+
+    def run(self, *steps: StepSpec[StepResult] | StepResult) -> Stored[StepResult]:
+        """Run these steps; of the last one, for its first trajectory, the result."""
+        engine = self.begin(*steps)
+        last = next(key for key in engine.order.sequence if key.name == engine.order.steps[-1].name)
+        engine.run_to(last)
+        return self.case.get(engine.order.spec(last).result, last.trajectory)
+
+
+def given(result: StepResult) -> StepSpec[StepResult]:
+    """A step that leaves this result."""
+    return StepSpec(type(result), "given", Phase.PREOPERATIVE, lambda _context: Outcome(result))
+
+
+def imported_ct() -> ImportedCt:
+    return ImportedCt(
+        series_instance_uid=SERIES,
+        frame_of_reference_uid="1.2.3",
+        patient_position="HFS",
+        shape=(1, 1, 1),
+        spacing_mm=(1.0, 1.0, 1.0),
+        origin_mm=(0.0, 0.0, 0.0),
+        axes=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
+        voxels_sha256="",
+        warnings=(),
+    )
+
+
+def localized_fiducials(centres_mm: Array = CENTRES_CT_MM) -> LocalizedFiducials:
+    markers = tuple(
+        LocalizedMarker(
+            centre_mm=centre,
+            covariance_mm2=(np.eye(3) * SIGMA_MM**2).tolist(),
+            radius_mm=5.75,
+            quality=1.0,
+            agreement_mm=0.01,
+            flags=(),
+        )
+        for centre in centres_mm.tolist()
+    )
+    return LocalizedFiducials(
+        series_instance_uid=SERIES, diameter_mm=11.5, markers=markers, candidates_refused=0
+    )
+
+
+def plan(**changes: object) -> Plan:
+    """The plan of the scene; `changes` to each of its trajectories."""
+    trajectories = [
+        PlannedTrajectory(
+            id=target.identifier,
+            entry_mm=target.entry_ct_mm,
+            target_mm=target.target_ct_mm,
+            free_angle_deg=target.free_angle_deg,
+            margin_mm=target.margin_mm,
+        ).model_copy(update=changes)
+        for target in SCENE.head.targets
+    ]
+    return Plan(
+        schema=1,
+        series_instance_uid=SERIES,
+        patient_orientation=PatientPosition.HFS,
+        implanted=len(CENTRES_CT_MM),
+        fiducials=FiducialKind.FREE,
+        tool="guide",
+        trajectories=tuple(trajectories),
+    )
+
+
+def checked_plan(**changes: object) -> CheckedPlan:
+    head = HeadEllipsoid(centre_mm=SCENE.head.centre_ct_mm, semi_axes_mm=SCENE.head.semi_axes_mm)
+    return CheckedPlan(plan=plan(**changes), implanted=len(CENTRES_CT_MM), head=head, warnings=())
+
+
+def checked_set_up(cell: RecordingCell) -> CheckedSetUp:
+    return CheckedSetUp(
+        identities={}, notices=(), calibrations=cell.calibrations, home_rad=cell.arm.joints_rad
+    )
+
+
+def global_localization(points_mm: Array = SPHERES_MM) -> GlobalLocalization:
+    """What the tracker saw, from a place at the robot's origin."""
+    points = tuple(points_mm.tolist())
+    return GlobalLocalization(
+        frames=60,
+        points_robot_mm=points,
+        points_tracker_mm=points,
+        spread_mm=(0.1,) * len(points),
+        counts=(60,) * len(points),
+        outliers=(0,) * len(points),
+        rejected_strays=0,
+        lost_readings=0,
+        robot_from_tracker=FramedPose.of(Transform.of(Frame.ROBOT, Frame.TRACKER)),
+        joints_rad=HOME_RAD,
+    )
+
+
+def correspondence(robot_from_ct: Transform = ROBOT_FROM_CT) -> Correspondence:
+    return Correspondence(
+        status=MatchStatus.UNIQUE,
+        pairs=tuple((number, number) for number in range(len(CENTRES_CT_MM))),
+        robot_from_ct=FramedPose.of(robot_from_ct),
+        residuals_mm=(0.1,) * len(CENTRES_CT_MM),
+        margin_nats=None,
+        two_way=NO_TABLE,
+    )
+
+
+def checked_paths(
+    cell: RecordingCell,
+    *,
+    robot_from_ct: Transform = ROBOT_FROM_CT,
+    fiducials: Sequence[int] = (0, 1, 2, 3),
+    turn_rad: float = 0.0,
+) -> CheckedPaths:
+    """Poses as the cell's strategy has them, in the branch of home, every trajectory turned alike."""
+    turned = [
+        Trajectory(one.id, one.entry_mm, one.target_mm, one.trajectory.free_angle_rad + turn_rad)
+        for one in plan().trajectories
+    ]
+    localized = turned if cell.strategy.localizes_per_trajectory else turned[:1]
+    return CheckedPaths(
+        strategy=cell.strategy.name,
+        free_angle_turns_rad=dict.fromkeys(TRAJECTORIES, turn_rad),
+        branch=None,
+        joint_ranges_rad=(),
+        largest_move_rad=0.0,
+        motions=(),
+        localizations={
+            one.identifier: tuple(
+                LocalizationPose(
+                    fiducial=number,
+                    tool_pose=FramedPose.of(pose),
+                    approach_rad=joints_at(cell, back_along_axis(pose, STANDOFF_MM)),
+                    joints_rad=joints_at(cell, pose),
+                )
+                for number, pose in zip(
+                    fiducials,
+                    cell.strategy.localization_poses(one, CENTRES_CT_MM[list(fiducials)], robot_from_ct),
+                    strict=True,
+                )
+            )
+            for one in localized
+        },
+        targets={one.identifier: _target(cell, one, robot_from_ct) for one in turned},
+    )
+
+
+def _target(cell: RecordingCell, trajectory: Trajectory, robot_from_ct: Transform) -> TargetPose:
+    pose = cell.strategy.target_pose(trajectory, robot_from_ct)
+    standoff = back_along_axis(pose, trajectory.depth_mm + STANDOFF_MM)
+    return TargetPose(
+        tool_pose=FramedPose.of(pose),
+        standoff_rad=joints_at(cell, standoff),
+        joints_rad=joints_at(cell, pose),
+        approach_signs=ARRIVING,
+    )
+
+
+def joints_at(cell: RecordingCell, pose: Transform) -> JointVector:
+    """Joints that bring the checked tool to a pose, in the branch of home."""
+    return cell.workcell.joints_at(pose, HOME_RAD)
+
+
+def relocalization(points_mm: Array = SPHERES_MM) -> Relocalization:
+    count = len(points_mm)
+    return Relocalization(
+        fiducials=tuple(range(count)),
+        points_robot_mm=tuple(points_mm.tolist()),
+        covariances_mm2=((np.eye(3) * SIGMA_MM**2).tolist(),) * count,
+        residuals_mm=((0.01,),) * count,
+        ray_gaps_mm=(0.01,) * count,
+        looks=(1,) * count,
+        joints_rad=(HOME_RAD,) * count,
+        coarse_offset_mm=(0.0, 0.0, 0.0),
+    )
+
+
+def registered_robot(robot_from_ct: Transform = ROBOT_FROM_CT) -> RegisteredRobot:
+    return RegisteredRobot(
+        robot_from_ct=FramedPose.of(robot_from_ct),
+        pairs=len(CENTRES_CT_MM),
+        fre_mm=0.1,
+        residuals_mm=((0.0, 0.0, 0.0),) * len(CENTRES_CT_MM),
+        leave_one_out_mm=(None,) * len(CENTRES_CT_MM),
+        predictions=tuple(
+            Prediction(target=name, rms_mm=0.2, limit_mm=0.4, confidence=0.95, formula="")
+            for name in TRAJECTORIES
+        ),
+        two_way=NO_TABLE,
+    )
+
+
+def mounted_guide() -> MountedGuide:
+    return MountedGuide(tool_number=GUIDE, calibration="tip-1", link=LINK)
+
+
+def shifted(pose: Transform, by_mm: Numbers3) -> Transform:
+    """The same pose, moved in its target frame."""
+    return Transform.of(
+        pose.target,
+        pose.source,
+        translation_mm=pose.translation_mm + by_mm,
+        quaternion_wxyz=pose.quaternion_wxyz,
+    )

@@ -1,0 +1,62 @@
+"""Which sphere is which: a unique answer goes on, anything else stops with its reason."""
+
+import numpy as np
+import pytest
+from clinical_case import (
+    CENTRES_CT_MM,
+    ROBOT_FROM_CT,
+    SPHERES_MM,
+    ClinicalCell,
+    checked_plan,
+    global_localization,
+    localized_fiducials,
+)
+from numpy.typing import NDArray
+
+from procedures.engine.case import Stored
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.errors import NoUniqueMatch
+from procedures.steps.clinical.correspondence import STEP, Correspondence
+from ronna_hw.frames import Frame
+
+Array = NDArray[np.float64]
+GHOST_MM = np.array([[400.0, 300.0, 200.0]])
+SQUARE_MM = np.array([[60.0, 0.0, 0.0], [0.0, 60.0, 0.0], [-60.0, 0.0, 0.0], [0.0, -60.0, 0.0]])
+
+
+def match_with(cell: ClinicalCell, room_mm: Array, ct_mm: Array = CENTRES_CT_MM) -> Stored[Correspondence]:
+    return cell.run(localized_fiducials(ct_mm), global_localization(room_mm), checked_plan(), STEP)
+
+
+def test_spheres_are_paired_in_whatever_order_the_tracker_saw_them(cell: ClinicalCell) -> None:
+    found = match_with(cell, np.vstack([SPHERES_MM[[2, 0]], GHOST_MM, SPHERES_MM[[3, 1]]])).result
+    assert found.status is MatchStatus.UNIQUE
+    assert sorted(found.pairs) == [(0, 1), (1, 4), (2, 0), (3, 3)]
+    assert found.robot_from_ct.transform.target is Frame.ROBOT
+    np.testing.assert_allclose(
+        found.robot_from_ct.transform.as_matrix(), ROBOT_FROM_CT.as_matrix(), atol=1e-6
+    )
+    assert found.two_way.unmatched_room == (("tracker", 2),)
+
+
+def test_its_parents_are_spheres_room_and_plan(cell: ClinicalCell) -> None:
+    assert set(match_with(cell, SPHERES_MM).record.parents) == {
+        "01-fiducial_localization",
+        "02-global_localization",
+        "03-plan_check",
+    }
+
+
+@pytest.mark.parametrize(
+    ("room_mm", "ct_mm", "status"),
+    [
+        (SPHERES_MM[:2], CENTRES_CT_MM, MatchStatus.TOO_FEW),
+        (1.2 * SPHERES_MM, CENTRES_CT_MM, MatchStatus.INCONSISTENT),
+        (SQUARE_MM, SQUARE_MM, MatchStatus.AMBIGUOUS),
+    ],
+)
+def test_anything_but_a_unique_answer_stops_with_its_reason(
+    cell: ClinicalCell, room_mm: Array, ct_mm: Array, status: MatchStatus
+) -> None:
+    with pytest.raises(NoUniqueMatch, match=f"the correspondence is {status}: "):
+        match_with(cell, room_mm, ct_mm)
