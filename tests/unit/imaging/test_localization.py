@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from procedures.imaging import Localization, Volume, VoxelGeometry, errors, localize, read_series
 
 Array = NDArray[np.float64]
-Make = Callable[..., Any]  # builds the Scan of conftest
+Make = Callable[..., Any]  # builds a Scan
 
 GOOD = {"spacing_mm": (1.0, 0.5, 0.5), "noise_hu": 20.0, "shape": (40, 80, 160)}
 POOR = {"spacing_mm": (2.0, 0.7, 0.7), "noise_hu": 50.0, "shape": (20, 58, 114)}

@@ -1,0 +1,45 @@
+"""Which series the case works on, and nothing about whose it is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import ClinicalCell
+from painted_ct import write_series
+
+from procedures.imaging.errors import SeriesNotFound
+from procedures.steps.clinical.ct_import import STEP
+
+PLAIN = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000
+
+
+def test_the_record_names_the_series_and_its_geometry(cell: ClinicalCell) -> None:
+    write_series(cell.case.series, PLAIN, (1.25, 0.9, 0.4))
+    done = cell.run(STEP).result
+    assert (done.shape, done.patient_position) == ((5, 6, 7), "HFS")
+    assert (done.spacing_mm, done.origin_mm) == ((1.25, 0.9, 0.4), (-20.0, -30.0, 40.0))
+    assert done.axes[0] == (0.0, 0.0, 1.0)
+
+
+def test_other_voxels_have_another_hash(tmp_path: Path) -> None:
+    hashes = []
+    for number, voxels in enumerate((PLAIN, PLAIN, PLAIN + 1)):
+        cell = ClinicalCell(tmp_path / str(number))
+        write_series(cell.case.series, voxels)
+        hashes.append(cell.run(STEP).result.voxels_sha256)
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+@pytest.mark.hazard(35)
+def test_who_the_patient_is_does_not_enter_the_run_folder(cell: ClinicalCell) -> None:
+    write_series(cell.case.series, PLAIN)
+    cell.run(STEP)
+    written = [path for path in cell.folder.rglob("*") if path.is_file() and path.suffix != ".dcm"]
+    assert {path.name for path in written} == {"journal.jsonl", "01-ct_import.json"}
+    assert not any(b"SECRET" in path.read_bytes().upper() for path in written)
+
+
+def test_without_a_series_there_is_no_result(cell: ClinicalCell) -> None:
+    with pytest.raises(SeriesNotFound):
+        cell.run(STEP)
+    assert cell.case.standing == ()

@@ -1,0 +1,74 @@
+"""The plan belongs to this CT, to these spheres, and leads into this head."""
+
+import numpy as np
+import pytest
+from clinical_case import CENTRES_CT_MM, SCENE, SERIES, ClinicalCell, imported_ct, localized_fiducials, plan
+
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
+from procedures.planning.plan import Plan
+from procedures.planning.plan_file import write_plan
+from procedures.steps.clinical.plan_check import STEP, CheckedPlan
+
+SHAPE, VOXEL_MM = (56, 64, 52), 4.0
+SOFT_HU, AIR_HU = 40, -1000
+
+
+def head_volume(series: str) -> Volume:
+    """The head of the scene as an ellipsoid of tissue in air."""
+    origin = np.array(SCENE.head.centre_ct_mm) - VOXEL_MM * (np.array(SHAPE[::-1]) - 1) / 2.0
+    axes = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    z, y, x = np.meshgrid(*(VOXEL_MM * (np.arange(n) - (n - 1) / 2.0) for n in SHAPE), indexing="ij")
+    left, posterior, superior = SCENE.head.semi_axes_mm
+    inside = (x / left) ** 2 + (y / posterior) ** 2 + (z / superior) ** 2 < 1.0
+    voxels = np.where(inside, SOFT_HU, AIR_HU).astype(np.int16)
+    return Volume(voxels, VoxelGeometry(SHAPE, origin, axes, np.full(3, VOXEL_MM)), series, "1.2.3", "HFS")
+
+
+def checked(
+    cell: ClinicalCell,
+    planned: Plan | None = None,
+    *,
+    spheres: int = len(CENTRES_CT_MM),
+    series: str = SERIES,
+) -> CheckedPlan:
+    """The result of the step on the head of the scene."""
+    write_plan(planned or plan(), cell.case.plan)
+    engine = cell.begin(imported_ct(), localized_fiducials(CENTRES_CT_MM[:spheres]), STEP)
+    engine.setting.workspace.keep(head_volume(series))
+    engine.run_to()
+    assert engine.setting.workspace.find(Volume) is None, "the largest input is still in memory"
+    return cell.case.get(CheckedPlan).result
+
+
+def test_the_plan_is_kept_as_it_was_checked_with_the_head_it_is_for(cell: ClinicalCell) -> None:
+    done = checked(cell)
+    assert done.plan == plan()
+    assert done.implanted == len(CENTRES_CT_MM)
+    assert done.head.centre_mm == pytest.approx(SCENE.head.centre_ct_mm, abs=VOXEL_MM)
+    assert done.head.semi_axes_mm == pytest.approx(SCENE.head.semi_axes_mm, rel=0.15)
+
+
+@pytest.mark.hazard(9)
+def test_the_plan_of_another_series_is_refused(cell: ClinicalCell) -> None:
+    with pytest.raises(WrongSeries):
+        checked(cell, series="1.2.3.4")
+
+
+def test_another_number_of_spheres_than_were_implanted_is_refused(cell: ClinicalCell) -> None:
+    with pytest.raises(WrongMarkerCount):
+        checked(cell, spheres=3)
+
+
+def test_a_trajectory_whose_ends_are_exchanged_is_refused(cell: ClinicalCell) -> None:
+    first, *others = plan().trajectories
+    exchanged = first.model_copy(update={"entry_mm": first.target_mm, "target_mm": first.entry_mm})
+    with pytest.raises(NotIntoHead, match="trajectory T1.*probably exchanged"):
+        checked(cell, plan().model_copy(update={"trajectories": (exchanged, *others)}))
+
+
+def test_a_plan_with_a_mistake_is_refused_with_its_name(cell: ClinicalCell) -> None:
+    cell.case.plan.write_text("schema = 1\n")
+    engine = cell.begin(imported_ct(), localized_fiducials(), STEP)
+    with pytest.raises(PlanMistakes, match=r"plan\.toml"):
+        engine.run_to()
