@@ -244,6 +244,11 @@ class RecordingCell:
             (line["entry"], line.get("step", "")) for line in lines if not kinds or line["entry"] in kinds
         ]
 
+    def motions(self, what: str) -> list[object]:
+        """Trajectories of the journal's motions of that kind."""
+        lines = read_journal(self.folder / JOURNAL_FILE)
+        return [line["trajectory"] for line in lines if line.get("what") == what]
+
 
 def tool_pose(joints_rad: Sequence[float], cell: RecordingCell) -> Transform:
     """ROBOT <- TOOL of the guide at joint angles."""

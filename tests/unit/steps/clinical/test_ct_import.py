@@ -17,7 +17,8 @@ def test_the_record_names_the_series_and_its_geometry(cell: ClinicalCell) -> Non
     write_series(cell.case.series, PLAIN, (1.25, 0.9, 0.4))
     done = cell.run(STEP).result
     assert (done.shape, done.patient_position) == ((5, 6, 7), "HFS")
-    assert (done.spacing_mm, done.origin_mm) == ((1.25, 0.9, 0.4), (-20.0, -30.0, 40.0))
+    assert done.spacing_mm == pytest.approx((1.25, 0.9, 0.4))
+    assert done.origin_mm == (-20.0, -30.0, 40.0)
     assert done.axes[0] == (0.0, 0.0, 1.0)
 
 

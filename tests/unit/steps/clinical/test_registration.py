@@ -1,0 +1,99 @@
+"""The fit is gated by its own error budget, and accepted by what it predicts at the targets it is for."""
+
+import numpy as np
+import pytest
+from clinical_case import (
+    FIRST,
+    ROBOT_FROM_CT,
+    SPHERES_MM,
+    TRAJECTORIES,
+    ClinicalCell,
+    OnceForAll,
+    checked_plan,
+    correspondence,
+    global_localization,
+    localized_fiducials,
+    relocalization,
+)
+from numpy.typing import NDArray
+from recording_cell import RecordingOperator
+
+from procedures.engine.case import Stored
+from procedures.engine.errors import GateFailed, NotConfirmed
+from procedures.steps.clinical.registration import STEP, RegisteredRobot
+
+Array = NDArray[np.float64]
+
+
+def registered(
+    cell: ClinicalCell, points_mm: Array = SPHERES_MM, **plan_changes: object
+) -> Stored[RegisteredRobot]:
+    return cell.run(
+        *(relocalization(points_mm), correspondence(), localized_fiducials()),
+        *(global_localization(), checked_plan(**plan_changes)),
+        STEP,
+    )
+
+
+def test_the_fit_is_that_of_the_fine_points(cell: ClinicalCell) -> None:
+    moved_mm = np.array([1.0, -2.0, 0.5])
+    done = registered(cell, SPHERES_MM + moved_mm).result
+    assert done.pairs == len(SPHERES_MM)
+    assert done.fre_mm == pytest.approx(0.0, abs=1e-6)
+    origin_mm = ROBOT_FROM_CT.translation_mm + moved_mm
+    assert done.robot_from_ct.translation_mm == pytest.approx(origin_mm, abs=1e-6)
+
+
+def test_what_is_accepted_is_the_predicted_error_and_not_the_residual(cell: ClinicalCell) -> None:
+    predicted = registered(cell).result.prediction(FIRST)
+    (question,) = cell.operator.asked
+    assert question.subject == f"accept the registration for {FIRST}"
+    assert question.value == (
+        f"predicted target error {predicted.rms_mm:.2f} mm rms, {predicted.limit_mm:.2f} mm at 95%"
+    )
+
+
+def test_guide_head_and_arm_stand_in_the_prediction_of_a_perfect_fit(cell: ClinicalCell) -> None:
+    predicted = registered(cell).result.prediction(FIRST)
+    records = cell.calibrations
+    least_mm = np.hypot(records.tool_tip.stated_error_mm, records.stereo_head.stated_error_mm)
+    assert predicted.rms_mm > least_mm
+    assert predicted.limit_mm > predicted.rms_mm
+
+
+@pytest.mark.hazard(36)
+def test_a_registration_that_is_not_accepted_does_not_stand(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(answer=False)
+    with pytest.raises(NotConfirmed, match="PRO-002"):
+        registered(cell)
+    assert cell.case.find(RegisteredRobot, FIRST) is None
+
+
+@pytest.mark.hazard(28)
+def test_a_predicted_error_beyond_the_margin_is_not_even_offered(cell: ClinicalCell) -> None:
+    with pytest.raises(GateFailed, match=rf"predicted error at {FIRST} exceeds.*limit 0\.05 mm"):
+        registered(cell, margin_mm=0.05)
+    assert cell.operator.asked == []
+
+
+@pytest.mark.hazard(11)
+def test_spheres_that_moved_are_refused_before_anybody_is_asked(cell: ClinicalCell) -> None:
+    moved = SPHERES_MM.copy()
+    moved[2] += (0.0, 0.0, 3.0)
+    with pytest.raises(GateFailed, match=rf"does not agree with its own error budget at {FIRST}.*sphere .*3"):
+        registered(cell, moved)
+    assert cell.operator.asked == []
+
+
+def test_a_registration_serves_the_trajectory_that_was_localized_for(cell: ClinicalCell) -> None:
+    stored = registered(cell)
+    assert [one.target for one in stored.result.predictions] == [FIRST]
+    assert stored.record.trajectory == FIRST
+
+
+def test_localized_once_it_serves_all_and_each_is_accepted(cell: ClinicalCell) -> None:
+    cell.strategy = OnceForAll()
+    stored = registered(cell)
+    assert tuple(one.target for one in stored.result.predictions) == TRAJECTORIES
+    assert [one.subject.rpartition(" ")[2] for one in cell.operator.asked] == list(TRAJECTORIES)
+    assert stored.record.trajectory is None

@@ -1,0 +1,178 @@
+"""From the stand-off to the target and back: confirmed first, along one axis, and where it was sent."""
+
+import math
+
+import pytest
+from clinical_case import (
+    FIRST,
+    HOME_RAD,
+    LAST,
+    ROBOT_FROM_CT,
+    TRAJECTORIES,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    localized_fiducials,
+    mounted_guide,
+    plan,
+    registered_robot,
+    shifted,
+)
+from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
+from procedures.steps.clinical import at_target, positioning, retreat
+from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
+from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.retreat import Retreated
+from procedures.workcell import MountedTool
+from procedures.workcell.errors import WrongTool
+from ronna_hw.devices.lifecycle import Lifecycle
+
+
+@pytest.fixture(autouse=True)
+def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+
+
+def begin(cell: ClinicalCell, **paths: object) -> Engine:
+    """An engine that stands before the first positioning, with the guide mounted."""
+    cell.carrying(MountedTool.GUIDE)
+    engine = cell.begin(
+        *(registered_robot(), mounted_guide(), checked_paths(cell, **paths)),
+        *(checked_plan(), localized_fiducials()),
+        *(positioning.STEP, at_target.STEP, retreat.STEP),
+    )
+    engine.run_to(engine.order.sequence[4])
+    return engine
+
+
+def run(engine: Engine, *names: str) -> None:
+    for name in names:
+        engine.run_step(engine.order.find(name))
+
+
+def tip_mm(cell: ClinicalCell) -> list[float]:
+    return tool_pose(cell.arm.joints_rad, cell).translation_mm.tolist()
+
+
+def target_mm(trajectory: str) -> list[float]:
+    return ROBOT_FROM_CT.apply(plan().trajectory(trajectory).target_mm).tolist()
+
+
+@pytest.mark.parametrize("trajectory", TRAJECTORIES)
+def test_the_tip_comes_to_the_target_along_the_axis(cell: ClinicalCell, trajectory: str) -> None:
+    run(begin(cell), f"positioning:{trajectory}")
+    assert tip_mm(cell) == pytest.approx(target_mm(trajectory), abs=1e-6)
+    (_, over), (kind, _) = cell.arm.motions
+    assert kind == "line"
+    depth_mm = plan().trajectory(trajectory).depth_mm
+    outside_mm = math.dist(tool_pose(over, cell).translation_mm, target_mm(trajectory)) - depth_mm
+    assert outside_mm == pytest.approx(60.0)
+
+
+def test_the_insertion_is_known_to_the_workcell_and_in_the_journal(cell: ClinicalCell) -> None:
+    run(begin(cell), f"positioning:{FIRST}")
+    assert cell.workcell.insertion is not None
+    assert cell.workcell.insertion.trajectory == FIRST
+    assert cell.case.get(PositionedGuide, FIRST).result.joints_rad == cell.arm.joints_rad
+    assert cell.motions("insert") == [FIRST]
+
+
+@pytest.mark.hazard(36)
+def test_nothing_moves_unless_it_is_confirmed(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(answer=False)
+    with pytest.raises(NotConfirmed, match=f"move to {FIRST}"):
+        run(begin(cell), f"positioning:{FIRST}")
+    assert cell.arm.motions == []
+    assert cell.arm.calls == []
+
+
+@pytest.mark.hazard(37)
+def test_the_mounted_tool_is_read_again_before_the_arm_moves(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+    cell.arm.mounted = STEREO_HEAD
+    with pytest.raises(WrongTool, match=f"expected {GUIDE}, got {STEREO_HEAD}"):
+        run(engine, f"positioning:{FIRST}")
+    assert cell.operator.asked == []
+    assert cell.arm.motions == []
+
+
+def test_the_guide_is_held_as_the_spheres_were_localized(cell: ClinicalCell) -> None:
+    turned = begin(cell, turn_rad=0.3)
+    run(turned, f"positioning:{FIRST}")
+    held = cell.case.get(PositionedGuide, FIRST).result.tool_pose.transform
+    localized = checked_paths(cell, turn_rad=0.3).localizations[FIRST][0].tool_pose.transform
+    assert (held.rigid.rotation.inv() * localized.rigid.rotation).magnitude() < 1e-9
+
+
+def test_an_arm_that_arrived_is_at_the_target(cell: ClinicalCell) -> None:
+    run(begin(cell), f"positioning:{FIRST}", f"at_target:{FIRST}")
+    reached = cell.case.get(ReachedTarget, FIRST)
+    assert reached.result.nominal_error_mm < 1e-6
+    assert list(reached.record.parents) == ["06-positioning-T1"]
+
+
+def test_an_arm_that_stands_elsewhere_is_not_at_the_target(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+    run(engine, f"positioning:{FIRST}")
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 2 * POSITION_LIMIT_MM / 700.0, *others)
+    with pytest.raises(GateFailed, match=r"the arm is not where it was sent; limit 0\.05 mm"):
+        run(engine, f"at_target:{FIRST}")
+
+
+@pytest.mark.hazard(24)
+def test_the_way_back_is_the_way_in(cell: ClinicalCell) -> None:
+    run(begin(cell), *(f"{name}:{FIRST}" for name in ("positioning", "at_target", "retreat")))
+    (_, over), (_, _), (kind, back) = cell.arm.motions
+    assert kind == "line"
+    assert back == pytest.approx(over, abs=1e-6)
+    assert cell.workcell.insertion is None
+
+
+TARGETING = ("positioning", "at_target", "retreat")
+
+
+@pytest.mark.parametrize("order", [(FIRST, LAST), (LAST, FIRST)])
+def test_the_arm_parks_after_the_last_target_whichever_that_is(
+    cell: ClinicalCell, order: tuple[str, str]
+) -> None:
+    engine = begin(cell)
+    run(engine, *(f"{name}:{order[0]}" for name in TARGETING))
+    assert not cell.case.get(Retreated, order[0]).result.parked
+    assert cell.arm.state is Lifecycle.ACTIVE
+    run(engine, *(f"{name}:{order[1]}" for name in TARGETING))
+    last = cell.case.get(Retreated, order[1]).result
+    assert last.parked
+    assert last.link is not None
+    assert cell.arm.joints_rad == HOME_RAD
+    assert cell.arm.state is Lifecycle.CONFIGURED
+    assert engine.machine.state == "finished"
+
+
+@pytest.mark.hazard(24)
+def test_with_the_instrument_inside_nothing_but_its_own_steps_may_come(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+    run(engine, f"positioning:{FIRST}")
+    for name in (f"positioning:{LAST}", f"at_target:{LAST}", f"retreat:{FIRST}", f"positioning:{FIRST}"):
+        with pytest.raises(StepRefused, match=f"only at_target:{FIRST} may"):
+            run(engine, name)
+
+
+def test_parents_are_what_the_arm_was_sent_by(cell: ClinicalCell) -> None:
+    run(begin(cell), f"positioning:{FIRST}")
+    kinds = {name.partition("-")[2] for name in cell.case.get(PositionedGuide, FIRST).record.parents}
+    assert kinds == {"registration", "tool_change", "path_check", "plan_check", "fiducial_localization"}
+
+
+def test_a_registration_beside_the_head_moves_the_target_with_it(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.GUIDE)
+    cell.run(
+        registered_robot(shifted(ROBOT_FROM_CT, (2.0, 0.0, -1.0))),
+        *(mounted_guide(), checked_paths(cell), checked_plan(), localized_fiducials()),
+        positioning.STEP,
+    )
+    expected = [a + b for a, b in zip(target_mm(FIRST), (2.0, 0.0, -1.0), strict=True)]
+    assert tip_mm(cell) == pytest.approx(expected, abs=1e-6)
