@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from pydantic import Field
 
@@ -21,6 +22,7 @@ from procedures.steps.clinical.motion_previews import MotionPreview
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import Pose
@@ -61,6 +63,11 @@ class CheckedPaths(StepResult, kind="path_check"):
     def localizations_for(self, trajectories: Sequence[str]) -> tuple[LocalizationPose, ...]:
         """The localizations that serve these trajectories: a strategy that localizes once has one set."""
         return next(self.localizations[name] for name in trajectories if name in self.localizations)
+
+    def turned(self, trajectory: Trajectory) -> Trajectory:
+        """A planned trajectory at the angle about its axis that was chosen for it."""
+        turn_rad = self.free_angle_turns_rad[trajectory.identifier]
+        return replace(trajectory, free_angle_rad=trajectory.free_angle_rad + turn_rad)
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:

@@ -32,7 +32,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     paths = context.result(CheckedPaths)
     planned = context.result(CheckedPlan).trajectory(trajectory)
     target = context.setting.strategy.target_pose(
-        planned.trajectory,
+        paths.turned(planned.trajectory),
         robot_from_ct,
         localized_as=paths.localizations_for((trajectory, *context.trajectories))[0].tool_pose.transform,
     )

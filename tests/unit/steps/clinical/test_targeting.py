@@ -10,6 +10,7 @@ from clinical_case import (
     ROBOT_FROM_CT,
     TRAJECTORIES,
     ClinicalCell,
+    OnceForAll,
     checked_paths,
     checked_plan,
     localized_fiducials,
@@ -105,6 +106,16 @@ def test_the_guide_is_held_as_the_spheres_were_localized(cell: ClinicalCell) -> 
     held = cell.case.get(PositionedGuide, FIRST).result.tool_pose.transform
     localized = checked_paths(cell, turn_rad=0.3).localizations[FIRST][0].tool_pose.transform
     assert (held.rigid.rotation.inv() * localized.rigid.rotation).magnitude() < 1e-9
+
+
+def test_a_strategy_that_holds_targets_as_planned_has_them_turned_as_the_paths_were_checked(
+    cell: ClinicalCell,
+) -> None:
+    cell.strategy = OnceForAll()
+    run(begin(cell, turn_rad=0.3), f"positioning:{LAST}")
+    held = cell.case.get(PositionedGuide, LAST).result.tool_pose.transform
+    checked = checked_paths(cell, turn_rad=0.3).targets[LAST].tool_pose.transform
+    assert (held.rigid.rotation.inv() * checked.rigid.rotation).magnitude() < 1e-9
 
 
 def test_an_arm_that_arrived_is_at_the_target(cell: ClinicalCell) -> None:
