@@ -100,7 +100,8 @@ class SeeingWorkcell(Workcell):
     spheres_mm: Array
 
     def look(self) -> Look:
-        seen_mm = self.tool_pose().inverse().apply(self.spheres_mm)
+        head = self.arm.kinematics.flange_pose(self.joints_rad()) @ self.flange_from(MountedTool.STEREO_HEAD)
+        seen_mm = head.inverse().apply(self.spheres_mm)
         nearest = seen_mm[np.linalg.norm(seen_mm, axis=1).argmin()]
         if np.linalg.norm(nearest) > IN_VIEW_MM:
             return Look(NO_PICTURES, None, None, None, NoSphere("no sphere in view"))

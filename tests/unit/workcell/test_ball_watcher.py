@@ -1,23 +1,16 @@
-"""Driving from look to look: one approach side, the way by home, the search, what stands around, no ball."""
+"""Driving from look to look: one approach side, the way by home, the search, what stands around."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from recording_cell import RecordingCell
-from scipy.spatial.transform import Rotation
 
-from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
-from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_variants
-from procedures.engine.order import order_of
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.calibration.pose_set import calibration_looks
 from procedures.relocalization.errors import NoSphere, SphereNotInView
-from procedures.steps.calibration.ball_observation import check_look, refuse_too_few
-from procedures.steps.calibration.ball_place import BallPlace, place_step
-from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.calibration.ball_place import BallPlace
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import Look
@@ -25,13 +18,10 @@ from procedures.workcell.workcell import APPROACH_RAD
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.errors import EXIT_REFUSED
-from ronna_hw.frames import Frame, Transform
 
 HOME_RAD = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 BALL_MM = np.array([720.0, -10.0, 310.0])
 PLACE = BallPlace(ball_mm=(720.0, -10.0, 310.0), others_mm=())
-IDENTITY = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=(0, 0, 0), quaternion_wxyz=(1, 0, 0, 0))
 
 
 @pytest.fixture
@@ -110,71 +100,3 @@ def test_the_arm_is_told_of_ball_stand_neighbours_and_its_own_head(cell: Recordi
     around = around_ball(cell.theatre.cell, tool, BALL_MM, [[700.0, 60.0, 300.0]])
     assert [obstacle.name for obstacle in around.obstacles] == ["ball's stand", "ball", "other ball 1"]
     assert {"left camera", "right camera"} <= {part.name for part in around.tool}
-
-
-def place_among(cell: RecordingCell, *points: tuple[float, float, float]) -> BallPlace:
-    """The ball that is chosen when the tracker has seen these."""
-    seen = GlobalLocalization.model_construct(points_robot_mm=points, robot_from_tracker=IDENTITY)
-    tracked = StepSpec(GlobalLocalization, "", Phase.PREPARATION, lambda _context: Outcome(seen))
-    cell.case.store = lambda key, result, parents: SimpleNamespace(  # type: ignore[method-assign]
-        record=SimpleNamespace(identifier=key.name, sha256="", parents={}), result=result
-    )
-    cell.case.get = lambda model, _trajectory=None: cell.case.find(model, None)  # type: ignore[method-assign]
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
-    cell.arm.joints_rad = HOME_RAD
-    cell.engine(order_of([tracked, place_step(None)], ())).run_to()
-    return cell.case.get(BallPlace).result
-
-
-def test_without_a_ball_that_stands_alone_nothing_begins(cell: RecordingCell) -> None:
-    with pytest.raises(NoBall, match="CAL-009") as refused:
-        place_among(cell, (700.0, 0.0, 300.0), (710.0, 0.0, 300.0))
-    assert refused.value.exit_code == EXIT_REFUSED
-
-
-def test_the_ball_nearest_to_the_head_is_taken(cell: RecordingCell) -> None:
-    far, near, other = (870.0, 370.0, 1060.0), (720.0, -10.0, 318.0), (600.0, 200.0, 200.0)
-    place = place_among(cell, far, near, other)
-    assert place.ball_mm == near
-    assert place.others_mm == (far, other)
-
-
-@pytest.mark.parametrize(
-    ("reason", "error"), [("ARM-007", PosesOutOfReach), ("no sphere in view", TooFewPoses)]
-)
-def test_too_few_looks_are_explained_by_their_commonest_reason(
-    watcher: BallWatcher, reason: str, error: type[Exception]
-) -> None:
-    watcher.rejected[reason] = 40
-    with pytest.raises(error, match=f"40 x {reason}"):
-        refuse_too_few(watcher, 30)
-
-
-class Watcher:
-    """Takes looks unless they are turned too far; notes the joint angles that it is sent back to."""
-
-    def __init__(self) -> None:
-        self.sent_back: list[tuple[float, ...]] = []
-
-    def observe(self, planned: PlannedLook) -> Any:
-        turned = planned.pose.rigid.rotation.as_euler("ZYX", degrees=True)[0]
-        return (
-            None
-            if abs(turned) > 30.0
-            else SimpleNamespace(orientation=planned.orientation, joints_rad=HOME_RAD)
-        )
-
-    def observe_at(self, joints: tuple[float, ...], orientation: int) -> Any:
-        self.sent_back.append(joints)
-        return SimpleNamespace(orientation=orientation, joints_rad=joints)
-
-
-def test_an_orientation_of_the_check_that_cannot_be_taken_gives_way_to_another_one() -> None:
-    watcher: Any = Watcher()
-    variants = check_variants(Rotation.identity(), BALL_MM, 0)
-    assert watcher.observe(variants[0]) is None
-    seen = [check_look(watcher, variants, [])]
-    assert seen[0] is not None
-    assert watcher.sent_back == []
-    assert check_look(watcher, variants, seen) is not None
-    assert watcher.sent_back == [HOME_RAD]  # the next visit is to the very same joint angles

@@ -1,0 +1,244 @@
+"""The calibrations move only when confirmed and only where the arm reaches, and keep what was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from clinical_case import HOME_RAD, IN_VIEW_MM, ClinicalCell, checked_set_up
+from recording_cell import RecordingOperator
+from scipy.spatial.transform import Rotation
+
+from procedures.calibration import Baseline
+from procedures.calibration.bundle import LEAST_POSES
+from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
+from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
+from procedures.engine.errors import NotConfirmed, StepRefused
+from procedures.engine.result import StepResult
+from procedures.engine.step import StepSpec
+from procedures.relocalization.errors import NoSphere, SphereNotInView, WrongCamera
+from procedures.steps.calibration.ball_look import LookedAtBall, look_step
+from procedures.steps.calibration.ball_observation import (
+    ObservedBall,
+    check_look,
+    observation_step,
+    refuse_too_few,
+)
+from procedures.steps.calibration.ball_place import BallPlace
+from procedures.steps.calibration.baseline_visit import VisitedBaseline, visit_step
+from procedures.workcell import MountedTool
+from procedures.workcell.ball_watcher import BallWatcher
+from procedures.workcell.stereo_look import Look
+from ronna_hw.calibration import CalibrationExpired
+from ronna_hw.devices.lifecycle import Lifecycle
+
+BALL_MM = (720.0, -10.0, 310.0)
+OUT_OF_REACH_MM = (2000.0, 0.0, 300.0)
+VISITS = 2
+Moving = Callable[[ClinicalCell], StepSpec[StepResult]]
+
+
+def over_ball(cell: ClinicalCell, step: StepSpec[StepResult], at_mm: tuple[float, float, float] = BALL_MM):
+    """The result of a step that begins over the ball, which stands at `BALL_MM`."""
+    cell.workcell.spheres_mm = np.array([BALL_MM])
+    cell.carrying(MountedTool.STEREO_HEAD)
+    return cell.run(checked_set_up(cell), BallPlace(ball_mm=at_mm, others_mm=()), step)
+
+
+def observed(cell: ClinicalCell) -> ObservedBall:
+    return over_ball(cell, observation_step(LEAST_POSES, VISITS)).result
+
+
+@pytest.fixture(scope="module")
+def baseline(tmp_path_factory: pytest.TempPathFactory) -> Baseline:
+    """What a calibration has left of its check."""
+    cell = ClinicalCell(tmp_path_factory.mktemp("calibration"))
+    seen = observed(cell).observed
+    return Baseline(
+        created=seen.created,
+        stereo_head=cell.calibrations.stereo_head,
+        arm_variant=seen.arm_variant,
+        looks=tuple(one for one in seen.observations if one.orientation is not None),
+    )
+
+
+def visited(cell: ClinicalCell, baseline: Baseline) -> VisitedBaseline:
+    cell.workcell.spheres_mm = np.array([BALL_MM])
+    cell.carrying(MountedTool.STEREO_HEAD)
+    return cell.run(checked_set_up(cell), visit_step(baseline, VISITS)).result
+
+
+def test_a_calibration_has_so_many_poses_and_the_check_again_and_again_from_the_same_joints(
+    cell: ClinicalCell,
+) -> None:
+    done = observed(cell)
+    free = [one for one in done.observed.observations if one.orientation is None]
+    check = [one for one in done.observed.observations if one.orientation is not None]
+    assert len(free) == LEAST_POSES
+    assert [one.orientation for one in check] == [*range(CHECK_ORIENTATIONS)] * VISITS
+    assert [one.joints_rad for one in check[:CHECK_ORIENTATIONS]] == [
+        one.joints_rad for one in check[CHECK_ORIENTATIONS:]
+    ]
+    assert done.observed.serials == cell.stereo.serials
+    assert done.observed.start == cell.calibrations.stereo_head
+    assert done.remarks == ()
+
+
+def test_at_the_end_of_a_calibration_the_arm_is_home(cell: ClinicalCell) -> None:
+    observed(cell)
+    assert cell.arm.joints_rad == HOME_RAD
+    assert cell.stereo.calls == ["activate"]
+
+
+def test_where_the_way_home_is_not_clear_what_was_seen_is_kept_and_said(cell: ClinicalCell) -> None:
+    cell.arm.blocked = lambda _start, target: target == HOME_RAD
+    assert observed(cell).remarks == ("the arm stays where it is: the way is not clear",)
+
+
+@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
+def test_nothing_moves_over_the_ball_unless_it_is_confirmed(
+    cell: ClinicalCell, step: StepSpec[StepResult]
+) -> None:
+    cell.operator = RecordingOperator(answer=False)
+    with pytest.raises(NotConfirmed, match="The arm will move about the ball"):
+        over_ball(cell, step)
+    assert cell.arm.motions == cell.arm.calls == []
+
+
+@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
+def test_a_ball_out_of_reach_is_refused_before_anybody_is_asked(
+    cell: ClinicalCell, step: StepSpec[StepResult]
+) -> None:
+    with pytest.raises(PosesOutOfReach, match="CAL-010"):
+        over_ball(cell, step, at_mm=OUT_OF_REACH_MM)
+    assert cell.operator.asked == []
+
+
+def test_a_ball_that_is_not_where_it_should_be_ends_the_step(cell: ClinicalCell) -> None:
+    x, y, z = BALL_MM
+    with pytest.raises(SphereNotInView, match="STE-009"):
+        over_ball(cell, look_step(over_ball=True), at_mm=(x, y + 100.0, z))
+
+
+@pytest.mark.hazard(37)
+@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
+def test_with_another_tool_the_head_is_not_looked_for(cell: ClinicalCell, step: StepSpec[StepResult]) -> None:
+    cell.carrying(MountedTool.GUIDE)
+    with pytest.raises(StepRefused, match="the arm carries the guide, not the stereo head"):
+        cell.run(checked_set_up(cell), BallPlace(ball_mm=BALL_MM, others_mm=()), step)
+
+
+def test_one_look_over_the_ball_measures_it_and_goes_home(cell: ClinicalCell) -> None:
+    seen = over_ball(cell, look_step(over_ball=True)).result
+    assert seen.position_mm == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert (seen.left is None, seen.reason) == (False, "")
+    assert cell.arm.joints_rad == HOME_RAD
+
+
+def test_a_look_where_the_head_stands_moves_nothing_and_connects_the_cameras_only(cell: ClinicalCell) -> None:
+    seen = cell.run(look_step(over_ball=False)).result
+    assert seen == LookedAtBall(position_mm=None, left=None, right=None, reason="no sphere in view")
+    assert cell.stereo.state is Lifecycle.ACTIVE
+    assert cell.arm.state is cell.tracker.state is Lifecycle.DISCONNECTED
+    assert cell.arm.motions == []
+
+
+def test_the_pictures_of_a_look_are_at_hand_for_whoever_wants_to_see_them(cell: ClinicalCell) -> None:
+    engine = cell.begin(look_step(over_ball=False))
+    engine.run_to()
+    assert engine.setting.workspace.find(Look) is not None
+
+
+def test_a_check_looks_from_the_joints_of_the_baseline_and_goes_home(
+    cell: ClinicalCell, baseline: Baseline
+) -> None:
+    done = visited(cell, baseline)
+    places = [one.joints_rad for one in baseline.looks[:CHECK_ORIENTATIONS]]
+    assert [one.joints_rad for one in done.looks] == places * VISITS
+    assert [to for _, to in cell.arm.motions[1::2]] == places * VISITS
+    assert cell.arm.joints_rad == HOME_RAD
+    assert done.calibration == cell.calibrations.stereo_head.identifier
+
+
+def test_a_check_is_confirmed_with_the_calibration_that_is_checked(
+    cell: ClinicalCell, baseline: Baseline
+) -> None:
+    cell.operator = RecordingOperator(answer=False)
+    with pytest.raises(NotConfirmed, match=f"calibration {baseline.stereo_head.identifier}"):
+        visited(cell, baseline)
+    assert cell.arm.motions == cell.arm.calls == []
+
+
+@pytest.mark.hazard(26)
+def test_an_expired_baseline_is_refused_before_anybody_is_asked(
+    cell: ClinicalCell, baseline: Baseline
+) -> None:
+    expired = {"expires": datetime.now(UTC) - timedelta(seconds=1)}
+    head = baseline.stereo_head.model_copy(update=expired)
+    with pytest.raises(CalibrationExpired, match="CAL-001"):
+        visited(cell, baseline.model_copy(update={"stereo_head": head}))
+    assert cell.operator.asked == []
+
+
+@pytest.mark.hazard(25)
+def test_the_baseline_of_other_cameras_is_refused_before_anybody_is_asked(
+    cell: ClinicalCell, baseline: Baseline
+) -> None:
+    cell.stereo.serials = ("1", "2")
+    with pytest.raises(WrongCamera, match="STE-010"):
+        visited(cell, baseline)
+    assert cell.operator.asked == []
+
+
+def test_a_check_without_a_ball_says_why_when_the_arm_is_home(cell: ClinicalCell, baseline: Baseline) -> None:
+    cell.workcell.spheres_mm = np.array([BALL_MM]) + 10 * IN_VIEW_MM
+    cell.carrying(MountedTool.STEREO_HEAD)
+    with pytest.raises(NoSphere, match=f"{VISITS * CHECK_ORIENTATIONS} x no sphere in view"):
+        cell.run(checked_set_up(cell), visit_step(baseline, VISITS))
+    assert cell.arm.joints_rad == HOME_RAD
+
+
+@pytest.mark.parametrize(
+    ("reason", "error"), [("ARM-007", PosesOutOfReach), ("no sphere in view", TooFewPoses)]
+)
+def test_too_few_looks_are_explained_by_their_commonest_reason(
+    cell: ClinicalCell, reason: str, error: type[Exception]
+) -> None:
+    watcher = BallWatcher(cell.workcell, np.array(BALL_MM))
+    watcher.rejected[reason] = 40
+    with pytest.raises(error, match=f"40 x {reason}"):
+        refuse_too_few(watcher, 30)
+
+
+class Watcher:
+    """Takes looks unless they are turned too far; notes the joint angles that it is sent back to."""
+
+    def __init__(self) -> None:
+        self.sent_back: list[tuple[float, ...]] = []
+
+    def observe(self, planned: PlannedLook) -> Any:
+        turned = planned.pose.rigid.rotation.as_euler("ZYX", degrees=True)[0]
+        return (
+            None
+            if abs(turned) > 30.0
+            else SimpleNamespace(orientation=planned.orientation, joints_rad=HOME_RAD)
+        )
+
+    def observe_at(self, joints: tuple[float, ...], orientation: int) -> Any:
+        self.sent_back.append(joints)
+        return SimpleNamespace(orientation=orientation, joints_rad=joints)
+
+
+def test_an_orientation_of_the_check_that_cannot_be_taken_gives_way_to_another_one() -> None:
+    watcher: Any = Watcher()
+    variants = check_variants(Rotation.identity(), np.array(BALL_MM), 0)
+    assert watcher.observe(variants[0]) is None
+    seen = [check_look(watcher, variants, [])]
+    assert seen[0] is not None
+    assert watcher.sent_back == []
+    assert check_look(watcher, variants, seen) is not None
+    assert watcher.sent_back == [HOME_RAD]  # the next visit is to the very same joint angles

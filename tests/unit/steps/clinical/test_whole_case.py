@@ -1,0 +1,65 @@
+"""From the path check to the last retreat, with a strategy that localizes once for all trajectories."""
+
+import pytest
+from clinical_case import (
+    HOME_RAD,
+    ROBOT_FROM_CT,
+    TRAJECTORIES,
+    ClinicalCell,
+    OnceForAll,
+    checked_plan,
+    global_localization,
+    imported_ct,
+    localized_fiducials,
+    plan,
+)
+
+from procedures.engine.result import StepResult
+from procedures.engine.step import StepSpec
+from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.registration import RegisteredRobot
+from ronna_hw.devices.lifecycle import Lifecycle
+
+GIVEN = (imported_ct(), localized_fiducials(), checked_plan(), global_localization())  # CT and tracker
+
+
+def steps() -> tuple[StepSpec[StepResult] | StepResult, ...]:
+    """The clinical case, with given results in place of what CT and tracker show."""
+    stand_ins = {one.kind: one for one in GIVEN}
+    return tuple(stand_ins.get(step.name, step) for step in CLINICAL_STEPS)
+
+
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> ClinicalCell:
+    """The finished case."""
+    cell = ClinicalCell(tmp_path_factory.mktemp("once"), strategy=OnceForAll())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+        cell.begin(*steps()).run_to()
+    return cell
+
+
+def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed(
+    once: ClinicalCell,
+) -> None:
+    done = [step for _, step in once.entries("result")]
+    assert done[6:] == [
+        *("path_check", "relocalization", "registration", "tool_change"),
+        *(f"{name}:{one}" for one in TRAJECTORIES for name in ("positioning", "at_target", "retreat")),
+    ]
+
+
+def test_its_one_registration_is_the_parent_of_every_positioning(once: ClinicalCell) -> None:
+    registered = once.case.get(RegisteredRobot)
+    assert tuple(one.target for one in registered.result.predictions) == TRAJECTORIES
+    for name in TRAJECTORIES:
+        positioned = once.case.get(PositionedGuide, name)
+        assert positioned.record.parents[registered.record.identifier] == registered.record.sha256
+        target_mm = ROBOT_FROM_CT.apply(plan().trajectory(name).target_mm)
+        assert positioned.result.tool_pose.translation_mm == pytest.approx(target_mm, abs=1e-3)
+
+
+def test_at_the_end_the_arm_is_parked_with_its_stream_ended(once: ClinicalCell) -> None:
+    assert once.arm.joints_rad == HOME_RAD
+    assert once.arm.state is once.stereo.state is Lifecycle.CONFIGURED
