@@ -6,7 +6,7 @@ import json
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -186,17 +186,6 @@ def test_a_theatre_without_calibration_is_refused(
     assert list(Path("calibrations").iterdir()) == []
 
 
-def test_an_expired_calibration_is_refused_before_any_device_is_asked(
-    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
-) -> None:
-    theatre = theatre_file(head, tmp_path, expires=datetime.now(UTC) - timedelta(days=1))
-    made = stereo("calibrate", "--from", recorded(head, tmp_path), "--out", tmp_path / "out", "--json")
-    for arguments in (("measure",), ("check", "--baseline", made.content["folder"])):
-        said = stereo(*arguments, "--config", theatre)
-        assert said.code == 3
-        assert one_error(said.errors)[0].startswith("CAL-001")
-
-
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ChildProcess]:
     """A running mini theatre; the arm stands at home, where no ball is in view."""
@@ -250,49 +239,12 @@ def test_images_without_a_ball_are_refused_and_kept(
         assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
 
 
-def test_the_calibration_of_other_cameras_is_refused(stereo: Callable[..., Said], theatre: Path) -> None:
-    content = tomllib.loads(theatre.read_text())
-    content["calibration"]["stereo_head"]["left"]["serial"] = "21900000"
-    other = theatre.with_name("other.toml")
-    other.write_text(tomli_w.dumps(content))
-    said = stereo("measure", "--config", other)
-    assert said.code == 3
-    assert one_error(said.errors)[0].startswith("STE-010")
-
-
-def test_a_baseline_of_other_cameras_is_refused_before_anything_moves(
-    stereo: Callable[..., Said], theatre: Path, head: TrueHead, tmp_path: Path
+def test_without_a_terminal_nothing_is_confirmed_and_nothing_moves(
+    stereo: Callable[..., Said], theatre: Path, tmp_path: Path
 ) -> None:
-    made = stereo("calibrate", "--from", recorded(head, tmp_path), "--out", tmp_path / "out", "--json")
-    baseline = Path(made.content["folder"]) / "baseline.json"
-    baseline.write_text(baseline.read_text().replace(head.scene.right.serial, "21900000"))
-    # Calibrated in the simulated past of `head`, the record would have expired: let it hold.
-    content = json.loads(baseline.read_text())
-    content["stereo_head"]["expires"] = (datetime.now(UTC) + timedelta(days=1)).isoformat()
-    baseline.write_text(json.dumps(content))
-    said = stereo("check", "--config", theatre, "--baseline", baseline)
-    assert said.code == 3
-    assert one_error(said.errors)[0].startswith("STE-010")
-
-
-@pytest.mark.parametrize(
-    ("ball", "exit_code", "code"),
-    [
-        (("720", "-10", "310"), 7, "PRO-002"),  # nobody confirms: no terminal
-        (("2000", "0", "300"), 3, "CAL-010"),  # nobody is even asked
-    ],
-)
-def test_nothing_moves_unconfirmed_or_out_of_reach(
-    stereo: Callable[..., Said],
-    theatre: Path,
-    tmp_path: Path,
-    ball: tuple[str, ...],
-    exit_code: int,
-    code: str,
-) -> None:
-    said = stereo("calibrate", "--config", theatre, "--ball", *ball, "--out", tmp_path)
-    assert said.code == exit_code
-    assert one_error(said.errors)[0].startswith(code)
+    said = stereo("calibrate", "--config", theatre, "--ball", "720", "-10", "310", "--out", tmp_path)
+    assert said.code == 7
+    assert one_error(said.errors)[0].startswith("PRO-002")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 from typing import Any
@@ -39,7 +38,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 BALL_MM = (720.0, -10.0, 310.0)
 OUT_OF_REACH_MM = (2000.0, 0.0, 300.0)
 VISITS = 2
-Moving = Callable[[ClinicalCell], StepSpec[StepResult]]
+EXPIRED = {"expires": datetime.now(UTC) - timedelta(seconds=1)}
 
 
 def over_ball(cell: ClinicalCell, step: StepSpec[StepResult], at_mm: tuple[float, float, float] = BALL_MM):
@@ -147,6 +146,23 @@ def test_a_look_where_the_head_stands_moves_nothing_and_connects_the_cameras_onl
     assert cell.arm.motions == []
 
 
+@pytest.mark.hazard(26)
+def test_an_expired_calibration_is_refused_before_a_camera_is_asked(cell: ClinicalCell) -> None:
+    head = cell.calibrations.stereo_head.model_copy(update=EXPIRED)
+    cell.workcell = cell.make_workcell(cell.calibrations.model_copy(update={"stereo_head": head}))
+    with pytest.raises(CalibrationExpired, match="CAL-001"):
+        cell.run(look_step(over_ball=False))
+    assert cell.stereo.state is Lifecycle.DISCONNECTED
+
+
+@pytest.mark.hazard(25)
+def test_a_look_with_the_calibration_of_other_cameras_is_refused(cell: ClinicalCell) -> None:
+    cell.stereo.serials = ("1", "2")
+    with pytest.raises(WrongCamera, match="STE-010"):
+        cell.run(look_step(over_ball=False))
+    assert cell.stereo.calls == []
+
+
 def test_the_pictures_of_a_look_are_at_hand_for_whoever_wants_to_see_them(cell: ClinicalCell) -> None:
     engine = cell.begin(look_step(over_ball=False))
     engine.run_to()
@@ -177,8 +193,7 @@ def test_a_check_is_confirmed_with_the_calibration_that_is_checked(
 def test_an_expired_baseline_is_refused_before_anybody_is_asked(
     cell: ClinicalCell, baseline: Baseline
 ) -> None:
-    expired = {"expires": datetime.now(UTC) - timedelta(seconds=1)}
-    head = baseline.stereo_head.model_copy(update=expired)
+    head = baseline.stereo_head.model_copy(update=EXPIRED)
     with pytest.raises(CalibrationExpired, match="CAL-001"):
         visited(cell, baseline.model_copy(update={"stereo_head": head}))
     assert cell.operator.asked == []
