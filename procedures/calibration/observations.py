@@ -24,13 +24,13 @@ S = TypeVar("S", bound=Strict)
 class Outline(Strict):
     """The ball's outline in one image, full-sensor pixels, major semi-axis first; perspective bias kept."""
 
-    centre_px: Pixels
-    axes_px: tuple[Positive, Positive]
-    covariance_px2: tuple[Pixels, Pixels]
-    quality: Annotated[float, Field(ge=0, le=1)]
-    rim_fraction: Annotated[float, Field(ge=0, le=1)] = 1.0
-    scatter_px: Annotated[float, Field(ge=0)] = 0.0
-    blur_px: Annotated[float, Field(ge=0)] = 0.0
+    centre_px: Pixels = Field(description="Centre of the ellipse, x and y.")
+    axes_px: tuple[Positive, Positive] = Field(description="Semi-axes, major first.")
+    covariance_px2: tuple[Pixels, Pixels] = Field(description="Covariance of the centre, x and y.")
+    quality: float = Field(ge=0, le=1, description="Falls with lost rim, scatter and noise.")
+    rim_fraction: float = Field(default=1.0, ge=0, le=1, description="Share of the rim that was seen.")
+    scatter_px: float = Field(default=0.0, ge=0, description="Of the rim's points about the ellipse.")
+    blur_px: float = Field(default=0.0, ge=0, description="Width of the rim's edge.")
 
     @classmethod
     def of(cls, sphere: SphereImage) -> Self:
@@ -65,11 +65,13 @@ class Observation(Strict):
     `orientation` is the number of a self-check orientation; None for views used only for calibration.
     """
 
-    joints_rad: Joints
-    robot_from_flange: PoseRecord
-    left: Outline
-    right: Outline
-    orientation: Annotated[int, Field(ge=0)] | None = None
+    joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
+    robot_from_flange: PoseRecord = Field(description="Nominal pose robot <- flange at these joints.")
+    left: Outline = Field(description="In the left image.")
+    right: Outline = Field(description="In the right image.")
+    orientation: Annotated[int, Field(ge=0)] | None = Field(
+        default=None, description="Number of the orientation of the check, for views that belong to it."
+    )
 
     @property
     def flange_pose(self) -> Transform:
@@ -80,13 +82,13 @@ class Observation(Strict):
 class ObservationSet(Strict):
     """All views of one calibration, and the records it started from."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    created: datetime
-    serials: tuple[str, str]
-    arm_variant: str
-    start: StereoHeadCalibration
-    tool_tip: ToolTipCalibration | None = None
-    observations: tuple[Observation, ...]
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
+    created: datetime = Field(description="When the looks were taken.")
+    serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
+    arm_variant: str = Field(description="Name of the arm's kinematic model.")
+    start: StereoHeadCalibration = Field(description="The record that was in use meanwhile.")
+    tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
+    observations: tuple[Observation, ...] = Field(description="The views.")
 
 
 def read_observations(path: Path) -> ObservationSet:

@@ -54,10 +54,9 @@ class Outcome(Generic[R_co]):
 class StepSpec(Generic[R_co]):
     """A step of a procedure.
 
-    `reads` are the results it needs and may read, of its own trajectory where they belong to one;
-    `reads_all` those it needs of every trajectory. `continues` says that it may only follow the step before
-    it in the case, for the same trajectory, and that nothing else may come between. `preconditions` are
-    checked besides, and tell in plain words what is not met.
+    `reads` are the results it needs and may read, of its own trajectory where they belong to one.
+    `continues` says that it may only follow the step before it in the case, for the same trajectory, and that
+    nothing else may come between. `preconditions` are checked besides, and say in plain words what is unmet.
     """
 
     result: type[R_co]
@@ -66,7 +65,6 @@ class StepSpec(Generic[R_co]):
     run: Callable[[StepContext], Outcome[R_co]]
     scope: Scope = Scope.CASE
     reads: tuple[type[StepResult], ...] = ()
-    reads_all: tuple[type[StepResult], ...] = ()
     moves: bool = False
     continues: bool = False
     preconditions: Callable[[StepContext], tuple[str, ...]] = lambda _context: ()
@@ -79,4 +77,4 @@ class StepSpec(Generic[R_co]):
     @property
     def needs(self) -> tuple[str, ...]:
         """Kinds of the results that must stand before it may begin."""
-        return tuple(model.kind for model in (*self.reads, *self.reads_all))
+        return tuple(model.kind for model in self.reads)

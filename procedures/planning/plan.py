@@ -53,11 +53,19 @@ class PlannedTrajectory(Strict):
     `margin_mm` is the target error the surgeon accepts; a larger predicted error refuses the trajectory.
     """
 
-    id: Annotated[str, Field(min_length=1, max_length=32, pattern=ID_PATTERN)]
-    entry_mm: Point
-    target_mm: Point
-    free_angle_deg: Annotated[float, Field(allow_inf_nan=False, ge=-360.0, le=360.0)] = 0.0
-    margin_mm: Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=20.0)]
+    id: str = Field(min_length=1, max_length=32, pattern=ID_PATTERN, description="Its name.")
+    entry_mm: Point = Field(description="Where it enters the head, LPS.")
+    target_mm: Point = Field(description="Where it ends, LPS.")
+    free_angle_deg: float = Field(
+        default=0.0,
+        allow_inf_nan=False,
+        ge=-360.0,
+        le=360.0,
+        description="Of the guide about the axis.",
+    )
+    margin_mm: float = Field(
+        allow_inf_nan=False, gt=0.0, le=20.0, description="Largest target error that is accepted."
+    )
 
     @model_validator(mode="after")
     def _has_a_way(self) -> PlannedTrajectory:
@@ -92,13 +100,17 @@ def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajector
 class Plan(Strict):
     """A whole plan, as `plan.toml` holds it."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")]
-    series_instance_uid: Annotated[str, Field(max_length=64, pattern=UID_PATTERN)]
-    patient_orientation: PatientPosition
-    implanted: Annotated[int, Field(ge=FEWEST_MARKERS, le=MOST_MARKERS)]
-    fiducials: FiducialKind
-    tool: Annotated[str, Field(min_length=1, max_length=64)]
-    trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)]
+    schema_version: Literal[1] = Field(alias="schema", description="Version of the file format.")
+    series_instance_uid: str = Field(
+        max_length=64, pattern=UID_PATTERN, description="DICOM UID of the CT series it was made on."
+    )
+    patient_orientation: PatientPosition = Field(description="How the patient lay in the scanner.")
+    implanted: int = Field(ge=FEWEST_MARKERS, le=MOST_MARKERS, description="Spheres on the head.")
+    fiducials: FiducialKind = Field(description="Single spheres, or the x-shaped frame.")
+    tool: str = Field(min_length=1, max_length=64, description="What is carried to the target.")
+    trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
+        description="In the order in which they are meant to be done."
+    )
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
         """The trajectory with this id; raises KeyError."""

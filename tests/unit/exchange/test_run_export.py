@@ -8,66 +8,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clinical_case import SERIES, imported_ct, localized_fiducials, registered_robot
 from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Case
 from procedures.engine.journal import Entry, Journal
-from procedures.engine.result import FramedPose, StepResult
+from procedures.engine.result import StepResult
 from procedures.engine.step import StepKey
 from procedures.exchange.errors import NothingToExport, NotWritable, UnknownForm
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
-from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
-from procedures.steps.clinical.registration import Prediction, RegisteredRobot
-from procedures.steps.clinical.two_way import TwoWayTable
+from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.records import BadRecord, OtherVersion
 
-IMPORTED = ImportedCt(
-    series_instance_uid="1.2.3",
-    frame_of_reference_uid="1.2.4",
-    patient_position="HFS",
-    shape=(1, 1, 1),
-    spacing_mm=(1.0, 1.0, 1.0),
-    origin_mm=(0.0, 0.0, 0.0),
-    axes=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
-    voxels_sha256="",
-    warnings=(),
-)
-SPHERES = LocalizedFiducials(
-    series_instance_uid="1.2.3",
-    diameter_mm=11.5,
-    markers=(
-        LocalizedMarker(
-            centre_mm=(1.0, 2.0, 3.0),
-            covariance_mm2=(np.eye(3) * 3e-4).tolist(),
-            radius_mm=5.75,
-            quality=1.0,
-            agreement_mm=0.0,
-            flags=(),
-        ),
-    ),
-    candidates_refused=0,
-)
-NO_TABLE = TwoWayTable(
-    ct_to_room=(), room_to_ct=(), unmatched_ct=(), unmatched_room=(), agrees_both_ways=True
-)
+IMPORTED = imported_ct()
+SPHERES = localized_fiducials(np.array([[1.0, 2.0, 3.0]]))
 
 
 def fit(trajectory: str, x_mm: float) -> RegisteredRobot:
     turn = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_quat(scalar_first=True)
     pose = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=[x_mm, 0.0, 0.0], quaternion_wxyz=turn)
-    return RegisteredRobot(
-        robot_from_ct=FramedPose.of(pose),
-        pairs=5,
-        fre_mm=0.1,
-        residuals_mm=(),
-        leave_one_out_mm=(),
-        predictions=(Prediction(target=trajectory, rms_mm=0.2, limit_mm=0.4, confidence=0.95, formula=""),),
-        two_way=NO_TABLE,
-    )
+    done = registered_robot(pose)
+    return done.model_copy(update={"predictions": (done.prediction(trajectory),)})
 
 
 def record(run: Path, *results: tuple[StepKey, StepResult]) -> Path:
@@ -103,7 +67,7 @@ def test_a_run_gives_its_spheres_and_the_last_registration_of_each_trajectory(fi
         *("registrations.csv", "registrations.json"),
         *("registration-T1.dcm", "registration-T2.dcm"),
     }
-    assert (out / "spheres.csv").read_text().splitlines()[1].startswith("M1,1.0,2.0,3.0,0.03")
+    assert (out / "spheres.csv").read_text().splitlines()[1].startswith("M1,1.0,2.0,3.0,0.01")
     told = json.loads((out / "registrations.json").read_text())["registrations"]
     assert [(one["trajectory"], one["robot_from_ct"]["translation_mm"][0]) for one in told] == [
         ("T2", 2.0),
@@ -115,7 +79,7 @@ def test_the_tables_hold_the_same_as_the_objects(finished: Path) -> None:
     out = finished / "export"
     export_run(finished, out)
     spheres = json.loads((out / "spheres.json").read_text())
-    assert (spheres["series_instance_uid"], spheres["coordinate_system"]) == ("1.2.3", "LPS")
+    assert (spheres["series_instance_uid"], spheres["coordinate_system"]) == (SERIES, "LPS")
     assert [(one["name"], one["centre_mm"]) for one in spheres["spheres"]] == [("M1", [1.0, 2.0, 3.0])]
     assert np.array(spheres["spheres"][0]["covariance_mm2"]).shape == (3, 3)
     rows = list(csv.DictReader((out / "registrations.csv").read_text().splitlines()))

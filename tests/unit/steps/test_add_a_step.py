@@ -7,23 +7,14 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
-from recording_cell import RecordingCell
+from clinical_case import ClinicalCell, given, mounted_guide
 
 from procedures.engine.errors import GateFailed
 from procedures.engine.machine import mermaid
 from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.catalogue import CLINICAL_STEPS
-from procedures.steps.clinical.link_health import LinkHealth
-from procedures.steps.clinical.tool_change import MountedGuide
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "add-a-step.md"
-LINK = LinkHealth(
-    **{name: 0 for name in LinkHealth.model_fields if not name.endswith(("edges_us", "counts"))},
-    histogram_edges_us=(),
-    histogram_counts=(),
-    jitter_counts=(),
-)
 
 
 @pytest.fixture(scope="module")
@@ -34,23 +25,16 @@ def force_check() -> ModuleType:
     return module
 
 
-@pytest.fixture
-def cell(tmp_path: Path) -> RecordingCell:
-    return RecordingCell(tmp_path)
-
-
 def order(force_check: ModuleType) -> CaseOrder:
-    guide = MountedGuide(tool_number=2, calibration="tip-1", link=LINK)
-    change = StepSpec(MountedGuide, "", Phase.OPERATION, lambda _context: Outcome(guide))
-    return order_of([change, force_check.STEP], ())
+    return order_of([given(mounted_guide()), force_check.STEP], ())
 
 
-def with_force(cell: RecordingCell, force_N: float) -> None:
+def with_force(cell: ClinicalCell, force_N: float) -> None:
     cell.opened._devices["device.force"] = SimpleNamespace(read_force_N=lambda: force_N)  # type: ignore[assignment]
 
 
 def test_the_new_step_reads_a_device_of_another_kind_and_leaves_its_result(
-    cell: RecordingCell, force_check: ModuleType
+    cell: ClinicalCell, force_check: ModuleType
 ) -> None:
     with_force(cell, 0.2)
     engine = cell.engine(order(force_check))
@@ -62,7 +46,7 @@ def test_the_new_step_reads_a_device_of_another_kind_and_leaves_its_result(
 
 
 def test_the_new_step_refuses_to_go_on_while_something_presses_on_the_guide(
-    cell: RecordingCell, force_check: ModuleType
+    cell: ClinicalCell, force_check: ModuleType
 ) -> None:
     with_force(cell, 2.0)
     with pytest.raises(GateFailed, match="something presses on the guide"):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from recording_cell import RecordingCell
+from clinical_case import ClinicalCell, checked_set_up
 
 from procedures.engine.errors import GateFailed
-from procedures.engine.order import order_of
-from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.clinical.global_localization import (
     FRAMES,
     MOST_LOST_READINGS,
@@ -20,23 +17,11 @@ from procedures.steps.clinical.global_localization import (
     average_pose,
     fresh_frames,
 )
-from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Stamp, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import DeviceError, LinkTimeout
-
-SET_UP_DONE = StepSpec(
-    CheckedSetUp,
-    "",
-    Phase.PREPARATION,
-    lambda context: Outcome(
-        CheckedSetUp(
-            identities={}, notices=(), calibrations=context.workcell.calibrations, home_rad=(0.0,) * 6
-        )
-    ),
-)
 
 
 class Bumped(DeviceError):
@@ -67,13 +52,12 @@ class TrackerThatFails:
 
 
 @pytest.mark.parametrize("latched", [True, False])
-def test_the_fault_of_the_tracker_is_what_the_step_fails_with(latched: bool, tmp_path: Path) -> None:
+def test_the_fault_of_the_tracker_is_what_the_step_fails_with(latched: bool, cell: ClinicalCell) -> None:
     tracker = TrackerThatFails(latched)
-    cell = RecordingCell(tmp_path)
     cell.opened._devices["tracker"] = tracker  # type: ignore[assignment]
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
     with pytest.raises(Bumped):
-        cell.engine(order_of([SET_UP_DONE, STEP], ())).run_to()
+        cell.begin(checked_set_up(cell), STEP).run_to()
     assert tracker.calls == ([] if latched else ["deactivate"])
 
 

@@ -1,0 +1,158 @@
+"""What the steps say about themselves, over all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, get_args
+
+import pytest
+from clinical_case import (
+    HOME_RAD,
+    LINK,
+    OUTLINE,
+    SERIES,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    checked_set_up,
+    correspondence,
+    global_localization,
+    imported_ct,
+    localized_fiducials,
+    mounted_guide,
+    registered_robot,
+    relocalization,
+)
+from pydantic import BaseModel, ValidationError
+
+from procedures.calibration import Baseline, Observation, ObservationSet, Outline
+from procedures.engine.order import Steps
+from procedures.engine.result import FramedPose, StepResult
+from procedures.engine.run_folder import typed
+from procedures.engine.step import StepKey, StepSpec
+from procedures.steps.calibration.ball_look import LookedAtBall
+from procedures.steps.calibration.ball_observation import ObservedBall
+from procedures.steps.calibration.ball_place import BallPlace
+from procedures.steps.calibration.baseline_visit import VisitedBaseline
+from procedures.steps.calibration.procedures import (
+    head_calibration,
+    head_check,
+    head_look,
+    look_where_it_stands,
+)
+from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.retreat import Retreated
+from procedures.workcell import MountedTool
+from ronna_hw.calibration import PoseRecord
+from ronna_hw.records import read_record
+
+BASELINE = Baseline.model_construct(looks=())
+PROCEDURES: dict[str, Steps] = {
+    "case": CLINICAL_STEPS,
+    "calibration": head_calibration(60, 3, None),
+    "calibration at a stated place": head_calibration(60, 3, (700.0, 0.0, 300.0)),
+    "check": head_check(BASELINE, 3),
+    "look": head_look(None),
+    "look where it stands": look_where_it_stands(),
+}
+STEPS = {step.result: step for steps in PROCEDURES.values() for step in steps}
+UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz")
+WITHOUT_UNIT = {
+    *("axes", "at", "largest_joint_speed_share"),  # directions, shares
+    *("quality", "confidence", "rim_fraction", "distortion"),
+}
+
+
+@pytest.mark.parametrize("procedure", PROCEDURES)
+def test_a_step_reads_only_what_an_earlier_one_leaves(procedure: str) -> None:
+    left: set[type[StepResult]] = set()
+    for step in PROCEDURES[procedure]:
+        assert set(step.reads) <= left, step.name
+        left.add(step.result)
+
+
+def test_no_two_steps_leave_results_of_one_kind() -> None:
+    kinds = [model.kind for model in STEPS]
+    assert len(set(kinds)) == len(kinds)
+
+
+@pytest.mark.hazard(37)
+@pytest.mark.parametrize("step", [step for step in STEPS.values() if step.moves], ids=lambda step: step.name)
+def test_a_step_that_moves_begins_only_with_a_checked_tool_or_with_its_own_instrument_inside(
+    cell: ClinicalCell, step: StepSpec[StepResult]
+) -> None:
+    assert cell.workcell.tool is MountedTool.UNKNOWN
+    key = StepKey(step.name, "T1")
+    assert step.preconditions(cell.begin(step)._context(key))
+
+
+def parts(model: type[BaseModel]) -> Iterator[tuple[str, Any]]:
+    """Every field of a model and of the models in it, as `Model.field`, with its definition."""
+    for name, field in model.model_fields.items():
+        yield f"{model.__name__}.{name}", field
+        for kind in leaves(field.annotation):
+            if issubclass(kind, BaseModel):
+                yield from parts(kind)
+
+
+def leaves(annotation: Any) -> Iterator[type]:
+    """The plain types that an annotation is made of."""
+    inner = get_args(annotation)
+    if not inner and isinstance(annotation, type):
+        yield annotation
+    for one in inner:
+        yield from leaves(one)
+
+
+@pytest.mark.parametrize("model", STEPS, ids=lambda model: model.kind)
+def test_every_field_is_described_and_every_quantity_has_its_unit_in_its_name(
+    model: type[StepResult],
+) -> None:
+    fields = dict(parts(model))
+    assert [name for name, field in fields.items() if not field.description] == []
+    numbers = [name for name, field in fields.items() if float in leaves(field.annotation)]
+    named = [name for name in numbers if name.partition(".")[2] not in WITHOUT_UNIT]
+    assert [name for name in named if not name.endswith(UNITS)] == []
+
+
+def examples(cell: ClinicalCell) -> list[StepResult]:
+    """One result of every step."""
+    pose, outline = correspondence().robot_from_ct, Outline.of(OUTLINE)
+    look = Observation(
+        joints_rad=HOME_RAD,
+        robot_from_flange=PoseRecord(
+            translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz
+        ),
+        left=outline,
+        right=outline,
+        orientation=3,
+    )
+    head = cell.calibrations.stereo_head
+    observed = ObservationSet(
+        created=head.created, serials=("1", "2"), arm_variant="kr6", start=head, observations=(look,)
+    )
+    return [
+        *(imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell), global_localization()),
+        *(correspondence(), checked_paths(cell), relocalization(), registered_robot(), mounted_guide()),
+        PositionedGuide(tool_pose=FramedPose.of(pose.transform), joints_rad=HOME_RAD),
+        ReachedTarget(tool_pose=pose, nominal_error_mm=0.1 + 0.2),
+        Retreated(parked=True, joints_rad=HOME_RAD, link=LINK),
+        BallPlace(ball_mm=(1.0, 2.0, 1 / 3), others_mm=((0.0, 0.0, 0.0),)),
+        ObservedBall(observed=observed, remarks=("a remark",)),
+        VisitedBaseline(calibration=SERIES, looks=(look,)),
+        LookedAtBall(position_mm=None, left=outline, right=None, reason="no sphere"),
+    ]
+
+
+def test_every_result_comes_back_from_its_record_as_it_was_and_cannot_be_changed(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
+    results = examples(cell)
+    assert {type(result) for result in results} == set(STEPS)
+    for result in results:
+        stored = cell.case.store(StepKey(result.kind), result, ())
+        record = read_record(cell.folder / "records" / f"{stored.record.identifier}.json")
+        assert typed(record, type(result)) == result
+        with pytest.raises(ValidationError, match="frozen"):
+            setattr(result, next(iter(type(result).model_fields)), None)
