@@ -10,7 +10,6 @@ from __future__ import annotations
 import fcntl
 import mmap
 import os
-import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -22,9 +21,6 @@ from ronna_hw.errors import ConnectError
 from ronna_hw.wire import theatre_clock as layout
 
 WAIT_STEP_S = 0.0002  # host time between two polls of a clock that another process advances
-
-_i64 = struct.Struct("<q")
-_u32 = struct.Struct("<I")
 
 
 class ClockUnavailable(ConnectError):
@@ -78,27 +74,28 @@ class SharedClock:
     def __init__(self, path: str) -> None:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-            self._memory = mmap.mmap(self._file, layout.CLOCK_BYTES)
+            self._memory = mmap.mmap(self._file, layout.CLOCK.size_bytes)
         except OSError as error:
             raise ClockUnavailable(f"cannot open the clock at {path}: {error.strerror}") from error
         except ValueError as error:
             os.close(self._file)
             raise ClockUnavailable(f"{path} is too short for a clock") from error
-        if self._memory[:8] != layout.MAGIC or self._u32(layout.VERSION_OFFSET) != layout.VERSION:
+        memory = self._memory
+        if not layout.CLOCK.is_marked(memory) or layout.VERSION.read(memory) != layout.LAYOUT_VERSION:
             self.close()
             raise ClockUnavailable(f"{path} is not a clock of this version")
         self._thread_lock = threading.Lock()
-        self._paced = bool(self._u32(layout.PACED_OFFSET))
+        self._paced = bool(layout.PACED.read(self._memory))
 
     @staticmethod
     def initialise(memory: mmap.mmap, *, paced: bool) -> None:
         """Write a clock at theatre time zero into the first bytes of a block."""
-        memory[layout.MAGIC_OFFSET : layout.MAGIC_OFFSET + 8] = layout.MAGIC
-        _u32.pack_into(memory, layout.VERSION_OFFSET, layout.VERSION)
-        _u32.pack_into(memory, layout.PACED_OFFSET, int(paced))
-        for offset in (layout.TIME_NS_OFFSET, layout.STREAM_HOST_NS_OFFSET, layout.WANTED_NS_OFFSET):
-            _i64.pack_into(memory, offset, 0)
-        _i64.pack_into(memory, layout.EPOCH_NS_OFFSET, time.monotonic_ns())
+        layout.CLOCK.mark_memory(memory)
+        layout.VERSION.write(memory, layout.LAYOUT_VERSION)
+        layout.PACED.write(memory, int(paced))
+        for word in (layout.TIME_NS, layout.STREAM_HOST_NS, layout.WANTED_NS):
+            word.write(memory, 0)
+        layout.EPOCH_NS.write(memory, time.monotonic_ns())
 
     @property
     def paced(self) -> bool:
@@ -107,8 +104,8 @@ class SharedClock:
     def now_ns(self) -> int:
         """Present theatre time, nanoseconds."""
         if self._paced:
-            return time.monotonic_ns() - self._i64(layout.EPOCH_NS_OFFSET)
-        return self._i64(layout.TIME_NS_OFFSET)
+            return time.monotonic_ns() - layout.EPOCH_NS.read(self._memory)
+        return layout.TIME_NS.read(self._memory)
 
     def now_s(self) -> float:
         return self.now_ns() / 1e9
@@ -126,19 +123,19 @@ class SharedClock:
                 if self.now_ns() >= moment_ns:
                     return
                 if not self.streaming():
-                    _i64.pack_into(self._memory, layout.TIME_NS_OFFSET, moment_ns)
+                    layout.TIME_NS.write(self._memory, moment_ns)
                     return
-                if self._i64(layout.WANTED_NS_OFFSET) < moment_ns:
-                    _i64.pack_into(self._memory, layout.WANTED_NS_OFFSET, moment_ns)
+                if layout.WANTED_NS.read(self._memory) < moment_ns:
+                    layout.WANTED_NS.write(self._memory, moment_ns)
             time.sleep(WAIT_STEP_S)
 
-    def somebody_waits(self) -> bool:
+    def has_waiters(self) -> bool:
         """True while any process waits for a theatre time that has not come."""
-        return self._i64(layout.WANTED_NS_OFFSET) > self._i64(layout.TIME_NS_OFFSET)
+        return layout.WANTED_NS.read(self._memory) > layout.TIME_NS.read(self._memory)
 
     def streaming(self) -> bool:
         """True while a cyclic device owns the pace of time."""
-        last = self._i64(layout.STREAM_HOST_NS_OFFSET)
+        last = layout.STREAM_HOST_NS.read(self._memory)
         return last != 0 and time.monotonic_ns() - last < layout.STREAM_SILENCE_NS
 
     def advance_cycle(self, duration_ns: int) -> int:
@@ -146,15 +143,15 @@ class SharedClock:
         if self._paced:
             return self.now_ns()
         with self.locked():
-            _i64.pack_into(self._memory, layout.STREAM_HOST_NS_OFFSET, time.monotonic_ns())
-            moment = self._i64(layout.TIME_NS_OFFSET) + duration_ns
-            _i64.pack_into(self._memory, layout.TIME_NS_OFFSET, moment)
+            layout.STREAM_HOST_NS.write(self._memory, time.monotonic_ns())
+            moment = layout.TIME_NS.read(self._memory) + duration_ns
+            layout.TIME_NS.write(self._memory, moment)
             return moment
 
     def end_stream(self) -> None:
         """For the cyclic device: give the pace of time back."""
         with self.locked():
-            _i64.pack_into(self._memory, layout.STREAM_HOST_NS_OFFSET, 0)
+            layout.STREAM_HOST_NS.write(self._memory, 0)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -171,12 +168,6 @@ class SharedClock:
         if not self._memory.closed:
             self._memory.close()
             os.close(self._file)
-
-    def _i64(self, offset: int) -> int:
-        return int(_i64.unpack_from(self._memory, offset)[0])
-
-    def _u32(self, offset: int) -> int:
-        return int(_u32.unpack_from(self._memory, offset)[0])
 
 
 def open_clock(endpoint: Endpoint | str) -> HostClock | SharedClock:

@@ -122,6 +122,10 @@ class MemoryMap:
         self.mark = mark
         self.size_bytes = _aligned(len(mark))
 
+    def mark_memory(self, memory: Any) -> None:
+        """Write our mark."""
+        memory[: len(self.mark)] = self.mark
+
     def is_marked(self, memory: Any) -> bool:
         """Whether the memory carries our mark."""
         return bool(memory[: len(self.mark)] == self.mark)

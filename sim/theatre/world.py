@@ -12,44 +12,63 @@ from __future__ import annotations
 
 import mmap
 import os
-import struct
 from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.clock import SharedClock
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.wire.theatre_clock import CLOCK_BYTES
+from ronna_hw.host.memory_map import MemoryMap
+from ronna_hw.host.shared_layout import text
+from ronna_hw.wire.theatre_clock import CLOCK
 from sim.errors import WorldUnavailable
 from sim.theatre.rigid import matrix_of
-from sim.theatre.scene.model import Scene
+from sim.theatre.scene.model import Numbers6, Scene
 
-MAGIC = b"RONNAWLD"
-MAGIC_OFFSET = 0
-CLOCK_PATH_OFFSET = 16
-ARM_SEQUENCE_OFFSET = 128  # u64, odd while the arm is being written
-ARM_OFFSET = 136
-TOOL_OFFSET = 512  # u32 number of the mounted tool, 0 nothing
-STEP_OFFSET = 520
-FAULTS_OFFSET = 1024
-FAULTS_CAPACITY = 32 * 1024
-SCENE_OFFSET = FAULTS_OFFSET + FAULTS_CAPACITY
+FAULTS_CAPACITY_BYTES = 32 * 1024
 
-_clock_path = struct.Struct("<100s")
-_sequence = struct.Struct("<Q")
-_arm = struct.Struct("<6d12dQI")  # encoder joints rad, flange pose rows, motion number, at rest
-_tool = struct.Struct("<I")
-_step = struct.Struct("<q64s")  # theatre time of its start, name
-_faults = struct.Struct("<II")  # version, length of the text that follows
-_scene_length = struct.Struct("<I")
+
+class ClockRow(NamedTuple):
+    """Where the clock's own block is."""
+
+    path: Annotated[str, text(100)]
+
+
+class ArmRow(NamedTuple):
+    """An `ArmState` in plain numbers; the flange pose by rows."""
+
+    joints_rad: Annotated[Numbers6, "6d"]
+    flange_rows: Annotated[tuple[float, ...], "12d"]
+    motion_number: Annotated[int, "Q"]
+    at_rest: Annotated[bool, "?"]
+
+
+class StepRow(NamedTuple):
+    """The running step."""
+
+    started_ns: Annotated[int, "q"]  # theatre time
+    name: Annotated[str, text(64)]
+
+
+_MAP = MemoryMap(b"RONNAWLD")
+_CLOCK = _MAP.rows(ClockRow)
+_ARM_SEQUENCE = _MAP.word()  # odd while the arm is being written
+_ARM = _MAP.rows(ArmRow)
+_TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
+_STEP = _MAP.rows(StepRow)
+_FAULTS_VERSION = _MAP.word()
+_FAULTS = _MAP.checked_bytes(FAULTS_CAPACITY_BYTES)
+_SCENE_LENGTH = _MAP.word()
+_SCENE_OFFSET = _MAP.size_bytes  # the scene is the rest of the block
 
 
 @dataclass(frozen=True)
 class ArmState:
     """Where the arm truly is: encoder angles, and the flange in the robot frame."""
 
-    joints_rad: tuple[float, float, float, float, float, float]
+    joints_rad: Numbers6
     robot_from_flange: NDArray[np.float64]  # (4, 4)
     motion_number: int
     at_rest: bool
@@ -65,28 +84,26 @@ class World:
             self._memory = mmap.mmap(self._file, os.fstat(self._file).st_size)
         except (OSError, ValueError) as error:
             raise WorldUnavailable(f"cannot open the world at {path}: {error}") from error
-        if self._memory[MAGIC_OFFSET : MAGIC_OFFSET + 8] != MAGIC:
+        if not _MAP.is_marked(self._memory):
             raise WorldUnavailable(f"{path} is not a world of this version")
-        self._clock_path = _clock_path.unpack_from(self._memory, CLOCK_PATH_OFFSET)[0].rstrip(b"\0").decode()
+        self._clock_path = _CLOCK.read(self._memory).path
         self.clock = SharedClock(self._clock_path)
         self.scene = scene or self._read_scene()
 
     @classmethod
     def create(cls, scene: Scene, *, paced: bool) -> World:
         """Make a world of `scene`; `paced` worlds follow the host's clock."""
-        text = scene.model_dump_json(by_alias=True).encode()
-        size = SCENE_OFFSET + _scene_length.size + len(text)
-        clock_path, clock_memory = _block("ronna-clock", CLOCK_BYTES)
+        content = scene.model_dump_json(by_alias=True).encode()
+        clock_path, clock_memory = _block("ronna-clock", CLOCK.size_bytes)
         with clock_memory:
             SharedClock.initialise(clock_memory, paced=paced)
-        path, memory = _block("ronna-world", size)
+        path, memory = _block("ronna-world", _SCENE_OFFSET + len(content))
         with memory:
-            _clock_path.pack_into(memory, CLOCK_PATH_OFFSET, clock_path.encode())
-            _scene_length.pack_into(memory, SCENE_OFFSET, len(text))
-            start = SCENE_OFFSET + _scene_length.size
-            memory[start : start + len(text)] = text
-            _tool.pack_into(memory, TOOL_OFFSET, scene.mount.tool_number_stereo)
-            memory[MAGIC_OFFSET : MAGIC_OFFSET + 8] = MAGIC
+            _CLOCK.write(memory, ClockRow(clock_path))
+            _SCENE_LENGTH.write(memory, len(content))
+            memory[_SCENE_OFFSET : _SCENE_OFFSET + len(content)] = content
+            _TOOL.write(memory, scene.mount.tool_number_stereo)
+            _MAP.mark_memory(memory)
         return cls(path, scene)
 
     @classmethod
@@ -106,29 +123,23 @@ class World:
 
     def publish_arm(self, state: ArmState) -> None:
         """Publish where the arm is. For the robot simulator only."""
-        sequence = _sequence.unpack_from(self._memory, ARM_SEQUENCE_OFFSET)[0]
-        _sequence.pack_into(self._memory, ARM_SEQUENCE_OFFSET, sequence + 1)
-        _arm.pack_into(
-            self._memory,
-            ARM_OFFSET,
-            *state.joints_rad,
-            *state.robot_from_flange[:3].ravel().tolist(),
-            state.motion_number,
-            int(state.at_rest),
-        )
-        _sequence.pack_into(self._memory, ARM_SEQUENCE_OFFSET, sequence + 2)
+        memory = self._memory
+        sequence = _ARM_SEQUENCE.read(memory)
+        _ARM_SEQUENCE.write(memory, sequence + 1)
+        rows = tuple(state.robot_from_flange[:3].ravel().tolist())
+        _ARM.write(memory, ArmRow(state.joints_rad, rows, state.motion_number, state.at_rest))
+        _ARM_SEQUENCE.write(memory, sequence + 2)
 
     def arm(self) -> ArmState:
         """Where the arm truly is, read whole (seqlock)."""
         while True:
-            before = _sequence.unpack_from(self._memory, ARM_SEQUENCE_OFFSET)[0]
-            values = _arm.unpack_from(self._memory, ARM_OFFSET)
-            if before % 2 == 0 and before == _sequence.unpack_from(self._memory, ARM_SEQUENCE_OFFSET)[0]:
+            before = _ARM_SEQUENCE.read(self._memory)
+            row = _ARM.read(self._memory)
+            if before % 2 == 0 and before == _ARM_SEQUENCE.read(self._memory):
                 break
         matrix = np.eye(4)
-        matrix[:3] = np.reshape(values[6:18], (3, 4))
-        a1, a2, a3, a4, a5, a6 = values[:6]
-        return ArmState((a1, a2, a3, a4, a5, a6), matrix, values[18], bool(values[19]))
+        matrix[:3] = np.reshape(row.flange_rows, (3, 4))
+        return ArmState(row.joints_rad, matrix, row.motion_number, row.at_rest)
 
     def robot_from_tool(self) -> NDArray[np.float64]:
         """True pose (4, 4) of the stereo head's tool centre point: moves with the arm."""
@@ -139,45 +150,43 @@ class World:
 
     def mounted_tool(self) -> int:
         """Number of the mounted tool."""
-        return int(_tool.unpack_from(self._memory, TOOL_OFFSET)[0])
+        return _TOOL.read(self._memory)
 
     def mount_tool(self, number: int) -> None:
         """Mount another tool. For the control port only."""
-        _tool.pack_into(self._memory, TOOL_OFFSET, number)
+        _TOOL.write(self._memory, number)
 
     def step(self) -> tuple[str, int]:
         """Name of the running step and the theatre time of its start in ns."""
-        started_ns, name = _step.unpack_from(self._memory, STEP_OFFSET)
-        return name.rstrip(b"\0").decode(), started_ns
+        row = _STEP.read(self._memory)
+        return row.name, row.started_ns
 
     def enter_step(self, name: str) -> None:
         """Set the running step. For the control port only."""
-        _step.pack_into(self._memory, STEP_OFFSET, self.clock.now_ns(), name.encode()[:64])
+        _STEP.write(self._memory, StepRow(self.clock.now_ns(), name))
 
     def fault_version(self) -> int:
         """Version of the fault script; it changes with every change of the text."""
-        return int(_faults.unpack_from(self._memory, FAULTS_OFFSET)[0])
+        return _FAULTS_VERSION.read(self._memory)
 
     def fault_script(self) -> tuple[int, str]:
         """Version and text of the fault script; the version changes with every change of the text."""
-        version, length = _faults.unpack_from(self._memory, FAULTS_OFFSET)
-        start = FAULTS_OFFSET + _faults.size
-        return version, self._memory[start : start + length].decode()
+        while True:
+            version, content = _FAULTS_VERSION.read(self._memory), _FAULTS.read(self._memory)
+            if content is not None:
+                return version, content.decode()
 
-    def set_fault_script(self, text: str) -> None:
+    def set_fault_script(self, script: str) -> None:
         """Replace the fault script. For the control port only; the text has been checked before."""
-        content = text.encode()
-        if len(content) > FAULTS_CAPACITY - _faults.size:
-            raise WorldUnavailable("the fault script is too long", limit=f"{FAULTS_CAPACITY} bytes")
-        version = _faults.unpack_from(self._memory, FAULTS_OFFSET)[0]
-        start = FAULTS_OFFSET + _faults.size
-        self._memory[start : start + len(content)] = content
-        _faults.pack_into(self._memory, FAULTS_OFFSET, version + 1, len(content))
+        content = script.encode()
+        if len(content) > FAULTS_CAPACITY_BYTES:
+            raise WorldUnavailable("the fault script is too long", limit=f"{FAULTS_CAPACITY_BYTES} bytes")
+        _FAULTS.write(self._memory, content)
+        _FAULTS_VERSION.write(self._memory, _FAULTS_VERSION.read(self._memory) + 1)
 
     def _read_scene(self) -> Scene:
-        length = _scene_length.unpack_from(self._memory, SCENE_OFFSET)[0]
-        start = SCENE_OFFSET + _scene_length.size
-        return Scene.model_validate_json(self._memory[start : start + length], strict=False)
+        end = _SCENE_OFFSET + _SCENE_LENGTH.read(self._memory)
+        return Scene.model_validate_json(self._memory[_SCENE_OFFSET:end], strict=False)
 
 
 def _block(name: str, size: int) -> tuple[str, mmap.mmap]:

@@ -160,7 +160,7 @@ class CycleLoop:
             self._unchanged += 1
         idle = self._unchanged >= UNCHANGED_CYCLES and not self._controller.moving
         now_s = time.monotonic()
-        while idle and now_s < next_s and not self._clock.somebody_waits():
+        while idle and now_s < next_s and not self._clock.has_waiters():
             self._wait_until(run, min(next_s, now_s + LOOK_S))
             now_s = time.monotonic()
             idle = self._controller.run is run and not self._ending

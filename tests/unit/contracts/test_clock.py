@@ -6,15 +6,15 @@ from collections.abc import Iterator
 import pytest
 
 from ronna_hw.clock import ClockUnavailable, SharedClock, open_clock
-from ronna_hw.wire.theatre_clock import CLOCK_BYTES
+from ronna_hw.wire.theatre_clock import CLOCK
 
 CYCLE_NS = 4_000_000
 
 
 def _block(paced: bool) -> tuple[int, str]:
     file = os.memfd_create("clock")
-    os.ftruncate(file, CLOCK_BYTES)
-    with mmap.mmap(file, CLOCK_BYTES) as memory:
+    os.ftruncate(file, CLOCK.size_bytes)
+    with mmap.mmap(file, CLOCK.size_bytes) as memory:
         SharedClock.initialise(memory, paced=paced)
     return file, f"/proc/{os.getpid()}/fd/{file}"
 
@@ -42,13 +42,13 @@ def test_while_a_device_streams_its_cycles_alone_advance_the_time(path: str) -> 
         waited.set()
 
     threading.Thread(target=wait, daemon=True).start()
-    while not robot.somebody_waits():
+    while not robot.has_waiters():
         pass
     assert robot.now_ns() == CYCLE_NS
     for _ in range(3):
         robot.advance_cycle(CYCLE_NS)
     assert waited.wait(5.0)
-    assert not robot.somebody_waits()
+    assert not robot.has_waiters()
 
 
 def test_when_the_stream_ends_a_wait_goes_on_by_itself(path: str) -> None:
@@ -70,7 +70,7 @@ def test_a_paced_clock_follows_the_host() -> None:
 
 def test_a_file_that_is_no_clock_is_refused(tmp_path: object) -> None:
     file = os.memfd_create("not a clock")
-    os.ftruncate(file, CLOCK_BYTES)
+    os.ftruncate(file, CLOCK.size_bytes)
     with pytest.raises(ClockUnavailable, match="CLK-001"):
         open_clock(f"shm:///proc/{os.getpid()}/fd/{file}")
     os.close(file)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ronna_hw.clock import open_clock
-from ronna_hw.wire.theatre_clock import CLOCK_BYTES
+from ronna_hw.wire.theatre_clock import CLOCK
 from sim.errors import WorldUnavailable
 from sim.theatre.rigid import matrix_from, rotation_from_vector
 from sim.theatre.scene.named_scenes import named_scene
@@ -37,6 +37,6 @@ def test_a_world_that_has_gone_is_refused() -> None:
 def test_the_clock_lies_in_a_block_of_its_own_with_nothing_of_the_scene() -> None:
     world = World.create(named_scene("mini"), paced=False)
     assert world.clock_endpoint != world.endpoint
-    assert Path(world.clock_endpoint.removeprefix("shm://")).stat().st_size == CLOCK_BYTES
+    assert Path(world.clock_endpoint.removeprefix("shm://")).stat().st_size == CLOCK.size_bytes
     world.clock.sleep(2.0)
     assert World.open(world.endpoint).clock.now_s() == open_clock(world.clock_endpoint).now_s() == 2.0
