@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import select
 import socket
 import time
 from collections.abc import Callable, Sequence
@@ -54,6 +55,13 @@ class RsiClient:
 
     def receive(self) -> bytes:
         self.last, self.source = self.socket.recvfrom(8192)
+        return self.last
+
+    def receive_newest(self) -> bytes:
+        """The last of the telegrams that lie there; waits for one when there is none."""
+        self.receive()
+        while select.select([self.socket], [], [], 0.0)[0]:
+            self.receive()
         return self.last
 
     def answer(self, axes_deg: Sequence[float] = ZERO, *, stop: int = 0, ipoc: int | None = None) -> None:

@@ -6,30 +6,50 @@ import time
 from collections.abc import Callable
 
 import pytest
-from kuka_clients import Cell
+from kuka_clients import Cell, RsiClient
 from kuka_stage import on_a1
 
 CYCLE_S = 0.012
 CYCLES = 20
+MOST_CYCLES = 80  # fewer than the controller takes for a lost client
 TURN_DEG = 0.05
 
 
-@pytest.mark.parametrize(("window", "all_late"), [("0.25", True), ("1", False)])
-def test_a_reply_must_come_within_its_share_of_the_cycle(
-    cell: Callable[..., Cell], window: str, all_late: bool
-) -> None:
+def streaming(cell: Callable[..., Cell], window: str) -> RsiClient:
+    """A client that has its first telegram, with that share of the cycle to reply."""
     here = cell("--set", f"reply_window={window}")
-    eki, rsi = here.project(), here.rsi
+    eki = here.project()
     assert eki.command("DRIVES", On=1) == 0
     assert eki.command("RSI_START", Cycle=12) == 0
-    rsi.receive()
+    here.rsi.receive()
+    return here.rsi
+
+
+def cycles_since(first: int, rsi: RsiClient) -> int:
+    return (rsi.ipoc - first) // round(CYCLE_S * 1000)
+
+
+def test_a_reply_after_its_share_of_the_cycle_is_late(cell: Callable[..., Cell]) -> None:
+    rsi = streaming(cell, "0.25")
     first = rsi.ipoc
     for _ in range(CYCLES):
         time.sleep(CYCLE_S / 2)  # later than a quarter of the cycle, whatever else the machine does
         rsi.answer()
         rsi.receive()
-    cycles = (rsi.ipoc - first) // round(CYCLE_S * 1000)
-    assert (rsi.late == cycles) is all_late
+    # all but those that came while a busy machine held the controller up
+    assert rsi.late > cycles_since(first, rsi) // 2
+
+
+def test_a_reply_within_its_share_of_the_cycle_is_not_late(cell: Callable[..., Cell]) -> None:
+    rsi = streaming(cell, "1")
+    first = rsi.ipoc
+    for _ in range(MOST_CYCLES):
+        time.sleep(CYCLE_S / 2)
+        rsi.answer()
+        rsi.receive_newest()  # a busy machine lets telegrams pile up: only the newest can be answered in time
+        if rsi.late < cycles_since(first, rsi):
+            return
+    pytest.fail(f"{rsi.late} of {cycles_since(first, rsi)} replies were late")
 
 
 @pytest.mark.parametrize(("second", "turns"), [("ignored", False), ("taken", True)])
