@@ -57,6 +57,12 @@ class Engine:
         """The step that comes next, or None when every result stands."""
         return next((key for key in self.order.sequence if not self.case.stands(key)), None)
 
+    @property
+    def instrument_in(self) -> str | None:
+        """The trajectory in which an instrument is beyond the entry, if it is."""
+        insertion = self.setting.workcell.insertion
+        return None if insertion is None else insertion.trajectory
+
     def status(self, key: StepKey) -> str:
         """`done`, `next`, `superseded`, or nothing."""
         if self.case.stands(key):
@@ -123,7 +129,8 @@ class Engine:
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         self.setting.workcell.close()
         try:
-            self._journal.write(Entry.CLOSED, now_s, outcome=outcome)
+            inside = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}
+            self._journal.write(Entry.CLOSED, now_s, outcome=outcome, **inside)
         except JournalNotWritable:
             pass  # it has been reported where it broke; closing must go on
         finally:

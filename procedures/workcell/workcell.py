@@ -201,11 +201,8 @@ class Workcell:
 
         Raises PRO-009 unless the guide is mounted, PRO-015 unless its tip is on the axis.
         """
-        if self._tool is not MountedTool.GUIDE:
-            raise WrongTool(
-                "an instrument is carried by the guide", expected=MountedTool.GUIDE, got=self._tool
-            )
         self._require_outside("insert")
+        self.check_mounted(MountedTool.GUIDE)
         insertion.check_on_axis(self.tool_pose())
         self._insertion = insertion
         return self._along_axis("insert", insertion.target, insertion, AXIAL_SPEED_FRACTION)

@@ -31,6 +31,10 @@ class Pause:
         """True between the first Ctrl-C and the rest."""
         return self._wanted
 
+    def clear(self) -> None:
+        """Forget that a pause was asked for: it has been had."""
+        self._wanted = False
+
     def ask(self) -> None:
         """Ask once for a pause; the second time raise KeyboardInterrupt."""
         if self._wanted:

@@ -17,6 +17,7 @@ from procedures.cli.case.operators import ScriptedOperator, SimulatedRoom, Termi
 from procedures.cli.case.outcome import CaseResults, finished
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.simulated_case import SimulatedCase
+from ronna_hw.command_line.messages import tell
 from ronna_hw.log_output import keep_log
 
 if TYPE_CHECKING:
@@ -81,6 +82,8 @@ def opened_engine(request: CaseRequest, folder: Path, watcher: Watcher) -> Itera
             raise
         finally:
             ignore_further_signals()
+            if engine.instrument_in is not None:
+                tell(f"the instrument is still in {engine.instrument_in}: the arm rests and will not move it")
             engine.close(outcome)
 
 

@@ -37,7 +37,10 @@ def step_through(request: CaseRequest) -> None:
         while (line := _ask()) is not None:
             name, _, argument = line.strip().partition(" ")
             if name in ("quit", "q"):
-                return
+                if engine.instrument_in is None:
+                    return
+                _say(f"the instrument is in {engine.instrument_in}: run retreat:{engine.instrument_in} first")
+                continue
             command = COMMANDS.get(name)
             if command is None:
                 _say(HELP)
@@ -45,11 +48,11 @@ def step_through(request: CaseRequest) -> None:
             try:
                 command(engine, argument.strip())
             except RonnaError as error:
+                if engine.machine.ended or not isinstance(error, RefusedError | UnknownStep):
+                    raise
                 fail_with(error)
-                if engine.machine.state == "fault":
-                    raise
-                if not isinstance(error, RefusedError | UnknownStep):
-                    raise
+            finally:
+                pause.clear()  # the prompt is where it rests
 
 
 def _list(engine: Engine, _argument: str) -> None:

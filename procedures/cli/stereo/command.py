@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -79,6 +80,7 @@ def calibrate(
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     console.set_up_logging(verbose)
+    _finite(ball)
     one_theatre = sim != (config is not None)
     if (recorded is None and not one_theatre) or (recorded is not None and sim):
         raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
@@ -183,7 +185,7 @@ def measure(
     from procedures.steps.calibration.procedures import head_look, look_where_it_stands
     from procedures.workcell.stereo_look import Look
 
-    steps = head_look(ball) if find or sim or ball is not None else look_where_it_stands()
+    steps = head_look(_finite(ball)) if find or sim or ball is not None else look_where_it_stands()
     engine = run_steps(source, new_folder(out, "measure"), steps, lambda _share: None)
     seen = engine.setting.workspace.find(Look)
     assert seen is not None, "the last step keeps what it saw"
@@ -195,6 +197,12 @@ def measure(
     from procedures.cli.stereo.display import show_look
 
     show_look(seen, as_json=as_json)
+
+
+def _finite(ball: Triple | None) -> Triple | None:
+    if ball is not None and not all(map(math.isfinite, ball)):
+        raise UsageMistake("--ball needs three finite numbers", got=" ".join(f"{value:g}" for value in ball))
+    return ball
 
 
 def _source(sim: bool, scene: str, seed: int, config: Path | None) -> Source:

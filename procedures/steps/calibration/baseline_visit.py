@@ -9,6 +9,7 @@ from pydantic import Field
 
 from procedures.calibration import Baseline, Observation
 from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.errors import NoSphere
@@ -40,6 +41,9 @@ class BaselineVisit:
         for camera, serial in zip((head.left, head.right), workcell.stereo.serials, strict=True):
             check_serial(camera, serial)
         head.check_valid_at(datetime.now(UTC))
+        arm = workcell.arm.kinematics.name
+        if self.baseline.arm_variant != arm:
+            raise GateFailed("the baseline is of another arm", expected=self.baseline.arm_variant, got=arm)
         context.confirm(
             "The arm will move to the eight poses of the baseline; the ball must stand where it stood",
             f"calibration {head.identifier} of {self.baseline.created:%Y-%m-%d %H:%M} UTC",

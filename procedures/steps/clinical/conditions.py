@@ -23,6 +23,13 @@ def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
     return unmet
 
 
+def localizable(context: StepContext) -> tuple[str, ...]:
+    """Nothing that the localizations descend from is repeated when they could not be made again."""
+    if context.workcell.tool is MountedTool.GUIDE:
+        return ("the arm carries the guide: with another result the spheres could not be localized again",)
+    return ()
+
+
 def inserted(context: StepContext) -> tuple[str, ...]:
     """The instrument is in this step's trajectory."""
     insertion = context.workcell.insertion

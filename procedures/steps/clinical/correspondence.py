@@ -11,6 +11,7 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.registration import match
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.verification import VerificationTable, verify_two_way
+from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -70,4 +71,5 @@ STEP = StepSpec(
     Phase.PREPARATION,
     run,
     reads=(LocalizedFiducials, GlobalLocalization, CheckedPlan),
+    preconditions=localizable,
 )

@@ -7,10 +7,12 @@ import hashlib
 from pydantic import Field
 
 from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
 from procedures.engine.result import Matrix3, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
+from procedures.steps.clinical.conditions import localizable
 from ronna_hw.calibration import Numbers3
 
 
@@ -27,17 +29,12 @@ class ImportedCt(StepResult, kind="ct_import"):
     voxels_sha256: str = Field(description="SHA-256 of the voxels in HU.")
     warnings: tuple[str, ...] = Field(description="What the import noticed and let pass.")
 
-
-def run(context: StepContext) -> Outcome[ImportedCt]:
-    """Read and check the series; the record names it and holds the hash of its voxels."""
-    volume = read_series(
-        context.case.series, progress=lambda share: context.progress(share, "reading the CT series")
-    )
-    context.setting.workspace.keep(volume)
-    geometry = volume.geometry
-    slices, rows, columns = geometry.shape
-    return Outcome(
-        ImportedCt(
+    @classmethod
+    def of(cls, volume: Volume) -> ImportedCt:
+        """What there is to say of a series."""
+        geometry = volume.geometry
+        slices, rows, columns = geometry.shape
+        return cls(
             series_instance_uid=volume.series_instance_uid,
             frame_of_reference_uid=volume.frame_of_reference_uid,
             patient_position=volume.patient_position,
@@ -47,14 +44,42 @@ def run(context: StepContext) -> Outcome[ImportedCt]:
             axes=geometry.axes.tolist(),
             voxels_sha256=hashlib.sha256(volume.voxels.data).hexdigest(),
             warnings=tuple(volume.warnings),
-        ),
-        summary=f"{slices} slices of {columns} x {rows}, {geometry.spacing_mm[0]:g} mm apart",
+        )
+
+
+def run(context: StepContext) -> Outcome[ImportedCt]:
+    """Read and check the series; the record names it and holds the hash of its voxels."""
+    volume = read_series(
+        context.case.series, progress=lambda share: context.progress(share, "reading the CT series")
+    )
+    context.setting.workspace.keep(volume)
+    imported = ImportedCt.of(volume)
+    slices, rows, columns = imported.shape
+    return Outcome(
+        imported, summary=f"{slices} slices of {columns} x {rows}, {imported.spacing_mm[0]:g} mm apart"
     )
 
 
 def volume_of(context: StepContext) -> Volume:
-    """The voxels of the case's CT, read again where they are not at hand."""
-    return context.setting.workspace.find(Volume) or read_series(context.case.series)
+    """The voxels of the imported CT, read again where they are not at hand.
+
+    Raises PRO-007 when the folder no longer holds the series that was imported.
+    """
+    imported = context.result(ImportedCt)
+    kept = context.setting.workspace.find(Volume)
+    if kept is not None:
+        return kept
+    volume = read_series(context.case.series)
+    now = ImportedCt.of(volume)
+    changed = [name for name in ImportedCt.model_fields if getattr(now, name) != getattr(imported, name)]
+    if changed:
+        raise GateFailed(
+            f"the CT series has changed since it was imported: {', '.join(changed)}",
+            expected=imported.series_instance_uid,
+            got=now.series_instance_uid,
+            action="Import the series again: run ct_import.",
+        )
+    return volume
 
 
-STEP = StepSpec(ImportedCt, "Import the CT series", Phase.PREOPERATIVE, run)
+STEP = StepSpec(ImportedCt, "Import the CT series", Phase.PREOPERATIVE, run, preconditions=localizable)

@@ -13,6 +13,7 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Marker
 from procedures.imaging.pictures import marker_pictures
+from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from ronna_hw.calibration import Numbers3
 from ronna_hw.records import write_whole
@@ -62,7 +63,6 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization"):
 
 def run(context: StepContext) -> Outcome[LocalizedFiducials]:
     """Localize every sphere; how many there must be is the plan's word, checked with the plan."""
-    context.result(ImportedCt)
     volume = volume_of(context)
     found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
     pictures = context.case.folder / PICTURES_FOLDER
@@ -81,5 +81,10 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
 
 
 STEP = StepSpec(
-    LocalizedFiducials, "Localize the spheres in the CT", Phase.PREOPERATIVE, run, reads=(ImportedCt,)
+    LocalizedFiducials,
+    "Localize the spheres in the CT",
+    Phase.PREOPERATIVE,
+    run,
+    reads=(ImportedCt,),
+    preconditions=localizable,
 )

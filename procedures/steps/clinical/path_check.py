@@ -15,6 +15,7 @@ from procedures.planning.free_angle import TurnedPaths, choose_free_angles
 from procedures.planning.motions import PreviewedMotion, previews_of
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
+from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_surroundings import READS, planning_scene_of
@@ -172,4 +173,5 @@ STEP = StepSpec(
     Phase.PREPARATION,
     run,
     reads=(Correspondence, CheckedSetUp, *READS),
+    preconditions=localizable,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
 from procedures.engine.result import StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.volume import Volume
@@ -12,6 +13,7 @@ from procedures.planning.check import check_plan
 from procedures.planning.head_shape import HeadShape, head_shape
 from procedures.planning.plan import Plan, PlannedTrajectory
 from procedures.planning.plan_file import read_plan
+from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from ronna_hw.calibration import Numbers3
@@ -44,9 +46,16 @@ class CheckedPlan(StepResult, kind="plan_check"):
 
 def run(context: StepContext) -> Outcome[CheckedPlan]:
     """Check the plan; raises PLAN-00x with everything that is wrong."""
-    context.result(ImportedCt)
     localization = context.result(LocalizedFiducials)
     plan = read_plan(context.case.plan)
+    planned = tuple(trajectory.id for trajectory in plan.trajectories)
+    if planned != context.trajectories:
+        raise GateFailed(
+            "the plan's trajectories have changed since the case was opened",
+            expected=", ".join(context.trajectories),
+            got=", ".join(planned),
+            action="Start a new run with this plan.",
+        )
     volume = volume_of(context)
     check = check_plan(plan, volume, fiducials_mm=localization.centres_mm)
     check.require()
@@ -65,5 +74,10 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
 
 
 STEP = StepSpec(
-    CheckedPlan, "Check the plan", Phase.PREOPERATIVE, run, reads=(ImportedCt, LocalizedFiducials)
+    CheckedPlan,
+    "Check the plan",
+    Phase.PREOPERATIVE,
+    run,
+    reads=(ImportedCt, LocalizedFiducials),
+    preconditions=localizable,
 )

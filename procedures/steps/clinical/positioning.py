@@ -40,6 +40,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.confirm(
         f"move to {trajectory}", f"tool {mounted}, {standoff_mm:g} mm over the entry, then along the axis"
     )
+    workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
     surround_guide(context, robot_from_ct)
     workcell.start()
     insertion = Insertion(trajectory, target, planned.depth_mm, standoff_mm)

@@ -55,10 +55,11 @@ class Relocalization(StepResult, kind="relocalization"):
 
 
 def run(context: StepContext) -> Outcome[Relocalization]:
-    """Re-localize all matched spheres; raises PRO-008 for a sphere that is not there."""
+    """Re-localize all matched spheres; raises PRO-008 for a sphere that is not there, PRO-009."""
     paths = context.result(CheckedPaths)
     planned = paths.localizations_for(context.served_trajectories)
     workcell, settings = context.workcell, context.setting.settings
+    workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
     workcell.start(cameras=True)
     centring = Centring(

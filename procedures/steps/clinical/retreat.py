@@ -9,10 +9,8 @@ from procedures.engine.result import Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepKey, StepSpec
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.conditions import inserted
-from procedures.steps.clinical.head_surroundings import READS, surround_guide
 from procedures.steps.clinical.link_health import LinkHealth, link_health
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.registration import RegisteredRobot
 
 
 class Retreated(StepResult, kind="retreat"):
@@ -26,10 +24,11 @@ class Retreated(StepResult, kind="retreat"):
 def run(context: StepContext) -> Outcome[Retreated]:
     """Back out along the trajectory; after the last one to the pose where the case began."""
     workcell = context.workcell
+    # The surroundings are those of the way in. No record is read before the instrument is out: a damaged
+    # file must not keep it inside.
+    reached = workcell.withdraw(context.trajectory)
     context.result(PositionedGuide)
     context.result(ReachedTarget)
-    surround_guide(context, context.result(RegisteredRobot).robot_from_ct.transform)
-    reached = workcell.withdraw(context.trajectory)
     if not _was_last(context):
         return Outcome(Retreated(parked=False, joints_rad=reached.joints_rad), "outside the entry")
     reached = workcell.go_home()
@@ -50,7 +49,7 @@ STEP = StepSpec(
     Phase.OPERATION,
     run,
     scope=Scope.TRAJECTORY,
-    reads=(PositionedGuide, ReachedTarget, RegisteredRobot, *READS),
+    reads=(PositionedGuide, ReachedTarget),
     moves=True,
     continues=True,
     preconditions=inserted,

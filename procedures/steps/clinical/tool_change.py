@@ -27,6 +27,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     """Park, stop RSI, have the tool changed, then let the controller's inputs say what hangs there."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
+    workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
     workcell.go_home()
     link = link_health(context)

@@ -2,17 +2,37 @@
 
 import numpy as np
 import pytest
-from clinical_case import ClinicalCell, imported_ct
+from clinical_case import ClinicalCell
 from painted_ct import Scan, write_series
 
+from procedures.engine.errors import GateFailed
+from procedures.imaging.series import read_series
+from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import STEP
 
 
-def test_a_sphere_is_kept_with_its_covariance_its_parent_and_its_picture(cell: ClinicalCell) -> None:
+@pytest.fixture
+def imported(cell: ClinicalCell) -> ImportedCt:
+    """A series with one sphere in the case's folder, imported; its voxels are not at hand any more."""
     scan = Scan()
     scan.marker(np.array([20.0, 20.0, 20.0]), np.array([0.0, 1.0, 0.3]), skin=False)
     write_series(cell.case.series, scan.voxels(), origin_mm=(-20.0, -30.0, 40.0))
-    stored = cell.run(imported_ct(), STEP)  # the voxels are not at hand: they are read again
+    return ImportedCt.of(read_series(cell.case.series))
+
+
+@pytest.mark.hazard(1)
+def test_a_series_that_has_changed_since_its_import_is_refused(
+    cell: ClinicalCell, imported: ImportedCt
+) -> None:
+    moved = imported.model_copy(update={"origin_mm": (-12.0, -30.0, 40.0)})
+    with pytest.raises(GateFailed, match="the CT series has changed since it was imported: origin_mm"):
+        cell.run(moved, STEP)
+
+
+def test_a_sphere_is_kept_with_its_covariance_its_parent_and_its_picture(
+    cell: ClinicalCell, imported: ImportedCt
+) -> None:
+    stored = cell.run(imported, STEP)
     (found,) = stored.result.markers
     assert found.centre_mm == pytest.approx((0.0, -10.0, 60.0), abs=0.05)
     assert np.linalg.eigvalsh(found.covariance_mm2).min() > 0.0

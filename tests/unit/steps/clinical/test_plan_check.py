@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from clinical_case import CENTRES_CT_MM, SCENE, SERIES, ClinicalCell, imported_ct, localized_fiducials, plan
 
+from procedures.engine.errors import GateFailed
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
 from procedures.planning.plan import Plan
@@ -72,3 +73,11 @@ def test_a_plan_with_a_mistake_is_refused_with_its_name(cell: ClinicalCell) -> N
     engine = cell.begin(imported_ct(), localized_fiducials(), STEP)
     with pytest.raises(PlanMistakes, match=r"plan\.toml"):
         engine.run_to()
+
+
+@pytest.mark.hazard(1)
+def test_a_plan_whose_trajectories_changed_since_the_case_was_opened_is_refused(cell: ClinicalCell) -> None:
+    first, *others = plan().trajectories
+    renamed = plan().model_copy(update={"trajectories": (first.model_copy(update={"id": "T9"}), *others)})
+    with pytest.raises(GateFailed, match="trajectories have changed since the case was opened"):
+        checked(cell, renamed)

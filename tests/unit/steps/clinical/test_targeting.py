@@ -1,6 +1,7 @@
 """From the stand-off to the target and back: confirmed first, along one axis, and where it was sent."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from clinical_case import (
@@ -23,13 +24,15 @@ from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
-from procedures.steps.clinical import at_target, positioning, retreat
+from procedures.engine.operator import Question
+from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.records import BadRecord
 
 
 @pytest.fixture(autouse=True)
@@ -187,3 +190,38 @@ def test_a_registration_beside_the_head_moves_the_target_with_it(cell: ClinicalC
     )
     expected = [a + b for a, b in zip(target_mm(FIRST), (2.0, 0.0, -1.0), strict=True)]
     assert tip_mm(cell) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.hazard(3)
+def test_a_tool_that_was_exchanged_while_the_question_stood_moves_nothing(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+
+    class Exchanger(RecordingOperator):
+        def confirm(self, question: Question) -> bool:
+            cell.arm.mounted = STEREO_HEAD
+            return super().confirm(question)
+
+    engine.setting = replace(engine.setting, operator=Exchanger())
+    with pytest.raises(WrongTool, match="PRO-009"):
+        run(engine, f"positioning:{FIRST}")
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(24)
+def test_a_damaged_record_does_not_keep_the_instrument_inside(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+    run(engine, f"positioning:{FIRST}", f"at_target:{FIRST}")
+    for path in (cell.folder / "records").iterdir():
+        path.unlink()
+    with pytest.raises(BadRecord):
+        run(engine, f"retreat:{FIRST}")
+    assert cell.workcell.insertion is None
+
+
+def test_with_the_guide_mounted_nothing_is_repeated_that_would_need_the_stereo_head(
+    cell: ClinicalCell,
+) -> None:
+    cell.carrying(MountedTool.GUIDE)
+    engine = cell.begin(ct_import.STEP)
+    with pytest.raises(StepRefused, match="the spheres could not be localized again"):
+        run(engine, "ct_import")
