@@ -46,6 +46,8 @@ class StrategyChoice(StrEnum):
     OCS = "ocs"
     NOS = "nos"
     JDMS = "jdms"
+    IMPROVED = "improved"
+    THESIS_OCS = "thesis-ocs"
     BEST = "best"
 
 

@@ -74,7 +74,7 @@ class Engine:
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Everything that keeps a step from beginning now; empty when it may begin."""
         if self.machine.ended:
-            return (f"the case is over: {self.machine.state}",)
+            return (f"the case has ended: {self.machine.state}",)
         spec = self.order.spec(key)
         unmet = self.order.unmet(key, self._latest, self.case.stands)
         missing = tuple(

@@ -57,10 +57,11 @@ class CaseOrder:
             return (f"it may not follow {latest}: only {only} may",)
         if self.spec(key).continues and key != only:
             own = self.before(key)[-1]
-            return (f"it may not follow {latest or 'the beginning'}: it may only follow {own}",)
+            return (f"it must follow {own}",)
         for earlier in self.before(key):
             if not stands(earlier):
-                return (f"it may not follow {latest or 'the beginning'}: {earlier} is not done",)
+                follow = f"it may not follow {latest}: " if latest else ""
+                return (f"{follow}{earlier} is not done",)
         return ()
 
 

@@ -142,7 +142,7 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
             )
         )
     if plan.implanted < FEWEST_THAT_TELL_A_MOVE:
-        warnings.append(f"{plan.implanted} fiducials: one that moves cannot be found out")
+        warnings.append(f"with {plan.implanted} fiducials a displaced one cannot be detected")
     return findings, warnings
 
 

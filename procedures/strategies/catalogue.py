@@ -9,6 +9,8 @@ from procedures.strategies.strategy import Strategy
 NOT_YET = {
     "nos": "neutral orientation",
     "jdms": "joint displacement minimization",
+    "improved": "joint displacement minimization on a calibrated arm",
+    "thesis-ocs": "orientation correction as in the thesis, without control of the approach",
     "best": "the best of all strategies",
 }
 

@@ -21,7 +21,7 @@ class UnknownStrategy(ConfigurationError):
     """No strategy has this name."""
 
     code = "STR-002"
-    action = "Use one of: ocs, nos, jdms, best."
+    action = "Use one of: ocs, thesis-ocs, nos, jdms, improved, best."
 
 
 class BadTrajectory(DataError):

@@ -32,8 +32,9 @@ class MotionLog:
         )
         try:
             yield reached
-        except RonnaError as error:
-            self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, error=error.code)
+        except BaseException as error:  # also an interruption: every intent has its result
+            code = error.code if isinstance(error, RonnaError) else type(error).__name__
+            self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, error=code)
             raise
         joints_rad = list(reached[-1].joints_rad)
         self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, joints_rad=joints_rad)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 
-from procedures.engine.errors import JournalNotWritable
+from procedures.engine.errors import JournalNotWritable, StepRefused
 from procedures.engine.journal import Journal
 from procedures.workcell.errors import InstrumentInside, WrongTool
 from procedures.workcell.insertion import Insertion
@@ -133,9 +133,9 @@ class Workcell:
 
     @property
     def home_rad(self) -> JointVector:
-        """Where the arm stood when the case was set up; raises PRO-014 before that."""
+        """Where the arm stood when the case was set up; raises PRO-001 before that."""
         if self._home_rad is None:
-            raise InstrumentInside("the workcell has no home yet", action="Set up the devices first.")
+            raise StepRefused("the arm has no home position yet", action="Run set_up first.")
         return self._home_rad
 
     def set_home(self) -> JointVector:

@@ -19,7 +19,7 @@ from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import ConnectError, RonnaError
 
 CONNECT_LIMIT_S = 3.0  # host time
 REACH_LIMIT_S = 1.0
@@ -88,7 +88,9 @@ def connect_and_leave(
         finally:
             device.close()
     except RonnaError as error:
-        advice = advice or next(filter(None, map(why_unreachable, endpoints)), error.advice)
+        if isinstance(error, ConnectError):  # a wrong configuration gives its own advice
+            advice = advice or next(filter(None, map(why_unreachable, endpoints)), "")
+        advice = advice or error.advice
         return Finding(subject, False, f"{addresses}: {error.code} {error.what}", advice)
     return Finding(subject, True, f"{addresses}: {identity.model} {identity.serial} {identity.firmware}")
 

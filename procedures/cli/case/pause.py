@@ -50,7 +50,7 @@ class Pause:
         # What was typed before answers nothing; what is typed as soon as the question stands there does.
         with contextlib.suppress(OSError, ValueError, termios.error):
             termios.tcflush(sys.stdin, termios.TCIFLUSH)
-        tell("paused, the arm rests. Enter goes on, abort ends the procedure:")
+        tell("Paused; the arm is at rest. Press Enter to continue, or type abort to end the procedure:")
         answer = sys.stdin.readline()
         self._wanted = False
         if not answer or answer.strip().lower() == "abort":

@@ -144,7 +144,7 @@ def predict_tip_error(
         rms_mm=math.hypot(predicted.rms_mm[0], rest_mm),
         limit_mm=math.hypot(predicted.limit_mm[0], LIMIT_OVER_RMS * rest_mm),
         confidence=predicted.confidence,
-        formula=f"{predicted.formula}; guide, stereo head and arm added in squares",
+        formula=f"{predicted.formula}; guide, stereo head and arm added in quadrature",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from ronna_hw.conformance.case import CaseList, NotShown, check
+from ronna_hw.conformance.case import HOST_TIME, CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.gige.feature_cases import streams
 from ronna_hw.conformance.gige.link import cameras
@@ -139,7 +139,11 @@ def stamps_grow(dut: DeviceUnderTest) -> None:
         check(ticks == sorted(set(ticks)), "increasing stamps", ticks)
 
 
-@case("G30", "the counter can be latched and reset, and agrees with the images' stamps")
+@case(
+    "G30",
+    "the counter can be latched and reset, and agrees with the images' stamps",
+    needs=(HOST_TIME,),
+)
 def latch_and_reset(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         started(stream)

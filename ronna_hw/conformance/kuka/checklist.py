@@ -62,7 +62,7 @@ _ELSEWHERE: dict[int, str] = {
     32: "needs that program: tests/system/test_kuka_link_rsipi.py",
     33: "needs that program: tests/system/test_kuka_sim_rsipi.py; the C++ ones are not on the index",
     41: "not safe on a running controller: tests/unit/sim_kuka, tests/system/kuka_sim",
-    43: "simulator only: tests/unit/sim_kuka/test_kuka_link_faults.py, tests/system/kuka_sim",
+    43: "simulator only: tests/unit/sim_kuka/faults/test_link_faults.py, tests/system/kuka_sim",
 }
 # What a line asks beyond its cases, and where that is tested.
 _REMARKS: dict[int, str] = {

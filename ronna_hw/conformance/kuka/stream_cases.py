@@ -138,7 +138,7 @@ def time_stamps_grow(dut: DeviceUnderTest) -> None:
     check(steps == {line.context.program.cycle_ms}, f"{line.context.program.cycle_ms} each time", steps)
 
 
-@case("K14", "a reply with a wrong Type, a wrong IPOC or broken XML does not count")
+@case("K14", "a reply with a wrong Type, a wrong IPOC or broken XML does not count", needs=(HOST_TIME,))
 def wrong_replies_count_as_none(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         wrong: dict[str, Callable[[Telegram], bytes]] = {
@@ -159,7 +159,7 @@ def wrong_replies_count_as_none(dut: DeviceUnderTest) -> None:
                 check(after.late > telegram.late, f"{what} counted as late", after.late)
 
 
-@case("K15", "one late reply does not make the following ones late")
+@case("K15", "one late reply does not make the following ones late", needs=(HOST_TIME,))
 def late_reply_shifts_nothing(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         before = line.cycles(FEW)[-1]

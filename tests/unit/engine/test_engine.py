@@ -86,7 +86,7 @@ def test_a_step_that_fails_stops_the_arm_and_leaves_the_chart_in_fault(cell: Rec
         run(engine, "image")
     assert cell.arm.stops == 1
     assert cell.entries()[-1] == ("failed", "image")
-    assert engine.why_refused(engine.order.find("image")) == ("the case is over: fault",)
+    assert engine.why_refused(engine.order.find("image")) == ("the case has ended: fault",)
 
 
 def test_evidence_that_comes_with_an_error_is_kept_in_the_run_folder(cell: RecordingCell) -> None:

@@ -57,7 +57,7 @@ def test_the_next_step_may_come() -> None:
 def test_a_step_may_not_be_skipped() -> None:
     assert unmet("fit:T1", "image", "image") == ("it may not follow image: localization:T1 is not done",)
     assert unmet("image", None) == ()
-    assert unmet("tool_on", None) == ("it may not follow the beginning: image is not done",)
+    assert unmet("tool_on", None) == ("image is not done",)
 
 
 def test_a_step_that_is_done_may_be_repeated() -> None:
@@ -79,4 +79,4 @@ def test_with_the_instrument_inside_only_the_same_trajectory_goes_on() -> None:
 
 def test_a_step_that_continues_another_comes_right_after_it() -> None:
     done = (*REGISTERED, "approach:T1", "held:T1", "back:T1")
-    assert unmet("back:T1", "back:T1", *done) == ("it may not follow back:T1: it may only follow held:T1",)
+    assert unmet("back:T1", "back:T1", *done) == ("it must follow held:T1",)
