@@ -28,17 +28,18 @@ def test_modules_hold_one_idea() -> None:
     assert lengths[len(lengths) // 2] <= LARGEST_MEDIAN_LINES
 
 
-MOVES_OR_LOOKS = re.compile(r"\.(move_joints|move_linear|move_along_tool|grab_pair|set_areas|surround)\(")
+# Calls on a device; the workcell's own methods have other names, but for `surround`.
+MOVES_OR_LOOKS = re.compile(
+    r"\.(move_joints|move_linear|move_along_tool|grab_pair|set_areas)\(|(?<!workcell)\.surround\("
+)
 
 
 def test_procedures_move_and_look_by_the_workcell_only() -> None:
     workcell = ROOT / "procedures" / "workcell"
     for path in (ROOT / "procedures").rglob("*.py"):
         if workcell not in path.parents:
-            calls = [
-                line for line in path.read_text(encoding="utf-8").splitlines() if MOVES_OR_LOOKS.search(line)
-            ]
-            assert [line for line in calls if "workcell." not in line] == [], path.relative_to(ROOT)
+            found = MOVES_OR_LOOKS.search(path.read_text(encoding="utf-8"))
+            assert found is None, f"{path.relative_to(ROOT)}: {found}"
 
 
 @pytest.mark.parametrize("folder", ["engine", "steps", "workcell"])
