@@ -22,7 +22,7 @@ NAME = "ronna-sim theatre"
 
 
 class TheatreProcess:
-    """`ronna-sim theatre`, begun but not awaited; `await_ready` and `end` must follow."""
+    """`ronna-sim theatre`, starting up; call `await_ready`, and `end` when done."""
 
     def __init__(self, *arguments: str) -> None:
         self.child = ChildProcess(NAME, command("sim.cli", "theatre", *arguments), timeout_s=None)

@@ -56,7 +56,7 @@ def run_steps(
     try:
         with _opened(source, folder, steps, progress, expired_too=expired_too) as engine:
             engine.run_to()
-    except BaseException:
+    except BaseException:  # also an interruption: a folder that holds nothing is no run
         forget_if_empty(folder)
         raise
     return engine
