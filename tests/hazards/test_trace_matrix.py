@@ -14,9 +14,7 @@ def test_the_hazards_are_numbered_without_gaps() -> None:
 
 def test_every_hazard_with_a_control_has_a_test_bound_to_it() -> None:
     bound = {test.number for test in hazard_matrix.bound_tests()}
-    controlled = {
-        h.number for h in hazard_matrix.read_hazards() if h.status is not hazard_matrix.Status.PLANNED
-    }
+    controlled = {h.number for h in hazard_matrix.read_hazards() if h.status != hazard_matrix.Status.PLANNED}
     assert controlled - bound == set()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from page_tables import table
 from pydantic import BaseModel
 
 SHOWN_DEFAULT = 24  # characters; a longer one is not for a table
@@ -15,26 +16,26 @@ def model_tables(titles: Mapping[str, type[BaseModel]]) -> str:
     schemas = {title: model.model_json_schema() for title, model in titles.items()}
     definitions = {name: one for schema in schemas.values() for name, one in schema.get("$defs", {}).items()}
     contained = sorted((name, one) for name, one in definitions.items() if "properties" in one)
-    lines: list[str] = []
-    for title, table in (*schemas.items(), *contained):
-        lines += [f"## {title}\n", table.get("description", "") + "\n"]
-        lines += ["| key | type | default | meaning |", "|---|---|---|---|", *_rows(table, definitions), ""]
-    return "\n".join(lines)
+    return "\n".join(
+        f"## {title}\n\n{schema.get('description', '')}\n\n"
+        + table(("key", "type", "default", "meaning"), _rows(schema, definitions))
+        for title, schema in (*schemas.items(), *contained)
+    )
 
 
-def _rows(table: dict[str, Any], definitions: dict[str, Any]) -> Iterable[str]:
-    required = table.get("required", [])
-    for key, value in table.get("properties", {}).items():
-        default = "needed" if key in required else _default(value)
-        yield f"| `{key}` | {_type(value, definitions)} | {default} | {value.get('description', '')} |"
+def _rows(schema: dict[str, Any], definitions: dict[str, Any]) -> Iterable[tuple[str, ...]]:
+    required = schema.get("required", [])
+    for key, value in schema.get("properties", {}).items():
+        default = "required" if key in required else _default(value)
+        yield f"`{key}`", _type(value, definitions), default, value.get("description", "")
 
 
 def _default(value: dict[str, Any]) -> str:
     default = value.get("default")
-    if isinstance(default, dict):
-        return "see there"
-    shown = "" if default in (None, "", []) else str(default)
-    return "as built in" if len(shown) > SHOWN_DEFAULT else shown
+    if isinstance(default, dict) and default:
+        return "see its table"
+    shown = "" if default in (None, "", [], {}) else str(default)
+    return "built in" if len(shown) > SHOWN_DEFAULT else shown
 
 
 def _type(value: dict[str, Any], definitions: dict[str, Any]) -> str:

@@ -1,20 +1,14 @@
-"""The page of open questions about the robot controller, each with the parameter that sets the answer.
-
-The questions are in a data file. Tests check that every name in it exists, and that every parameter is either
-named in it or concerns the simulation alone.
-"""
+"""Open questions about the robot controller, each with the parameter that sets the answer."""
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+
+from data_files import REFERENCE, read_rows
+from page_tables import table
 
 from sim.kuka.controller_parameters import parameter_rows
-
-QUESTIONS_FILE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "robot-open-questions.toml"
-PAGE = "robot-parameters.md"
 
 
 @dataclass(frozen=True)
@@ -40,24 +34,24 @@ class Question:
             yield self.otherwise
 
 
-def read_questions(path: Path = QUESTIONS_FILE) -> tuple[Question, ...]:
-    """The questions of the data file; raises TypeError for surplus or missing keys."""
-    entries = tomllib.loads(path.read_text(encoding="utf-8"))["question"]
-    return tuple(
-        Question(**{key: tuple(value) if isinstance(value, list) else value for key, value in one.items()})
-        for one in entries
+def read_questions() -> list[Question]:
+    """The questions of the data file."""
+    return read_rows(REFERENCE / "robot-open-questions.toml", "question", Question)
+
+
+def robot_parameters() -> str:
+    """The questions, then all parameters."""
+    questions = [(one.subject, one.question, ", ".join(one.answers)) for one in read_questions()]
+    return (
+        table(("", "open question", "set by"), questions)
+        + "\n## Parameters\n\n"
+        + parameter_table(parameter_rows())
     )
 
 
-def robot_parameters_page() -> str:
-    """The page in Markdown: the questions, then all parameters."""
-    lines = [
-        "# Unconfirmed behaviour of the robot's controller\n",
-        "No public source settles these. `ronna-sim kuka --set NAME=VALUE` changes the behaviour,",
-        "as does `ronna-sim theatre --set robot.NAME=VALUE`. The first day with a real arm settles most.\n",
-        "| | open question | set by |\n|---|---|---|",
-    ]
-    lines += [f"| {one.subject} | {one.question} | {', '.join(one.answers)} |" for one in read_questions()]
-    lines += ["\n## Parameters\n", "| parameter | best estimate | meaning |\n|---|---|---|"]
-    lines += [f"| `{name}` | {value} | {meaning} |" for name, value, meaning in parameter_rows()]
-    return "\n".join(lines) + "\n"
+def parameter_table(rows: Iterator[tuple[str, object, str]]) -> str:
+    """Parameters of a simulator that stand for behaviour nobody has confirmed."""
+    return table(
+        ("parameter", "best estimate", "meaning"),
+        [(f"`{name}`", value, meaning) for name, value, meaning in rows],
+    )

@@ -1,9 +1,9 @@
-"""The page of records is made from the models alone."""
+"""The tables of records, options and files are made from the models alone."""
 
 from __future__ import annotations
 
+from model_tables import model_tables
 from pydantic import BaseModel, Field
-from result_pages import records_page
 
 
 class Sphere(BaseModel):
@@ -25,7 +25,7 @@ class Check(BaseModel):
 
 
 def test_each_step_has_its_fields_and_what_they_contain_stands_there_once() -> None:
-    page = records_page({"localization": Spheres, "check": Check})
+    page = model_tables({"localization": Spheres, "check": Check})
     assert "## localization\n\nWhat was found.\n" in page
-    assert "| `spheres` | list of Sphere | needed | Each of them. |" in page
-    assert page.count("| `radius_mm` | number | needed | Its radius. |") == 1
+    assert "| `spheres` | list of Sphere | required | Each of them. |" in page
+    assert page.count("| `radius_mm` | number | required | Its radius. |") == 1
