@@ -27,7 +27,6 @@ DESTRUCTIVE = Need(
 )
 LINE_FAULTS = Need("line faults", "nothing can be put between this driver and this endpoint")
 CHECKED_REPLIES = Need("checked replies", "the driver's wire protocol has no known checksums")
-LIVE_FAULTS = Need("live faults", "no control port to inject faults through: give one with --control")
 HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
 

@@ -28,7 +28,6 @@ class Choice:
     driver: str | None = None  # instead of the suite's
     device: str | None = None  # which robot of the theatre file
     allow: tuple[str, ...] = ()  # of PERMISSIONS; our own simulator allows everything
-    control: str | None = None  # control port of a simulator started elsewhere
 
     def check(self) -> None:
         """Raise CNF-001 unless exactly one device is named and every permission is known."""
@@ -54,7 +53,6 @@ class Target:
     clock: str  # endpoint
     clock_known: bool
     allowed: frozenset[str]
-    control: str | None
 
 
 @runtime_checkable
@@ -98,7 +96,6 @@ def resolve(kind: str, choice: Choice) -> Target:
         clock=clock,
         clock_known=choice.sim or choice.config is not None,
         allowed=frozenset(PERMISSIONS if choice.sim else choice.allow),
-        control=choice.control,
     )
 
 
@@ -137,6 +134,6 @@ def _from_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[str
             )
         return f"robot.{name}", theatre.robot[name]
     chosen = theatre.devices.get(kind)
-    if chosen is None:
-        raise DeviceNotInFile(f"the theatre file has no {kind}")
+    if chosen is None or device is not None:
+        raise DeviceNotInFile(f"the theatre file has no {' '.join(filter(None, (kind, device)))}")
     return kind, chosen

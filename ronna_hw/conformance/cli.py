@@ -7,7 +7,7 @@ import ronna_hw.command_line.early_interruption  # noqa: F401 - first of all: im
 # isort: split
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -26,140 +26,53 @@ from ronna_hw.command_line.console import (
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 
 if TYPE_CHECKING:
-    from ronna_hw.conformance.choice import Choice
     from ronna_hw.conformance.device_under_test import DeviceUnderTest
     from ronna_hw.conformance.report import Report
 
-app = typer.Typer(
-    name="ronna-conformance",
-    help="Run the conformance suite on a driver and its device. Safe by default: no motion, no reset.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
-
-SimOption = Annotated[bool, typer.Option("--sim", help="Start the simulator and test on it.")]
-ConfigOption = Annotated[Path | None, typer.Option("--config", help="Test the device of this theatre file.")]
-EndpointOption = Annotated[
-    list[str] | None,
-    typer.Option("--endpoint", help="Test the device at this URI, or NAME=URI for each of several."),
-]
-DriverOption = Annotated[str | None, typer.Option("--driver", help="Driver to test, by its entry point.")]
-DeviceOption = Annotated[str | None, typer.Option("--device", help="Which robot of the theatre file.")]
-AllowOption = Annotated[
-    list[str] | None, typer.Option("--allow", help="Also run cases that need this: motion or destructive.")
-]
-OnlyOption = Annotated[
-    list[str] | None,
-    typer.Option("--only", help="Run only cases whose number starts so, such as P or T2."),
-]
-ControlOption = Annotated[
-    str | None,
-    typer.Option("--control", help="Control port of the device at --endpoint, for injecting faults."),
-]
-ConfirmedOption = Annotated[
-    str | None,
-    typer.Option(
-        "--confirmed-by", help="Who stands by an arm that is allowed to move; prompted for when not given."
-    ),
-]
-ReportOption = Annotated[Path | None, typer.Option("--report", help="Write the whole report here, as JSON.")]
+app = typer.Typer(name="ronna-conformance", no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 
 
-@app.command()
-def tracker(
-    sim: SimOption = False,
-    config: ConfigOption = None,
-    endpoint: EndpointOption = None,
-    driver: DriverOption = None,
-    allow: AllowOption = None,
-    only: OnlyOption = None,
-    control: ControlOption = None,
-    report: ReportOption = None,
+@app.command(no_args_is_help=True)
+def conformance(
+    kind: Annotated[Literal["tracker", "robot", "stereo"], typer.Argument(help="What to test.")],
+    sim: Annotated[bool, typer.Option("--sim", help="Start the simulator and test on it.")] = False,
+    config: Annotated[Path | None, typer.Option(help="Test the device of this theatre file.")] = None,
+    endpoint: Annotated[
+        list[str] | None, typer.Option(help="Test the device at this URI, or NAME=URI for each of several.")
+    ] = None,
+    driver: Annotated[str | None, typer.Option(help="Driver to test, by its entry point.")] = None,
+    device: Annotated[str | None, typer.Option(help="Which robot of the theatre file.")] = None,
+    allow: Annotated[
+        list[str] | None, typer.Option(help="Also run cases that need this: motion or destructive.")
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Run only cases whose number starts so, such as P or T2.")
+    ] = None,
+    confirmed_by: Annotated[
+        str | None,
+        typer.Option(help="Who stands by an arm that is allowed to move; prompted for when not given."),
+    ] = None,
+    report_file: Annotated[
+        Path | None, typer.Option("--report", help="Write the whole report here, as JSON.")
+    ] = None,
     json: JsonOption = False,
     verbose: VerboseOption = False,
     log_level: LogLevelOption = None,
 ) -> int:
-    """An optical tracker."""
-    choice = _choice(sim, config, endpoint, driver, allow, control=control)
-    return _run("tracker", choice, only, report, json, verbose)
-
-
-@app.command()
-def robot(
-    sim: SimOption = False,
-    config: ConfigOption = None,
-    endpoint: EndpointOption = None,
-    driver: DriverOption = None,
-    device: DeviceOption = None,
-    allow: AllowOption = None,
-    only: OnlyOption = None,
-    control: ControlOption = None,
-    confirmed_by: ConfirmedOption = None,
-    report: ReportOption = None,
-    json: JsonOption = False,
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
-) -> int:
-    """A robot arm."""
-    choice = _choice(sim, config, endpoint, driver, allow, device=device, control=control)
-    return _run("robot", choice, only, report, json, verbose, confirmed_by)
-
-
-@app.command()
-def stereo(
-    sim: SimOption = False,
-    config: ConfigOption = None,
-    endpoint: EndpointOption = None,
-    driver: DriverOption = None,
-    allow: AllowOption = None,
-    only: OnlyOption = None,
-    report: ReportOption = None,
-    json: JsonOption = False,
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
-) -> int:
-    """A stereo pair of cameras."""
-    choice = _choice(sim, config, endpoint, driver, allow)
-    return _run("stereo", choice, only, report, json, verbose)
-
-
-def _choice(
-    sim: bool,
-    config: Path | None,
-    endpoints: list[str] | None,
-    driver: str | None,
-    allow: list[str] | None,
-    *,
-    device: str | None = None,
-    control: str | None = None,
-) -> Choice:
-    from ronna_hw.conformance.choice import Choice
-
-    return Choice(sim, config, tuple(endpoints or ()), driver, device, tuple(allow or ()), control)
-
-
-def _run(
-    kind: str,
-    choice: Choice,
-    only: list[str] | None,
-    report_file: Path | None,
-    json: bool,
-    verbose: bool,
-    confirmed_by: str | None = None,
-) -> int:
+    """Run the conformance suite on a driver and its device. Safe by default: no motion, no reset."""
     set_up_logging(verbose)
-    from ronna_hw.conformance.choice import resolve
+    from ronna_hw.conformance.choice import Choice, resolve
     from ronna_hw.conformance.report import run_suite
     from ronna_hw.conformance.stand import stand
     from ronna_hw.records import write_whole
 
     if report_file is not None:
         write_whole(report_file, b"")  # fail before the run, not after it
+    choice = Choice(sim, config, tuple(endpoint or ()), driver, device, tuple(allow or ()))
     target = resolve(kind, choice)
     suite = target.suite.only(only or [])
     with stand(target) as dut:
-        moves = suite.moving() if "motion" in dut.offers and not choice.sim else []
+        moves = suite.moving() if "motion" in dut.offers and not sim else []
         person = _who_confirms(suite.motions, moves, dut, confirmed_by) if moves else ""
         with progress_bar(f"{kind} suite") as progress:
             report = run_suite(suite, dut, progress, confirmed_by=person)

@@ -6,13 +6,12 @@ from typing import Any
 
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance.case import HOST_TIME, LINE_FAULTS, LIVE_FAULTS
+from ronna_hw.conformance.case import HOST_TIME, LINE_FAULTS
 from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.conformance.protocol import ProtocolCases
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
-from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.registry import make_device
 
 _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
@@ -21,8 +20,7 @@ _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED
 class DeviceUnderTest:
     """One driver with one configuration. `offers` names the needs of cases that it meets.
 
-    `clock_known` is False where the host's clock is only assumed. `control` is the endpoint of a control
-    port, through which faults can be injected.
+    `clock_known` is False where the host's clock is only assumed.
     """
 
     def __init__(
@@ -34,13 +32,11 @@ class DeviceUnderTest:
         *,
         protocol: ProtocolCases | None = None,
         clock_known: bool = True,
-        control: str | None = None,
     ) -> None:
         self.name = name
         self.config = config
         self.clock = clock
         self.clock_known = clock_known
-        self._control = control
         self._shared: Device | None = None
         self._made: list[Device] = []
         self.offers = allowed | self._capabilities()
@@ -98,23 +94,8 @@ class DeviceUnderTest:
         self.release()
         return DisturbedLine(self.endpoint)
 
-    def fault(self, line: str) -> None:
-        """Inject a fault, as one line of a fault script. Raises CTL-001 or CTL-002."""
-        ask_control_port(self._control_port, "fault", line=line)
-
-    def clear_faults(self) -> None:
-        """End every fault."""
-        ask_control_port(self._control_port, "clear_faults")
-
-    @property
-    def _control_port(self) -> str:
-        assert self._control is not None, "the case needs a control port"
-        return self._control
-
     def _capabilities(self) -> frozenset[str]:
         met = set()
-        if self._control is not None:
-            met.add(LIVE_FAULTS)
         if self.clock.paced:
             met.add(HOST_TIME)
         if self._can_be_disturbed():

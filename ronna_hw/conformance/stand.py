@@ -15,16 +15,15 @@ SIMULATOR_MODULE = "sim.cli"  # started as a command, never imported
 
 @contextmanager
 def stand(target: Target) -> Iterator[DeviceUnderTest]:
-    """The device under test; whatever was started for it is ended on leaving. Raises CTL-00x, PRC-001."""
+    """The device under test; whatever was started for it is ended on leaving. Raises PRC-001."""
     with ExitStack() as stack:
-        config, control = target.config, target.control
+        config = target.config
         if config is None:
             assert target.protocol.simulator is not None, "resolve has checked that there is a simulator"
             arguments = target.protocol.simulator()
             child = stack.enter_context(
                 ChildProcess(f"ronna-sim {arguments[0]}", command(SIMULATOR_MODULE, *arguments))
             )
-            control = child.ready.get("control")
             config = configured(
                 target.driver, child.ready.get("endpoints") or {None: child.ready["endpoint"]}
             )
@@ -35,7 +34,6 @@ def stand(target: Target) -> Iterator[DeviceUnderTest]:
             target.allowed,
             protocol=target.protocol,
             clock_known=target.clock_known,
-            control=control,
         )
         stack.callback(dut.release)
         yield dut

@@ -42,10 +42,9 @@ def test_the_simulated_unit_passes_the_cases_about_its_line_and_its_modes(
 def whole_suite(commands: Any, *unit: str, timeout_s: float = 150.0) -> dict[str, Any]:
     """The report of every case on a simulated unit at an endpoint, everything allowed."""
     with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris", *unit)) as child:
-        ready = child.ready
         run = commands.run(
-            "ronna-conformance", "tracker", "--endpoint", ready["endpoint"], "--control", ready["control"],
-            "--allow", "destructive", "--json", timeout_s=timeout_s,
+            "ronna-conformance", "tracker", "--endpoint", child.ready["endpoint"], "--allow", "destructive",
+            "--json", timeout_s=timeout_s,
         )  # fmt: skip
     assert run.stdout, run.stderr
     report: dict[str, Any] = json.loads(run.stdout)
@@ -78,19 +77,15 @@ def test_every_case_is_passed_at_the_pace_of_a_real_line(commands: Any) -> None:
     assert cases(whole_suite(commands, "--throttle", timeout_s=800.0), "SKIP") == set()
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(180)
-def test_without_permission_nothing_is_reset_and_nothing_is_made_to_fail(commands: Any) -> None:
+def test_without_permission_nothing_is_reset(commands: Any) -> None:
     with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris")) as unit:
         run = commands.run(
-            "ronna-conformance", "tracker", "--endpoint", unit.ready["endpoint"], "--only", "P0",
-            "--only", "P5", "--json",
-        )  # fmt: skip
+            "ronna-conformance", "tracker", "--endpoint", unit.ready["endpoint"], "--only", "P0", "--json"
+        )
     report = json.loads(run.stdout)
     left_out = {case["number"]: case["reason"] for case in report["cases"] if case["outcome"] == "SKIP"}
-    assert {"P01", "P01b", "P09"} == {number for number in left_out if number.startswith("P0")}
-    assert all("--allow destructive" in left_out[number] for number in ("P01", "P01b", "P09"))
-    assert all("--control" in reason for number, reason in left_out.items() if number.startswith("P50"))
+    assert set(left_out) == {"P01", "P01b", "P09"}
+    assert all("--allow destructive" in reason for reason in left_out.values())
 
 
 def test_nobody_at_the_endpoint_is_one_message_and_exit_code_4(commands: Any) -> None:

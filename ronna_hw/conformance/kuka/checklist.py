@@ -58,11 +58,14 @@ _ELSEWHERE: dict[int, str] = {
     19: "needs contexts of its own: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     22: "our context reaches to the end switches; a narrow one: tests/unit/sim_kuka",
     23: "our monitor reaches to the end switches; a narrow one: tests/unit/sim_kuka",
+    24: "no real arm is made to jump: tests/unit/sim_kuka/rsi/test_program_run.py",
     26: "needs large motions: tests/unit/sim_kuka, tests/unit/arm",
     32: "needs that program: tests/system/test_kuka_link_rsipi.py",
     33: "needs that program: tests/system/test_kuka_sim_rsipi.py; the C++ ones are not on the index",
     41: "not safe on a running controller: tests/unit/sim_kuka, tests/system/kuka_sim",
+    42: "nobody opens the guard for the suite: tests/system/kuka_sim/test_cell_faults.py",
     43: "simulator only: tests/unit/sim_kuka/faults/test_link_faults.py, tests/system/kuka_sim",
+    44: "nobody opens the guard for the suite: tests/unit/kuka_rsi",
 }
 # What a line asks beyond its cases, and where that is tested.
 _REMARKS: dict[int, str] = {
@@ -70,10 +73,8 @@ _REMARKS: dict[int, str] = {
     17: "needs --allow destructive; the second way of counting: tests/unit/sim_kuka",
     20: "RELATIVE needs a program of its own: tests/system/test_kuka_sim_rsipi.py",
     21: "our context sends neither ASPos nor RSol: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
-    24: "needs a control port, which only a simulator has: no real arm is made to jump",
     30: "needs --allow destructive: the controller ends the run as well",
-    42: "needs a control port: nobody opens the guard for the suite",
-    44: "needs a control port; T1 with a person's confirmation: tests/unit/kuka_rsi",
+    39: "a change needs somebody at the controller: tests/system/kuka_sim/test_cell_faults.py",
 }
 
 # Generic cases, and cases of another line, that check a line too.

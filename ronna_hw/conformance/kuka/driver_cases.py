@@ -17,19 +17,17 @@ from typing import Any
 from ronna_hw.conformance.case import (
     DESTRUCTIVE,
     HOST_TIME,
-    LIVE_FAULTS,
     MOTION,
     CaseList,
     check,
-    refused,
 )
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.kuka.rsi_client import AXES, eki_line
+from ronna_hw.conformance.kuka.rsi_client import AXES
 from ronna_hw.conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.errors import RefusedError, RonnaError
+from ronna_hw.errors import RonnaError
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.registry import make_device
 from ronna_hw.wire.kuka_context import load_context
@@ -47,15 +45,6 @@ LONG_TURN_RAD = 20 * TURN_RAD  # interrupted as soon as it moves visibly
 SEEN_RAD = TURN_RAD / 10
 SLOW = 0.1  # of the driver's working speed
 LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed; a controller may treat a larger one as a fault
-# What prevents a start, and how the state reports it.
-NOT_READY = (
-    ("emergency stop", "EStop", "1"),
-    ("guard open", "Guard", "1"),
-    ("mode T1", "Mode", "T1"),
-    ("mode AUT", "Mode", "AUT"),
-    ("collision", "Stopmess", "1"),
-)
-
 _IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 _TYPE = re.compile(rb'<Sen Type="([^"]*)">')
 
@@ -261,38 +250,6 @@ def connection_is_lost(dut: DeviceUnderTest) -> None:
                 arm.recover("conformance suite", LIMIT_S)
             check(any(b"STATUS" in data for data in line.asked), "a new STATUS request", line.asked)
             check(arm.read_state().joints_rad == before, "the same axes", arm.read_state())
-
-
-@case(
-    "L44",
-    "no program is started outside EXT, or with emergency stop, open guard or a message",
-    needs=(LIVE_FAULTS,),
-)
-def starts_only_when_ready(dut: DeviceUnderTest) -> None:
-    for fault, attribute, value in NOT_READY:
-        try:
-            _brought_about(dut, fault, attribute, value)
-            with tapped(dut) as (arm, tap):
-                dut.brought_to(Lifecycle.CONFIGURED, arm)
-                refused(arm.activate, RefusedError, f"a start with {fault}")
-                check(not tap.traffic().telegrams, "no running program")
-        finally:
-            dut.clear_faults()
-    with tapped(dut) as (arm, _):
-        arm.connect(LIMIT_S)
-        arm.recover("conformance suite")  # acknowledges the message
-        arm.configure()
-        streaming(dut, arm)
-
-
-def _brought_about(dut: DeviceUnderTest, fault: str, attribute: str, value: str) -> None:
-    """Inject a fault into a controller without others, and wait until it is reported."""
-    with eki_line(dut) as line:
-        clean = wait_for(lambda: line.ask("ACK_ERRORS") == 0, LIMIT_S)
-        check(clean, "a controller whose messages can be acknowledged")
-        dut.fault(f"now: robot {fault}")
-        reported = wait_for(lambda: line.state().get(attribute) == value, LIMIT_S)
-        check(reported, f"{attribute} {value} in the state", line.state().get(attribute))
 
 
 def _stall(tap: RsiTap) -> None:

@@ -5,7 +5,6 @@ It decodes elements by itself, from the protocol's reference, so that a driver's
 
 from __future__ import annotations
 
-import contextlib
 import re
 import socket
 import time
@@ -77,17 +76,6 @@ class EkiLine:
             root = ElementTree.fromstring(raw)
             if root.tag in tags:
                 return raw, root
-
-    def already(self, *tags: str) -> list[ElementTree.Element]:
-        """The elements with one of these tags that have already come."""
-        self._socket.setblocking(False)
-        with contextlib.suppress(BlockingIOError):
-            while data := self._socket.recv(MOST_BYTES):
-                self._received += data
-        roots = []
-        while (raw := self._cut_off()) is not None:
-            roots.append(ElementTree.fromstring(raw))
-        return [root for root in roots if root.tag in tags]
 
     def ask(self, name: str, **attributes: object) -> int:
         """Send a command of our channel and return the code of its acknowledgement."""

@@ -73,14 +73,15 @@ _ALSO: dict[int, tuple[str, ...]] = {
 _ELSEWHERE: dict[int, str] = {
     48: "one client cannot show what others can do: tests/system/test_polaris_sim_strangers.py drives "
     "the simulator with both packages, each in a process of its own",
+    50: "simulator only: tests/unit/sim_polaris, tests/system/test_live_faults.py",
 }
 # What a line asks beyond its cases, and where that is tested.
 _REMARKS: dict[int, str] = {
     1: "power-up cannot be triggered over the line; needs --allow destructive",
     9: "needs --allow destructive: the unit is reset first",
+    36: "strays on both sides of the volume: tests/unit/sim_polaris/test_sight_faults.py",
     40: "the command after COMM is the driver's choice: tests/unit/ndi_polaris",
     47: "the vendor's files may not be copied; the suite makes a definition from published numbers",
-    50: "needs a control port: --sim has one, hardware has none",
 }
 
 POLARIS_CHECKLIST = Checklist(letters="PD", lines=_LINES, remarks=_REMARKS, elsewhere=_ELSEWHERE, also=_ALSO)

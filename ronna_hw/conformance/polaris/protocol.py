@@ -7,7 +7,6 @@ from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris import (
     alarm_cases,
     driver_cases,
-    fault_cases,
     frame_cases,
     handle_cases,
     line_cases,
@@ -27,7 +26,6 @@ CASE_MODULES = (
     handle_cases,
     frame_cases,
     volume_cases,
-    fault_cases,
     driver_cases,
     alarm_cases,
 )

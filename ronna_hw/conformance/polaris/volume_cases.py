@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.conformance.case import LIVE_FAULTS, CaseList, NotShown, check
+from ronna_hw.conformance.case import CaseList, NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.bx_reply import Vector3, placed
 from ronna_hw.conformance.polaris.definitions import markers_of, shifted
@@ -21,8 +21,6 @@ from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus, PortStatus
 
 BEYOND_MM = 130.0  # beyond the volume's side but still in view; more than half a tool
 EDGE_MM = 3.0  # closer to a face, noise decides
-MORE_STRAYS = 4
-PHANTOMS_MM = 60
 READ_ONLY = "Features.Firmware.Version=0"
 
 CASES = CaseList()
@@ -61,23 +59,6 @@ def strays_need_illuminators(dut: DeviceUnderTest) -> None:
         flags = _judged_strays(dut, unit, volume)
     if not flags:
         raise NotShown("no stray marker is in view")
-
-
-@case("P36b", "strays inside and outside the volume have the right flags", needs=(*WITH_TOOL, LIVE_FAULTS))
-def strays_in_and_out(dut: DeviceUnderTest) -> None:
-    block = definition(dut)
-    with idle_unit(dut) as unit:
-        volume = volume_in_use(unit)
-        unit.load(block)
-        unit.okay("TSTART:80")
-        try:
-            dut.fault(f"now: tracker strays {MORE_STRAYS}")
-            dut.fault(f"now: tracker phantoms {PHANTOMS_MM} mm")
-            flags = _judged_strays(dut, unit, volume)
-        finally:
-            dut.clear_faults()
-    if len(flags) < 2:
-        raise NotShown("all strays are inside the volume, or all outside")
 
 
 @case("P44", "GET of an unknown parameter gives ERROR34, SET of a read-only one ERROR39", needs=NEEDS)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import socket
-import threading
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +18,6 @@ from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.endpoints import BadEndpoint
 from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.host.child_process import ChildNotReady
-from ronna_hw.host.control_port import ControlPortSilent, ControlRequestRefused
 
 NOBODY = ("tcp://127.0.0.1:1",)
 THEATRE = """
@@ -102,6 +98,8 @@ def test_a_device_that_the_file_does_not_hold_is_told(theatre: Path) -> None:
     ):
         pass
     assert caught.value.code == "CNF-002"
+    with pytest.raises(DeviceNotInFile, match="no tracker left"):
+        resolve("tracker", Choice(config=theatre, device="left"))
     for device in (None, "middle"):
         with (
             pytest.raises(DeviceNotInFile, match="left, right"),
@@ -158,53 +156,3 @@ def test_a_driver_whose_protocol_has_no_simulator_is_refused(monkeypatch: pytest
 def test_the_suite_ends_with_the_cases_of_the_drivers_wire_protocol() -> None:
     letters = [case.number[0] for case in resolve("robot", Choice(sim=True)).suite.cases]
     assert "".join(letter for letter, _ in itertools.groupby(letters)) == "RKL"
-
-
-@contextmanager
-def control_port(answer: bytes) -> Iterator[tuple[str, list[bytes]]]:
-    """(endpoint, what was said to it) of a port that answers one request."""
-    heard: list[bytes] = []
-
-    def serve() -> None:
-        peer, _ = server.accept()
-        with peer, peer.makefile("rb") as lines:
-            heard.append(lines.readline())
-            peer.sendall(answer)
-
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        thread = threading.Thread(target=serve, daemon=True)
-        thread.start()
-        yield f"tcp://127.0.0.1:{server.getsockname()[1]}", heard
-        thread.join(10.0)
-
-
-def test_a_control_port_offers_live_faults() -> None:
-    with (
-        control_port(b'{"ok": true}\n') as (control, heard),
-        stand_for("tracker", Choice(endpoints=NOBODY, control=control)) as dut,
-    ):
-        assert "live faults" in dut.offers
-        dut.fault("now: tracker bump")
-    assert heard == [b'{"do": "fault", "line": "now: tracker bump"}\n']
-
-
-def test_without_a_control_port_nothing_is_made_to_fail() -> None:
-    with stand_for("tracker", Choice(endpoints=NOBODY)) as dut:
-        assert "live faults" not in dut.offers
-
-
-def test_a_fault_that_the_control_port_refuses_is_told() -> None:
-    with (
-        control_port(b'{"ok": false, "reason": "SIM-003: no such fault"}\n') as (control, _),
-        stand_for("tracker", Choice(endpoints=NOBODY, control=control)) as dut,
-        pytest.raises(ControlRequestRefused, match="no such fault"),
-    ):
-        dut.fault("now: tracker nonsense")
-
-
-def test_a_control_port_where_nobody_is_is_told() -> None:
-    with (
-        stand_for("tracker", Choice(endpoints=NOBODY, control=NOBODY[0])) as dut,
-        pytest.raises(ControlPortSilent, match="no answer"),
-    ):
-        dut.clear_faults()
