@@ -34,10 +34,8 @@ class Stored(Generic[R]):
 class Case:
     """The run folder and its results: those that stand, and those that a repeated step has superseded."""
 
-    def __init__(self, folder: Path, series: Path, plan: Path) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.series = series
-        self.plan = plan
         self._standing: dict[StepKey, Stored[StepResult]] = {}
         self._superseded: list[Record] = []
         self._written = 0

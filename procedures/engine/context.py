@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from procedures.engine.case import Case
+from procedures.engine.case import PICTURES_FOLDER, Case
 from procedures.engine.errors import NotConfirmed, WrongResult
 from procedures.engine.operator import Operator, Question, Room
 from procedures.engine.result import StepResult
@@ -15,8 +16,7 @@ from procedures.engine.workspace import Workspace
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings
-from ronna_hw.records import Record
-from ronna_hw.theatre import Theatre
+from ronna_hw.records import Record, write_whole
 
 if TYPE_CHECKING:
     from procedures.workcell import Workcell
@@ -28,8 +28,17 @@ Progress = Callable[[float, str], None]  # share done 0..1, what is being done
 
 
 @dataclass(frozen=True)
+class ClinicalInput:
+    """What a case with a patient begins with; a calibration has none."""
+
+    series: Path  # folder of the CT series
+    plan: Path
+    strategy: Strategy
+
+
+@dataclass(frozen=True)
 class CaseSetting:
-    """What all steps of a case share, beside its results."""
+    """What all steps of a procedure share, beside their results."""
 
     workcell: Workcell
     clock: Clock
@@ -37,8 +46,7 @@ class CaseSetting:
     room: Room
     settings: ProcedureSettings
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
-    strategy: Strategy
-    theatre: Theatre
+    clinical: ClinicalInput | None = None
     progress: Progress = lambda _share, _text: None
     workspace: Workspace = field(default_factory=Workspace)
 
@@ -49,10 +57,10 @@ class StepContext:
 
     key: StepKey
     spec: StepSpec[StepResult]
-    case: Case
     trajectories: tuple[str, ...]
     setting: CaseSetting
-    record_confirmation: Callable[[Question, bool], None]
+    _case: Case
+    _record_confirmation: Callable[[Question, bool], None]
     _read: dict[str, Record] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
@@ -63,9 +71,19 @@ class StepContext:
         """
         if model not in self.spec.reads:
             raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare to read")
-        stored = self.case.get(model, self.key.trajectory)
+        stored = self._case.get(model, self.key.trajectory)
         self._read[stored.record.identifier] = stored.record
         return stored.result
+
+    def is_last_trajectory(self) -> bool:
+        """Whether this step has been done for every other trajectory; then those results are read."""
+        others = [StepKey(self.key.name, name) for name in self.trajectories if name != self.trajectory]
+        if not all(map(self._case.stands, others)):
+            return False
+        for other in others:
+            record = self._case.get(self.spec.result, other.trajectory).record
+            self._read[record.identifier] = record
+        return True
 
     @property
     def read(self) -> tuple[Record, ...]:
@@ -89,9 +107,22 @@ class StepContext:
         """The only way to look and to move."""
         return self.setting.workcell
 
+    @property
+    def clinical(self) -> ClinicalInput:
+        """Series, plan and strategy of the case. Raises PRO-016 in a procedure without a patient."""
+        if self.setting.clinical is None:
+            raise WrongResult(f"{self.key} needs a case with a patient")
+        return self.setting.clinical
+
     def device(self, name: str, interface: Callable[..., D]) -> D:
         """A device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
-        return self.setting.theatre.device(name, interface)
+        return self.workcell.device(name, interface)
+
+    def keep_picture(self, name: str, png: bytes) -> None:
+        """Write a picture for people into the run folder."""
+        folder = self._case.folder / PICTURES_FOLDER
+        folder.mkdir(exist_ok=True)
+        write_whole(folder / name, png)
 
     def progress(self, share: float, text: str) -> None:
         """Tell how far the step is, 0..1, and what it is doing."""
@@ -101,6 +132,6 @@ class StepContext:
         """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""
         question = Question(subject, value)
         answer = self.setting.operator.confirm(question)
-        self.record_confirmation(question, answer)
+        self._record_confirmation(question, answer)
         if not answer:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)

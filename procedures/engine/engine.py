@@ -86,12 +86,12 @@ class Engine:
 
     def run_step(self, key: StepKey) -> Record:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
-        unmet = self.why_refused(key)
-        if unmet or not self.machine.begin(key.name, unmet):
+        if unmet := self.why_refused(key):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
             _log.warning("step refused", step=str(key), unmet=list(unmet))
             raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
         spec = self.order.spec(key)
+        self.machine.begin(key.name)
         self._latest = key
         try:
             self._write(Entry.INTENT, step=str(key), moves=spec.moves)
@@ -176,10 +176,10 @@ class Engine:
         return StepContext(
             key=key,
             spec=self.order.spec(key),
-            case=self.case,
             trajectories=self.order.trajectories,
             setting=self.setting,
-            record_confirmation=self._record_confirmation,
+            _case=self.case,
+            _record_confirmation=self._record_confirmation,
         )
 
     def _record_confirmation(self, question: Question, answer: bool) -> None:

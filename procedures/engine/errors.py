@@ -75,10 +75,10 @@ class CommandRefused(RonnaError):
     """A command that this run started ended by itself; its own words are in the message."""
 
     code = "PRO-013"
-    action = "Do what its message says."
+    action = "Correct what its message names, then start again."
 
     def __init__(self, name: str, messages: str, exit_code: int) -> None:
-        super().__init__(f"{name} said {' '.join(messages.split()).rstrip('.')}")
+        super().__init__(f"{name} failed: {' '.join(messages.split()).rstrip('.')}")
         self.exit_code = exit_code if exit_code > 0 else EXIT_FAILED  # type: ignore[misc]
 
 

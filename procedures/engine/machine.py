@@ -1,7 +1,7 @@
 """Where we are: the state chart of the procedure, made from its steps.
 
 Transitions are instant and pure; the work of a step happens while the machine rests in the step's state,
-never in a callback. A transition is refused while preconditions are unmet.
+never in a callback. Whether a step may begin is the engine's to decide, before it asks for the transition.
 """
 
 from __future__ import annotations
@@ -30,95 +30,67 @@ class _Machine(HierarchicalMachine):
     state_cls = _StepState
 
 
-class _Event(Protocol):
-    """What the library hands to a condition."""
-
-    kwargs: dict[str, tuple[str, ...]]
-
-
 class _Triggered(Protocol):
-    """What the library adds to the model at run time."""
+    """What `transitions` adds to its model at run time, where no checker can see it."""
 
-    def trigger(self, event: str, **details: tuple[str, ...]) -> bool: ...
-
-
-class Whereabouts:
-    """The model of the machine: only the present state."""
-
-    state: str
+    def trigger(self, event: str) -> bool: ...
 
 
 class ProcedureMachine:
     """Begin a step, finish, fail or abort; nothing else changes the state."""
 
+    state: str  # phase and step
+
     def __init__(self, order: CaseOrder) -> None:
-        self.model = Whereabouts()
-        steps = order.steps
-        running = [IDLE, *map(state_of, steps)]
+        running = [IDLE, *map(state_of, order.steps)]
         last = order.spec(order.sequence[-1])
-        rows: list[dict[str, object]] = [
-            {
-                "trigger": f"begin_{step.name}",
-                "source": running,
-                "dest": state_of(step),
-                "conditions": _nothing_unmet,
-            }
-            for step in steps
-        ]
-        rows.append({"trigger": "finish", "source": state_of(last), "dest": FINISHED})
-        rows.append({"trigger": "fail", "source": running, "dest": FAULT})
-        rows.append({"trigger": "abort", "source": running, "dest": ABORTED})
         nested = [
-            {"name": str(phase), "children": [step.name for step in steps if step.phase is phase]}
+            {"name": str(phase), "children": [step.name for step in order.steps if step.phase is phase]}
             for phase in Phase
         ]
+        rows = [_row(f"begin_{step.name}", running, state_of(step)) for step in order.steps]
+        rows += [_row(f"end_{end}", running, end) for end in (FAULT, ABORTED)]
+        rows.append(_row(f"end_{FINISHED}", [state_of(last)], FINISHED))
         _Machine(
-            self.model,
+            self,
             states=[IDLE, *(state for state in nested if state["children"]), *ENDS],
             transitions=rows,
             initial=IDLE,
             auto_transitions=False,
-            send_event=True,
         )
-
-    @property
-    def state(self) -> str:
-        """Present state, phase and step."""
-        return self.model.state
 
     @property
     def ended(self) -> bool:
         """Whether no step may begin any more."""
         return self.state in ENDS
 
-    def begin(self, step: str, unmet: tuple[str, ...]) -> bool:
-        """Enter a step's state; returns False, and stays, while preconditions are unmet."""
-        return self._trigger(f"begin_{step}", unmet=unmet)
+    def begin(self, step: str) -> None:
+        """Enter a step's state."""
+        self._go(f"begin_{step}")
 
     def finish(self) -> None:
         """The last step is done and every result stands."""
-        self._trigger("finish")
+        self._go(f"end_{FINISHED}")
 
     def fail(self) -> None:
         """A step ended with an error."""
-        self._trigger("fail")
+        self._go(f"end_{FAULT}")
 
     def abort(self) -> None:
         """The operator ended the procedure."""
-        self._trigger("abort")
+        self._go(f"end_{ABORTED}")
 
-    def _trigger(self, event: str, **details: tuple[str, ...]) -> bool:
-        # `transitions` makes its triggers at run time; this is the one call that no checker can see.
-        return bool(cast("_Triggered", self.model).trigger(event, **details))
+    def _go(self, event: str) -> None:
+        cast("_Triggered", self).trigger(event)
+
+
+def _row(trigger: str, source: list[str], dest: str) -> dict[str, object]:
+    return {"trigger": trigger, "source": source, "dest": dest}
 
 
 def state_of(step: StepSpec[StepResult]) -> str:
     """Name of a step's state in the machine, phase first."""
     return f"{step.phase}{SEPARATOR}{step.name}"
-
-
-def _nothing_unmet(event: _Event) -> bool:
-    return not event.kwargs.get("unmet")
 
 
 def mermaid(steps: Steps) -> str:

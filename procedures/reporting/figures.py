@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from procedures.reporting.outcome import TargetOutcome
 from procedures.steps.clinical.link_health import LinkHealth
 
 if TYPE_CHECKING:
@@ -27,19 +28,19 @@ JITTER_COLOUR = "#b3541e"
 DOTS_PER_INCH = 110
 
 
-def target_errors(targets: list[dict[str, Any]], simulated: bool) -> bytes:
+def target_errors(targets: Sequence[TargetOutcome], simulated: bool) -> bytes:
     """Bars: error at each target against truth, prediction beside it, published means below."""
     figure, axes = _figure(7.6, 0.42 * (2 * len(targets) + len(PUBLISHED_MM)) + 1.2)
     labels: list[str] = []
     values: list[float] = []
     colours: list[str] = []
-    for row in targets:
-        if row["application_error_mm"] is not None:
-            labels.append(f"{row['id']}, {row['depth_mm']:.0f} mm deep")
-            values.append(row["application_error_mm"])
+    for target in targets:
+        if target.application_error_mm is not None:
+            labels.append(f"{target.id}, {target.depth_mm:.0f} mm deep")
+            values.append(target.application_error_mm)
             colours.append(OURS_COLOUR)
-        labels.append(f"{row['id']}, predicted (rms)")
-        values.append(row["predicted_tre_mm"])
+        labels.append(f"{target.id}, predicted (rms)")
+        values.append(target.predicted_tre_mm)
         colours.append(PREDICTED_COLOUR)
     for label, value in PUBLISHED_MM:
         labels.append(label)

@@ -6,16 +6,15 @@ Everything in it comes from the run's folder: records, journal, kept pictures, a
 from __future__ import annotations
 
 import base64
-import json
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from procedures.engine.case import PICTURES_FOLDER
 from procedures.engine.journal import Entry
 from procedures.engine.run_folder import RunFolder, read_run
 from procedures.reporting.figures import cycle_histogram, target_errors
+from procedures.reporting.outcome import FinishedRun
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.link_health import LinkHealth
@@ -32,7 +31,7 @@ STEREO_PICTURES_SHOWN = 5
 TEMPLATE = "report.html.j2"
 
 
-def write_report(folder: Path, outcome: dict[str, Any]) -> Path:
+def write_report(folder: Path, outcome: FinishedRun) -> Path:
     """Write the report of a run folder; returns its path."""
     import jinja2
 
@@ -59,14 +58,14 @@ def write_report(folder: Path, outcome: dict[str, Any]) -> Path:
         motions=len(run.lines(Entry.MOTION)),
         records=run.records,
         superseded=run.superseded,
-        errors_figure=_inline(target_errors(outcome["targets"], bool(banner))) if outcome["targets"] else "",
+        errors_figure=_inline(target_errors(outcome.targets, bool(banner))) if outcome.targets else "",
         link_figure=_inline(cycle_histogram(links)) if links else "",
         ct_pictures=[_inline(path.read_bytes()) for path in _pictures(folder, "ct-")],
         stereo_pictures=[
             (path.stem, _inline(path.read_bytes()))
             for path in _pictures(folder, "stereo-")[:STEREO_PICTURES_SHOWN]
         ],
-        raw=json.dumps(outcome, indent=1),
+        raw=outcome.model_dump_json(indent=1),
     )
     path = folder / REPORT_FILE
     write_whole(path, text.encode())

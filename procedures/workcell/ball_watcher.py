@@ -63,8 +63,8 @@ class BallWatcher:
         try:
             self._settle(self._joints(wanted.pose, self.workcell.joints_rad()))
         except LimitError as error:
-            if self.workcell.arm.state is not Lifecycle.ACTIVE:  # not refused before it began: tripped
-                raise
+            if self.workcell.arm.observe().state is not Lifecycle.ACTIVE:
+                raise  # not refused before it began: tripped
             self.rejected[error.code] += 1
             return None
         return self._observed(planned.orientation, planned.ball_in_tool_mm)

@@ -7,9 +7,10 @@ beyond the entry, nothing but motion along its own axis is possible, whatever as
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
+from typing import Protocol, TypeVar
 
 from procedures.engine.errors import JournalNotWritable, StepRefused
 from procedures.engine.journal import Journal
@@ -19,14 +20,17 @@ from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_sensor
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
+from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import Calibrations
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.theatre import Theatre
 
+D = TypeVar("D")
 MASTER = "master"  # the arm that carries stereo head and guide
 STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
@@ -40,6 +44,19 @@ class MountedTool(StrEnum):
     UNKNOWN = "unchecked tool"
     STEREO_HEAD = "stereo head"
     GUIDE = "guide"
+
+
+class ArmView(Protocol):
+    """What a procedure may know of the arm; what moves it are the calls of the workcell."""
+
+    @property
+    def kinematics(self) -> Kinematics:
+        """As `RobotArm.kinematics`."""
+        ...
+
+    def observe(self) -> LastKnown[ArmReading]:
+        """As `RobotArm.observe`."""
+        ...
 
 
 class Workcell:
@@ -63,8 +80,12 @@ class Workcell:
         self._home_rad: JointVector | None = None
 
     @property
-    def arm(self) -> RobotArm:
-        """The arm, for reading. What moves it stands below."""
+    def arm(self) -> ArmView:
+        """The arm, for looking."""
+        return self._arm
+
+    @property
+    def _arm(self) -> RobotArm:
         return self._theatre.arms[MASTER]
 
     @property
@@ -80,7 +101,11 @@ class Workcell:
     @property
     def devices(self) -> dict[str, Device]:
         """All devices by role, in the order in which they are connected."""
-        return {"tracker": self.tracker, "arm": self.arm, "stereo": self.stereo}
+        return {"tracker": self.tracker, "arm": self._arm, "stereo": self.stereo}
+
+    def device(self, name: str, interface: Callable[..., D]) -> D:
+        """A device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
+        return self._theatre.device(name, interface)
 
     # What hangs on the arm
 
@@ -95,7 +120,7 @@ class Workcell:
             STEREO_HEAD_NUMBER if tool is MountedTool.STEREO_HEAD else self.calibrations.tool_tip.tool_number
         )
         self._tool = MountedTool.UNKNOWN
-        mounted = self.arm.read_tool_identity().number
+        mounted = self._arm.read_tool_identity().number
         if mounted != expected:
             raise WrongTool(f"the {tool} is not mounted", expected=str(expected), got=str(mounted))
         self._tool = tool
@@ -118,7 +143,7 @@ class Workcell:
 
     def joints_rad(self) -> JointVector:
         """The measured joints."""
-        return self.arm.read_state().joints_rad
+        return self._arm.read_state().joints_rad
 
     def tool_pose(self, joints_rad: JointVector | None = None) -> Transform:
         """Nominal pose of the mounted tool at joint angles, by default at the measured ones."""
@@ -152,11 +177,11 @@ class Workcell:
 
     def surround(self, surroundings: Surroundings) -> None:
         """Say what the arm carries and what stands around it: every motion is checked against it."""
-        self.arm.surround(surroundings)
+        self._arm.surround(surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream, and the cameras, where they are not running."""
-        for device in (self.arm, self.stereo) if cameras else (self.arm,):
+        for device in (self._arm, self.stereo) if cameras else (self._arm,):
             if device.state is Lifecycle.CONFIGURED:
                 device.activate()
 
@@ -169,7 +194,7 @@ class Workcell:
     def go_home(self) -> ArmReading:
         """A joint move to where the case began."""
         with self._motion("home", list(self.home_rad)) as reached:
-            reached.append(self.arm.move_joints(self.home_rad))
+            reached.append(self._arm.move_joints(self.home_rad))
         return reached[-1]
 
     def settle(
@@ -185,15 +210,15 @@ class Workcell:
             if from_afar:
                 self._go(back, reached)
             else:
-                self.arm.move_joints(back)
-            reached.append(self.arm.move_joints(joints_rad))
+                self._arm.move_joints(back)
+            reached.append(self._arm.move_joints(joints_rad))
         return reached[-1]
 
     def line_to(self, pose: Transform) -> ArmReading:
         """A straight line of the flange that brings the mounted tool to a pose."""
         flange = pose @ self.flange_from_tool.inverse()
         with self._motion("line", pose.translation_mm.tolist()) as reached:
-            reached.append(self.arm.move_linear(flange))
+            reached.append(self._arm.move_linear(flange))
         return reached[-1]
 
     def insert(self, insertion: Insertion) -> ArmReading:
@@ -242,11 +267,11 @@ class Workcell:
 
     def link_statistics(self) -> LinkStatistics:
         """Health of the robot link since the arm was last activated."""
-        return self.arm.link_statistics()
+        return self._arm.link_statistics()
 
     def rest(self) -> None:
         """End the arm's correction stream and the cameras, as a tool change and a parked arm want it."""
-        for device in (self.arm, self.stereo):
+        for device in (self._arm, self.stereo):
             if device.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
                 device.deactivate()
 
@@ -259,7 +284,7 @@ class Workcell:
         self._theatre.close()
 
     def _go(self, joints_rad: JointVector, reached: list[ArmReading]) -> None:
-        arm = self.arm
+        arm = self._arm
         try:
             reached.append(arm.move_joints(joints_rad))
         except NotClear:  # raised before anything moved
@@ -272,7 +297,7 @@ class Workcell:
         to = pose.translation_mm.tolist()
         with self._log.motion(what, to, trajectory=insertion.trajectory) as reached:
             reached.append(
-                self.arm.move_linear(
+                self._arm.move_linear(
                     pose, flange_from_tool=self.flange_from_tool, speed_fraction=speed_fraction
                 )
             )

@@ -14,24 +14,29 @@ import pytest
 from procedures.cli.case.display import show_outcome
 from procedures.engine.case import RECORDS_FOLDER
 from procedures.engine.journal import Entry, Journal
+from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
 from procedures.reporting.report import write_report
 
 EXTREMES_MM = (0.0004, 0.0006, 9.9996, 12345.6789, 99999.9994)
 SHOWN = ("0.000", "0.001", "10.000", "12345.679", "99999.999")
-OUTCOME = {
-    "run": "R",
-    "strategy": "ocs",
-    "ct": None,
-    "targets": [
-        {"id": f"T{k}", "depth_mm": 123456.7, "predicted_tre_mm": value, "application_error_mm": value}
+OUTCOME = FinishedRun(
+    run="R",
+    seed=0,
+    strategy="ocs",
+    markers=5,
+    ct=None,
+    registration=RegistrationOutcome(n=5, fre_mm=(0.1,)),
+    targets=tuple(
+        TargetOutcome(id=f"T{k}", depth_mm=123456.7, predicted_tre_mm=value, application_error_mm=value)
         for k, value in enumerate(EXTREMES_MM)
-    ],
-    "mean_application_error_mm": 12345.6789,
-    "max_application_error_mm": 99999.9994,
-    "sim_s": 1.0,
-    "wall_s": 1.0,
-    "report": "report.html",
-}
+    ),
+    mean_application_error_mm=12345.6789,
+    max_application_error_mm=99999.9994,
+    late_cycles=0,
+    sim_s=1.0,
+    wall_s=1.0,
+    report="report.html",
+)
 ON_TERMINAL = (
     "import sys; from ronna_hw.command_line.console import print_table as t; t('errors', {head!r}, {rows!r})"
 )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from procedures.engine.case import Case
-from procedures.engine.context import CaseSetting
+from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.engine.operator import Question
@@ -22,6 +22,7 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,
@@ -113,6 +114,9 @@ class RecordingArm(RecordingDevice):
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
         return ArmReading(STAMP, Validity.OK, self.joints_rad, self.joints_rad, moving=False)
+
+    def observe(self) -> LastKnown[ArmReading]:
+        return LastKnown(self.state, None, self.read_state())
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
         return ToolIdentity(STAMP, self.mounted)
@@ -209,7 +213,8 @@ class RecordingCell:
         self.tracker = RecordingDevice("tracker")
         self.journal = Journal(self.folder)
         self.room = RecordingRoom(self.arm)
-        self.case = Case(self.folder, self.folder / "ct", self.folder / "plan.toml")
+        self.case = Case(self.folder)
+        self.series, self.plan = self.folder / "ct", self.folder / "plan.toml"
         self.opened = RecordingTheatre(self.theatre, self.arm, self.stereo, self.tracker)
         self.clock = self.opened.clock
         self.workcell = self.make_workcell()
@@ -230,8 +235,7 @@ class RecordingCell:
             room=self.room,
             settings=ProcedureSettings(),
             surroundings=self.theatre.cell,
-            strategy=self.strategy,
-            theatre=self.opened,
+            clinical=ClinicalInput(self.series, self.plan, self.strategy),
         )
 
     def engine(self, order: CaseOrder) -> Engine:

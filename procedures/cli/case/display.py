@@ -5,17 +5,18 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from procedures.cli.case.outcome import unfinished
+from procedures.cli.case.opening import Watcher
+from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, new_run_folder
-from procedures.cli.case.running import Watcher, run_case
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table
 
 if TYPE_CHECKING:
     from procedures.engine.result import StepResult
     from procedures.engine.step import Outcome, StepKey
+    from procedures.reporting.outcome import FinishedRun
 
 
 @contextlib.contextmanager
@@ -64,39 +65,34 @@ def _write_line(key: StepKey, outcome: Outcome[StepResult]) -> None:
     sys.stderr.write(f"{key}: {outcome.summary}\n")
 
 
-def _what_is_shown(outcome: dict[str, Any]) -> str:
-    known = outcome["mean_application_error_mm"] is not None
-    return "error of the needle tip against truth" if known else "predicted error of the needle tip"
-
-
-def show_outcome(outcome: dict[str, Any], *, as_json: bool) -> None:
+def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
     """Print the table of target errors, or the whole object as JSON."""
     if as_json:
-        print_json(outcome)
+        print_json(outcome.model_dump(mode="json"))
         return
+    mean_mm, largest_mm = outcome.mean_application_error_mm, outcome.max_application_error_mm
+    known = mean_mm is not None
     print_table(
-        f"Run {outcome['run']}: {_what_is_shown(outcome)}",
+        f"Run {outcome.run}: "
+        + ("error of the needle tip against truth" if known else "predicted error of the needle tip"),
         ("target", "depth mm", "predicted mm", "error mm"),
         [
             (
-                row["id"],
-                f"{row['depth_mm']:.1f}",
-                f"{row['predicted_tre_mm']:.3f}",
-                "-" if row["application_error_mm"] is None else f"{row['application_error_mm']:.3f}",
+                target.id,
+                f"{target.depth_mm:.1f}",
+                f"{target.predicted_tre_mm:.3f}",
+                "-" if target.application_error_mm is None else f"{target.application_error_mm:.3f}",
             )
-            for row in outcome["targets"]
+            for target in outcome.targets
         ],
     )
-    lines = []
-    if outcome["mean_application_error_mm"] is not None:
-        lines.append(
-            f"mean {outcome['mean_application_error_mm']:.3f} mm, "
-            f"largest {outcome['max_application_error_mm']:.3f} mm; "
-            f"{outcome['sim_s']:.0f} s of theatre time in {outcome['wall_s']:.0f} s"
+    if known:
+        sys.stdout.write(
+            f"mean {mean_mm:.3f} mm, largest {largest_mm:.3f} mm; "
+            f"{outcome.sim_s:.0f} s of theatre time in {outcome.wall_s:.0f} s\n"
         )
-    if outcome["report"] is not None:
-        lines.append(f"report {outcome['report']}")
-    sys.stdout.write("\n".join(lines) + "\n")
+    if outcome.report is not None:
+        sys.stdout.write(f"report {outcome.report}\n")
 
 
 def follow_case(request: CaseRequest, *, as_json: bool, verbose: bool) -> None:
@@ -109,13 +105,12 @@ def follow_case(request: CaseRequest, *, as_json: bool, verbose: bool) -> None:
     except BaseException as problem:
         forget_if_empty(folder)
         if as_json:
-            ended = "interrupted" if isinstance(problem, KeyboardInterrupt) else "failed"
-            print_json(unfinished(request, folder, ended, problem))
+            print_json(unfinished(request, folder, problem).model_dump(mode="json"))
         raise
-    outcome["report"] = None
     try:
         from procedures.reporting.report import write_report
 
-        outcome["report"] = str(write_report(folder, outcome))
+        report = write_report(folder, outcome)
+        outcome = outcome.model_copy(update={"report": str(report)})
     finally:  # the errors at the targets are known, whatever became of the report
         show_outcome(outcome, as_json=as_json)

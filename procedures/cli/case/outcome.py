@@ -1,13 +1,14 @@
-"""What a run came to, as `--json` prints it: what the run itself knows, and the truth where there is one."""
+"""Runs a case to its end and says what it came to: by its records, and by the truth where there is one."""
 
 from __future__ import annotations
 
 import json
 import subprocess
-from dataclasses import dataclass
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
+from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.request import CaseRequest
 from procedures.engine.errors import CommandRefused
 from ronna_hw.command_line.errors import as_ronna_error
@@ -15,88 +16,77 @@ from ronna_hw.host.child_process import command
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
+    from procedures.reporting.outcome import FinishedRun, UnfinishedRun
 
 VERIFY_TIMEOUT_S = 60.0  # host time; it reads a few small files
-NO_TRUTH: dict[str, Any] = {"ct": None, "targets": []}  # of a run on configured endpoints
 
 
-@dataclass(frozen=True)
-class CaseResults:
-    """What the run itself knows at its end. Trajectories are in the order of the plan."""
-
-    markers: int  # found in the CT
-    pairs: int
-    fre_mm: tuple[float, ...]
-    depth_mm: dict[str, float]
-    predicted_mm: dict[str, float]  # rms, per trajectory
-    late_cycles: int  # late or lost, over all sessions of the robot link
-    theatre_time_s: float
-
-    @classmethod
-    def of(cls, engine: Engine) -> Self:
-        """The results of a case that has run to its end."""
-        from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-        from procedures.steps.clinical.plan_check import CheckedPlan
-        from procedures.steps.clinical.registration import RegisteredRobot
-        from procedures.steps.clinical.retreat import Retreated
-        from procedures.steps.clinical.tool_change import MountedGuide
-
-        case = engine.case
-        fits = {name: case.get(RegisteredRobot, name).result for name in engine.order.trajectories}
-        retreats = [case.get(Retreated, name).result.link for name in engine.order.trajectories]
-        links = [case.get(MountedGuide).result.link, *(link for link in retreats if link is not None)]
-        return cls(
-            markers=len(case.get(LocalizedFiducials).result.markers),
-            pairs=next(iter(fits.values())).pairs,
-            fre_mm=tuple(fit.fre_mm for fit in fits.values()),
-            depth_mm={one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories},
-            predicted_mm={name: fit.prediction(name).rms_mm for name, fit in fits.items()},
-            late_cycles=sum(link.late_cycles + link.lost_cycles for link in links),
-            theatre_time_s=engine.setting.clock.now_s(),
-        )
+def run_case(request: CaseRequest, folder: Path, watcher: Watcher) -> FinishedRun:
+    """Run a whole case, without its report. Raises what a step raises, PRO-013 from the verifier."""
+    began_s = time.monotonic()
+    with opened_case(request, folder, watcher) as engine:
+        engine.run_to()
+        theatre_time_s = engine.setting.clock.now_s()  # the clock ends with its theatre
+    truth = _truth(folder) if request.config is None else {"ct": None, "targets": []}
+    return _finished(request, engine, truth, theatre_time_s, time.monotonic() - began_s)
 
 
-def finished(request: CaseRequest, folder: Path, results: CaseResults) -> dict[str, Any]:
-    """What `--json` prints for a run that is done, without its report; a simulated one is held to the truth.
+def unfinished(request: CaseRequest, folder: Path, problem: BaseException) -> UnfinishedRun:
+    """A run that `problem` ended."""
+    from procedures.reporting.outcome import RunError, UnfinishedRun
 
-    Raises PRO-013 when the verifier fails.
-    """
-    truth = _truth(folder) if request.config is None else NO_TRUTH
-    errors_mm = {row["id"]: row["application_error_mm"] for row in truth["targets"]}
-    return {
-        "run": folder.name,
-        "outcome": "done",
-        "seed": request.seed,
-        "strategy": request.strategy,
-        "markers": results.markers,
-        "ct": truth["ct"],
-        "registration": {"n": results.pairs, "fre_mm": list(results.fre_mm)},
-        "targets": [
-            {
-                "id": name,
-                "depth_mm": results.depth_mm[name],
-                "predicted_tre_mm": predicted_mm,
-                "application_error_mm": errors_mm.get(name),
-            }
-            for name, predicted_mm in results.predicted_mm.items()
-        ],
-        "mean_application_error_mm": sum(errors_mm.values()) / len(errors_mm) if errors_mm else None,
-        "max_application_error_mm": max(errors_mm.values(), default=None),
-        "late_cycles": results.late_cycles,
-        "sim_s": round(results.theatre_time_s, 3),
-    }
-
-
-def unfinished(request: CaseRequest, folder: Path, outcome: str, problem: BaseException) -> dict[str, Any]:
-    """What `--json` prints for a run that did not end: the run, how it ended, and why."""
     error = as_ronna_error(problem) if isinstance(problem, Exception) else None
-    return {
-        "run": folder.name,
-        "outcome": outcome,
-        "seed": request.seed,
-        "strategy": request.strategy,
-        "error": None if error is None else {"code": error.code, "what": error.what},
-    }
+    return UnfinishedRun(
+        run=folder.name,
+        outcome="interrupted" if isinstance(problem, KeyboardInterrupt) else "failed",
+        seed=request.seed,
+        strategy=request.strategy,
+        error=None if error is None else RunError(code=error.code, what=error.what),
+    )
+
+
+def _finished(
+    request: CaseRequest, engine: Engine, truth: dict[str, Any], theatre_time_s: float, wall_s: float
+) -> FinishedRun:
+    from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
+    from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+    from procedures.steps.clinical.plan_check import CheckedPlan
+    from procedures.steps.clinical.registration import RegisteredRobot
+    from procedures.steps.clinical.retreat import Retreated
+    from procedures.steps.clinical.tool_change import MountedGuide
+
+    case, names = engine.case, engine.order.trajectories
+    registered = {name: case.get(RegisteredRobot, name).result for name in names}
+    links = [
+        case.get(MountedGuide).result.link,
+        *(link for name in names if (link := case.get(Retreated, name).result.link) is not None),
+    ]
+    depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
+    errors_mm = {row["id"]: row["application_error_mm"] for row in truth["targets"]}
+    return FinishedRun(
+        run=engine.case.folder.name,
+        seed=request.seed,
+        strategy=request.strategy,
+        markers=len(case.get(LocalizedFiducials).result.markers),
+        ct=truth["ct"],
+        registration=RegistrationOutcome(
+            n=registered[names[0]].pairs, fre_mm=tuple(one.fre_mm for one in registered.values())
+        ),
+        targets=tuple(
+            TargetOutcome(
+                id=name,
+                depth_mm=depth_mm[name],
+                predicted_tre_mm=registered[name].prediction(name).rms_mm,
+                application_error_mm=errors_mm.get(name),
+            )
+            for name in names
+        ),
+        mean_application_error_mm=sum(errors_mm.values()) / len(errors_mm) if errors_mm else None,
+        max_application_error_mm=max(errors_mm.values(), default=None),
+        late_cycles=sum(link.late_cycles + link.lost_cycles for link in links),
+        sim_s=round(theatre_time_s, 3),
+        wall_s=round(wall_s, 3),
+    )
 
 
 def _truth(folder: Path) -> dict[str, Any]:

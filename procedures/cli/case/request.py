@@ -13,22 +13,28 @@ from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.log_output import LOG_FILE
 
 
-@dataclass(frozen=True)
-class CaseRequest:
-    """A case on a simulated theatre, or with `config` and `case` on configured endpoints."""
+@dataclass(frozen=True, kw_only=True)
+class TheatreRequest:
+    """The simulated theatre to start, or with `config` the theatre file of configured endpoints."""
 
-    out: Path
+    config: Path | None = None
     choice: SceneChoice = field(default_factory=SceneChoice)
-    strategy: str = "ocs"
     speed: str = "max"
     faults: Path | None = None
-    config: Path | None = None  # a theatre file of configured endpoints, instead of a simulated theatre
-    case: Path | None = None  # folder with ct/ and plan.toml, with `config`
 
     @property
     def seed(self) -> int | None:
-        """Seed of a simulated case; None on configured endpoints."""
+        """Seed of a simulated theatre; None on configured endpoints."""
         return self.choice.own_seed if self.config is None else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseRequest(TheatreRequest):
+    """A case on that theatre, with its runs in the folder `out`."""
+
+    out: Path
+    strategy: str = "ocs"
+    case: Path | None = None  # folder with ct/ and plan.toml, with `config`
 
 
 def check_request(request: CaseRequest) -> None:

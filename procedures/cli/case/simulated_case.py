@@ -1,4 +1,4 @@
-"""A simulated theatre with its patient, started as commands: what `--sim` means and nothing more."""
+"""A simulated theatre and its patient, started as commands: what `--sim` means and nothing more."""
 
 from __future__ import annotations
 
@@ -7,40 +7,30 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from procedures.cli.case.scene_choice import SceneChoice
-from procedures.cli.case.simulated_theatre import SimulatedTheatre
+from procedures.cli.case.request import TheatreRequest
 from procedures.engine.errors import CommandRefused
+from ronna_hw.errors import EXIT_FAILED, EXIT_LINK_LOST
 from ronna_hw.host.child_process import ChildNotReady, command
+from ronna_hw.simulation import NAME, TheatreProcess
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 
 
 class SimulatedCase:
-    """Theatre and phantom in a run folder: `theatre/theatre.toml`, `case/ct/`, `case/plan.toml`."""
+    """A theatre in a folder, and with `phantom` a patient in another: `ct/` and `plan.toml`."""
 
-    def __init__(self, choice: SceneChoice, folder: Path, *, speed: str, faults: Path | None) -> None:
-        self.series = folder / "case" / "ct"
-        self.plan = folder / "case" / "plan.toml"
-        script = () if faults is None else ("--faults", str(faults))
-        self.theatre = SimulatedTheatre(
-            *choice.arguments(), "--speed", speed, "--out", str(folder / "theatre"), *script
-        )
-        self._phantom = subprocess.Popen(
-            command(
-                "sim.cli", "phantom", "--with-parent", *choice.arguments(), "--out", str(folder / "case")
-            ),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+    def __init__(self, request: TheatreRequest, folder: Path, phantom: Path | None) -> None:
+        scene = request.choice.arguments()
+        script = () if request.faults is None else ("--faults", str(request.faults))
+        self.theatre = TheatreProcess(*scene, "--speed", request.speed, "--out", str(folder), *script)
+        self._phantom = None if phantom is None else _start_phantom(scene, phantom)
 
     def await_patient(self) -> None:
         """Return when the CT series and the plan are written; raises PRO-013 with the command's words.
 
         PRC-001 when they are not in time.
         """
+        assert self._phantom is not None, "no patient was wanted"
         try:
             _, messages = self._phantom.communicate(timeout=PHANTOM_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -50,17 +40,42 @@ class SimulatedCase:
         if self._phantom.returncode != 0:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 
+    def await_theatre(self) -> None:
+        """Return when every device is ready; raises PRO-013 with the command's words, PRC-001 without any."""
+        child = self.theatre.child
+        try:
+            self.theatre.await_ready()
+        except ChildNotReady as error:
+            if not child.messages:
+                raise
+            raise CommandRefused(NAME, child.messages[-1], child.process.returncode or EXIT_FAILED) from error
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._phantom.poll() is None:
-            self._phantom.kill()
-            self._phantom.wait()
-        if self._phantom.stderr is not None:
-            self._phantom.stderr.close()
-        fallen = self.theatre.stop()
-        if fallen is not None and error is not None:
-            raise fallen from error  # what the procedure met is only the consequence
+        if self._phantom is not None:
+            if self._phantom.poll() is None:
+                self._phantom.kill()
+                self._phantom.wait()
+            if self._phantom.stderr is not None:
+                self._phantom.stderr.close()
+        child = self.theatre.child
+        ended_by_itself = bool(child.ready) and not child.alive
+        self.theatre.end()
+        if ended_by_itself and error is not None:  # what the procedure met is only the consequence
+            words = " / ".join(child.messages) or "no message"
+            raise CommandRefused(NAME, words, EXIT_LINK_LOST) from error
+
+
+def _start_phantom(scene: list[str], folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command("sim.cli", "phantom", "--with-parent", *scene, "--out", str(folder)),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )

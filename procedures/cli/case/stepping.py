@@ -6,9 +6,9 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
-from procedures.cli.case.running import Watcher, opened_engine
 from procedures.engine.errors import UnknownStep
 from ronna_hw.command_line.console import fail_with, on_terminal
 from ronna_hw.errors import RefusedError, RonnaError
@@ -31,7 +31,7 @@ def step_through(request: CaseRequest) -> None:
     folder = new_run_folder(request)
     with (
         pause_on_interrupt() as pause,
-        opened_engine(request, folder, Watcher(listener=_done, safe_point=pause.safe_point)) as engine,
+        opened_case(request, folder, Watcher(listener=_done, safe_point=pause.safe_point)) as engine,
     ):
         _say(f"run {folder.name}; {HELP}")
         while (line := _ask()) is not None:

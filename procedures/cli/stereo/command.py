@@ -15,7 +15,7 @@ from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
     from procedures.calibration import ObservationSet
-    from procedures.cli.stereo.opening import Source
+    from procedures.cli.case.request import TheatreRequest
 
 Triple = tuple[float, float, float]
 LARGE_PICTURE_PX = 544  # half the sensor's rows
@@ -95,9 +95,9 @@ def calibrate(
         observed = read_observations(recorded)
         folder = new_folder(out, "stereo")
     else:
-        source = _source(sim, scene, seed, config)
+        request = _request(sim, scene, seed, config)
         folder = new_folder(out, "stereo")
-        observed = _observe(source, folder, (poses, visits), ball)
+        observed = _observe(request, folder, (poses, visits), ball)
     files.write_observations(observed, folder)
     result = calibrate_head(observed, life=timedelta(days=days))
     files.write_result(observed, result, folder)
@@ -132,7 +132,7 @@ def check(
     calibration may not be used, 1 the ball is not in view, others as in `calibrate`.
     """
     console.set_up_logging(verbose)
-    source = _source(sim, scene, seed, config)
+    request = _request(sim, scene, seed, config)
     from procedures.calibration import Baseline, compare_with_baseline
     from procedures.calibration.observations import read_strict
     from procedures.calibration.self_check import BASELINE_FILE
@@ -144,7 +144,7 @@ def check(
     from procedures.steps.calibration.procedures import head_check
 
     with console.progress_bar("looking at the ball") as advance:
-        engine = run_steps(source, new_folder(out, "check"), head_check(then, visits), advance)
+        engine = run_steps(request, new_folder(out, "check"), head_check(then, visits), advance)
     looks = engine.case.get(VisitedBaseline).result.looks
     result = compare_with_baseline(looks, then)
     if as_json:
@@ -180,13 +180,13 @@ def measure(
     `calibrate`.
     """
     console.set_up_logging(verbose)
-    source = _source(sim, scene, seed, config)
+    request = _request(sim, scene, seed, config)
     from procedures.cli.stereo.opening import new_folder, run_steps
     from procedures.steps.calibration.procedures import head_look, look_where_it_stands
     from procedures.workcell.stereo_look import Look
 
     steps = head_look(_finite(ball)) if find or sim or ball is not None else look_where_it_stands()
-    engine = run_steps(source, new_folder(out, "measure"), steps, lambda _share: None)
+    engine = run_steps(request, new_folder(out, "measure"), steps, lambda _share: None)
     seen = engine.setting.workspace.find(Look)
     assert seen is not None, "the last step keeps what it saw"
     if picture is not None:
@@ -205,26 +205,26 @@ def _finite(ball: Triple | None) -> Triple | None:
     return ball
 
 
-def _source(sim: bool, scene: str, seed: int, config: Path | None) -> Source:
+def _request(sim: bool, scene: str, seed: int, config: Path | None) -> TheatreRequest:
     if sim == (config is not None):
         raise UsageMistake("choose one: --sim, or --config FILE")
-    from procedures.cli.stereo.opening import Source
+    from procedures.cli.case.request import TheatreRequest
     from ronna_hw.config import read_theatre_file
 
     if config is not None:
         read_theatre_file(config)
-    return Source(config, SceneChoice(scene=scene, seed=seed))
+    return TheatreRequest(config=config, choice=SceneChoice(scene=scene, seed=seed))
 
 
 def _observe(
-    source: Source, folder: Path, numbers: tuple[int, int], ball_mm: Triple | None
+    request: TheatreRequest, folder: Path, numbers: tuple[int, int], ball_mm: Triple | None
 ) -> ObservationSet:
     from procedures.cli.stereo.opening import run_steps
     from procedures.steps.calibration.ball_observation import ObservedBall
     from procedures.steps.calibration.procedures import head_calibration
 
     with console.progress_bar("looking at the ball") as advance:
-        engine = run_steps(source, folder, head_calibration(*numbers, ball_mm), advance, expired_too=True)
+        engine = run_steps(request, folder, head_calibration(*numbers, ball_mm), advance, expired_too=True)
     result = engine.case.get(ObservedBall).result
     for remark in result.remarks:
         console.tell(remark)

@@ -50,7 +50,7 @@ class ImportedCt(StepResult, kind="ct_import"):
 def run(context: StepContext) -> Outcome[ImportedCt]:
     """Read and check the series; the record names it and holds the hash of its voxels."""
     volume = read_series(
-        context.case.series, progress=lambda share: context.progress(share, "reading the CT series")
+        context.clinical.series, progress=lambda share: context.progress(share, "reading the CT series")
     )
     context.setting.workspace.keep(volume)
     imported = ImportedCt.of(volume)
@@ -69,7 +69,7 @@ def volume_of(context: StepContext) -> Volume:
     kept = context.setting.workspace.find(Volume)
     if kept is not None:
         return kept
-    volume = read_series(context.case.series)
+    volume = read_series(context.clinical.series)
     now = ImportedCt.of(volume)
     changed = [name for name in ImportedCt.model_fields if getattr(now, name) != getattr(imported, name)]
     if changed:

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from procedures.engine.case import PICTURES_FOLDER
 from procedures.engine.context import StepContext
 from procedures.engine.result import Matrix3, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
@@ -16,7 +15,6 @@ from procedures.imaging.pictures import marker_pictures
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from ronna_hw.calibration import Numbers3
-from ronna_hw.records import write_whole
 
 
 class LocalizedMarker(Values):
@@ -65,10 +63,8 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
     """Localize every sphere; how many there must be is the plan's word, checked with the plan."""
     volume = volume_of(context)
     found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
-    pictures = context.case.folder / PICTURES_FOLDER
-    pictures.mkdir(exist_ok=True)
     for number, picture in enumerate(marker_pictures(volume, found), start=1):
-        write_whole(pictures / f"ct-{number}.png", picture)
+        context.keep_picture(f"ct-{number}.png", picture)
     return Outcome(
         LocalizedFiducials(
             series_instance_uid=found.series_instance_uid,

@@ -83,7 +83,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         kinematics=workcell.arm.kinematics,
         robot_from_ct=correspondence.robot_from_ct.transform,
         flange_from_tool=workcell.flange_from(MountedTool.GUIDE),
-        strategy=context.setting.strategy,
+        strategy=context.clinical.strategy,
         flange_from_stereo=workcell.flange_from(MountedTool.STEREO_HEAD),
         start_rad=context.result(CheckedSetUp).home_rad,
         approach_mm=context.setting.settings.standoff_mm,
@@ -100,7 +100,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     motions = previews_of(setting, scene, check, turned.trajectories)
     return Outcome(
         CheckedPaths(
-            strategy=context.setting.strategy.name,
+            strategy=context.clinical.strategy.name,
             free_angle_turns_rad={
                 one.identifier: turn for one, turn in zip(turned.trajectories, turned.turns_rad, strict=True)
             },

@@ -47,7 +47,7 @@ class CheckedPlan(StepResult, kind="plan_check"):
 def run(context: StepContext) -> Outcome[CheckedPlan]:
     """Check the plan; raises PLAN-00x with everything that is wrong."""
     localization = context.result(LocalizedFiducials)
-    plan = read_plan(context.case.plan)
+    plan = read_plan(context.clinical.plan)
     planned = tuple(trajectory.id for trajectory in plan.trajectories)
     if planned != context.trajectories:
         raise GateFailed(

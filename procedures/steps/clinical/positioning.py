@@ -31,7 +31,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     planned = context.result(CheckedPlan).trajectory(trajectory)
-    target = context.setting.strategy.target_pose(
+    target = context.clinical.strategy.target_pose(
         paths.turned(planned.trajectory),
         robot_from_ct,
         localized_as=paths.localizations_for((trajectory, *context.trajectories))[0].tool_pose.transform,

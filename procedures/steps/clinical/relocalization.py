@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from procedures.engine.case import PICTURES_FOLDER
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
 from procedures.engine.result import Matrix3, Numbers6, StepResult
@@ -27,11 +26,9 @@ from procedures.steps.clinical.head_surroundings import READS, surround_stereo_h
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
-from procedures.workcell.stereo_look import Look
 from procedures.workcell.stereo_picture import pair_picture
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.records import write_whole
 
 Array = NDArray[np.float64]
 
@@ -74,7 +71,8 @@ def run(context: StepContext) -> Outcome[Relocalization]:
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
         coarse = item.tool_pose.transform
         sphere = centring.onto(item.fiducial, _shifted(coarse, offset_mm), item.approach_rad)
-        _keep_picture(context, item.fiducial, sphere.last_look)
+        name = f"stereo-{context.key.trajectory or 'all'}-{item.fiducial + 1}.png"
+        context.keep_picture(name, pair_picture(sphere.last_look))
         offset_mm = sphere.point_mm - coarse.translation_mm
         found.append(sphere)
     coarse_mm = np.array([item.tool_pose.translation_mm for item in planned])
@@ -94,14 +92,6 @@ def run(context: StepContext) -> Outcome[Relocalization]:
         summary=f"{len(found)} spheres, last residuals at most "
         f"{max(sphere.residuals_mm[-1] for sphere in found):.3f} mm",
     )
-
-
-def _keep_picture(context: StepContext, fiducial: int, seen: Look) -> None:
-    """Write `pictures/stereo-<trajectory>-<fiducial>.png` into the run folder."""
-    folder = context.case.folder / PICTURES_FOLDER
-    folder.mkdir(exist_ok=True)
-    name = f"stereo-{context.key.trajectory or 'all'}-{fiducial + 1}.png"
-    write_whole(folder / name, pair_picture(seen))
 
 
 def _shifted(pose: Transform, offset_mm: Array) -> Transform:

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.result import Numbers6, StepResult
-from procedures.engine.step import Outcome, Phase, Scope, StepKey, StepSpec
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.conditions import inserted
 from procedures.steps.clinical.link_health import LinkHealth, link_health
@@ -29,18 +29,12 @@ def run(context: StepContext) -> Outcome[Retreated]:
     reached = workcell.withdraw(context.trajectory)
     context.result(PositionedGuide)
     context.result(ReachedTarget)
-    if not _was_last(context):
+    if not context.is_last_trajectory():  # any may come first
         return Outcome(Retreated(parked=False, joints_rad=reached.joints_rad), "outside the entry")
     reached = workcell.go_home()
     link = link_health(context)
     workcell.rest()
     return Outcome(Retreated(parked=True, joints_rad=reached.joints_rad, link=link), "parked")
-
-
-def _was_last(context: StepContext) -> bool:
-    """Whether the guide has been at every other target; any may come first."""
-    others = (name for name in context.trajectories if name != context.trajectory)
-    return all(context.case.stands(StepKey(Retreated.kind, name)) for name in others)
 
 
 STEP = StepSpec(

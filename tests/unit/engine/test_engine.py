@@ -77,8 +77,8 @@ def test_a_refused_step_lists_what_is_unmet_and_is_journalled(cell: RecordingCel
 
 
 def test_a_step_that_fails_stops_the_arm_and_leaves_the_chart_in_fault(cell: RecordingCell) -> None:
-    def fail(context: StepContext) -> Outcome[StepResult]:
-        context.workcell.arm.activate()
+    def fail(_context: StepContext) -> Outcome[StepResult]:
+        cell.arm.activate()
         raise LinkTimeout("the tracker is silent")
 
     engine = cell.engine(plain_order(image=fail))
@@ -103,8 +103,8 @@ def test_evidence_that_comes_with_an_error_is_kept_in_the_run_folder(cell: Recor
 
 
 def test_an_interrupted_step_stops_the_arm_and_is_journalled(cell: RecordingCell) -> None:
-    def interrupt(context: StepContext) -> Outcome[StepResult]:
-        context.workcell.arm.activate()
+    def interrupt(_context: StepContext) -> Outcome[StepResult]:
+        cell.arm.activate()
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -6,18 +6,12 @@ from procedures.engine.order import order_of
 from procedures.steps.catalogue import CLINICAL_STEPS
 
 
-def test_a_step_with_unmet_preconditions_is_not_entered() -> None:
-    machine = ProcedureMachine(plain_order())
-    assert not machine.begin("image", ("no series",))
-    assert machine.state == "idle"
-
-
 @pytest.mark.parametrize("trajectories", [("T1",), ("T1", "T2", "T3")])
 def test_the_sequence_of_a_case_leads_through_the_chart_to_its_end(trajectories: tuple[str, ...]) -> None:
     order = order_of(CLINICAL_STEPS, trajectories)
     machine = ProcedureMachine(order)
     for key in order.sequence:
-        assert machine.begin(key.name, ())
+        machine.begin(key.name)
         assert machine.state == state_of(order.spec(key))
     machine.finish()
     assert machine.state == "finished"
@@ -38,7 +32,7 @@ def test_what_is_repeated_for_each_trajectory_leads_back_in_the_chart() -> None:
 
 def test_a_failed_step_leads_to_fault_and_nothing_leads_out() -> None:
     machine = ProcedureMachine(plain_order())
-    machine.begin("image", ())
+    machine.begin("image")
     machine.fail()
     assert machine.state == "fault"
     assert machine.ended

@@ -37,7 +37,7 @@ def fit(trajectory: str, x_mm: float) -> RegisteredRobot:
 def record(run: Path, *results: tuple[StepKey, StepResult]) -> Path:
     """A run folder with these results, in this order, each in place of a former one of its step."""
     run.mkdir(exist_ok=True)
-    case, journal = Case(run, run / "ct", run / "plan.toml"), Journal(run)
+    case, journal = Case(run), Journal(run)
     for key, result in results:
         stored = case.store(key, result, ())
         gone = [one.identifier for one in case.superseded_by(key)]

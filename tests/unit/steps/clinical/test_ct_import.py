@@ -14,7 +14,7 @@ PLAIN = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000
 
 
 def test_the_record_names_the_series_and_its_geometry(cell: ClinicalCell) -> None:
-    write_series(cell.case.series, PLAIN, (1.25, 0.9, 0.4))
+    write_series(cell.series, PLAIN, (1.25, 0.9, 0.4))
     done = cell.run(STEP).result
     assert (done.shape, done.patient_position) == ((5, 6, 7), "HFS")
     assert done.spacing_mm == pytest.approx((1.25, 0.9, 0.4))
@@ -26,14 +26,14 @@ def test_other_voxels_have_another_hash(tmp_path: Path) -> None:
     hashes = []
     for number, voxels in enumerate((PLAIN, PLAIN, PLAIN + 1)):
         cell = ClinicalCell(tmp_path / str(number))
-        write_series(cell.case.series, voxels)
+        write_series(cell.series, voxels)
         hashes.append(cell.run(STEP).result.voxels_sha256)
     assert hashes[0] == hashes[1] != hashes[2]
 
 
 @pytest.mark.hazard(35)
 def test_who_the_patient_is_does_not_enter_the_run_folder(cell: ClinicalCell) -> None:
-    write_series(cell.case.series, PLAIN)
+    write_series(cell.series, PLAIN)
     cell.run(STEP)
     written = [path for path in cell.folder.rglob("*") if path.is_file() and path.suffix != ".dcm"]
     assert {path.name for path in written} == {"journal.jsonl", "01-ct_import.json"}

@@ -16,8 +16,8 @@ def imported(cell: ClinicalCell) -> ImportedCt:
     """A series with one sphere in the case's folder, imported; its voxels are not at hand any more."""
     scan = Scan()
     scan.marker(np.array([20.0, 20.0, 20.0]), np.array([0.0, 1.0, 0.3]), skin=False)
-    write_series(cell.case.series, scan.voxels(), origin_mm=(-20.0, -30.0, 40.0))
-    return ImportedCt.of(read_series(cell.case.series))
+    write_series(cell.series, scan.voxels(), origin_mm=(-20.0, -30.0, 40.0))
+    return ImportedCt.of(read_series(cell.series))
 
 
 @pytest.mark.hazard(1)

@@ -34,7 +34,7 @@ def checked(
     series: str = SERIES,
 ) -> CheckedPlan:
     """The result of the step on the head of the scene."""
-    write_plan(planned or plan(), cell.case.plan)
+    write_plan(planned or plan(), cell.plan)
     engine = cell.begin(imported_ct(), localized_fiducials(CENTRES_CT_MM[:spheres]), STEP)
     engine.setting.workspace.keep(head_volume(series))
     engine.run_to()
@@ -69,7 +69,7 @@ def test_a_trajectory_whose_ends_are_exchanged_is_refused(cell: ClinicalCell) ->
 
 
 def test_a_plan_with_a_mistake_is_refused_with_its_name(cell: ClinicalCell) -> None:
-    cell.case.plan.write_text("schema = 1\n")
+    cell.plan.write_text("schema = 1\n")
     engine = cell.begin(imported_ct(), localized_fiducials(), STEP)
     with pytest.raises(PlanMistakes, match=r"plan\.toml"):
         engine.run_to()

@@ -1,0 +1,172 @@
+"""Opens the engine of a procedure: its theatre, started or configured, and who answers and acts there."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.operators import ScriptedOperator, SimulatedRoom, TerminalOperator, TerminalRoom
+from procedures.cli.case.request import CaseRequest, TheatreRequest
+from procedures.cli.case.simulated_case import SimulatedCase
+from ronna_hw.command_line.messages import tell
+from ronna_hw.host.interruption import interruption_deferred
+from ronna_hw.log_output import keep_log
+
+if TYPE_CHECKING:
+    from procedures.engine.context import ClinicalInput, Progress
+    from procedures.engine.engine import Engine, Listener
+    from procedures.engine.operator import Operator, Room
+    from procedures.engine.order import CaseOrder
+    from ronna_hw.config import Calibrations
+    from ronna_hw.theatre import Theatre
+
+
+@dataclass(frozen=True)
+class Watcher:
+    """Who follows a run while it runs."""
+
+    progress: Progress = lambda _share, _text: None
+    listener: Listener = lambda _key, _outcome: None
+    status: Callable[[str], None] = lambda _text: None
+    safe_point: Callable[[], None] = lambda: None
+    asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
+
+
+@dataclass(frozen=True)
+class Procedure:
+    """What the engine is to run. `calibrations` take the place of those of the theatre file."""
+
+    order: CaseOrder
+    clinical: ClinicalInput | None = None
+    calibrations: Calibrations | None = None
+
+
+@contextlib.contextmanager
+def opened_engine(
+    request: TheatreRequest,
+    folder: Path,
+    procedure: Callable[[Theatre], Procedure],
+    watcher: Watcher,
+    *,
+    phantom: Path | None = None,
+) -> Iterator[Engine]:
+    """The engine of a procedure, ready to run its first step. Whatever happens, everything ends with it.
+
+    `procedure` is called with the theatre, before its devices are connected; a simulated patient is made in
+    the folder `phantom`.
+    """
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
+        file = request.config
+        operator: Operator = TerminalOperator(watcher.asking)
+        room: Room = TerminalRoom(watcher.asking)
+        if file is None:
+            simulated = stack.enter_context(SimulatedCase(request, folder / "theatre", phantom))
+            importlib.import_module("procedures.steps.catalogue")  # a second of imports, meanwhile
+            if phantom is not None:
+                watcher.status("making the phantom CT")
+                simulated.await_patient()
+            watcher.status("opening the theatre")
+            simulated.await_theatre()
+            file = simulated.theatre.file
+            operator = ScriptedOperator()
+            room = stack.enter_context(contextlib.closing(SimulatedRoom(simulated.theatre.control)))
+        engine = _make_engine(request, folder, file, procedure, operator, room, watcher)
+        outcome = "failed"
+        try:
+            yield engine
+            outcome = "done" if engine.upcoming is None else "left"
+        except BaseException as problem:
+            ignore_further_signals()
+            if isinstance(problem, KeyboardInterrupt):
+                outcome = "interrupted"
+            raise
+        finally:
+            if engine.instrument_in is not None:
+                tell(f"the instrument is still in {engine.instrument_in}: the arm rests and will not move it")
+            with interruption_deferred():
+                engine.close(outcome)
+
+
+def opened_case(request: CaseRequest, folder: Path, watcher: Watcher) -> AbstractContextManager[Engine]:
+    """The engine of a clinical case, as `opened_engine`."""
+    case = request.case or folder / "case"
+
+    def procedure(_theatre: Theatre) -> Procedure:
+        from procedures.engine.context import ClinicalInput
+        from procedures.engine.order import order_of
+        from procedures.planning.plan_file import read_plan
+        from procedures.steps.catalogue import CLINICAL_STEPS
+        from procedures.strategies.catalogue import strategy_named
+
+        strategy = strategy_named(request.strategy)
+        order = order_of(
+            CLINICAL_STEPS,
+            [trajectory.id for trajectory in read_plan(case / "plan.toml").trajectories],
+            localizes_per_trajectory=strategy.localizes_per_trajectory,
+        )
+        return Procedure(order, ClinicalInput(case / "ct", case / "plan.toml", strategy))
+
+    return opened_engine(request, folder, procedure, watcher, phantom=case)
+
+
+def ignore_further_signals() -> None:
+    """From here on everything ends anyway; a second signal would only tear the ending apart."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _make_engine(
+    request: TheatreRequest,
+    folder: Path,
+    file: Path,
+    procedure: Callable[[Theatre], Procedure],
+    operator: Operator,
+    room: Room,
+    watcher: Watcher,
+) -> Engine:
+    from procedures.engine.case import Case
+    from procedures.engine.context import CaseSetting
+    from procedures.engine.engine import Engine
+    from procedures.engine.journal import Entry, Journal
+    from procedures.workcell import Workcell
+    from ronna_hw.theatre import Theatre
+
+    theatre = Theatre.from_file(file)
+    wanted = procedure(theatre)
+    journal = Journal(folder)
+    workcell = Workcell(theatre, journal, calibrations=wanted.calibrations)
+    journal.write(
+        Entry.OPENED,
+        theatre.clock.now_s(),
+        theatre=theatre.file.theatre,
+        banner=theatre.file.banner,
+        strategy=None if wanted.clinical is None else wanted.clinical.strategy.name,
+        seed=request.seed,
+    )
+    return Engine(
+        wanted.order,
+        Case(folder),
+        CaseSetting(
+            workcell=workcell,
+            clock=theatre.clock,
+            operator=operator,
+            room=room,
+            settings=theatre.file.procedure,
+            surroundings=theatre.file.cell,
+            clinical=wanted.clinical,
+            progress=watcher.progress,
+        ),
+        journal,
+        listener=watcher.listener,
+        safe_point=watcher.safe_point,
+        on_ending=ignore_further_signals,
+    )

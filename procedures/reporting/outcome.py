@@ -1,0 +1,73 @@
+"""What a run came to. The JSON of these models is what `ronna-procedure run --json` prints: a contract."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from procedures.engine.result import Values
+
+
+class CtOutcome(Values):
+    """The spheres found in the CT, against the truth."""
+
+    found: int
+    missed: int
+    false: int
+    rms_error_mm: float | None
+
+
+class RegistrationOutcome(Values):
+    """Matched fiducials, and the residual of each registration."""
+
+    n: int
+    fre_mm: tuple[float, ...]
+
+
+class TargetOutcome(Values):
+    """One target; the application error is known only in a simulated theatre."""
+
+    id: str
+    depth_mm: float
+    predicted_tre_mm: float = Field(description="Root mean square.")
+    application_error_mm: float | None
+
+
+class RunOutcome(Values):
+    """What every run can say of itself."""
+
+    run: str
+    outcome: str
+    seed: int | None
+    strategy: str
+
+
+class FinishedRun(RunOutcome):
+    """A run to the end of its case."""
+
+    outcome: Literal["done"] = "done"
+    markers: int = Field(description="Found in the CT.")
+    ct: CtOutcome | None
+    registration: RegistrationOutcome
+    targets: tuple[TargetOutcome, ...]
+    mean_application_error_mm: float | None
+    max_application_error_mm: float | None
+    late_cycles: int = Field(description="Late or lost, over all sessions of the robot link.")
+    sim_s: float = Field(description="Theatre time.")
+    wall_s: float
+    report: str | None = None
+
+
+class RunError(Values):
+    """What ended a run."""
+
+    code: str
+    what: str
+
+
+class UnfinishedRun(RunOutcome):
+    """A run that was interrupted or failed."""
+
+    outcome: Literal["interrupted", "failed"]
+    error: RunError | None
