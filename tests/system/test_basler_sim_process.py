@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import signal
 import socket
 import struct
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -23,7 +21,6 @@ from sim.theatre.world import World
 LIMIT_S = 30.0
 CCP, HEARTBEAT, SCP, SCPS, SCDA = 0xA00, 0x938, 0xD00, 0xD04, 0xD18
 RECEIVE_BUFFER_BYTES = 8 << 20
-SHARE = 8000 - 36
 
 
 class Client:
@@ -110,11 +107,6 @@ class Client:
         self.set("TLParamsLocked", 1)
         self.set("AcquisitionStart", 1)
 
-    def resend(self, block: int, packet: int) -> None:
-        """Asked from the stream's socket, as clients do: a thread of its own may use it."""
-        request = struct.pack(">BBHHHHHII", 0x42, 0, 0x40, 12, 1, 0, block, packet, packet)
-        self.stream.sendto(request, (self.address, 3956))
-
     def frame(self) -> dict[int, bytes]:
         """Packets of the next frame by their id, until its trailer has come."""
         packets: dict[int, bytes] = {}
@@ -154,21 +146,6 @@ def test_ready_names_the_endpoints_of_both_cameras(cameras: ChildProcess) -> Non
     assert all(address.startswith("127.77.") for address in addresses(cameras))
 
 
-def test_01_discovery_reaches_both_cameras_by_broadcast(cameras: ChildProcess) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as finder:
-        finder.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        finder.bind(("127.0.0.1", 0))
-        finder.settimeout(LIMIT_S)
-        finder.sendto(struct.pack(">BBHHH", 0x42, 0x11, 2, 0, 9), ("127.255.255.255", 3956))
-        found: dict[str, bytes] = {}
-        while not set(addresses(cameras)) <= set(found):
-            answer, (sender, _) = finder.recvfrom(2048)
-            found[sender] = answer[8:]
-    ours = [found[address] for address in addresses(cameras)]
-    assert [content[0xD8:0xE0] for content in ours] == [b"21904411", b"21904412"]
-    assert ours[0][0x0A:0x10] != ours[1][0x0A:0x10]
-
-
 def test_a_triggered_pair_shows_the_sphere_of_the_bench(cameras: ChildProcess) -> None:
     left, right = (Client(address) for address in addresses(cameras))
     with left, right:
@@ -186,121 +163,6 @@ def test_a_triggered_pair_shows_the_sphere_of_the_bench(cameras: ChildProcess) -
                 assert pixels[500:590, 980:1070].mean() > 150
                 assert pixels[:50].mean() < 20
             assert not np.array_equal(*(image(packets) for packets in pair))
-
-
-@pytest.mark.parametrize("signal_number", [signal.SIGKILL, signal.SIGTERM])
-def test_40_a_client_that_dies_while_streaming_leaves_the_camera_usable(
-    cameras: ChildProcess, signal_number: int
-) -> None:
-    script = f"""
-import struct, socket, sys, time
-control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-stream.bind(("127.0.0.1", 0))
-writes = ((0xA00, 1), (0x938, 500), ({{mode}}, 0), (0xD18, 0x7F000001), (0xD00, stream.getsockname()[1]),
-          ({{start}}, 1))
-for number, (address, value) in enumerate(writes, 1):
-    command = struct.pack(">BBHHHII", 0x42, 1, 0x82, 8, number, address, value)
-    control.sendto(command, ({addresses(cameras)[0]!r}, 3956))
-    assert control.recv(100)[:2] == bytes(2)
-stream.recv(65536)
-print("streaming", flush=True)
-time.sleep(60)
-"""
-    with Client(addresses(cameras)[0]) as client:
-        script = script.replace("{start}", str(client.place("AcquisitionStart")))
-        script = script.replace("{mode}", str(client.place("TriggerMode")))
-        careless = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
-        with careless:
-            try:
-                assert careless.stdout is not None
-                assert careless.stdout.readline() == "streaming\n"
-                assert client.write(CCP, 2) == 0x8006
-                careless.send_signal(signal_number)
-            finally:
-                careless.kill()
-        deadline = time.monotonic() + LIMIT_S
-        while client.write(CCP, 2) != 0:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        assert client.write(CCP, 0) == 0
-        client.begin(trigger=True, width=640, height=480)
-        client.set("TriggerSoftware", 1)
-        assert image(client.frame()).shape == (480, 640)
-
-
-class Receiver(threading.Thread):
-    """Takes frames from one camera, asks again for what is missing, and notes what came."""
-
-    def __init__(self, client: Client, frames: int) -> None:
-        super().__init__(daemon=True)
-        self.client = client
-        self.stamps: dict[int, int] = {}
-        self.missing = {block: set(range(-(-2048 * 1088 // SHARE) + 2)) for block in range(1, frames + 1)}
-        self.gone: set[int] = set()
-        self.asked = 0
-
-    def run(self) -> None:
-        while self.missing:
-            packet = self.client.stream.recv(65536)
-            status, block, word = struct.unpack_from(">HHI", packet)
-            number = word & 0xFFFFFF
-            if status == 0x800C:  # this machine stalled for longer than the camera remembers
-                self.gone.add(block)
-                self.missing.pop(block, None)
-            elif block in self.missing:
-                if number == 0:
-                    self.stamps[block] = leader(packet)["stamp"]
-                self.missing[block].discard(number)
-                if not self.missing[block]:
-                    del self.missing[block]
-            if status == 0 and number == 0:
-                self._ask_before(block)
-
-    def _ask_before(self, block: int) -> None:
-        for old in [each for each in self.missing if each < block]:
-            for packet_id in self.missing[old]:
-                self.client.resend(old, packet_id)
-                self.asked += 1
-
-
-def received(cameras: ChildProcess, frames: int) -> list[Receiver]:
-    clients = [Client(address) for address in addresses(cameras)]
-    receivers = [Receiver(client, frames) for client in clients]
-    for receiver in receivers:
-        receiver.client.begin(trigger=False)
-        receiver.start()
-    for receiver in receivers:
-        while receiver.is_alive():
-            # The thread has the stream socket for itself; this is the heartbeat.
-            receiver.join(timeout=0.5)
-            for other in receivers:
-                other.client._socket.settimeout(LIMIT_S)
-                other.client.read(CCP)
-    for client in clients:
-        client.close()
-    return receivers
-
-
-@pytest.mark.slow  # real time: how many frames get through is also a matter of what else runs here
-def test_36_both_cameras_send_full_frames_at_fifty_per_second(cameras: ChildProcess) -> None:
-    for receiver in received(cameras, 60):
-        assert len(receiver.gone) <= 6
-        blocks = sorted(receiver.stamps)
-        assert set(blocks) | receiver.gone == set(range(1, 61))
-        # Stamps are those of the exposures, whatever this machine was busy with when the frames were sent.
-        assert np.median(np.diff([receiver.stamps[block] for block in blocks])) == 125_000_000 // 50
-
-
-@pytest.mark.slow
-def test_31_packets_that_the_network_loses_are_repaired() -> None:
-    world = World.create(named_scene("bench"), paced=True)
-    world.set_fault_script("at 0 s: camera drop 2 % for 600 s")
-    arguments = command("sim.cli", "basler", "--world", world.endpoint)
-    with ChildProcess("ronna-sim basler", arguments) as cameras:
-        for receiver in received(cameras, 20):
-            assert len(receiver.gone) <= 2
-            assert receiver.asked > 50
 
 
 def test_in_lock_step_pairs_take_theatre_time_and_no_more() -> None:
