@@ -52,3 +52,10 @@ class BadDeviceParameter(ConfigurationError):
 
     code = "SIM-010"
     action = "Write --set robot.NAME=VALUE or --set tracker.NAME=VALUE."
+
+
+class FolderNotEmpty(ConfigurationError):
+    """The folder for a phantom case already holds files."""
+
+    code = "SIM-011"
+    action = "Give a new or empty folder, or delete this one."

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sim.basler.optics.blur import blurred
 from sim.theatre.faults import Fault, FaultBoard
-from sim.theatre.faults.camera_link import BOTH
+from sim.theatre.faults.camera import BOTH
 from sim.theatre.noise import noise
 from sim.theatre.scene.model import CameraTruth
 from sim.theatre.world import World

@@ -23,7 +23,7 @@ class Fiducials(StrEnum):
 
 
 def phantom(
-    out: Annotated[Path, typer.Option(help="Folder for ct/, plan.toml and truth.json; made if missing.")],
+    out: Annotated[Path, typer.Option(help="New or empty folder for ct/, plan.toml and truth.json.")],
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = DEFAULT_SCENE,
     seed: Annotated[int, typer.Option(min=0, help="Seed of a built-in scene.")] = 0,
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
@@ -45,7 +45,7 @@ def phantom(
     Families for tuning a localizer: plain, posts, dressing. For judging it: narrow, broad, clamp, electrodes,
     bandage, crowded, edge, streaks, bare.
     """
-    from sim.errors import BadScene
+    from sim.errors import BadScene, FolderNotEmpty
     from sim.phantom.case import write_case
     from sim.phantom.families.drawn_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
@@ -53,6 +53,8 @@ def phantom(
 
     if with_parent:
         end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))
+    if out.is_dir() and any(out.iterdir()):
+        raise FolderNotEmpty(f"{out} is not empty; nothing in it was changed")
     if family is not None or fiducials is Fiducials.XFRAME:
         if scene != DEFAULT_SCENE or targets is not None:
             raise BadScene("a family draws its own head and trajectory; leave --scene and --targets out")

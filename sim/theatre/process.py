@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -21,6 +22,7 @@ from sim.theatre.scene.model import Scene, read_scene
 from sim.theatre.scene.named_scenes import SCENES, named_scene
 from sim.theatre.world import World
 
+PARENT_GONE = "stopping: the process that started this simulator has ended\n"
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
 
 
@@ -53,6 +55,9 @@ def end_with_parent(end: Callable[[], None]) -> None:
     def watch() -> None:
         while not PARENT.gone:
             time.sleep(PARENT_CHECK_S)
+        with contextlib.suppress(OSError):  # nobody may be left to read it
+            sys.stderr.write(PARENT_GONE)
+            sys.stderr.flush()
         leave()
 
     threading.excepthook = _end_with_thread

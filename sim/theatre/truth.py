@@ -1,4 +1,4 @@
-"""Ground truth of tip and targets, for the verifier only."""
+"""Ground truth of the guide's tip, for the verifier only."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadTruth
-from sim.theatre.rigid import apply, matrix_of
+from sim.theatre.rigid import matrix_of
 from sim.theatre.world import World
 
 TRUTH_FILE = "truth.jsonl"
@@ -18,7 +18,7 @@ SCENE_FILE = "scene.json"
 
 
 class TipSample(Strict):
-    """Where the tip of the guide and a target really were at one moment, robot frame."""
+    """Where the tip of the guide really was at one moment, robot frame."""
 
     target: str
     theatre_time_s: float
@@ -26,18 +26,13 @@ class TipSample(Strict):
     arm_at_rest: bool
     tip_mm: Numbers3
     axis: Numbers3  # direction of the guide, unit vector
-    target_mm: Numbers3
-    entry_mm: Numbers3
 
 
 def sample_tip(world: World, target: str) -> TipSample:
-    """Take the true tip pose and the true target; raises KeyError for an unknown target."""
-    scene = world.scene
-    planned = {item.identifier: item for item in scene.head.targets}[target]
+    """Take the true tip pose at a target of the plan, whatever its name."""
     arm = world.arm()
-    tip = arm.robot_from_flange @ matrix_of(scene.mount.flange_from_tool_true)
-    tip = tip @ matrix_of(scene.mount.tool_from_tip_true)
-    robot_from_ct = matrix_of(scene.head.robot_from_ct)
+    tip = arm.robot_from_flange @ matrix_of(world.scene.mount.flange_from_tool_true)
+    tip = tip @ matrix_of(world.scene.mount.tool_from_tip_true)
     return TipSample(
         target=target,
         theatre_time_s=world.clock.now_s(),
@@ -45,8 +40,6 @@ def sample_tip(world: World, target: str) -> TipSample:
         arm_at_rest=arm.at_rest,
         tip_mm=_three(tip[:3, 3]),
         axis=_three(tip[:3, 2]),
-        target_mm=_three(apply(robot_from_ct, planned.target_ct_mm)),
-        entry_mm=_three(apply(robot_from_ct, planned.entry_ct_mm)),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ronna_hw.records import Record, read_record
 from sim.errors import NothingToVerify
+from sim.theatre.rigid import apply, matrix_of
 from sim.theatre.scene.model import Scene, read_scene
 from sim.theatre.truth import SCENE_FILE, TipSample, read_samples
 
@@ -38,11 +39,17 @@ def verify_run(run: Path) -> dict[str, Any]:
     return {
         "ct": _verify_ct(scene, localization),
         "targets": [
-            _verify_target(scene, samples[target.identifier])
-            for target in scene.head.targets
-            if target.identifier in samples
+            _verify_target(scene, trajectory, samples[trajectory["id"]])
+            for trajectory in _planned(run)
+            if trajectory["id"] in samples
         ],
     }
+
+
+def _planned(run: Path) -> list[dict[str, Any]]:
+    """The trajectories of the plan that the run followed; the scene may know others by other names."""
+    plan = _record(run, "plan_check")
+    return list(plan.payload["plan"]["trajectories"]) if plan is not None else []
 
 
 def _record(run: Path, kind: str) -> Record | None:
@@ -69,8 +76,10 @@ def _verify_ct(scene: Scene, localization: Record | None) -> dict[str, Any] | No
     }
 
 
-def _verify_target(scene: Scene, sample: TipSample) -> dict[str, Any]:
-    tip, target, entry = (np.array(v) for v in (sample.tip_mm, sample.target_mm, sample.entry_mm))
+def _verify_target(scene: Scene, trajectory: dict[str, Any], sample: TipSample) -> dict[str, Any]:
+    robot_from_ct = matrix_of(scene.head.robot_from_ct)
+    target, entry = (apply(robot_from_ct, trajectory[end]) for end in ("target_mm", "entry_mm"))
+    tip = np.array(sample.tip_mm)
     planned_axis = (target - entry) / np.linalg.norm(target - entry)
     error = tip - target
     axial = float(error @ planned_axis)

@@ -32,17 +32,19 @@ def _runs(pid: int) -> bool:
 
 @pytest.mark.parametrize("lifetime_s", [0.0, 0.03, 0.1, 0.3])
 @pytest.mark.parametrize("device", ["polaris", "theatre"])
-def test_a_simulator_ends_when_its_parent_dies_while_it_starts(
+def test_a_simulator_ends_and_says_why_when_its_parent_dies_while_it_starts(
     device: str, lifetime_s: float, tmp_path: Path
 ) -> None:
     arguments = {
         "polaris": ("polaris", "--endpoint", "tcp://127.0.0.1:0"),
         "theatre": ("theatre", "--scene", "mini", "--out", str(tmp_path)),
     }[device]
-    parent = subprocess.run(
-        [sys.executable, "-c", PARENT, str(lifetime_s), *command("sim.cli", *arguments)],
-        capture_output=False, stdout=subprocess.PIPE, text=True, timeout=30, check=True,
-    )  # fmt: skip
+    heard = tmp_path / "stderr.txt"
+    with heard.open("w") as stderr:
+        parent = subprocess.run(
+            [sys.executable, "-c", PARENT, str(lifetime_s), *command("sim.cli", *arguments)],
+            stdout=subprocess.PIPE, stderr=stderr, text=True, timeout=30, check=True,
+        )  # fmt: skip
     pid = int(parent.stdout)
     deadline = time.monotonic() + END_LIMIT_S
     try:
@@ -52,3 +54,4 @@ def test_a_simulator_ends_when_its_parent_dies_while_it_starts(
     finally:
         if _runs(pid):
             os.kill(pid, signal.SIGKILL)
+    assert heard.read_text() == "stopping: the process that started this simulator has ended\n"

@@ -64,10 +64,11 @@ def test_json_says_what_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "exit_code"),
     [
-        (("--scene", "/nowhere/scene.toml", "--out", "{tmp}"), "SIM-001", 2),
+        (("--scene", "/nowhere/scene.toml", "--out", "{tmp}/new"), "SIM-001", 2),
         (("--markers", "9", "--out", "{tmp}"), "CLI-001", 2),
         ((), "CLI-001", 2),
         (("--scene", "mini", "--out", "{tmp}/file/case"), "CLI", 1),
+        (("--scene", "mini", "--out", "{tmp}"), "SIM-011", 2),
     ],
 )
 def test_mistakes_are_one_message_with_a_code(

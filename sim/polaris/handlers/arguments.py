@@ -19,20 +19,8 @@ def hexadecimal(text: str, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
     return int(text, 16)
 
 
-def need_length(argument: str, *lengths: int) -> None:
-    """Raise Refusal unless the argument has one of these lengths."""
-    if len(argument) not in lengths:
-        raise Refusal(ErrorCode.PARAMETER_COUNT)
-
-
-def no_argument(argument: str) -> None:
-    """Raise Refusal for an argument to a command that takes none."""
-    need_length(argument.strip(), 0)
-
-
 def digit_within(argument: str, low: int, high: int, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
-    """The value of one decimal digit; raises Refusal for anything else or out of range."""
-    need_length(argument, 1)
+    """The value of one decimal digit within a range; raises `refusal` for anything else."""
     if argument not in string.digits or not low <= int(argument) <= high:
         raise Refusal(refusal)
     return int(argument)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS, LF, MAXIMUM_STRAYS
 from sim.polaris.handlers.arguments import (
     hexadecimal,
     initialised_port_of,
-    need_length,
-    no_argument,
     wired_port_of,
 )
 from sim.polaris.unit.alerts import HARDWARE
@@ -25,37 +22,28 @@ DETECTED, SOURCES = 0x0001, 0x0002  # options of IRCHK
 NO_SOURCES = "000"  # of one sensor, in three digits
 
 
-def start(unit: Unit, argument: str) -> str:
+def start(unit: Unit, _argument: str) -> None:
     """DSTART"""
-    no_argument(argument)
     if unit.alerts.current & HARDWARE and not unit.behaviour.starts_with_hardware_fault:
         raise Refusal(ErrorCode.CANNOT_START_DIAGNOSTIC)
     unit.start_diagnostic()
-    return wire.REPLY_OKAY
 
 
-def stop(unit: Unit, argument: str) -> str:
+def stop(unit: Unit, _argument: str) -> None:
     """DSTOP"""
-    no_argument(argument)
-    unit.stop_diagnostic()
-    return wire.REPLY_OKAY
+    unit.stop()
 
 
-def fire(unit: Unit, argument: str) -> str:
+def fire(unit: Unit, argument: str) -> None:
     """IRED hh and eight digits: one bit per marker to fire."""
-    need_length(argument, HANDLE_DIGITS + FIRING_DIGITS)
-    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
     bits = hexadecimal(argument[HANDLE_DIGITS:])
     port = wired_port_of(unit, argument)
     initialised_port_of(unit, argument)
     port.firing = bits
-    return wire.REPLY_OKAY
 
 
 def markers(unit: Unit, argument: str) -> str:
     """3D hh n: every marker in view, of tools or not."""
-    need_length(argument, HANDLE_DIGITS + 1)
-    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
     if argument[HANDLE_DIGITS] != EVERYTHING_SEEN:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     port = initialised_port_of(unit, argument)
@@ -76,16 +64,13 @@ def markers(unit: Unit, argument: str) -> str:
     return LF.join([f"{len(records):03d}", *records])
 
 
-def prepare_infrared_check(unit: Unit, argument: str) -> str:
+def prepare_infrared_check(unit: Unit, _argument: str) -> None:
     """IRINIT"""
-    no_argument(argument)
     unit.infrared_checked = True
-    return wire.REPLY_OKAY
 
 
 def check_infrared(unit: Unit, argument: str) -> str:
     """IRCHK [oooo]: whether there is ambient infrared light, and where."""
-    need_length(argument, 0, OPTION_DIGITS)
     asked = hexadecimal(argument) if argument else DETECTED
     if not asked or asked & ~(DETECTED | SOURCES):
         raise Refusal(ErrorCode.OUT_OF_RANGE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import Alert
-from sim.polaris.handlers.arguments import hexadecimal, need_length
+from sim.polaris.handlers.arguments import hexadecimal
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 from sim.polaris.unit.unit import Unit
 
@@ -23,7 +23,6 @@ INTERFACE_VOLTAGES = 0x02
 
 def feature_list(unit: Unit, argument: str) -> str:
     """SFLIST nn"""
-    need_length(argument, 2)
     model = unit.model
     volumes = "".join(volume.feature_line() for volume in model.volumes)
     lists = {
@@ -44,7 +43,6 @@ def feature_list(unit: Unit, argument: str) -> str:
 
 def system_checks(unit: Unit, argument: str) -> str:
     """SSTAT oooo: two digits per option, 00 when healthy."""
-    need_length(argument, 4)
     asked = hexadecimal(argument)
     if not asked or asked & ~(CONTROL | SENSORS | TOOL_INTERFACE):
         raise Refusal(ErrorCode.OUT_OF_RANGE)

@@ -1,13 +1,14 @@
-"""Initialise, enable and describe the tool of a handle: PINIT, PENA, PDIS, PHINF, PFSEL."""
+"""Commands of port handles: PHSR, PHRQ, PHF, PINIT, PENA, PDIS, PHINF, PFSEL."""
 
 from __future__ import annotations
 
+import re
+
 from ronna_hw.wire import polaris as wire
-from ronna_hw.wire.polaris import HANDLE_DIGITS, TrackingPriority
+from ronna_hw.wire.polaris import HANDLE_DIGITS, HandleQuery, SystemStatus, TrackingPriority
 from sim.polaris.handlers.arguments import (
     hexadecimal,
     initialised_port_of,
-    need_length,
     occupied_port_of,
     port_of,
 )
@@ -22,11 +23,41 @@ from sim.polaris.unit.user_parameter_table import RETURN_WARNING
 OPTION_DIGITS = 4
 DEFAULT_INFORMATION = "0001"
 PRIORITIES = (TrackingPriority.STATIC, TrackingPriority.DYNAMIC, TrackingPriority.BUTTON_BOX)
+# Hardware device, system type (Polaris), tool type, port, and what to load: nothing or a dummy.
+_description = re.compile(r"[!-~]{8}[*0]([*01])(\*\*|[0-9]{2})(\*\*|00|01|02)")
+WIRED = "0"
+ANY_PORT, NO_PORT = "**", "00"
+DUMMIES = ("01", "02")  # passive or wired, and active wireless
+ACTIVE_WIRELESS_DUMMY = "02"
+
+
+def search(unit: Unit, argument: str) -> str:
+    """PHSR oo"""
+    option = hexadecimal(argument) if argument else HandleQuery.ALL
+    if option not in list(HandleQuery):
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    unit.port_changes = SystemStatus(0)  # freeing them is up to the host
+    ports = unit.ports.matching(HandleQuery(option))
+    return f"{len(ports):02X}" + "".join(f"{port.handle:02X}{int(port.status):03X}" for port in ports)
+
+
+def request(unit: Unit, argument: str) -> str:
+    """PHRQ"""
+    asked = _description.fullmatch(argument)
+    if asked is None:
+        raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
+    kind, number, load = asked.groups()
+    port = _wired(unit, number, load) if kind == WIRED else _wireless(unit, number, load)
+    return f"{port.handle:02X}"
+
+
+def free(unit: Unit, argument: str) -> None:
+    """PHF hh"""
+    unit.ports.free(port_of(unit, argument).handle)
 
 
 def initialise(unit: Unit, argument: str) -> str:
     """PINIT hh"""
-    need_length(argument, HANDLE_DIGITS)
     port = occupied_port_of(unit, argument)
     if port.dummy:
         port.initialised = True
@@ -41,10 +72,8 @@ def initialise(unit: Unit, argument: str) -> str:
     return f"{wire.REPLY_WARNING}{warning:02X}" if unit.behaviour.warns_with_code else wire.REPLY_WARNING
 
 
-def enable(unit: Unit, argument: str) -> str:
+def enable(unit: Unit, argument: str) -> None:
     """PENA hh and priority"""
-    need_length(argument, HANDLE_DIGITS + 1)
-    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
     priority = argument[HANDLE_DIGITS]
     if priority not in PRIORITIES:
         raise Refusal(ErrorCode.BAD_PRIORITY)
@@ -53,23 +82,18 @@ def enable(unit: Unit, argument: str) -> str:
         raise Refusal(ErrorCode.TOO_MANY_ENABLED)
     port.priority = priority
     port.enabled = True
-    return wire.REPLY_OKAY
 
 
-def disable(unit: Unit, argument: str) -> str:
+def disable(unit: Unit, argument: str) -> None:
     """PDIS hh"""
-    need_length(argument, HANDLE_DIGITS)
     port = initialised_port_of(unit, argument)
     if not port.enabled:
         raise Refusal(ErrorCode.HANDLE_NOT_ENABLED)
     port.enabled = False
-    return wire.REPLY_OKAY
 
 
 def information(unit: Unit, argument: str) -> str:
     """PHINF hh oooo: the parts of all requested options, lowest bit first."""
-    need_length(argument, HANDLE_DIGITS, HANDLE_DIGITS + OPTION_DIGITS)
-    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
     asked = hexadecimal(argument[HANDLE_DIGITS:] or DEFAULT_INFORMATION)
     if not asked or asked & ~sum(PORT_INFORMATION):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
@@ -79,15 +103,12 @@ def information(unit: Unit, argument: str) -> str:
     return "".join(part(unit, port) for bit, part in PORT_INFORMATION.items() if asked & bit)
 
 
-def select_faces(unit: Unit, argument: str) -> str:
+def select_faces(unit: Unit, argument: str) -> None:
     """PFSEL hhmm: only these faces are tracked."""
-    need_length(argument, 2 * HANDLE_DIGITS)
-    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
     faces = hexadecimal(argument[HANDLE_DIGITS:])
     if not 0 < faces <= ALL_FACES:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     initialised_port_of(unit, argument).faces = faces
-    return wire.REPLY_OKAY
 
 
 def _read_definition(unit: Unit, port: Port) -> None:
@@ -111,3 +132,25 @@ def _warning(unit: Unit, port: Port) -> WarningCode | None:
     if warning is WarningCode.DEFAULT_WAVELENGTH and not unit.parameters.number(RETURN_WARNING):
         return None
     return warning
+
+
+def _wireless(unit: Unit, number: str, load: str) -> Port:
+    if number not in (ANY_PORT, NO_PORT):
+        raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
+    active = load == ACTIVE_WIRELESS_DUMMY
+    return unit.ports.request(dummy=load in DUMMIES, active_wireless=active)
+
+
+def _wired(unit: Unit, number: str, load: str) -> Port:
+    """A socket by number, or the first one without a handle."""
+    sockets = range(1, unit.wired.count + 1)
+    if number == ANY_PORT:
+        free_ones = [socket for socket in sockets if unit.ports.of_socket(socket) is None]
+        if not free_ones:
+            raise Refusal(ErrorCode.PORT_HAS_HANDLE if sockets else ErrorCode.BAD_PORT_DESCRIPTION)
+        socket = free_ones[0]
+    else:
+        socket = int(number)
+    if socket not in sockets or load == ACTIVE_WIRELESS_DUMMY:
+        raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
+    return unit.ports.request_wired(socket, unit.wired.tool(socket), dummy=load in DUMMIES)

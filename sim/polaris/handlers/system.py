@@ -1,10 +1,11 @@
-"""Commands of the unit itself: INIT, RESET, VER, APIREV, BEEP."""
+"""Commands of the unit itself and of its line: INIT, RESET, VER, APIREV, BEEP, COMM, ECHO."""
 
 from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import LF
-from sim.polaris.handlers.arguments import digit_within, need_length, no_argument
+from sim.polaris.handlers.arguments import digit_within
+from sim.polaris.line.line_settings import LineSettings
 from sim.polaris.unit.alerts import HARDWARE
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 from sim.polaris.unit.unit import Unit
@@ -12,12 +13,14 @@ from sim.polaris.unit.unit import Unit
 VERSION_CONTROL, VERSION_LEFT, VERSION_RIGHT, VERSION_WIRED, VERSION_ENHANCED, VERSION_COMBINED = range(6)
 BEEPED, BUSY_BEEPING = "1", "0"
 LONGEST_BEEP = 9
+ABSENT = (
+    "GETIO", "SETIO", "SENSEL", "GP", "PSTART", "PSTOP", "GETLOG", "SYSLOG", "VSNAP", "VGET", "VCAP",
+)  # fmt: skip
 FAULT_REPLIES = {"ERROR15": ErrorCode.CANNOT_INITIALISE, "ERROR1A": ErrorCode.INTERNAL}
 
 
-def initialise(unit: Unit, argument: str) -> str:
+def initialise(unit: Unit, _argument: str) -> str:
     """INIT"""
-    no_argument(argument)
     reply = unit.behaviour.hardware_fault_at_init if unit.alerts.current & HARDWARE else wire.REPLY_OKAY
     if reply in FAULT_REPLIES:
         raise Refusal(FAULT_REPLIES[reply])
@@ -27,7 +30,6 @@ def initialise(unit: Unit, argument: str) -> str:
 
 def reset(unit: Unit, argument: str) -> str:
     """RESET [n]"""
-    need_length(argument, 0, 1)
     if argument:
         digit_within(argument, 0, 1)
     unit.reset()
@@ -57,9 +59,8 @@ def version(unit: Unit, argument: str) -> str:
     return LF.join(lines)
 
 
-def api_revision(unit: Unit, argument: str) -> str:
+def api_revision(unit: Unit, _argument: str) -> str:
     """APIREV"""
-    no_argument(argument)
     return unit.model.api_revision
 
 
@@ -71,3 +72,25 @@ def beep(unit: Unit, argument: str) -> str:
         return BUSY_BEEPING
     unit.beeps_until_s = now_s + count * unit.behaviour.beep_s
     return BEEPED
+
+
+def communication(unit: Unit, argument: str) -> None:
+    """COMM: the reply is sent at the old settings."""
+    try:
+        settings = LineSettings.from_argument(argument)
+    except KeyError:
+        raise Refusal(unit.behaviour.malformed_line_settings) from None
+    if argument[0] not in unit.model.baud_codes:
+        raise Refusal(ErrorCode.COMMUNICATION_PARAMETERS)
+    unit.line = settings
+
+
+def echo(unit: Unit, argument: str) -> str:
+    """ECHO text: by this a host gets back in step when it has missed a reply."""
+    unit.get_in_step()
+    return argument
+
+
+def absent(unit: Unit, _argument: str) -> str:
+    """A command that real units have but whose format is not public."""
+    raise Refusal(unit.behaviour.absent_command)

@@ -1,4 +1,4 @@
-"""Tool memory: PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST."""
+"""Memory and outputs of a tool: PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST, LED, PSOUT."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from ronna_hw.wire.polaris import HANDLE_DIGITS
 from sim.polaris.handlers.arguments import (
     hexadecimal,
     initialised_port_of,
-    need_length,
     port_of,
     wired_port_of,
 )
@@ -20,9 +19,13 @@ from sim.polaris.unit.unit import Unit
 ADDRESS_DIGITS = 4
 BLOCK_DIGITS = 2 * wire.PVWR_BLOCK_BYTES
 ADDRESSED = HANDLE_DIGITS + ADDRESS_DIGITS
+LIGHTS = "123"
+LIGHT_STATES = "BFS"  # blank, flash, solid
+OUTPUTS = 3
+OUTPUT_STATES = frozenset("NSPO")  # no change, solid, pulse, off
 
 
-def write_virtual(unit: Unit, argument: str) -> str:
+def write_virtual(unit: Unit, argument: str) -> None:
     """PVWR hh aaaa and 64 bytes: the content is checked by PINIT."""
     address, content = _block(argument, wire.PVWR_SPACE_BYTES)
     port = port_of(unit, argument)
@@ -32,7 +35,6 @@ def write_virtual(unit: Unit, argument: str) -> str:
         raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
     port.memory[address : address + len(content)] = content
     port.written = True
-    return wire.REPLY_OKAY
 
 
 def read(unit: Unit, argument: str) -> str:
@@ -44,7 +46,7 @@ def read(unit: Unit, argument: str) -> str:
     return tool.memory[address : address + wire.PVWR_BLOCK_BYTES].hex().upper()
 
 
-def write(unit: Unit, argument: str) -> str:
+def write(unit: Unit, argument: str) -> None:
     """PPWR hh aaaa and 64 bytes: kept in the tool."""
     address, content = _block(argument, wire.PVWR_SPACE_BYTES)
     tool = _tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
@@ -52,7 +54,6 @@ def write(unit: Unit, argument: str) -> str:
         raise Refusal(ErrorCode.CANNOT_WRITE_MEMORY)
     tool.memory[address : address + len(content)] = content
     port_of(unit, argument).memory[:] = tool.memory
-    return wire.REPLY_OKAY
 
 
 def read_user_area(unit: Unit, argument: str) -> str:
@@ -62,60 +63,70 @@ def read_user_area(unit: Unit, argument: str) -> str:
     return tool.user_memory[address : address + wire.PVWR_BLOCK_BYTES].hex().upper()
 
 
-def write_user_area(unit: Unit, argument: str) -> str:
+def write_user_area(unit: Unit, argument: str) -> None:
     """PUWR hh aaaa and 64 bytes"""
     address, content = _block(argument, unit.behaviour.user_memory_bytes)
     tool = _tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
     tool.user_memory[address : address + len(content)] = content
-    return wire.REPLY_OKAY
 
 
 def search(unit: Unit, argument: str) -> str:
     """PSRCH hh: number and identifiers of the tool's memory devices."""
-    need_length(argument, HANDLE_DIGITS)
     tool = wired_port_of(unit, argument).tool
     return "0" if tool is None or tool.memory is None else f"1{tool.identifier}"
 
 
-def select(unit: Unit, argument: str) -> str:
+def select(unit: Unit, argument: str) -> None:
     """PSEL hh and the identifier of a memory device"""
     if len(argument) <= HANDLE_DIGITS:
         raise Refusal(ErrorCode.PARAMETER_COUNT)
     tool = wired_port_of(unit, argument).tool
     if tool is None or tool.memory is None or argument[HANDLE_DIGITS:].upper() != tool.identifier:
         raise Refusal(ErrorCode.CANNOT_SELECT_MEMORY)
-    return wire.REPLY_OKAY
 
 
-def use_test_definition(unit: Unit, argument: str) -> str:
+def use_test_definition(unit: Unit, argument: str) -> None:
     """TTCFG hh: test definition for a tool without memory."""
-    need_length(argument, HANDLE_DIGITS)
     port = wired_port_of(unit, argument)
     if port.written and not unit.behaviour.replaces_definition_by_test:
         raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
     content = wiring_definition()
     port.memory[: len(content)] = content
     port.written = True
-    return wire.REPLY_OKAY
 
 
-def test_current(unit: Unit, argument: str) -> str:
+def test_current(unit: Unit, argument: str) -> None:
     """TCTST hh: the result is read by PHINF 0002."""
-    need_length(argument, HANDLE_DIGITS)
     port = wired_port_of(unit, argument)
     if initialised_port_of(unit, argument).definition is None:  # a dummy draws no current
         raise Refusal(ErrorCode.CURRENT_TEST_FAILED)
     port.current_test = _all_markers(port)
-    return wire.REPLY_OKAY
+
+
+def light(unit: Unit, argument: str) -> None:
+    """LED hh n s"""
+    number, state = argument[HANDLE_DIGITS], argument[HANDLE_DIGITS + 1]
+    if number not in LIGHTS:
+        raise Refusal(ErrorCode.BAD_LED_NUMBER)
+    if state not in LIGHT_STATES:
+        raise Refusal(ErrorCode.BAD_LED_STATE)
+    wired_port_of(unit, argument)
+    initialised_port_of(unit, argument)
+
+
+def general_purpose(unit: Unit, argument: str) -> None:
+    """PSOUT hh abc"""
+    if not OUTPUT_STATES.issuperset(argument[HANDLE_DIGITS:]):
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    wired_port_of(unit, argument)
+    initialised_port_of(unit, argument)
 
 
 def _all_markers(port: Port) -> int:
     return 0 if port.definition is None else (1 << len(port.definition.markers_mm)) - 1
 
 
-def _address(argument: str, space_bytes: int, *more: int) -> int:
-    need_length(argument, ADDRESSED, *more)
-    hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
+def _address(argument: str, space_bytes: int) -> int:
     address = hexadecimal(argument[HANDLE_DIGITS:ADDRESSED])
     if address % wire.PVWR_BLOCK_BYTES or address + wire.PVWR_BLOCK_BYTES > space_bytes:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
@@ -123,8 +134,7 @@ def _address(argument: str, space_bytes: int, *more: int) -> int:
 
 
 def _block(argument: str, space_bytes: int) -> tuple[int, bytes]:
-    need_length(argument, ADDRESSED + BLOCK_DIGITS)
-    address = _address(argument, space_bytes, len(argument))
+    address = _address(argument, space_bytes)
     hexadecimal(argument[ADDRESSED:])
     return address, bytes.fromhex(argument[ADDRESSED:])
 

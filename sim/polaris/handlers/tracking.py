@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import ReplyOption
-from sim.polaris.handlers.arguments import hexadecimal, need_length, no_argument
+from sim.polaris.handlers.arguments import hexadecimal
 from sim.polaris.line.framing import ascii_reply, binary_reply
 from sim.polaris.replies.bx import binary_body
 from sim.polaris.replies.tx import text_reply
@@ -20,9 +20,8 @@ START_OPTIONS = RESTART_COUNTER | int(wire.TSTART_FASTER, 16)
 OPTIONS = int(sum(ReplyOption))
 
 
-def start(unit: Unit, argument: str) -> str:
+def start(unit: Unit, argument: str) -> None:
     """TSTART [nn]"""
-    need_length(argument, 0, 2)
     options = hexadecimal(argument) if argument else 0
     if options & ~START_OPTIONS:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
@@ -37,14 +36,11 @@ def start(unit: Unit, argument: str) -> str:
     if any(port.definition and str(wavelength_of(port.definition)) not in supported for port in enabled):
         raise Refusal(ErrorCode.WAVELENGTH)
     unit.start_tracking(restart=bool(options & RESTART_COUNTER))
-    return wire.REPLY_OKAY
 
 
-def stop(unit: Unit, argument: str) -> str:
+def stop(unit: Unit, _argument: str) -> None:
     """TSTOP"""
-    no_argument(argument)
-    unit.stop_tracking()
-    return wire.REPLY_OKAY
+    unit.stop()
 
 
 def text_frame(unit: Unit, argument: str) -> bytes:
@@ -62,7 +58,6 @@ def binary_frame(unit: Unit, argument: str) -> bytes:
 
 
 def _options(argument: str) -> ReplyOption:
-    need_length(argument, 0, OPTION_DIGITS)
     asked = hexadecimal(argument) if argument else int(ReplyOption.TRANSFORMS)
     if not asked or asked & ~OPTIONS:
         raise Refusal(ErrorCode.OUT_OF_RANGE)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 
-from ronna_hw.wire.polaris import REPLY_ERROR, REPLY_RESET
+from ronna_hw.wire.polaris import REPLY_ERROR, REPLY_OKAY, REPLY_RESET
 from sim.polaris.handlers.table import COMMANDS, modes_of_commands
 from sim.polaris.line.framing import ascii_reply, parse_request
 from sim.polaris.line.line_settings import LineSettings
@@ -114,7 +114,10 @@ class CommandInterpreter:
             self._forget()
         if not unit.faults.empty:
             self._faults.before(name, request.argument)
+        command.check(request.argument)
         reply = command.carry_out(unit, request.argument)
+        if reply is None:
+            reply = REPLY_OKAY
         if command.restarts_line:
             self.reply_line = unit.line
         if not command.reads_frame:
@@ -149,7 +152,7 @@ class CommandInterpreter:
         if self.unit.behaviour.watch_dog == "reset":
             self.restart()
         elif self.unit.mode is Mode.TRACKING:
-            self.unit.stop_tracking()
+            self.unit.stop()
 
     def _has_power(self) -> bool:
         """Apply faults; False while the unit has no power."""

@@ -88,12 +88,8 @@ class Unit:
         self._begin(restart=False)
         self.mode = Mode.DIAGNOSTIC
 
-    def stop_tracking(self) -> None:
-        """Back to setup mode; handles stay as they are."""
-        self.mode = Mode.SETUP
-
-    def stop_diagnostic(self) -> None:
-        """Back to setup mode."""
+    def stop(self) -> None:
+        """From tracking or diagnostic mode back to setup mode; handles stay as they are."""
         self.mode = Mode.SETUP
 
     def take_time(self, duration_s: float) -> None:

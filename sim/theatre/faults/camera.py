@@ -1,19 +1,134 @@
-"""Faults of the cameras and of their stream."""
+"""Faults of the cameras: what they see, their stream, control channel, triggers and clocks, and lens."""
 
 from __future__ import annotations
 
-from sim.theatre.faults.camera_link import DEVICE_FAULTS
-from sim.theatre.faults.camera_sight import SIGHT_FAULTS
-from sim.theatre.faults.kinds import FaultKind, at_most_all
+from collections.abc import Iterator
 
-CAMERA_FAULTS = (
-    *SIGHT_FAULTS,
-    FaultKind(
-        "camera_drop",
-        "camera",
-        "drop NUMBER %",
-        "That share of the image packets is lost.",
-        check=at_most_all,
-    ),
-    *DEVICE_FAULTS,
+from sim.theatre.faults.kinds import (
+    WHOLE_PERCENT,
+    Arguments,
+    DeviceFaults,
+    FaultKind,
+    OneOf,
+    at_most,
+    both,
+    fiducial_number,
 )
+from sim.theatre.scene.model import Scene
+
+BOTH = "both"
+SMALLEST_PATH_BYTES = 68  # the least that a network may carry
+MOST_SPOTS = 500
+MOST_STAINED_PERCENT = 60.0  # spots overlap: far more would take long and look no different
+
+SIGHT = DeviceFaults("camera")
+CAMERA = DeviceFaults("camera", prefix="camera_")
+_side = OneOf("camera", ("left", "right"))
+_which = OneOf("camera", ("left", "right", BOTH))
+_share = at_most(WHOLE_PERCENT, "%", argument=1)
+
+
+def _path(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    if int(arguments[1]) < SMALLEST_PATH_BYTES:
+        yield f"expected at least {SMALLEST_PATH_BYTES} bytes, got {arguments[1]}"
+
+
+def lasting(name: str, phrase: str, meaning: str) -> FaultKind:
+    return CAMERA.lasting(name, phrase, meaning, _which)
+
+
+def share(name: str, phrase: str, meaning: str) -> FaultKind:
+    return CAMERA.lasting(name, phrase, meaning, both(_which, _share))
+
+
+def once(name: str, phrase: str, meaning: str) -> FaultKind:
+    return CAMERA.once(name, phrase, meaning, _which)
+
+
+SIGHT_FAULTS = (
+    SIGHT.lasting(
+        "stain",
+        "stain marker INT NUMBER %",
+        "Spots of blood cover that share of a fiducial's film.",
+        both(fiducial_number, at_most(MOST_STAINED_PERCENT, "%", argument=1)),
+    ),
+    SIGHT.lasting(
+        "glare",
+        "glare NAME NUMBER px",
+        "A lamp reflects into the image of the left or right camera, with that radius.",
+        _side,
+    ),
+    SIGHT.lasting(
+        "occluder",
+        "occlude NAME NUMBER %",
+        "A straight edge hides that share of the sphere's rim from the left or right camera.",
+        both(_side, _share),
+    ),
+    SIGHT.lasting(
+        "twist",
+        "twist NAME SIGNED deg",
+        "The left or right camera turns by that angle in its mount, in the plane of both.",
+        _side,
+    ),
+    SIGHT.lasting(
+        "creep",
+        "creep NAME SIGNED deg per min",
+        "The left or right camera keeps turning in its mount at that rate, in the plane of both.",
+        _side,
+    ),
+)
+STREAM_FAULTS = (
+    CAMERA.share("drop", "drop NUMBER %", "That share of the image packets is lost."),
+    share(
+        "lose", "lose NAME NUMBER %", "That share of one camera's image packets is lost (left, right, both)."
+    ),
+    lasting("forget", "forget NAME", "Packets are not resent: a request is answered with 0x800C."),
+    lasting("omit_leader", "omit leader NAME", "The first packet (leader) of every image is lost."),
+    lasting("omit_trailer", "omit trailer NAME", "The last packet (trailer) of every image is lost."),
+    lasting("omit_frames", "omit frames NAME", "Every packet of every image is lost; they can be resent."),
+    lasting("shuffle", "shuffle NAME", "The packets of an image arrive out of order."),
+    share("duplicate", "duplicate NAME NUMBER %", "That share of the image packets arrives twice."),
+    lasting("shift_area", "shift area NAME", "The leader reports an area 16 px beside the configured one."),
+    lasting("truncate", "truncate NAME", "Images carry only half their data."),
+    CAMERA.lasting(
+        "path",
+        "narrow path NAME INT bytes",
+        "The network drops larger stream packets.",
+        both(_which, _path),
+    ),
+)
+CONTROL_FAULTS = (
+    lasting("unplug", "unplug NAME", "Nothing reaches the camera or leaves it."),
+    lasting("deaf", "ignore heartbeat NAME", "Commands do not refresh the heartbeat: control lapses."),
+    lasting("taken", "seize NAME", "Another application has control."),
+    lasting("delay_answers", "delay answers NAME INT ms", "Acknowledgements are delayed by that time."),
+    lasting(
+        "pend_answers", "announce answers NAME INT ms", "The same, each announced at once by a PENDING_ACK."
+    ),
+    share("lose_answers", "lose answers NAME NUMBER %", "That share of the acknowledgements is lost."),
+    share("lose_events", "lose events NAME NUMBER %", "That share of the event messages is lost."),
+    once("restart", "restart NAME", "The camera restarts: power-on settings, no application in control."),
+)
+TRIGGER_FAULTS = (
+    lasting("miss", "miss triggers NAME", "Triggers have no effect and are not counted."),
+    lasting("late", "expose late NAME NUMBER ms", "The exposure starts that long after its trigger."),
+    lasting("drift", "drift NAME SIGNED ppm", "The time stamp counter runs fast by that much."),
+    once("reset_clock", "reset clock NAME", "The time stamp counter restarts at zero."),
+    CAMERA.once(
+        "pulse",
+        "pulse line",
+        "Not a fault: a pulse on the trigger line of both cameras (TriggerSource Line1).",
+    ),
+)
+LENS_FAULTS = (
+    lasting("saturate", "saturate NAME", "Far too much light: every pixel saturates."),
+    lasting("darken", "darken NAME", "No light: only noise remains."),
+    lasting("defocus", "defocus NAME NUMBER px", "The whole image is blurred with that standard deviation."),
+    CAMERA.lasting(
+        "dust",
+        "dust NAME INT spots",
+        "That many dark spots on the sensor, at the same places in every image.",
+        both(_which, at_most(MOST_SPOTS, "spots", argument=1)),
+    ),
+)
+CAMERA_FAULTS = (*SIGHT_FAULTS, *STREAM_FAULTS, *CONTROL_FAULTS, *TRIGGER_FAULTS, *LENS_FAULTS)

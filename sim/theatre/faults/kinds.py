@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from sim.theatre.scene.model import Scene
@@ -11,10 +11,11 @@ Arguments = tuple[str, ...]
 Check = Callable[[Arguments, Scene], Iterable[str]]
 
 WHOLE_PERCENT = 100.0
-
-
-def _anything(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
-    yield from ()
+# Arguments as the grammar's terminals, and how usage and examples show them.
+USAGE = (("INT", "N"), ("NUMBER", "X"), ("SIGNED", "±X"))
+EXAMPLE = (("INT bytes", "1500 bytes"), ("INT", "2"), ("NUMBER", "5"), ("SIGNED", "-1.5"))
+EXAMPLE_NAMES = {"tracker": "robot_frame", "camera": "left"}
+TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
 
 
 @dataclass(frozen=True)
@@ -22,28 +23,104 @@ class FaultKind:
     """One kind of fault of one device.
 
     `phrase` is what stands between the device's name and `for`: words as they are written, arguments as
-    the grammar's terminals INT, NUMBER, SIGNED, NAME and HEX (`occlude marker INT`, `drop NUMBER %`). A
-    lasting fault acts for its duration, or to the end when none is given; a momentary one happens once and
-    has none.
-    `check` yields what is wrong with the arguments in a scene, in words that begin with "there is" or the
-    value itself.
+    the grammar's terminals (`occlude marker INT`, `drop NUMBER %`). A lasting fault acts for its duration, or
+    to the end when none is given; a momentary one happens once and has none.
+    `check` yields what is wrong with the arguments in a scene: "expected X, got Y".
     """
 
     name: str
     device: str  # "tracker", "robot" or "camera"
     phrase: str
     meaning: str  # one sentence for the reference page
-    momentary: bool = False
-    check: Check = _anything
+    momentary: bool
+    check: Check
 
     @property
     def usage(self) -> str:
         """The phrase in readable form."""
-        words = {"INT": "N", "NUMBER": "X", "SIGNED": "±X", "NAME": "NAME", "HEX": "HEX"}
-        return " ".join([self.device, *(words.get(word, word) for word in self.phrase.split())])
+        return _replaced(f"{self.device} {self.phrase}", USAGE)
+
+    @property
+    def example(self) -> str:
+        """A whole line of a script."""
+        name = self.check.known[0] if isinstance(self.check, OneOf) else EXAMPLE_NAMES.get(self.device, "")
+        phrase = _replaced(f"{self.device} {self.phrase}", (*EXAMPLE, ("NAME", name)))
+        return f"at 12.5 s: {phrase}" + ("" if self.momentary else " for 2 s")
 
 
-def at_most_all(arguments: Arguments, _scene: Scene) -> Iterator[str]:
-    """Check a percentage."""
-    if float(arguments[0]) > WHOLE_PERCENT:
-        yield f"{arguments[0]} % is more than 100 %"
+def anything(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    """No check."""
+    yield from ()
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Checks that the first argument is one of those known."""
+
+    what: str
+    known: Sequence[str]
+
+    def __call__(self, arguments: Arguments, _scene: Scene) -> Iterator[str]:
+        yield from expected(self.what, self.known, arguments[0])
+
+
+def at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
+    """Check that an argument is at most this."""
+
+    def check(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+        if float(arguments[argument]) > largest:
+            yield f"expected at most {largest:g} {unit}, got {arguments[argument]}"
+
+    return check
+
+
+def both(first: Check, second: Check) -> Check:
+    """Apply two checks."""
+
+    def check(arguments: Arguments, scene: Scene) -> Iterator[str]:
+        yield from first(arguments, scene)
+        yield from second(arguments, scene)
+
+    return check
+
+
+def expected(what: str, known: Sequence[str], got: str) -> Iterator[str]:
+    """The mistake, unless the value is one of those known."""
+    if got not in known:
+        yield f"expected {what} {either(known)}, got {got}"
+
+
+def either(words: Sequence[str]) -> str:
+    """`a, b or c`."""
+    return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def fiducial_number(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    """Check that the first argument is the number of a fiducial of the scene."""
+    yield from expected("marker", [str(fiducial.number) for fiducial in scene.head.fiducials], arguments[0])
+
+
+class DeviceFaults:
+    """Declares the kinds of fault of one device. `prefix` tells their names from those of other devices."""
+
+    def __init__(self, device: str, prefix: str = "") -> None:
+        self._device = device
+        self._prefix = prefix
+
+    def lasting(self, name: str, phrase: str, meaning: str, check: Check = anything) -> FaultKind:
+        """A fault that acts for its duration."""
+        return FaultKind(self._prefix + name, self._device, phrase, meaning, False, check)
+
+    def once(self, name: str, phrase: str, meaning: str, check: Check = anything) -> FaultKind:
+        """A fault that happens once."""
+        return FaultKind(self._prefix + name, self._device, phrase, meaning, True, check)
+
+    def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
+        """A lasting fault of a percentage."""
+        return self.lasting(name, phrase, meaning, at_most(WHOLE_PERCENT, "%"))
+
+
+def _replaced(phrase: str, words: Iterable[tuple[str, str]]) -> str:
+    for word, value in words:
+        phrase = phrase.replace(word, value)
+    return phrase

@@ -14,26 +14,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from difflib import SequenceMatcher, get_close_matches
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sim.errors import BadFaultScript
 from sim.theatre.faults.camera import CAMERA_FAULTS
 from sim.theatre.faults.fault import Fault
-from sim.theatre.faults.kinds import FaultKind
+from sim.theatre.faults.kinds import TERMINALS, FaultKind, either
 from sim.theatre.faults.robot import ROBOT_FAULTS
 from sim.theatre.faults.tracker import TRACKER_FAULTS
 from sim.theatre.scene.model import Scene
 
 if TYPE_CHECKING:
     from lark import Lark
+    from lark.exceptions import UnexpectedInput
 
 FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS)
-TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME", "HEX")
 NOW = "now"
 CYCLES_OF = "robot"  # the device whose cycles a script can name
 TRIGGERS = ("at", "when", NOW)
+MOST_LISTED = 6  # of what may stand at a place; beyond this the closest ones are listed
+END = "$END"  # the parser's token
+READABLE = {
+    "INT": "a whole number",
+    "NUMBER": "a number",
+    "SIGNED": "a number",
+    "NAME": "a name",
+    "STEP": "the name of a step",
+}
 
 GRAMMAR = r"""
 start: statement?
@@ -47,7 +57,6 @@ duration: "for" NUMBER "s"
 STEP: /[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?/
 NAME: /[A-Za-z0-9_][A-Za-z0-9_.-]*/
 SIGNED: /[+-]?[0-9]+([.][0-9]+)?/
-HEX: /0x[0-9A-Fa-f]+/
 COMMENT: /#[^\n]*/
 %import common.NUMBER
 %import common.INT
@@ -62,19 +71,19 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
     from lark.exceptions import UnexpectedInput
 
     faults: list[Fault] = []
-    mistakes: list[str] = []
+    mistakes: list[Mistake] = []
     for number, line in enumerate(text.split("\n"), 1):
         try:
             tree = _grammar().parse(line.rstrip())
         except UnexpectedInput as error:
-            place = f", column {error.column}" if error.column > 0 else ""
-            mistakes.append(f"line {number}{place}: {line.strip()!r} is not a fault")
+            mistakes.append(_unexpected(error, line.rstrip(), number))
             continue
         for statement in tree.children:
             fault, has_duration = _fault(statement, number)
             faults.append(fault)
             if has_duration and fault.kind.momentary:
-                mistakes.append(f"line {number}: {fault.kind.usage!r} happens once and has no duration")
+                what = f"line {number}: expected no duration, because the fault happens only once"
+                mistakes.append(Mistake(what, fault.kind.example))
     _refuse(mistakes)
     return tuple(faults)
 
@@ -98,23 +107,59 @@ def read_faults(path: Path, scene: Scene) -> str:
 
 
 def check_faults(faults: Iterable[Fault], scene: Scene) -> None:
-    """Raise SIM-003 with every fault that names a target, marker or tool that the scene does not have."""
-    _refuse([f"line {fault.line}: {mistake}" for fault in faults for mistake in _mistakes(fault, scene)])
+    """Raise SIM-003 with every fault that names a marker or tool that the scene does not have."""
+    _refuse(
+        [
+            Mistake(f"line {fault.line}: {mistake}", fault.kind.example)
+            for fault in faults
+            for mistake in _mistakes(fault, scene)
+        ]
+    )
 
 
 def _mistakes(fault: Fault, scene: Scene) -> Iterator[str]:
-    _, _, target = (fault.step or "").partition(":")
-    targets = [item.identifier for item in scene.head.targets]
-    if target and target not in targets:
-        yield f"there is no target {target!r}, only {', '.join(targets)}"
     if fault.cycle is not None and fault.kind.device != CYCLES_OF:
-        yield f"the {fault.kind.device} has no cycles, only the {CYCLES_OF}"
+        yield f"expected a time: only the {CYCLES_OF} counts cycles, not the {fault.kind.device}"
     yield from fault.kind.check(fault.arguments, scene)
 
 
-def _refuse(mistakes: list[str]) -> None:
+class Mistake(NamedTuple):
+    """What is wrong with a line, and a line that is right."""
+
+    what: str
+    example: str
+
+
+def _refuse(mistakes: list[Mistake]) -> None:
     if mistakes:
-        raise BadFaultScript("; ".join(mistakes))
+        what = "; ".join(mistake.what for mistake in mistakes)
+        advice = f"Write for example: {mistakes[0].example}. `ronna-sim fault` lists all faults."
+        raise BadFaultScript(what, action=advice)
+
+
+def _unexpected(error: UnexpectedInput, line: str, number: int) -> Mistake:
+    """The mistake at which the parser stopped."""
+    from lark.exceptions import UnexpectedCharacters, UnexpectedToken
+
+    names: set[str] = set()
+    ended = False
+    if isinstance(error, UnexpectedCharacters):
+        names = set(error.allowed or ())
+    elif isinstance(error, UnexpectedToken):
+        names, ended = set(error.accepts or error.expected), error.token.type == END
+    column = len(line) + 1 if ended else error.column
+    got = "the end of the line" if ended else repr(line[column - 1 :].split()[0])
+    words = sorted({_readable(name) for name in names - {END, "COMMENT", "WS_INLINE"}})
+    if len(words) > MOST_LISTED:
+        words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
+    nearest = max(
+        FAULT_KINDS, key=lambda kind: SequenceMatcher(None, kind.usage, line.partition(":")[2]).ratio()
+    )
+    return Mistake(f"line {number}, column {column}: expected {either(words)}, got {got}", nearest.example)
+
+
+def _readable(terminal: str) -> str:
+    return READABLE.get(terminal) or repr(_grammar().get_terminal(terminal).pattern.value)
 
 
 @cache

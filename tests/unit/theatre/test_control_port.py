@@ -50,7 +50,7 @@ def test_a_reset_connection_leaves_no_trace_and_the_next_is_served(
 
 @pytest.mark.parametrize(
     "line",
-    ["at 0 s: tracker occlude marker 99 for 1 s", "when step == tea:T9: robot drop 5 % for 1 s", "tea"],
+    ["at 0 s: tracker occlude marker 99 for 1 s", "tea"],
 )
 def test_a_live_fault_that_cannot_happen_is_refused_with_its_code(room: Room, line: str) -> None:
     answer = room.answer({"do": "fault", "line": line})

@@ -10,11 +10,13 @@ import pytest
 
 from ronna_hw.records import Record, write_record
 from sim.errors import NothingToVerify
+from sim.theatre.rigid import apply, inverse, matrix_of
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.truth import SCENE_FILE, TipSample, append_sample
 from sim.theatre.verify import RECORDS_FOLDER, THEATRE_FOLDER, verify_run
 
 SCENE = named_scene("mini")
+TRAJECTORY = "left-STN"  # by the plan; no trajectory of the scene has this name
 FIDUCIALS_MM = [fiducial.centre_ct_mm for fiducial in SCENE.head.fiducials]
 ENTRY_MM, TARGET_MM = (10.0, 20.0, 80.0), (10.0, 20.0, 30.0)  # straight down, 50 mm deep
 
@@ -25,24 +27,26 @@ def run(tmp_path: Path) -> Path:
     (tmp_path / THEATRE_FOLDER).mkdir()
     (tmp_path / RECORDS_FOLDER).mkdir()
     (tmp_path / THEATRE_FOLDER / SCENE_FILE).write_text(SCENE.model_dump_json(by_alias=True))
+    ct_from_robot = inverse(matrix_of(SCENE.head.robot_from_ct))
+    entry_mm, target_mm = (apply(ct_from_robot, end).tolist() for end in (ENTRY_MM, TARGET_MM))
+    plan = {"trajectories": [{"id": TRAJECTORY, "entry_mm": entry_mm, "target_mm": target_mm}]}
+    write_record(Record("01-plan_check", "plan_check", {}, {"plan": plan}), tmp_path / RECORDS_FOLDER)
     return tmp_path
 
 
 @pytest.fixture
-def reach(run: Path) -> Callable[..., None]:
+def at_target(run: Path) -> Callable[..., None]:
     """Have the tip sampled at the first target."""
 
     def sample(tip_mm: tuple[float, float, float], tool: int = SCENE.mount.tool_number_guide) -> None:
         append_sample(
             TipSample(
-                target=SCENE.head.targets[0].identifier,
+                target=TRAJECTORY,
                 theatre_time_s=1.0,
                 mounted_tool=tool,
                 arm_at_rest=True,
                 tip_mm=tip_mm,
                 axis=(0.0, 0.0, -1.0),
-                target_mm=TARGET_MM,
-                entry_mm=ENTRY_MM,
             ),
             run / THEATRE_FOLDER,
         )
@@ -64,9 +68,9 @@ def localize(run: Path) -> Callable[[Sequence[Sequence[float]]], None]:
 
 
 def test_the_error_at_a_target_is_split_along_and_across_the_trajectory(
-    run: Path, reach: Callable[..., None]
+    run: Path, at_target: Callable[..., None]
 ) -> None:
-    reach((10.3, 20.4, 28.8))  # 0.5 mm beside it and 1.2 mm too deep
+    at_target((10.3, 20.4, 28.8))  # 0.5 mm beside it and 1.2 mm too deep
     (target,) = verify_run(run)["targets"]
     assert target["application_error_mm"] == pytest.approx(1.3)
     assert target["lateral_mm"] == pytest.approx(0.5)
@@ -75,16 +79,16 @@ def test_the_error_at_a_target_is_split_along_and_across_the_trajectory(
     assert target["guide_mounted"]
 
 
-def test_the_last_look_at_a_target_counts(run: Path, reach: Callable[..., None]) -> None:
-    reach((15.0, 20.0, 30.0))
-    reach((10.0, 20.0, 30.1))
+def test_the_last_look_at_a_target_counts(run: Path, at_target: Callable[..., None]) -> None:
+    at_target((15.0, 20.0, 30.0))
+    at_target((10.0, 20.0, 30.1))
     assert [target["axial_mm"] for target in verify_run(run)["targets"]] == pytest.approx([-0.1])
 
 
 def test_a_target_that_was_reached_with_the_stereo_head_is_told(
-    run: Path, reach: Callable[..., None]
+    run: Path, at_target: Callable[..., None]
 ) -> None:
-    reach(TARGET_MM, SCENE.mount.tool_number_stereo)
+    at_target(TARGET_MM, SCENE.mount.tool_number_stereo)
     assert not verify_run(run)["targets"][0]["guide_mounted"]
 
 

@@ -36,7 +36,7 @@ def on_a1(value: float) -> tuple[float, ...]:
 
 def test_a_script_can_name_exactly_the_messages_there_are() -> None:
     assert set(TRIPS) == set(MESSAGES) == set(NUMBERS)
-    with pytest.raises(BadFaultScript, match="there is no trip 'tea', only timeout, "):
+    with pytest.raises(BadFaultScript, match=r"expected trip timeout, .*, got tea"):
         check_faults(parse_faults("now: robot trip tea"), named_scene("mini"))
 
 
@@ -93,8 +93,3 @@ def test_a_fault_of_a_cycle_begins_with_that_telegram_and_lasts_in_theatre_time(
         world.clock.sleep(0.004)
     assert seen == [(False, 0), (False, 0), (True, 0), (True, 1), (False, 0), (False, 0), (False, 0)]
     world.clock.close()
-
-
-def test_only_the_robot_has_cycles() -> None:
-    with pytest.raises(BadFaultScript, match="the tracker has no cycles, only the robot"):
-        check_faults(parse_faults("at cycle 3: tracker occlude marker 1"), named_scene("mini"))
