@@ -16,7 +16,7 @@ from typing import Self, TypeVar, cast
 
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, TheatreFile, read_theatre_file
-from ronna_hw.devices.errors import NotInTheatre, WrongKind
+from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.devices.stereo import StereoPair
@@ -38,7 +38,7 @@ class Theatre:
     def __init__(self, file: TheatreFile, clock: Clock) -> None:
         """Opens nothing."""
         self.file = file
-        self.clock = clock
+        self._clock = clock
         self.arms: Mapping[str, RobotArm] = _Arms(self)
         self._devices: dict[str, Device] = {}
         self._closed = False
@@ -48,6 +48,12 @@ class Theatre:
         """Read the file and open its clock, but no device. Raises CFG-001 or CLK-001."""
         file = read_theatre_file(Path(path))
         return cls(file, open_clock(file.clock.endpoint))
+
+    @property
+    def clock(self) -> Clock:
+        """The theatre's time; raises DEV-010 once the theatre is closed."""
+        self._require_open()
+        return self._clock
 
     @property
     def tracker(self) -> OpticalTracker:
@@ -121,8 +127,8 @@ class Theatre:
                     device.close()
                 except Exception as error:  # the others must be closed all the same
                     logger(device=device.name).error("cannot be closed", cause=error)
-            if isinstance(self.clock, SharedClock):
-                self.clock.close()
+            if isinstance(self._clock, SharedClock):
+                self._clock.close()
             self._closed = True
 
     def __enter__(self) -> Self:
@@ -136,6 +142,10 @@ class Theatre:
                 self.close()
             raise
 
+    def _require_open(self) -> None:
+        if self._closed:
+            raise TheatreClosed(f"theatre {self.file.theatre} is closed")
+
     def _device(self, name: str, interface: Callable[..., D]) -> D:
         device = self._made(name)
         if not isinstance(device, cast("type", interface)):
@@ -147,6 +157,7 @@ class Theatre:
         return cast("D", device)
 
     def _made(self, name: str) -> Device:
+        self._require_open()
         if name not in self._devices:
             self.require(name)
             self._devices[name] = make_device(name, self.file.devices[name], self.clock)

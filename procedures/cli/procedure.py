@@ -258,7 +258,7 @@ def _request(
     if config is not None and (scene != SceneChoice() or faults is not None or speed is not SpeedChoice.MAX):
         raise UsageMistake(
             "--scene, --seed, --markers, --targets, --speed and --faults go with --sim",
-            action="With --config the theatre is what it is.",
+            action="Leave them out: the theatre file names the devices of the theatre.",
         )
     if Path(scene.scene).suffix and scene != SceneChoice(scene.scene):
         raise UsageMistake(

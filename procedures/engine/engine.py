@@ -5,6 +5,7 @@ Work happens here, never in a transition of the state chart. Whatever ends a ste
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 from procedures.engine.case import Case, Stored
@@ -88,14 +89,14 @@ class Engine:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
         if unmet := self.why_refused(key):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
-            _log.warning("step refused", step=str(key), unmet=list(unmet))
+            _log.warning("step refused", step=self._logged(str(key)), unmet=self._logged("; ".join(unmet)))
             raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
         spec = self.order.spec(key)
         self.machine.begin(key.name)
         self._latest = key
         try:
             self._write(Entry.INTENT, step=str(key), moves=spec.moves)
-            _log.info("step begins", step=str(key))
+            _log.info("step begins", step=self._logged(str(key)))
             self.setting.room.announce(str(key))
             context = self._context(key)
             outcome = spec.run(context)
@@ -105,12 +106,12 @@ class Engine:
             self.setting.workcell.stop()
             self.machine.abort()
             self._write(Entry.INTERRUPTED, step=str(key))
-            _log.warning("step interrupted", step=str(key))
+            _log.warning("step interrupted", step=self._logged(str(key)))
             raise
         except Exception as problem:
             self._fail(key, problem)
             raise
-        _log.info("step done", step=str(key), record=stored.record.identifier, summary=outcome.summary)
+        _log.info("step done", step=self._logged(str(key)), summary=self._logged(outcome.summary))
         if self.upcoming is None:
             self.machine.finish()
         self._listener(key, outcome)
@@ -165,7 +166,7 @@ class Engine:
         self.machine.fail()
         code = problem.code if isinstance(problem, RonnaError) else type(problem).__name__
         attachments = problem.attachments if isinstance(problem, RonnaError) else {}
-        _log.error("step failed", step=str(key), error=problem)
+        _log.error("step failed", step=self._logged(str(key)), error=code)  # its words are in the journal
         for name, text in attachments.items():
             (self.case.folder / name).write_text(text, encoding="utf-8")
         if not isinstance(problem, JournalNotWritable):
@@ -181,6 +182,12 @@ class Engine:
             _case=self.case,
             _record_confirmation=self._record_confirmation,
         )
+
+    def _logged(self, text: str) -> str:
+        """Text for the log, with the number of a trajectory for its name: a name may be a patient's."""
+        for number, name in enumerate(self.order.trajectories, start=1):
+            text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
+        return text
 
     def _record_confirmation(self, question: Question, answer: bool) -> None:
         self._write(Entry.CONFIRMATION, subject=question.subject, value=question.value, answer=answer)

@@ -18,10 +18,13 @@ def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
     """Connect and configure as needed, activate, and deactivate on leaving the block.
 
     `timeout_s` limits each of these calls. A device that is in HOLD starts anew; one that is already active
-    is taken as it is, and deactivated all the same. What the block raises is never masked: a failure to
-    deactivate is added to it as a note. Raises what `connect`, `configure` and `activate` raise, and DEV-001
+    is taken as it is, and left active. What the block raises is never masked: a failure to deactivate is
+    added to it as a note. Raises what `connect`, `configure` and `activate` raise, and DEV-001
     for a device that is in FAULT or CLOSED.
     """
+    if device.state is Lifecycle.ACTIVE:  # by whoever made it so, who also deactivates it
+        yield device
+        return
     _activate(device, timeout_s)
     try:
         yield device
@@ -43,8 +46,7 @@ def _activate(device: Device, timeout_s: float) -> None:
         device.connect(timeout_s)
     if device.state is Lifecycle.CONNECTED:
         device.configure(timeout_s)
-    if device.state is not Lifecycle.ACTIVE:
-        device.activate(timeout_s)
+    device.activate(timeout_s)
 
 
 def _deactivate(device: Device, timeout_s: float) -> None:

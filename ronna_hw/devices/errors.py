@@ -35,6 +35,13 @@ class WrongKind(ConfigurationError):
     action = "Name a driver of that kind in the device's table, or request the interface that it provides."
 
 
+class TheatreClosed(StateError):
+    """A theatre was used after it was closed."""
+
+    code = "DEV-010"
+    action = "Use its devices inside the block of open_theatre, or open the theatre again."
+
+
 class NoNewFrame(LinkTimeout):
     """The tracker replies, but makes no new measurement within the time limit."""
 

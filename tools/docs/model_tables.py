@@ -27,7 +27,9 @@ def _rows(schema: dict[str, Any], definitions: dict[str, Any]) -> Iterable[tuple
     required = schema.get("required", [])
     for key, value in schema.get("properties", {}).items():
         default = "required" if key in required else _default(value)
-        yield f"`{key}`", _type(value, definitions), default, value.get("description", "")
+        nullable = key in required and {"type": "null"} in value.get("anyOf", ())
+        kind = _type(value, definitions) + (" or null" if nullable else "")
+        yield f"`{key}`", kind, default, value.get("description", "")
 
 
 def _default(value: dict[str, Any]) -> str:

@@ -142,8 +142,9 @@ def _make_engine(
 
     theatre = Theatre.from_file(file)
     wanted = procedure(theatre)
+    calibrations = wanted.calibrations or theatre.calibrations  # what is missing is known before the journal
     journal = Journal(folder)
-    workcell = Workcell(theatre, journal, calibrations=wanted.calibrations)
+    workcell = Workcell(theatre, journal, calibrations=calibrations)
     journal.write(
         Entry.OPENED,
         theatre.clock.now_s(),

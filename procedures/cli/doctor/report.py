@@ -57,7 +57,7 @@ def examine(
 
 
 def show(report: Report, *, as_json: bool) -> None:
-    """Print the findings; ends with exit code 4 when a device or an endpoint is not well."""
+    """Print the findings; ends with exit code 4 when a device or an endpoint has a problem."""
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
@@ -72,8 +72,8 @@ def show(report: Report, *, as_json: bool) -> None:
     else:
         print_table(
             "Doctor",
-            ("looked at", "", "seen", "what to do"),
-            [(f.subject, "well" if f.well else "look", f.seen, f.advice) for f in report.findings],
+            ("checked", "", "found", "what to do"),
+            [(f.subject, "ok" if f.well else "PROBLEM", f.seen, f.advice) for f in report.findings],
         )
     if not all(finding.well for finding in report.devices):
         raise SystemExit(EXIT_NOT_FOUND)

@@ -27,29 +27,29 @@ def print_calibration(result: HeadResult, folder: Path) -> None:
         [
             ["cameras", f"{head.left.serial} left, {head.right.serial} right"],
             ["looks", f"{used} used, {len(fit.used) - used} left out"],
-            ["residuals with the arm's part, rms", f"{residual_px:.2f} px"],
-            ["one outline", f"{fit.image_sigma_px:.3f} px"],
-            ["the arm", f"{fit.arm_error_mm:.3f} mm per axis and pose"],
-            ["of it without any rule", f"{fit.arm_scatter_mm:.3f} mm"],
+            ["rms residual, arm errors included", f"{residual_px:.2f} px"],
+            ["standard error of an outline", f"{fit.image_sigma_px:.3f} px"],
+            ["arm error", f"{fit.arm_error_mm:.3f} mm per axis and pose"],
+            ["arm error, random part", f"{fit.arm_scatter_mm:.3f} mm"],
             ["tool centre on the flange", " ".join(f"{v:.3f}" for v in head.flange_from_tool.translation_mm)],
-            ["it moved by", f"{result.tool_shift_mm:.3f} mm"],
+            ["shift of the tool centre", f"{result.tool_shift_mm:.3f} mm"],
             ["its standard error", f"{head.stated_error_mm:.3f} mm, per axis {sigmas} mm"],
-            ["change between the cameras", f"{result.frame_misfit_mm:.3f} mm"],
+            ["change of the stereo geometry", f"{result.frame_misfit_mm:.3f} mm"],
             ["made", f"{head.created:%Y-%m-%d %H:%M} UTC"],
             ["valid until", f"{head.expires:%Y-%m-%d %H:%M} UTC"],
         ],
     )
     if fit.arm_error_mm > REPEATABILITY_MM:
         console.tell(
-            f"warning: over these poses the arm errs by {fit.arm_error_mm:.2f} mm per axis, more than the "
-            f"{REPEATABILITY_MM:g} mm it repeats to. What its last link adds to the tool centre unseen is in "
-            "the standard error; for strategies that turn the tool calibrate the arm first"
+            f"warning: the arm error over these poses, {fit.arm_error_mm:.2f} mm per axis, exceeds its "
+            f"repeatability of {REPEATABILITY_MM:g} mm. The standard error covers what the last link adds to "
+            "the tool centre; calibrate the arm before using a strategy that turns the tool"
         )
     console.tell(f"records and baseline in {folder}: put calibration.toml into the theatre file")
 
 
 def print_check(result: CheckResult) -> None:
-    """The three signs of a check."""
+    """The three tests of a check."""
     rows = [
         [
             f"{sign.name}, {sign.unit}",
@@ -57,13 +57,13 @@ def print_check(result: CheckResult) -> None:
             " ".join(f"{value:.5f}" for value in sign.sigma),
             f"{sign.statistic:.1f}",
             f"{sign.limit:.1f}",
-            "CHANGED" if sign.sounds else "as it was",
+            "CHANGED" if sign.sounds else "unchanged",
         ]
         for sign in result.signs
     ]
     console.print_table(
-        f"{result.looks} looks, arm repeats to {1000 * result.repeatability_mm:.0f} um per axis",
-        ["sign", "change", "one sigma", "chi square", "limit", ""],
+        f"{result.looks} looks; arm repeatability {1000 * result.repeatability_mm:.0f} um per axis",
+        ["test", "change", "standard error", "chi-square", "limit", ""],
         rows,
     )
 
@@ -84,7 +84,7 @@ def show_look(seen: Look, *, as_json: bool) -> None:
         return
     console.print_table(
         "the ball in the tool frame",
-        ["x y z mm", "one sigma um", "gap of the rays um", "radius mm"],
+        ["x y z mm", "standard error um", "ray gap um", "radius mm"],
         [
             [
                 " ".join(f"{value:.4f}" for value in point.position_mm),

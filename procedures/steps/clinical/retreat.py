@@ -18,7 +18,7 @@ class Retreated(StepResult, kind="retreat"):
 
     parked: bool = Field(description="Whether the arm went on to where the case began.")
     joints_rad: Numbers6 = Field(description="Measured joints at the end.")
-    link: LinkHealth | None = Field(default=None, description="Health of the robot link, when it was ended.")
+    link: LinkHealth | None = Field(description="Health of the robot link, when it was ended.")
 
 
 def run(context: StepContext) -> Outcome[Retreated]:
@@ -30,7 +30,7 @@ def run(context: StepContext) -> Outcome[Retreated]:
     context.result(PositionedGuide)
     context.result(ReachedTarget)
     if not context.is_last_trajectory():  # any may come first
-        return Outcome(Retreated(parked=False, joints_rad=reached.joints_rad), "outside the entry")
+        return Outcome(Retreated(parked=False, joints_rad=reached.joints_rad, link=None), "outside the entry")
     reached = workcell.go_home()
     link = link_health(context)
     workcell.rest()

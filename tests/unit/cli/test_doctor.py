@@ -89,7 +89,7 @@ def test_a_computer_alone_is_well_without_devices(capsys: pytest.CaptureFixture[
     assert report.devices == ()
     assert {"Python", "packages", "real-time priority"} <= {each.subject for each in report.computer}
     show(report, as_json=False)
-    assert "packages\twell\tours" in capsys.readouterr().out
+    assert "packages\tok\tours" in capsys.readouterr().out
 
 
 def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,4 +110,4 @@ def test_a_device_that_is_not_well_ends_with_4(capsys: pytest.CaptureFixture[str
 
 def test_a_computer_that_is_not_well_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
     show(Report((Finding("packages", False, "foreign: sim"),), (WELL,)), as_json=False)
-    assert "packages\tlook\tforeign: sim" in capsys.readouterr().out
+    assert "packages\tPROBLEM\tforeign: sim" in capsys.readouterr().out

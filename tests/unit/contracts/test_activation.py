@@ -53,6 +53,14 @@ def test_a_device_is_brought_to_active_from_wherever_it_stands(device: Recorded)
     assert device.calls == ["connect", "configure", *2 * ("activate", "deactivate")]
 
 
+def test_a_block_inside_another_leaves_the_device_active(device: Recorded) -> None:
+    with device.active():
+        with device.active():
+            pass
+        assert device.state is Lifecycle.ACTIVE
+    assert device.calls == ["connect", "configure", "activate", "deactivate"]
+
+
 def test_a_device_in_hold_starts_anew(device: Recorded) -> None:
     with device.active():
         device.guard.enter(Lifecycle.HOLD)

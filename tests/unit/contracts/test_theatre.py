@@ -14,7 +14,7 @@ from ronna_hw import Theatre, open_theatre
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import BadTheatreFile, DeviceConfig, parse_theatre
 from ronna_hw.devices import Lifecycle, RobotArm, StopKind
-from ronna_hw.devices.errors import NotInTheatre, WrongKind
+from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError
 
@@ -165,6 +165,15 @@ def test_devices_carry_the_names_of_their_tables_and_the_folder_of_the_file(path
     devices = Theatre.from_file(path).file.devices
     assert sorted(devices) == ["device.force", "robot.left", "robot.right"]
     assert {config.folder for config in devices.values()} == {path.parent}
+
+
+def test_a_closed_theatre_gives_neither_devices_nor_time(path: Path) -> None:
+    with Theatre.from_file(path) as theatre:
+        pass
+    with pytest.raises(TheatreClosed, match="DEV-010"):
+        theatre.device("force", ScaledForceSensor)
+    with pytest.raises(TheatreClosed, match="DEV-010"):
+        theatre.clock.now_s()
 
 
 def test_a_theatre_can_be_made_of_parsed_content() -> None:
