@@ -13,8 +13,6 @@ from drivers.basler_stereo.control.heartbeat import Heartbeat
 from drivers.basler_stereo.control.identity import CameraIdentity, identify
 from drivers.basler_stereo.control.privilege import require_control, take_control
 from drivers.basler_stereo.errors import CommandRefused, NoCamera
-from drivers.basler_stereo.events.listener import EventListener, has_events, subscribe
-from drivers.basler_stereo.events.messages import WANTED, EventCounters, event_ids
 from drivers.basler_stereo.features import known_state
 from drivers.basler_stereo.features.description import fetch_description, parse_description
 from drivers.basler_stereo.features.feature_map import FeatureMap
@@ -50,7 +48,6 @@ class Camera:
         self._keep_alive_number: int | None = None
         self._next_block: int | None = None
         self._receiver: StreamReceiver | None = None
-        self._listener: EventListener | None = None
         self._packet_bytes = 0
         self._trigger: Command | None = None
         self.area = AreaOfInterest(0, 0, 0, 0)
@@ -81,11 +78,6 @@ class Camera:
     def counters(self) -> StreamCounters | None:
         """What happened on the present stream, or None when there is none."""
         return self._receiver.counters if self._receiver else None
-
-    @property
-    def event_counters(self) -> EventCounters | None:
-        """What the camera has reported, or None when events are off."""
-        return self._listener.counters if self._listener else None
 
     @property
     def trigger_command(self) -> Command | None:
@@ -125,8 +117,6 @@ class Camera:
             known_state.set_area(self._features, self.area)
             self._choose_packet_size(deadline_s)
             self.tick_frequency_hz = self._read_tick_frequency(deadline_s)
-            if self._options.events:
-                self._listen(event_ids(nodes), deadline_s)
         except BaseException:
             with contextlib.suppress(RonnaError, OSError):
                 self.release(deadline_s)
@@ -225,7 +215,6 @@ class Camera:
             if self._receiver is not None:
                 self.stop(deadline_s)
         finally:
-            self._end_listening()
             self.control.write_register(Bootstrap.CCP, gev.CCP_OPEN, deadline_s)
 
     def close(self, deadline_s: float) -> None:
@@ -236,7 +225,6 @@ class Camera:
             if self._heartbeat is not None:
                 self.release(deadline_s)
         self._end_keep_alive()
-        self._end_listening()
         self._close_receiver()
         self._control.close()
         self._control = None
@@ -292,21 +280,6 @@ class Camera:
     def _until(self, deadline_s: float) -> None:
         assert self._memory is not None, "the lifecycle allows this only while controlled"
         self._memory.deadline_s = max(deadline_s, time.monotonic())
-
-    def _listen(self, names: dict[int, str], deadline_s: float) -> None:
-        if not names or not has_events(self.control, self.features, deadline_s):
-            self.notices.append(f"{self.side}: the camera does not support events")
-            return
-        own, peer = self.control.local_address, str(self.control.link.getpeername()[0])
-        self._listener = EventListener(own, peer, names, self.side)
-        subscribed = subscribe(self.control, self.features, self._listener, deadline_s)
-        if missing := [name for name in WANTED if name not in subscribed or name not in names.values()]:
-            self.notices.append(f"{self.side}: the camera does not report {', '.join(missing)}")
-
-    def _end_listening(self) -> None:
-        if self._listener is not None:
-            self._listener.close()  # giving control back closes the camera's end
-            self._listener = None
 
     def _end_keep_alive(self) -> None:
         if self._keep_alive_number is not None and self._receiver_process is not None:

@@ -74,10 +74,6 @@ class BaslerOptions(Strict):
         default=16 * 1024 * 1024,
         description="Requested receive buffer of a stream socket; the kernel may cap it.",
     )
-    events: bool = Field(
-        default=False,
-        description="Have the cameras report exposures and missed triggers; the driver counts them.",
-    )
     load_default_user_set: bool = Field(default=True, description="Start from the camera's factory settings.")
 
     @model_validator(mode="after")

@@ -18,7 +18,6 @@ from drivers.basler_stereo.errors import (
     ReceiverEnded,
     WrongSerial,
 )
-from drivers.basler_stereo.events.messages import EventCounters
 from drivers.basler_stereo.options import read_options
 from drivers.basler_stereo.pair_grabber import PairGrabber
 from drivers.basler_stereo.pair_identity import check_pair, pair_identity
@@ -113,13 +112,6 @@ class BaslerStereoPair:
         self._guard.require("counters", READABLE)
         left, right = self._pair
         return left.counters, right.counters
-
-    @property
-    def event_counters(self) -> tuple[EventCounters | None, EventCounters | None]:
-        """What the cameras have reported since `configure`, left and right; None without option `events`."""
-        self._guard.require("event_counters", READABLE)
-        left, right = self._pair
-        return left.event_counters, right.event_counters
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:

@@ -4,8 +4,7 @@
 driver = "basler_pylon"
 endpoints = { left = "gev://192.168.3.11", right = "gev://192.168.3.12" }
 
-The options are those of basler_stereo; heartbeat, packets and retransmission are handled by the library,
-and events are not subscribed to.
+The options are those of basler_stereo; heartbeat, packets and retransmission are handled by the library.
 """
 
 from __future__ import annotations

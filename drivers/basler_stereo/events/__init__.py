@@ -1,1 +1,0 @@
-"""The message channel: events that a camera reports, such as missed triggers."""
