@@ -55,6 +55,11 @@ class Cameras:
         pair.activate(LIMIT_S)
         return pair
 
+    def show_ramp(self, pair: BaslerStereoPair) -> None:
+        """Have both cameras send their fixed test image in place of what they see."""
+        for camera in pair._pair:
+            camera.features.choose("TestImageSelector", "Testimage1")
+
     def close(self) -> None:
         self.heal()
         for pair in self._pairs:

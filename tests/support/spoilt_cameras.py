@@ -40,7 +40,8 @@ class Stand:
     """Both cameras, served by a thread of this process."""
 
     def __init__(self) -> None:
-        self.pair = CameraPair(World.create(named_scene("bench"), paced=True))
+        self.world = World.create(named_scene("bench"), paced=True)
+        self.pair = CameraPair(self.world)
         self.left, self.right = self.pair._cameras
         self._thread = threading.Thread(target=self.pair.serve)
         self._thread.start()

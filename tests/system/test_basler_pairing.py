@@ -85,11 +85,15 @@ def skew_ms(reading: StereoReading) -> float:
 @pytest.mark.parametrize("trigger", ["software", "action"])
 def test_one_command_to_each_gives_one_pair_of_one_moment(theatre: Theatre, trigger: str) -> None:
     pair = theatre.streaming(trigger=trigger)
+    begun_ns = theatre.world.clock.now_ns()
     for number in (1, 2, 3):
         reading = pair.grab_pair(LIMIT_S)
         assert reading.validity is Validity.OK
         assert pair.block_ids == (number, number)
         assert skew_ms(reading) <= SKEW_MS
+    # exposure and read-out, and no more
+    frame_ms = 2.0 + AREA.height * 20.0 / 1088
+    assert 3 * frame_ms <= (theatre.world.clock.now_ns() - begun_ns) / 1e6 + 1e-4 <= 3 * (frame_ms + SKEW_MS)
 
 
 def test_one_pulse_on_the_line_gives_one_pair_of_one_moment(theatre: Theatre) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from peer_cameras import SERIALS, Peer, free_address
+from spoilt_cameras import Stand
 
 from drivers.basler_stereo import probe as camera_probe
 from drivers.basler_stereo.control.identity import CameraIdentity
@@ -16,7 +16,7 @@ from drivers.basler_stereo.probe.camera_state import Access, CameraState, Contro
 from drivers.basler_stereo.probe.diagnosis import Expected, camera_finding
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Finding
-from ronna_hw.endpoints import Endpoint
+from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface
 from ronna_hw.host.port_users import PortUser
 from ronna_hw.wire.gige_vision import GVCP_PORT
@@ -134,62 +134,53 @@ def test_small_packets_are_well_and_say_what_would_be_better() -> None:
 
 # --- the state ---------------------------------------------------------------------------------------------
 
-MakePeer = Callable[..., Peer]
+SERIALS = ("21904411", "21904412")
+NOBODY = "127.76.9.9"
 
 
 @pytest.fixture
-def make_peer() -> Iterator[MakePeer]:
-    made: list[Peer] = []
-
-    def make(*arguments: str) -> Peer:
-        made.append(Peer(*arguments))
-        return made[-1].ready()
-
-    yield make
-    for peer in made:
-        peer.close()
+def stand() -> Iterator[Stand]:
+    made = Stand()
+    yield made
+    made.close()
 
 
-def probed(peer: Peer) -> CameraState:
-    return look_at_camera(Endpoint("gev", host=peer.address))
+def probed(stand: Stand) -> CameraState:
+    return look_at_camera(parse_endpoint(stand.pair.endpoints["left"]))
 
 
-def test_a_camera_is_asked_measured_and_given_back(make_peer: MakePeer) -> None:
-    peer = make_peer(SERIALS[0], "--largest-packet", "1500")
+def test_a_camera_is_asked_measured_and_given_back(stand: Stand) -> None:
+    stand.world.set_fault_script("now: camera narrow path left 1500 bytes")
     for _ in range(2):  # the first look leaves nothing behind
-        found = probed(peer)
+        found = probed(stand)
         assert found.access is Access.ANSWERED
         assert found.identity is not None
-        assert (found.identity.address, found.identity.serial, found.identity.model) == (
-            peer.address,
-            SERIALS[0],
-            MODEL,
-        )
+        assert (found.identity.serial, found.identity.model) == (SERIALS[0], MODEL)
         assert found.interface is not None
         assert found.interface.loopback
         assert found.controller == Controller(False)
         assert found.packet_bytes == 1500
 
 
-def test_a_camera_that_somebody_controls_is_left_alone(make_peer: MakePeer) -> None:
-    peer = make_peer(SERIALS[0])
-    peer.fault("taken")
-    found = probed(peer)
-    assert found.controller == Controller(True)
+def test_a_camera_that_somebody_controls_is_left_alone(stand: Stand) -> None:
+    stand.world.set_fault_script("now: camera seize left")
+    found = probed(stand)
+    assert found.controller is not None
+    assert found.controller.taken
     assert found.packet_bytes is None
 
 
-def test_a_camera_without_test_packets_is_told(make_peer: MakePeer) -> None:
-    assert probed(make_peer(SERIALS[0], "--largest-packet", "0")).packet_bytes == 0
+def test_a_camera_without_test_packets_is_told(stand: Stand) -> None:
+    stand.world.set_fault_script("now: camera narrow path left 100 bytes")
+    assert probed(stand).packet_bytes == 0
 
 
 def test_nobody_and_somebody_silent_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_state, "REPLY_LIMIT_S", 0.2)
-    address = free_address()
-    endpoint = Endpoint("gev", host=address)
+    endpoint = Endpoint("gev", host=NOBODY)
     assert look_at_camera(endpoint).access is Access.REFUSED
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
-        silent.bind((address, GVCP_PORT))
+        silent.bind((NOBODY, GVCP_PORT))
         assert look_at_camera(endpoint).access is Access.SILENT
 
 
@@ -215,7 +206,7 @@ def looked_at(*addresses: str) -> list[Finding]:
 
 
 def test_broadcast_discovery_stays_on_the_network_of_the_given_addresses(asked: list[Interface]) -> None:
-    first, *_ = looked_at(free_address(), free_address())
+    first, *_ = looked_at(NOBODY, "127.76.9.10")
     assert [network.loopback for network in asked] == [True]
     assert first.subject == "cameras on lo"
     assert "21900002 at 192.168.3.12" in first.seen
@@ -229,11 +220,10 @@ def test_nothing_is_broadcast_for_an_address_in_no_subnet_of_this_computer(
     assert finding.subject == "camera gev://203.0.113.1"
 
 
-def test_the_cameras_of_a_theatre_file_and_their_cause(make_peer: MakePeer) -> None:
-    left, right = make_peer(SERIALS[0], "--largest-packet", "8192"), free_address()
+def test_the_cameras_of_a_theatre_file_and_their_cause(stand: Stand) -> None:
     config = DeviceConfig(
         driver="basler_stereo",
-        endpoints={"left": f"gev://{left.address}", "right": f"gev://{right}"},
+        endpoints={"left": stand.pair.endpoints["left"], "right": f"gev://{NOBODY}"},
         options={"left_serial": SERIALS[0], "right_serial": SERIALS[1]},
     )
     *_, first, second, device = probe("stereo", config, lambda share: None)

@@ -1,0 +1,193 @@
+"""The stereo driver's life on cameras that run: whom it accepts, what it refuses, faults, and the end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from faulty_cameras import AREA, LIMIT_S, Cameras
+
+from drivers.basler_stereo import BaslerStereoPair
+from drivers.basler_stereo.errors import (
+    CablesSwapped,
+    CameraLost,
+    ControlTaken,
+    NoReply,
+    OutOfRange,
+    ReceiverEnded,
+    WrongModel,
+    WrongSerial,
+)
+from ronna_hw.devices import LastKnown, Lifecycle
+from ronna_hw.devices.errors import PersonNotNamed, WrongState
+from ronna_hw.devices.readings import AreaOfInterest, Validity
+from ronna_hw.host.child_process import ChildProcess, command
+
+SERIALS = ("21904411", "21904412")
+FULL = AreaOfInterest(0, 0, 2048, 1088)
+
+
+def test_identity_states_and_observation_follow_the_lifecycle(cameras: Cameras) -> None:
+    pair = cameras.new_pair(left_serial=SERIALS[0], right_serial=SERIALS[1])
+    assert pair.observe() == LastKnown(Lifecycle.DISCONNECTED, None, None)
+    assert pair.serials == ("", "")
+    with pytest.raises(WrongState, match="DEV-001"):
+        pair.grab_pair()
+    with pytest.raises(WrongState, match="DEV-001"):
+        _ = pair.areas
+    identity = pair.connect(LIMIT_S)
+    assert (identity.vendor, identity.model) == ("Basler", "acA2000-50gmNIR")
+    assert (identity.serial, pair.serials) == ("+".join(SERIALS), SERIALS)
+    pair.configure(LIMIT_S)
+    assert pair.areas == (FULL, FULL)
+    assert pair.notices == ()
+    with pair.active(LIMIT_S):
+        reading = pair.grab_pair(LIMIT_S)
+        assert pair.observe().state is Lifecycle.ACTIVE
+    assert pair.state is Lifecycle.CONFIGURED
+    pair.close()
+    assert pair.observe().state is Lifecycle.CLOSED
+    assert pair.observe().reading is reading
+
+
+@pytest.mark.hazard(25)
+def test_swapped_cables_another_camera_and_another_model_are_told_apart(cameras: Cameras) -> None:
+    with pytest.raises(CablesSwapped, match="GEV-004"):
+        cameras.new_pair(left_serial=SERIALS[1], right_serial=SERIALS[0]).connect(LIMIT_S)
+    with pytest.raises(WrongSerial, match="GEV-003"):
+        cameras.new_pair(right_serial="21900009").connect(LIMIT_S)
+    with pytest.raises(WrongModel, match=r"GEV-002.*acA640-120gm"):
+        cameras.new_pair(expected_model="acA640-120gm").connect(LIMIT_S)
+
+
+@pytest.mark.hazard(34)
+def test_a_second_controller_is_refused_and_the_first_goes_on(cameras: Cameras) -> None:
+    pair, second = cameras.streaming(heartbeat_ms=500), cameras.new_pair()
+    second.connect(LIMIT_S)
+    with pytest.raises(ControlTaken, match="GEV-005"):
+        second.configure(LIMIT_S)
+    assert second.state is Lifecycle.CONNECTED
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+
+
+def test_after_a_failed_configure_neither_camera_is_controlled(cameras: Cameras) -> None:
+    cameras.fault("seize right")
+    refused = cameras.new_pair()
+    refused.connect(LIMIT_S)
+    with pytest.raises(ControlTaken):
+        refused.configure(1.0)
+    cameras.heal()
+    assert cameras.streaming().grab_pair(LIMIT_S).validity is Validity.OK
+
+
+def test_a_camera_without_test_packets_is_believed(cameras: Cameras) -> None:
+    cameras.fault("narrow path left 100 bytes")
+    pair = cameras.new_pair()
+    pair.connect(LIMIT_S)
+    pair.configure(LIMIT_S)
+    assert [notice.split(":")[0] for notice in pair.notices if "no test packets" in notice] == ["left"]
+
+
+def test_impossible_areas_and_exposures_are_refused_and_the_old_ones_stay(cameras: Cameras) -> None:
+    pair = cameras.streaming()
+    for offset_x, offset_y, width, height in (
+        (0, 0, 2080, 1088),
+        (2000, 0, 64, 64),
+        (8, 0, 64, 64),
+        (0, 0, 40, 64),
+        (0, -1, 64, 64),
+        (0, 0, 0, 64),
+    ):
+        with pytest.raises(OutOfRange, match="GEV-011"):
+            pair.set_areas(
+                AreaOfInterest(0, 0, 64, 64), AreaOfInterest(offset_x, offset_y, width, height), LIMIT_S
+            )
+        assert pair.areas == (AREA, AREA)
+    for exposure_us, gain_raw in ((10.0, 40), (2e6, 40), (500.0, 10), (500.0, 600)):
+        with pytest.raises(OutOfRange, match="GEV-011"):
+            pair.set_exposure(exposure_us, gain_raw)
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+
+
+def test_images_and_control_survive_a_driver_that_computes_without_pause(cameras: Cameras) -> None:
+    pair = cameras.streaming(heartbeat_ms=500)
+    for _ in range(2):
+        # one operation that never lets another thread of this process run, longer than the time-out
+        began_s, number = time.monotonic(), 3
+        while time.monotonic() - began_s < 0.7:
+            number = pow(3, number % 1000 + 60_000)
+        assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+    assert pair.counters[0].incomplete_frames == 0
+
+
+def test_a_silent_camera_is_a_fault_while_it_is_being_set_and_none_before_its_time_out(
+    cameras: Cameras,
+) -> None:
+    pair = cameras.streaming(heartbeat_ms=60_000)
+    cameras.fault("unplug right")
+    with pytest.raises(NoReply, match=f"GEV-007: {cameras.addresses[1]}"):
+        pair.grab_pair(0.5)
+    assert pair.state is Lifecycle.ACTIVE
+    cameras.heal()
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+    cameras.fault("unplug right")
+    with pytest.raises(CameraLost, match=f"GEV-014.*{cameras.addresses[1]}: no reply"):
+        pair.set_exposure(500.0, 40, 0.5)  # whether it was taken is unknown
+    assert pair.state is Lifecycle.FAULT
+
+
+@pytest.mark.hazard(4)
+def test_a_killed_receiver_process_is_a_fault_and_a_named_person_recovers(cameras: Cameras) -> None:
+    pair = cameras.streaming()
+    assert pair._receiver_process is not None
+    os.kill(pair._receiver_process.pid, signal.SIGKILL)
+    with pytest.raises(ReceiverEnded, match="GEV-017"):
+        pair.grab_pair(LIMIT_S)
+    assert pair.state is Lifecycle.FAULT
+    with pytest.raises(WrongState, match="GEV-017"):
+        pair.grab_pair(1.0)
+    with pytest.raises(PersonNotNamed, match="DEV-006"):
+        pair.recover("  ")
+    pair.recover("a tester", LIMIT_S)
+    pair.activate(LIMIT_S)
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+
+
+def test_close_gives_control_back_and_leaves_no_thread_and_no_process(cameras: Cameras) -> None:
+    pair = cameras.streaming()
+    before = threading.active_count()
+    assert pair._receiver_process is not None
+    receiver = pair._receiver_process.pid
+    pair.close()
+    assert threading.active_count() <= before - 2
+    assert not Path(f"/proc/{receiver}").exists()
+    assert cameras.streaming().state is Lifecycle.ACTIVE
+
+
+def closed_within_limit(pair: BaslerStereoPair) -> bool:
+    began_s = time.monotonic()
+    pair.close()
+    return pair.state is Lifecycle.CLOSED and time.monotonic() - began_s < LIMIT_S
+
+
+def test_close_is_bounded_with_cameras_that_do_not_reply(cameras: Cameras) -> None:
+    pair = cameras.streaming()
+    cameras.fault("unplug both")
+    assert closed_within_limit(pair)
+
+
+@pytest.mark.slow  # cameras off the network say the same, but for the host's report of a closed port
+@pytest.mark.hazard(4)
+def test_cameras_whose_power_went_latch_a_fault_and_can_be_closed() -> None:
+    with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as child:
+        cameras = Cameras(child)
+        pair = cameras.streaming(heartbeat_ms=500)
+        child.process.kill()
+        with pytest.raises(CameraLost, match="GEV-014"):
+            pair.grab_pair(LIMIT_S)
+        assert pair.state is Lifecycle.FAULT
+        assert closed_within_limit(pair)
