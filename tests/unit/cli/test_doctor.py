@@ -105,7 +105,7 @@ def test_a_device_that_is_not_well_ends_with_4(capsys: pytest.CaptureFixture[str
     with pytest.raises(SystemExit) as ended:
         show(Report((), (WELL, UNWELL)), as_json=False)
     assert ended.value.code == 4
-    assert "device tracker\tlook\tsilent\tSwitch it on." in capsys.readouterr().out
+    assert "device tracker\tPROBLEM\tsilent\tSwitch it on." in capsys.readouterr().out
 
 
 def test_a_computer_that_is_not_well_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
