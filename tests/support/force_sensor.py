@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.metadata import EntryPoint
 from typing import Protocol, runtime_checkable
 
@@ -51,13 +52,17 @@ class ScaledForceSensor(IdealDevice):
         return self.guard.last_known(self._force_N)
 
 
-def install(monkeypatch: pytest.MonkeyPatch, **drivers: type) -> None:
+def install(
+    monkeypatch: pytest.MonkeyPatch, probes: Mapping[str, object] | None = None, **drivers: type
+) -> None:
     """Register drivers by entry point, as installing their package does; without any, the force sensor."""
-    classes = drivers or {"force": ScaledForceSensor}
+    groups: dict[str, Mapping[str, object]] = {
+        registry.GROUP: drivers or {"force": ScaledForceSensor},
+        registry.PROBE_GROUP: probes or {},
+    }
 
     def entry_points(*, group: str) -> list[EntryPoint]:
-        names = classes if group == registry.GROUP else ()
-        return [EntryPoint(name, f"{__name__}:{name}", group) for name in names]
+        return [EntryPoint(name, f"{__name__}:{name}", group) for name in groups[group]]
 
     monkeypatch.setattr(registry, "entry_points", entry_points)
-    monkeypatch.setattr(EntryPoint, "load", lambda point: classes[point.name])
+    monkeypatch.setattr(EntryPoint, "load", lambda point: groups[point.group][point.name])

@@ -32,7 +32,7 @@ from procedures.steps.calibration.baseline_visit import VisitedBaseline
 from procedures.steps.catalogue import CLINICAL_STEPS
 from ronna_hw.config import TheatreFile
 from ronna_hw.conformance import robot, stereo, tracker
-from ronna_hw.errors import concrete_errors
+from ronna_hw.errors import RonnaError, concrete_errors
 from sim.polaris.unit.behaviour import parameter_rows
 from sim.theatre.faults import FAULT_KINDS
 from sim.theatre.scene.model import Scene
@@ -72,19 +72,24 @@ def with_table(page: str, content: str) -> str:
     return page.partition(MARK)[0] + MARK + content
 
 
-def _error_codes() -> str:
+def errors_with_a_code() -> list[type[RonnaError]]:
+    """Every error of ours that has a code, in the order of codes."""
     for package in PACKAGES:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             # ronna_hw defines its few errors where they are raised; every other package has an errors.py.
             if module.name.endswith("errors") or (package is ronna_hw and ".cli" not in module.name):
                 importlib.import_module(module.name)
     ours = {package.__name__ for package in PACKAGES}  # tests define errors of their own
-    errors = [error for error in concrete_errors() if error.__module__.partition(".")[0] in ours]
+    errors = (error for error in concrete_errors() if error.__module__.partition(".")[0] in ours)
+    return sorted(errors, key=lambda error: error.code)
+
+
+def _error_codes() -> str:
     return table(
         ("code", "what it means", "what to do", "exit code"),
         [
             (error.code, (error.__doc__ or "").strip().splitlines()[0], error.action, error.exit_code)
-            for error in sorted(errors, key=lambda error: error.code)
+            for error in errors_with_a_code()
         ],
     )
 

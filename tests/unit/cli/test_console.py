@@ -24,7 +24,6 @@ from ronna_hw.command_line.errors import (
     PortInUse,
     SystemRefused,
     UsageMistake,
-    as_ronna_error,
 )
 from ronna_hw.errors import LimitError, RonnaError
 
@@ -124,24 +123,15 @@ def test_a_command_without_arguments_shows_its_help_as_it_is(capsys: pytest.Capt
     assert {"  make", "  show"} <= set(line.rstrip() for line in err.splitlines())
 
 
-def test_an_interrupt_ends_with_130(capsys: pytest.CaptureFixture[str]) -> None:
-    assert console.exit_code_of(raising(KeyboardInterrupt()), []) == 130
-    assert capsys.readouterr().err == "interrupted\n"
-
-
-def test_an_exit_code_chosen_by_the_command_is_kept() -> None:
-    assert console.exit_code_of(raising(typer.Exit(7)), []) == 7
-    assert console.exit_code_of(app_that(lambda: None), []) == 0
-
-
-def test_a_declined_question_is_an_abort(capsys: pytest.CaptureFixture[str]) -> None:
-    assert console.exit_code_of(raising(typer.Abort()), []) == 7
-    assert capsys.readouterr().err == "aborted\n"
-
-
-def test_an_error_of_ours_passes_through_unchanged() -> None:
-    error = TooFar("x")
-    assert as_ronna_error(error) is error
+@pytest.mark.parametrize(
+    ("leaving", "code", "said"),
+    [(KeyboardInterrupt(), 130, "interrupted\n"), (typer.Abort(), 7, "aborted\n"), (typer.Exit(7), 7, "")],
+)
+def test_a_command_that_leaves_early_ends_with_its_exit_code(
+    leaving: BaseException, code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert console.exit_code_of(raising(leaving), []) == code
+    assert capsys.readouterr().err == said
 
 
 def test_a_table_off_a_terminal_is_tab_separated(capsys: pytest.CaptureFixture[str]) -> None:
@@ -223,51 +213,49 @@ SPEAKING = (
 )
 
 
-def heard(*arguments: str, levels: str = "") -> list[tuple[str, str]]:
-    """Level and device of every line of the log on standard error."""
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", SPEAKING, *arguments],
+LEVELS = {
+    "none": [],
+    "info": [(level, device) for device in ("tracker", "stereo") for level in ("info", "error")],
+    "debug": [(level, device) for device in ("tracker", "stereo") for level in ("debug", "info", "error")],
+    "debug of the tracker": [
+        (level, "tracker") for level in ("debug", "info", "error")
+    ] + [("info", "stereo"), ("error", "stereo")],
+    "errors": [("error", "tracker"), ("error", "stereo")],
+}  # fmt: skip
+
+
+def spoken(arguments: str, environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-P", "-c", SPEAKING, *arguments.split()],
         capture_output=True,
         text=True,
-        env={**os.environ, "RONNA_LOG": levels},
+        env={**os.environ, "RONNA_LOG": environment},
     )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment", "shown"),
+    [
+        ("", "", "none"),
+        ("--verbose", "", "info"),
+        ("--verbose", "debug", "debug"),
+        ("--verbose", "tracker=debug", "debug of the tracker"),
+        ("--verbose --log-level tracker=error", "tracker=debug,stereo=error", "errors"),
+    ],
+)
+def test_verbose_shows_the_log_at_the_levels_of_option_and_environment(
+    arguments: str, environment: str, shown: str
+) -> None:
+    done = spoken(arguments, environment)
     assert (done.returncode, done.stdout) == (0, "data\n"), done.stderr
-    if "--verbose" not in arguments:
-        assert done.stderr == ""
     lines = [line.split() for line in done.stderr.splitlines() if " heard" in line]
-    return [(line[-3], line[-1].removeprefix("device=")) for line in lines]
+    assert [(line[-3], line[-1].removeprefix("device=")) for line in lines] == LEVELS[shown]
+    assert arguments or done.stderr == ""
 
 
-EVERYTHING = [(level, device) for device in ("tracker", "stereo") for level in ("debug", "info", "error")]
-
-
-def test_without_verbose_not_even_an_error_is_logged_to_the_terminal() -> None:
-    assert heard() == []
-
-
-def test_verbose_shows_the_log_on_standard_error() -> None:
-    assert heard("--verbose") == [one for one in EVERYTHING if one[0] != "debug"]
-
-
-def test_a_level_by_environment_holds_for_one_logger_or_for_all() -> None:
-    assert heard("--verbose", levels="debug") == EVERYTHING
-    assert ("debug", "stereo") not in heard("--verbose", levels="tracker=debug")
-    assert ("debug", "tracker") in heard("--verbose", levels="tracker=debug")
-
-
-def test_an_option_takes_precedence_over_the_environment() -> None:
-    only_errors = heard("--verbose", "--log-level", "tracker=error", levels="tracker=debug,stereo=error")
-    assert only_errors == [("error", "tracker"), ("error", "stereo")]
-
-
-@pytest.mark.parametrize(("arguments", "levels"), [(["--log-level", "tracker=loud"], ""), ([], "loud")])
-def test_a_level_that_does_not_exist_is_a_usage_error(arguments: list[str], levels: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", SPEAKING, *arguments],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "RONNA_LOG": levels},
-    )
+@pytest.mark.parametrize(("arguments", "environment"), [("--log-level tracker=loud", ""), ("", "loud")])
+def test_a_level_that_does_not_exist_is_a_usage_error(arguments: str, environment: str) -> None:
+    done = spoken(arguments, environment)
     assert done.returncode == 2
     assert done.stderr.startswith("CLI-001: log level ")
     assert len(done.stderr.splitlines()) == 1

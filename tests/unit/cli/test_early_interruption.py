@@ -7,7 +7,6 @@ import sys
 
 import pytest
 
-from ronna_hw.command_line import early_interruption
 from ronna_hw.errors import EXIT_FAILED, EXIT_INTERRUPTED
 
 
@@ -28,7 +27,3 @@ def test_any_other_mistake_keeps_its_trace() -> None:
     assert done.returncode == EXIT_FAILED
     assert "Traceback" in done.stderr
     assert "ValueError: a mistake" in done.stderr
-
-
-def test_the_exit_code_is_the_one_of_all_commands() -> None:
-    assert early_interruption.EXIT_INTERRUPTED == EXIT_INTERRUPTED

@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from ronna_hw.host.own_packages import OWN_PACKAGES, foreign_packages, require_own_packages
 
 PROGRAM = """
@@ -25,10 +23,10 @@ def test_our_own_packages_are_ours() -> None:
     assert foreign_packages() == ()
 
 
-@pytest.mark.parametrize("name", OWN_PACKAGES)
-def test_a_foreign_package_that_comes_first_on_the_path_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).mkdir()
-    (tmp_path / name / "__init__.py").touch()
+def test_foreign_packages_that_come_first_on_the_path_are_refused_by_name(tmp_path: Path) -> None:
+    for name in OWN_PACKAGES:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
     done = subprocess.run(
         [sys.executable, "-P", "-c", PROGRAM],
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
@@ -36,4 +34,5 @@ def test_a_foreign_package_that_comes_first_on_the_path_is_refused(tmp_path: Pat
         text=True,
         check=True,
     )
-    assert done.stdout.startswith(f"CFG-003: another package on the path is named {name}")
+    assert done.stdout.startswith("CFG-003: ")
+    assert " and ".join(OWN_PACKAGES) in done.stdout

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from ronna_hw.host.processor_affinity import SURE_AFTER_TELEGRAMS, ProcessorAffinity
+from ronna_hw.host.processor_affinity import ProcessorAffinity
 
 EVERYWHERE = {0, 1, 2}
 
@@ -14,77 +14,58 @@ EVERYWHERE = {0, 1, 2}
 class System:
     """Grants what is asked, or refuses it."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, processors: set[int] = EVERYWHERE) -> None:
-        self.kept: list[set[int]] = []
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.granted: list[set[int]] = []
         self.refuses = False
-        monkeypatch.setattr(os, "sched_getaffinity", lambda _thread: set(processors))
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _thread: set(EVERYWHERE))
         monkeypatch.setattr(os, "sched_setaffinity", self._set)
 
     def _set(self, _thread: int, allowed: set[int]) -> None:
         if self.refuses:
             raise OSError
-        self.kept.append(allowed)
+        self.granted.append(allowed)
 
 
-def test_it_moves_when_telegrams_come_by_another_processor_and_stays_there(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.fixture
+def system(monkeypatch: pytest.MonkeyPatch) -> System:
+    return System(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("follows", "telegrams_on", "granted"),
+    [
+        pytest.param(True, [2] * 10, [{2}], id="it moves once and stays there"),
+        pytest.param(True, [1, 1, 0, 1, 2, 1, 0, 1], [{1}], id="one telegram elsewhere moves nothing"),
+        pytest.param(True, [-1] * 10, [], id="unknown processor"),
+        pytest.param(True, [7] * 10, [], id="processor that is not ours"),
+        pytest.param(False, [1] * 10, [], id="process without real-time priority"),
+    ],
+)
+def test_it_follows_consecutive_telegrams_to_their_processor(
+    system: System, follows: bool, telegrams_on: list[int], granted: list[set[int]]
 ) -> None:
-    system = System(monkeypatch)
+    processor = ProcessorAffinity(follows=follows)
+    for each in telegrams_on:
+        processor.follow(each)
+    assert system.granted == granted
+
+
+def test_set_free_it_goes_elsewhere_and_may_then_run_anywhere_it_might_before(system: System) -> None:
     processor = ProcessorAffinity(follows=True)
-    for _ in range(10):
-        processor.follow(2)
-    assert system.kept == [{2}]
-
-
-def test_one_telegram_by_another_processor_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    system = System(monkeypatch)
-    processor = ProcessorAffinity(follows=True)
-    for _ in range(SURE_AFTER_TELEGRAMS):
-        processor.follow(1)
-    for odd in (0, 1, 2, 1, 0, 1):
-        processor.follow(odd)
-    assert system.kept == [{1}]
-
-
-def test_set_free_it_goes_elsewhere_and_may_then_run_anywhere_it_might_before(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    system = System(monkeypatch)
-    processor = ProcessorAffinity(follows=True)
-    for _ in range(SURE_AFTER_TELEGRAMS):
-        processor.follow(1)
+    processor.free()
+    processor.follow(1)
+    processor.follow(1)
     processor.free()
     processor.free()
-    assert system.kept == [{1}, EVERYWHERE - {1}, EVERYWHERE]
+    assert system.granted == [{1}, EVERYWHERE - {1}, EVERYWHERE]
 
 
-@pytest.mark.parametrize("elsewhere", [-1, 7])
-def test_a_processor_unknown_or_not_ours_is_not_followed(
-    monkeypatch: pytest.MonkeyPatch, elsewhere: int
-) -> None:
-    system = System(monkeypatch)
-    processor = ProcessorAffinity(follows=True)
-    for _ in range(10):
-        processor.follow(elsewhere)
-    assert system.kept == []
-
-
-def test_a_process_that_does_not_run_first_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    system = System(monkeypatch)
-    processor = ProcessorAffinity(follows=False)
-    for _ in range(10):
-        processor.follow(1)
-    processor.free()
-    assert system.kept == []
-
-
-def test_a_refusal_is_accepted_and_nothing_more_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    system = System(monkeypatch)
+def test_a_refusal_is_accepted_and_nothing_more_is_asked(system: System) -> None:
     processor = ProcessorAffinity(follows=True)
     system.refuses = True
-    for _ in range(SURE_AFTER_TELEGRAMS):
-        processor.follow(1)
+    processor.follow(1)
+    processor.follow(1)
     system.refuses = False
     for _ in range(10):
         processor.follow(2)
-    assert system.kept == []
+    assert system.granted == []
