@@ -27,14 +27,14 @@ class BadRecord(DataError):
 
 
 class RecordExists(DataError):
-    """A record of that identifier is there already: identifiers are never used twice."""
+    """A record with that identifier already exists; identifiers are never used twice."""
 
     code = "REC-002"
     action = "Keep the folder as it is, and start a new run."
 
 
 class OtherVersion(DataError):
-    """A record was written by another version of the program, with fields of another meaning."""
+    """A record was written by a version of the program whose fields mean something else."""
 
     code = "REC-003"
     action = "Read it with the version that wrote it, or repeat the step."

@@ -20,17 +20,17 @@ class WorldUnavailable(ConnectError):
 
 
 class BadFaultScript(ConfigurationError):
-    """A line of a fault script cannot be understood."""
+    """A line of a fault script is not of a known form."""
 
     code = "SIM-003"
-    action = "Write for example: at 12.5 s: tracker occlude marker 3 for 2 s."
+    action = "Write it like: at 12.5 s: tracker occlude marker 3 for 2 s."
 
 
 class EndpointTaken(ConnectError):
     """The address a simulated device should listen on is in use."""
 
     code = "SIM-004"
-    action = "Choose another endpoint, or end the program that holds it."
+    action = "Choose another endpoint, or end the program that uses it."
 
 
 class NothingToVerify(DataError):
@@ -48,7 +48,7 @@ class BadTruth(DataError):
 
 
 class BadDeviceParameter(ConfigurationError):
-    """A parameter for a device of the theatre cannot be understood."""
+    """A parameter for a device of the theatre is not of a known form."""
 
     code = "SIM-010"
     action = "Write --set robot.NAME=VALUE or --set tracker.NAME=VALUE."

@@ -108,14 +108,14 @@ class CameraLost(LinkTimeout):
     """A connected camera no longer replies."""
 
     code = "GEV-014"
-    action = "Check power and cable of that camera, then recover."
+    action = "Check power and cable of that camera, then call recover."
 
 
 class ControlLost(DeviceError):
-    """We lost control of a camera: it restarted, or our heartbeat came too late."""
+    """Control of a camera was lost: it restarted, or our heartbeat came too late."""
 
     code = "GEV-015"
-    action = "Find out what stalled or restarted, then recover; all settings are written again."
+    action = "Find out what stalled or restarted, then call recover, which writes all settings again."
 
 
 class BadOptions(ConfigurationError):

@@ -79,14 +79,14 @@ class NoTelegram(LinkTimeout):
 
 
 class LinkSilent(LinkTimeout):
-    """Telegrams ceased while the stream was running."""
+    """Telegrams stopped arriving while the stream was running."""
 
     code = "RSI-003"
     action = "Check the controller's message window and the cable, then recover the arm."
 
 
 class LinkStopped(StateError):
-    """Replies were stopped on request; the controller ends the stream by its Timeout."""
+    """Replies were stopped on request; the controller's Timeout ends the stream."""
 
     code = "RSI-004"
     action = "Find the reason, then recover the arm."
@@ -135,7 +135,7 @@ class MotionStopped(StateError):
 
 
 class MotionNotFinished(LinkTimeout):
-    """A motion did not end, or the arm did not settle, in its time limit."""
+    """A motion did not end, or the arm did not settle, within its time limit."""
 
     code = "RSI-011"
     action = "Give the motion more time, or look at the lost cycles and at option settle_tolerance_deg."
@@ -208,10 +208,10 @@ class LinkProcessStalled(DeviceError):
 
 
 class ControllerNotFound(ConnectError):
-    """Nothing answers at the controller's address, or not with the expected telegrams."""
+    """Nothing answers at the controller's address, or the answer is not an expected telegram."""
 
     code = "EKI-001"
-    action = "Check the address, the cable and that the EKI server program runs on the controller."
+    action = "Check the address, the cable, and that the EKI server program is running on the controller."
 
 
 class ControllerLost(ProtocolError):
@@ -239,7 +239,7 @@ class BadEkiTelegram(ProtocolError):
 
 
 class WrongController(ConnectError):
-    """The controller's context, cycle, mode or arm is not the one the driver is configured for."""
+    """The controller's context, cycle, mode or arm differs from the driver's configuration."""
 
     code = "EKI-005"
     action = (
@@ -273,7 +273,7 @@ class CommandRefused(DeviceError):
     """The controller refused a command."""
 
     code = "EKI-008"
-    action = "Read the code and the controller's message window."
+    action = "Look up the code, and read the controller's message window."
 
 
 class DrivesOff(StateError):

@@ -110,14 +110,14 @@ class BadToolFile(DataError):
 
 
 class SameGeometry(ConfigurationError):
-    """Two tools cannot be told apart by the distances of their markers."""
+    """Two tools cannot be told apart: the distances between their markers are too similar."""
 
     code = "NDI-012"
     action = "Use tools whose marker distances differ by several millimetres."
 
 
 class ForeignTool(DataError):
-    """A definition is valid but belongs to another tool."""
+    """A definition is valid but is not that of this tool."""
 
     code = "NDI-013"
     action = "Use the .rom of this tool; if it was changed on purpose, correct sha256 in the theatre file."
@@ -139,7 +139,7 @@ class SensorBumped(DeviceError):
 
 
 class TemperatureHold(DeviceError):
-    """The unit is not warmed up or too hot; it withholds poses meanwhile."""
+    """The unit has not warmed up, or is too hot; it withholds poses meanwhile."""
 
     code = "NDI-022"
     action = "Wait: tracking resumes by itself when the temperature is in range."

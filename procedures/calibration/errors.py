@@ -20,10 +20,10 @@ class DegeneratePoses(DataError):
 
 
 class DoesNotFit(DataError):
-    """No pair of cameras on a flange explains the observations."""
+    """No rigid pair of cameras on the flange explains the observations."""
 
     code = "CAL-004"
-    action = "Check that ball and mount are rigid, and that arm variant and images are of one run; repeat."
+    action = "Check that ball and mount are rigid and that images and arm variant match this run; repeat."
 
 
 class BadObservations(DataError):
@@ -56,7 +56,7 @@ class NotTheBaseline(DataError):
 
 
 class NoBall(RefusedError):
-    """The position of the ball is not given, and the tracker sees none within the arm's reach."""
+    """No position of the ball was given, and the tracker sees no ball within the arm's reach."""
 
     code = "CAL-009"
     action = "Give the position of the ball with --ball X Y Z, or clear the tracker's line of sight to it."

@@ -12,14 +12,14 @@ from ronna_hw.errors import (
 
 
 class StepRefused(RefusedError):
-    """A step may not begin: its preconditions are not met. All of them are listed."""
+    """A step may not begin: the listed preconditions are not met."""
 
     code = "PRO-001"
     action = "Meet the listed preconditions, or run the steps that come before."
 
 
 class NotConfirmed(RonnaError):
-    """The operator said no, or did not answer in time, which means no."""
+    """The operator said no, or did not answer in time, which counts as no."""
 
     code = "PRO-002"
     action = "Nothing was done. Repeat the step when the operator can confirm."
@@ -50,7 +50,7 @@ class UnknownStep(RonnaError):
 
 
 class GateFailed(RefusedError):
-    """A result is outside the gate that it has to pass before the procedure goes on."""
+    """A result is outside the limits that it must meet before the procedure goes on."""
 
     code = "PRO-007"
     action = "Look at the value and its limit; repeat the step or correct its inputs."
@@ -64,7 +64,7 @@ class JournalCorrupt(RonnaError):
 
 
 class NotYet(RonnaError):
-    """An option that the command knows, but that this version does not carry out."""
+    """The command accepts this option, but this version does not implement it."""
 
     code = "PRO-012"
     action = "Leave the option out."
@@ -72,7 +72,7 @@ class NotYet(RonnaError):
 
 
 class CommandRefused(RonnaError):
-    """A command that this run started ended by itself; its own words are in the message."""
+    """A command that this run started ended by itself; its last output is in the message."""
 
     code = "PRO-013"
     action = "Correct what its message names, then start again."
@@ -83,7 +83,7 @@ class CommandRefused(RonnaError):
 
 
 class WrongResult(RonnaError):
-    """A step left another result than it declares, or asked for one that it does not declare."""
+    """A step produced or requested a result that it does not declare."""
 
     code = "PRO-016"
-    action = "Correct the step: its declaration names what it reads and what it leaves."
+    action = "Correct the step: its declaration names its result and the results it reads."

@@ -6,21 +6,21 @@ from ronna_hw.errors import ConfigurationError, DataError
 
 
 class UnknownForm(ConfigurationError):
-    """No form of exchange has this file ending."""
+    """No exchange format has this file name extension."""
 
     code = "EXC-001"
     action = "End the name with .dcm, .json, .mrk.json or .csv."
 
 
 class NotWritable(DataError):
-    """A file of the exchange cannot be written."""
+    """An exported file cannot be written."""
 
     code = "EXC-002"
     action = "Give another folder."
 
 
 class NothingToExport(DataError):
-    """The run holds no result of the kind that was asked for."""
+    """The run holds no result of the requested kind."""
 
     code = "EXC-003"
     action = "Give the folder of a run that reached a registration, such as runs/<run id>."

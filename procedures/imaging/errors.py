@@ -14,7 +14,7 @@ LISTED_CANDIDATES = 8  # in the message; all of them are in the error
 
 
 class SeriesNotFound(DataError):
-    """The folder of the series does not exist or is not a folder."""
+    """The folder of the series does not exist, or is a file."""
 
     code = "CT-001"
     action = "Give the folder that holds the DICOM files of one CT series."
@@ -35,7 +35,7 @@ class SeriesMixed(DataError):
 
 
 class WrongModality(DataError):
-    """The images are not slices of a CT."""
+    """The images are not CT slices."""
 
     code = "CT-004"
     action = "Export the CT as single-slice CT images."
@@ -136,7 +136,7 @@ class MarkerCountWrong(DataError):
 
 
 class LocalizationMisused(DataError):
-    """The localizer was given an impossible diameter or count."""
+    """The localizer was given an invalid diameter or count."""
 
     code = "CT-017"
     action = "Give a marker diameter that the voxels can resolve, and a count that is not negative."

@@ -38,14 +38,14 @@ class PlanError(DataError):
 
 
 class PlanMistakes(PlanError):
-    """Keys or values of the plan are wrong, or mistakes of several kinds; all are listed."""
+    """The plan has wrong keys or values, or several kinds of mistakes; all are listed."""
 
     code = "PLAN-002"
     action = "Correct every line named here; the reference lists every key."
 
 
 class WrongSeries(PlanError):
-    """The plan was made on another CT series."""
+    """The plan was made on a different CT series."""
 
     code = "PLAN-003"
     action = "Load the series that the plan was made on, or plan again on this one."
@@ -59,14 +59,14 @@ class BadTrajectoryGeometry(PlanError):
 
 
 class DuplicateTrajectory(PlanError):
-    """Two trajectories have one id, so that neither can be named."""
+    """Two trajectories have the same id, so neither can be referred to."""
 
     code = "PLAN-005"
     action = "Give every trajectory an id of its own."
 
 
 class OutsideField(PlanError):
-    """An entry or a target lies outside the CT, where nothing can be planned."""
+    """An entry or a target lies outside the CT."""
 
     code = "PLAN-006"
     action = "Check the coordinates: LPS millimetres of this series, not of another frame or in RAS."
@@ -80,17 +80,17 @@ class NotReachable(RefusedError):
 
 
 class WrongMarkerCount(PlanError):
-    """The CT shows another number of fiducials than were implanted."""
+    """The number of fiducials in the CT differs from the number implanted."""
 
     code = "PLAN-008"
     action = "Look at the candidates in the CT; correct the count in the plan only after counting the screws."
 
 
 class WrongOrientation(PlanError):
-    """The CT was taken in another patient position than the plan says."""
+    """The CT was taken in a different patient position from the one in the plan."""
 
     code = "PLAN-009"
-    action = "Find out which is right before anything else: left and right may be exchanged."
+    action = "Find out which is right before anything else: left and right may be swapped."
 
 
 class PlanNotWritten(ConfigurationError):
@@ -101,28 +101,28 @@ class PlanNotWritten(ConfigurationError):
 
 
 class NotIntoHead(PlanError):
-    """A way does not lead from the air outside the head to a target inside it, as the CT shows."""
+    """According to the CT, a trajectory does not lead from outside the head to a target inside it."""
 
     code = "PLAN-011"
-    action = "Look at entry and target in the CT; exchanged points or coordinates in RAS look like this."
+    action = "Look at entry and target in the CT: they may be exchanged, or given in RAS."
 
 
 class UnknownTool(PlanError):
-    """The plan names a tool that is not known."""
+    """The plan names an unknown tool."""
 
     code = "PLAN-012"
-    action = "Name a known tool, the one that was planned for; another one has another length."
+    action = "Name the tool that the plan was made for; another tool has another length."
 
 
 class FiducialsNotYet(ConfigurationError):
-    """The plan asks for a kind of fiducials that is not supported yet."""
+    """The plan asks for a kind of fiducial that is not supported yet."""
 
     code = "PLAN-013"
     action = 'Use single spheres on screws and plan with fiducials = "free".'
 
 
 class NoHeadInCt(PlanError):
-    """The CT shows nothing that could be a head, so nothing can be kept clear of it."""
+    """No head was found in the CT, so no clearance to it can be kept."""
 
     code = "PLAN-014"
     action = "Check that this is the CT of the head, in Hounsfield units."

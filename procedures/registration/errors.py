@@ -40,7 +40,7 @@ class CollinearPoints(DataError):
 
 
 class DuplicatePoints(DataError):
-    """Two points of one set are closer than two spheres can be: one sphere was measured twice."""
+    """Two points of one set are closer together than two spheres can be: one was measured twice."""
 
     code = "REG-004"
     action = "Remove the duplicate point; it would silently count twice."
@@ -54,11 +54,11 @@ class BadCovariance(DataError):
 
 
 class NotConverged(DataError):
-    """A weighted fit or a cloud registration did not converge: points, covariances or start contradict."""
+    """A weighted fit or a cloud registration did not converge: its inputs contradict each other."""
 
     code = "REG-006"
     action = (
-        "Check pairing and covariances, for clouds the start; fit without covariances to see the residuals."
+        "Check pairing and covariances (for clouds, the start); fit without covariances to see the residuals."
     )
 
 
@@ -91,7 +91,7 @@ class ResidualTooLarge(RefusedError):
 
 
 class SymmetricCloud(DataError):
-    """A cloud without correspondence fits in several orientations."""
+    """A cloud of unpaired points fits in several orientations."""
 
     code = "REG-011"
     action = "Give an approximate transform as the start, or register paired fiducials."

@@ -41,7 +41,7 @@ class RaysDoNotMeet(DataError):
 
 
 class WrongSize(DataError):
-    """At its distance, what both cameras see is too large or too small for the sphere."""
+    """What both cameras see is too large or too small to be the sphere at its distance."""
 
     code = "STE-006"
     action = "Check what is in view: glare, another sphere, or a marker of another diameter."

@@ -11,7 +11,7 @@ from ronna_hw.errors import ConfigurationError, DataError
 
 
 class StrategyNotYet(ConfigurationError):
-    """The strategy exists in the plan of this project but is not built yet."""
+    """The strategy is planned but not implemented yet."""
 
     code = "STR-001"
     action = "Use the strategy ocs."

@@ -13,7 +13,7 @@ class OtherStudy(ConfigurationError):
 
 
 class LedgerUnreadable(DataError):
-    """The record of finished units cannot be read."""
+    """The file of finished units cannot be read."""
 
     code = "STU-002"
     action = "Remove the folder and run the study again; only complete lines are ever used."
@@ -48,7 +48,7 @@ class PhantomFailed(DataError):
 
 
 class NotForJudging(ConfigurationError):
-    """A tuning family was about to be used for evaluating the localizer."""
+    """A family meant for tuning was named for evaluating the localizer."""
 
     code = "STU-007"
     action = "Remove it from the judging families, or state its purpose in the phantom."

@@ -6,7 +6,7 @@ from ronna_hw.errors import LimitError, RefusedError
 
 
 class WrongTool(LimitError):
-    """The controller's inputs report another tool than the step needs."""
+    """The controller's inputs report a different tool from the one that the step needs."""
 
     code = "PRO-009"
     action = "Mount the tool that is named, then repeat the step. No motion until then."
@@ -14,17 +14,17 @@ class WrongTool(LimitError):
 
 
 class InstrumentInside(RefusedError):
-    """An instrument is beyond the entry: nothing but motion along its own axis is possible."""
+    """An instrument is beyond the entry: only motion along its own axis is possible."""
 
     code = "PRO-014"
-    action = "Retreat along the trajectory that is named first."
+    action = "First retreat along the named trajectory."
 
 
 class TipOffAxis(LimitError):
-    """The tip is not on the axis that it is to be withdrawn along."""
+    """The tip is not on the axis along which it has to be withdrawn."""
 
     code = "PRO-015"
-    action = "Do not move the arm. Free the instrument by hand, then look for what moved."
+    action = "Do not move the arm. Free the instrument by hand, then find out what moved."
     exit_code = RefusedError.exit_code
 
 

@@ -37,10 +37,10 @@ class OutOfJointRange(LimitError):
 
 
 class BranchUnavailable(LimitError):
-    """The requested branch has no solution here."""
+    """The requested branch has no solution at this pose."""
 
     code = "ARM-004"
-    action = "Move to the wanted branch by a joint move first."
+    action = "Move into that branch with a joint move first."
 
 
 class TooFast(LimitError):
@@ -58,17 +58,17 @@ class MotionInvalid(DataError):
 
 
 class NotClear(LimitError):
-    """On the path a body of the arm or its tool comes too close to another."""
+    """Along the path, a body of the arm or its tool comes too close to another body."""
 
     code = "ARM-007"
     action = (
         "Choose another angle about the tool axis or go via another pose; if the body is not really there, "
-        "correct it in the cell of the theatre file."
+        "correct it in [cell] of the theatre file."
     )
 
 
 class SurroundingsTooLarge(DataError):
-    """The cell has more bodies than the real-time process can hold."""
+    """[cell] has more bodies than the real-time process can hold."""
 
     code = "ARM-008"
-    action = "Describe the cell in the theatre file with fewer bodies and shorter names."
+    action = "Use fewer bodies and shorter names in [cell] of the theatre file."

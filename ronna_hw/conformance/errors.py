@@ -6,7 +6,7 @@ from ronna_hw.errors import ConfigurationError, RefusedError
 
 
 class NoDeviceChosen(ConfigurationError):
-    """The command line names no device to test, or several."""
+    """The command line names no device to test, or more than one."""
 
     code = "CNF-001"
     action = "Give one of --sim, --config FILE and --endpoint [NAME=]URI."
@@ -20,7 +20,7 @@ class DeviceNotInFile(ConfigurationError):
 
 
 class NoSuchCase(ConfigurationError):
-    """No case of the suite has a number that starts as --only says."""
+    """No case of the suite has a number that starts with the text given to --only."""
 
     code = "CNF-003"
     action = "Run the suite without --only to see the numbers of its cases."

@@ -26,7 +26,7 @@ MESSAGE_LINES_KEPT = 5
 
 
 class ChildNotReady(LinkTimeout):
-    """A child process ended, or said nothing, before it was ready."""
+    """A child process ended or stayed silent instead of becoming ready."""
 
     code = "PRC-001"
     action = "Run the command alone to see what stops it."

@@ -26,10 +26,10 @@ class ControlPortSilent(ConnectError):
 
 
 class ControlRequestRefused(ConfigurationError):
-    """A running theatre or simulated device does not do what was asked at its control port."""
+    """A running theatre or simulated device refused a request at its control port."""
 
     code = "CTL-002"
-    action = "See ronna-sim mount --help, or ronna-sim fault for all kinds of fault."
+    action = "See ronna-sim mount --help, or run ronna-sim fault to list all kinds of fault."
 
 
 class ControlPortClient:

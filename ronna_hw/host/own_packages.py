@@ -15,10 +15,10 @@ OWN_PACKAGES = ("drivers", "sim", "procedures")
 
 
 class ForeignPackage(ConfigurationError):
-    """A package of ours is shadowed by another one on the path."""
+    """One of our packages is shadowed by another of the same name on the path."""
 
     code = "CFG-003"
-    action = "Use a virtual environment of its own, and do not run from a folder with a package of that name."
+    action = "Use a separate virtual environment, and do not run from a folder that holds such a package."
 
 
 def foreign_packages() -> tuple[str, ...]:

@@ -45,7 +45,7 @@ SixDegrees = Annotated[tuple[float, ...], Field(min_length=AXES, max_length=AXES
 
 
 class ContextInvalid(ConfigurationError):
-    """A file that describes an RSI context breaks its form."""
+    """A file that describes an RSI context is malformed."""
 
     code = "WIR-001"
     action = "Correct the named entries; compare with ronna_hw/wire/kuka_rsi_context.toml."

@@ -13,7 +13,7 @@ class BadUnitParameter(ConfigurationError):
 
 
 class LineUnavailable(ConnectError):
-    """This host provides no pseudo-terminal, or does not allow watching it."""
+    """This computer provides no pseudo-terminal, or does not allow watching one."""
 
     code = "PSU-003"
     action = "End other simulators, raise fs.inotify.max_user_instances, or use --endpoint tcp://127.0.0.1:0."
