@@ -9,7 +9,6 @@
     NotReachable          PLAN-007  the arm cannot take a pose or follow a line
     WrongMarkerCount      PLAN-008  the CT shows another number of fiducials than were implanted
     WrongOrientation      PLAN-009  the CT was taken in another patient position than the plan says
-    PlanNotWritten        PLAN-010  the plan file cannot be written
     NotIntoHead           PLAN-011  a way does not lead from the air outside to a target inside the head
     UnknownTool           PLAN-012  the plan names a tool that is not known; the known ones are given
     FiducialsNotYet       PLAN-013  the plan asks for a kind of fiducials that is not supported yet
@@ -91,13 +90,6 @@ class WrongOrientation(PlanError):
 
     code = "PLAN-009"
     action = "Find out which is right before anything else: left and right may be swapped."
-
-
-class PlanNotWritten(ConfigurationError):
-    """The plan file cannot be written."""
-
-    code = "PLAN-010"
-    action = "Choose a folder that this account may write to, with free space."
 
 
 class NotIntoHead(PlanError):

@@ -1,4 +1,4 @@
-"""Reading and writing `plan.toml`. All mistakes of a file are reported at once."""
+"""Reads `plan.toml`. All mistakes of a file are reported at once."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ from procedures.planning.errors import (
     DuplicateTrajectory,
     PlanError,
     PlanMistakes,
-    PlanNotWritten,
     PlanUnreadable,
     raise_together,
 )
 from procedures.planning.plan import Plan
 from ronna_hw.config import describe_mistakes
-from ronna_hw.records import write_whole
 
 LARGEST_FILE_BYTES = 1_000_000  # a hundred trajectories need some twenty thousand
 
@@ -70,28 +68,3 @@ def _ids(content: dict[str, Any]) -> Counter[str]:
     if not isinstance(rows, list):
         return Counter()
     return Counter(row["id"] for row in rows if isinstance(row, dict) and isinstance(row.get("id"), str))
-
-
-def write_plan(plan: Plan, path: Path) -> None:
-    """Write a plan whole or not at all; `read_plan` gives an equal one back. Raises PLAN-010."""
-    path = Path(path)
-    try:
-        write_whole(path, plan_text(plan).encode())
-    except OSError as error:
-        raise PlanNotWritten(f"cannot write {path}: {error.strerror}") from error
-
-
-def plan_text(plan: Plan) -> str:
-    """The plan as TOML."""
-    content = plan.model_dump(mode="json", by_alias=True)
-    trajectories = content.pop("trajectories")
-    lines = [f"{key} = {_value(value)}" for key, value in content.items()]
-    for trajectory in trajectories:
-        lines += ["", "[[trajectories]]"]
-        lines += [f"{key} = {_value(value)}" for key, value in trajectory.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _value(value: Any) -> str:
-    # Texts, finite numbers and lists of them look alike in JSON and TOML; only DEL must be escaped by hand.
-    return json.dumps(value, allow_nan=False, ensure_ascii=False).replace("\x7f", "\\u007f")

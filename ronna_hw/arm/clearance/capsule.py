@@ -27,12 +27,6 @@ class Capsule(NamedTuple):
         return Capsule(pose.apply(self.start_mm), pose.apply(self.end_mm), self.radius_mm)
 
 
-def gap_mm(a: Capsule, b: Capsule) -> float:
-    """Distance of two surfaces; negative when the capsules overlap."""
-    apart = segment_distance_mm(a.start_mm, a.end_mm, b.start_mm, b.end_mm)
-    return apart - a.radius_mm - b.radius_mm
-
-
 def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float:
     """Distance of the segments a-b and c-d: closest points of the lines, clamped in turn to both segments."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]

@@ -10,11 +10,10 @@ from procedures.planning.errors import (
     BadTrajectoryGeometry,
     DuplicateTrajectory,
     PlanMistakes,
-    PlanNotWritten,
     PlanUnreadable,
 )
 from procedures.planning.plan import FiducialKind, PatientPosition
-from procedures.planning.plan_file import read_plan, write_plan
+from procedures.planning.plan_file import read_plan
 from ronna_hw.errors import EXIT_USAGE
 
 
@@ -30,18 +29,6 @@ def test_a_plan_is_read(plan_text, plan_path):
     assert second.trajectory.free_angle_rad == pytest.approx(math.radians(30.0))
     with pytest.raises(KeyError):
         plan.trajectory("T3")
-
-
-def test_what_is_written_reads_back_equal(plan_text, plan_path, tmp_path):
-    plan = read_plan(plan_path(plan_text.replace('"guide"', r'"guide \"A\" \u00e9 \U0001F600 \t\u007f"')))
-    write_plan(plan, tmp_path / "again.toml")
-    assert read_plan(tmp_path / "again.toml") == plan
-
-
-def test_a_plan_that_cannot_be_written_says_so(plan_text, plan_path, tmp_path):
-    plan = read_plan(plan_path(plan_text))
-    with pytest.raises(PlanNotWritten, match="PLAN-010"):
-        write_plan(plan, tmp_path / "absent" / "plan.toml")
 
 
 @pytest.mark.parametrize(

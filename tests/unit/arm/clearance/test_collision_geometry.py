@@ -9,7 +9,7 @@ import pytest
 from ur5 import Ur5
 
 from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid, gap_mm
+from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid, segment_distance_mm
 from ronna_hw.arm.clearance.live_watch import LiveWatch, body_segments
 from ronna_hw.arm.clearance.surroundings import Corridor, Surroundings
 from ronna_hw.arm.clearance.sweep import segment_distances, sweep
@@ -64,6 +64,12 @@ def _coal_distance(a: Capsule, b: Capsule) -> float:
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     coal.distance(*shapes[0], *shapes[1], request, result)
     return float(result.min_distance) + 2.0 - a.radius_mm - b.radius_mm
+
+
+def gap_mm(a: Capsule, b: Capsule) -> float:
+    """Distance of two surfaces; negative when the capsules overlap."""
+    apart = segment_distance_mm(a.start_mm, a.end_mm, b.start_mm, b.end_mm)
+    return apart - a.radius_mm - b.radius_mm
 
 
 def test_the_distance_of_two_capsules_is_coals() -> None:

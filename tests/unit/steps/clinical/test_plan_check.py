@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+import tomli_w
 from clinical_case import CENTRES_CT_MM, SCENE, SERIES, ClinicalCell, imported_ct, localized_fiducials, plan
 
 from procedures.engine.errors import GateFailed
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
 from procedures.planning.plan import Plan
-from procedures.planning.plan_file import write_plan
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
 
 SHAPE, VOXEL_MM = (56, 64, 52), 4.0
@@ -34,7 +34,7 @@ def checked(
     series: str = SERIES,
 ) -> CheckedPlan:
     """The result of the step on the head of the scene."""
-    write_plan(planned or plan(), cell.plan)
+    cell.plan.write_text(tomli_w.dumps((planned or plan()).model_dump(mode="json", by_alias=True)))
     engine = cell.begin(imported_ct(), localized_fiducials(CENTRES_CT_MM[:spheres]), STEP)
     engine.setting.workspace.keep(head_volume(series))
     engine.run_to()
