@@ -19,6 +19,7 @@ from drivers.basler_stereo.errors import (
     WrongSerial,
 )
 from drivers.basler_stereo.options import read_options
+from drivers.basler_stereo.pair_device import PairDevice
 from drivers.basler_stereo.pair_grabber import PairGrabber
 from drivers.basler_stereo.pair_identity import check_pair, pair_identity
 from drivers.basler_stereo.stream.frame_assembler import StreamCounters
@@ -26,8 +27,7 @@ from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
+from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, require_person
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
@@ -38,7 +38,7 @@ _FAULTS = (CameraLost, ControlLost, ReceiverEnded)  # latched; left only by `rec
 T = TypeVar("T")
 
 
-class BaslerStereoPair:
+class BaslerStereoPair(PairDevice[Camera]):
     """Calls are synchronous; one thread at a time. Time limits are host time, in seconds.
 
     A camera that falls silent is waited for within the time limit, and the interrupted work is repeated: it
@@ -49,19 +49,10 @@ class BaslerStereoPair:
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Check options and endpoints; nothing is opened yet. Raises GEV-016, CFG-001 or CFG-002."""
-        self._name = name
-        self._clock = clock
         self._options = read_options(config)
-        self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
-        self._guard = LifecycleGuard(name)
-        self._cameras: tuple[Camera, Camera] | None = None
+        super().__init__(name, config, clock, self._options)
         self._receiver_process: ReceiverProcess | None = None
         self._grabber: PairGrabber | None = None
-        self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
-        self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
-        self._exposure: tuple[float, int | None] = (self._options.exposure_us, self._options.gain_raw)
-        self._sequence = 0
-        self._last_pair: StereoReading | None = None
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
@@ -69,39 +60,9 @@ class BaslerStereoPair:
         return {"expected_model": ""}
 
     @property
-    def name(self) -> str:
-        return self._name
-
-    @property
-    def state(self) -> Lifecycle:
-        return self._guard.state
-
-    @property
-    def fault(self) -> RonnaError | None:
-        """What latched FAULT, if anything."""
-        return self._guard.fault
-
-    @property
-    def serials(self) -> tuple[str, str]:
-        """Serial numbers read from the cameras, left and right; empty before `connect`."""
-        if self._identities is None:
-            return "", ""
-        return self._identities[0].serial, self._identities[1].serial
-
-    @property
-    def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
-        """The parts of the sensors that are read, left and right; known from `configure` on."""
-        self._guard.require("areas", READABLE)
-        left, right = self._pair
-        return left.area, right.area
-
-    @property
     def notices(self) -> tuple[str, ...]:
         """What was found at `configure` that is no error but should be known."""
         return tuple(notice for camera in self._cameras or () for notice in camera.notices)
-
-    def observe(self) -> LastKnown[StereoReading]:
-        return self._guard.last_known(self._last_pair)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)
@@ -223,11 +184,6 @@ class BaslerStereoPair:
             return
         self._release_all()
         self._guard.enter(Lifecycle.CLOSED)
-
-    @property
-    def _pair(self) -> tuple[Camera, Camera]:
-        assert self._cameras is not None, "the lifecycle allows this call only with cameras"
-        return self._cameras
 
     @property
     def _streams(self) -> PairGrabber:

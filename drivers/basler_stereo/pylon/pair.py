@@ -22,13 +22,13 @@ from drivers.basler_stereo.errors import BadOptions, CameraLost, TriggerMissed, 
 from drivers.basler_stereo.images import stereo_reading
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.pair_clock import PairClock
+from drivers.basler_stereo.pair_device import PairDevice
 from drivers.basler_stereo.pair_identity import check_pair, pair_identity
 from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pylon
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, describe_mistakes
 from ronna_hw.devices.activation import activated
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
+from ronna_hw.devices.lifecycle import Identity, Lifecycle, require_person
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 
@@ -42,7 +42,7 @@ class PylonOptions(BaslerOptions):
     trigger: Literal["software"] = "software"
 
 
-class PylonStereoPair:
+class PylonStereoPair(PairDevice[PylonCamera]):
     """Calls are synchronous; one thread at a time. Time limits are host time, in seconds."""
 
     wire_protocol = ""  # spoken by the vendor's library
@@ -51,50 +51,13 @@ class PylonStereoPair:
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Check options, endpoints and the library. Raises GEV-016, GEV-018, CFG-001 or CFG-002."""
         load_pylon()
-        self._name = name
-        self._clock = clock
         try:
             self._options = PylonOptions.model_validate_json(json.dumps(config.options))
         except ValidationError as error:
             raise BadOptions("stereo options: " + "; ".join(describe_mistakes(error))) from error
-        self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
-        self._guard = LifecycleGuard(name)
-        self._cameras: tuple[PylonCamera, PylonCamera] | None = None
-        self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
+        super().__init__(name, config, clock, self._options)
         self._pair_clock = PairClock((None, None), 0.0)
-        self._exposure: tuple[float, int | None] = (self._options.exposure_us, self._options.gain_raw)
-        self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
-        self._sequence = 0
-        self._last_pair: StereoReading | None = None
         self._out_of_step = False
-
-    @property
-    def name(self) -> str:
-        return self._name
-
-    @property
-    def state(self) -> Lifecycle:
-        return self._guard.state
-
-    @property
-    def fault(self) -> RonnaError | None:
-        """What latched FAULT, if anything."""
-        return self._guard.fault
-
-    @property
-    def serials(self) -> tuple[str, str]:
-        """Serial numbers of the cameras, left and right; empty before `connect`."""
-        return (self._identities[0].serial, self._identities[1].serial) if self._identities else ("", "")
-
-    @property
-    def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
-        """The parts of the sensors that are read, left and right; known from `configure` on."""
-        self._guard.require("areas", READABLE)
-        left, right = self._pair
-        return left.area, right.area
-
-    def observe(self) -> LastKnown[StereoReading]:
-        return self._guard.last_known(self._last_pair)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)
@@ -181,11 +144,6 @@ class PylonStereoPair:
         if self._guard.state is not Lifecycle.CLOSED:
             self._let_go()
             self._guard.enter(Lifecycle.CLOSED)
-
-    @property
-    def _pair(self) -> tuple[PylonCamera, PylonCamera]:
-        assert self._cameras is not None, "the lifecycle allows this call only with cameras"
-        return self._cameras
 
     def _open(self) -> tuple[CameraIdentity, CameraIdentity]:
         options = self._options

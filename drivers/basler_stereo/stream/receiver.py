@@ -38,13 +38,7 @@ class ReceiverProcess:
         self._numbers = itertools.count(1)
         with theirs:
             self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "drivers.basler_stereo.stream.receiver_process",
-                    str(theirs.fileno()),
-                ],
+                [sys.executable, "-P", "-m", RECEIVER_MODULE, str(theirs.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(),),

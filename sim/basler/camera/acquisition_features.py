@@ -15,8 +15,16 @@ FRAME_TRIGGER_WAIT, ACQUISITION_ACTIVE = 0, 1
 
 def _status(commands: Commands) -> int:
     if commands.settings.status_selector == FRAME_TRIGGER_WAIT:
-        return int(commands.awaits_trigger)
+        return int(commands.acquisition.awaits_trigger)
     return int(commands.acquiring)
+
+
+def _start(commands: Commands, _value: int) -> None:
+    commands.acquisition.start()
+
+
+def _stop(commands: Commands, _value: int) -> None:
+    commands.acquisition.stop()
 
 
 CONTROL = "AcquisitionTrigger"
@@ -30,17 +38,9 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         entries={"SingleFrame": AcquisitionMode.SINGLE_FRAME, "Continuous": AcquisitionMode.CONTINUOUS},
         locked=True,
     ),
-    Feature(
-        "AcquisitionStart", Kind.COMMAND, CONTROL, "Start to take frames.", write=lambda it, _: it.start()
-    ),
-    Feature("AcquisitionStop", Kind.COMMAND, CONTROL, "Take no more frames.", write=lambda it, _: it.stop()),
-    Feature(
-        "AcquisitionAbort",
-        Kind.COMMAND,
-        CONTROL,
-        "Take no more frames, at once.",
-        write=lambda it, _: it.stop(),
-    ),
+    Feature("AcquisitionStart", Kind.COMMAND, CONTROL, "Start to take frames.", write=_start),
+    Feature("AcquisitionStop", Kind.COMMAND, CONTROL, "Take no more frames.", write=_stop),
+    Feature("AcquisitionAbort", Kind.COMMAND, CONTROL, "Take no more frames, at once.", write=_stop),
     setting(
         "AcquisitionFrameCount",
         CONTROL,
@@ -128,14 +128,14 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         Kind.COMMAND,
         CONTROL,
         "Fire the selected trigger.",
-        write=lambda it, _: it.software_trigger(),
+        write=lambda it, _: it.acquisition.software_trigger(),
     ),
     Feature(
         "OvertriggerCount",
         Kind.INTEGER,
         CONTROL,
         "Frame triggers since AcquisitionStart that came while the camera was busy.",
-        read=lambda commands: commands.missed_triggers,
+        read=lambda commands: commands.acquisition.missed_triggers,
         visibility="Guru",
     ),
 )

@@ -89,37 +89,6 @@ class Camera:
         """True while AcquisitionStart is in force."""
         return self.acquisition.running
 
-    @property
-    def missed_triggers(self) -> int:
-        """Triggers that came while the camera was busy."""
-        return self.acquisition.missed_triggers
-
-    @property
-    def awaits_trigger(self) -> bool:
-        """True when a frame trigger would be obeyed now."""
-        return self.acquisition.awaits_trigger
-
-    @property
-    def packet_size(self) -> int:
-        """Size of a stream packet with its IP and UDP headers."""
-        return self.channel.packet_size
-
-    @packet_size.setter
-    def packet_size(self, value: int) -> None:
-        self.channel.packet_size = value
-
-    def start(self) -> None:
-        """AcquisitionStart."""
-        self.acquisition.start()
-
-    def stop(self) -> None:
-        """AcquisitionStop."""
-        self.acquisition.stop()
-
-    def software_trigger(self) -> None:
-        """TriggerSoftware."""
-        self.acquisition.software_trigger()
-
     def load_user_set(self) -> None:
         """Take over the selected user set; a set that was never saved holds the power-on values."""
         selected, locked = self.settings.user_set_selector, self.settings.parameters_locked

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Protocol
 
+from sim.basler.camera.acquisition import Acquisition
 from sim.basler.camera.settings import Settings
+from sim.basler.stream.channel import StreamChannel
 
 Number = int | float
 
@@ -23,25 +25,13 @@ class Commands(Protocol):
     def settings(self) -> Settings: ...
 
     @property
+    def acquisition(self) -> Acquisition: ...
+
+    @property
+    def channel(self) -> StreamChannel: ...
+
+    @property
     def acquiring(self) -> bool: ...
-
-    @property
-    def missed_triggers(self) -> int: ...
-
-    @property
-    def awaits_trigger(self) -> bool: ...
-
-    @property
-    def packet_size(self) -> int: ...
-
-    @packet_size.setter
-    def packet_size(self, value: int) -> None: ...
-
-    def start(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def software_trigger(self) -> None: ...
 
     def load_user_set(self) -> None: ...
 

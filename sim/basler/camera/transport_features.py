@@ -8,7 +8,7 @@ from sim.basler.stream.channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMA
 
 
 def _set_packet_size(commands: Commands, value: int) -> None:
-    commands.packet_size = value
+    commands.channel.packet_size = value
 
 
 TRANSPORT = "TransportLayer"
@@ -30,7 +30,7 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         Kind.INTEGER,
         TRANSPORT,
         "Size of a stream packet with its IP and UDP headers.",
-        read=lambda commands: commands.packet_size,
+        read=lambda commands: commands.channel.packet_size,
         write=_set_packet_size,
         minimum=always(SMALLEST_PACKET_SIZE),
         maximum=always(LARGEST_PACKET_SIZE),

@@ -1,0 +1,72 @@
+"""What every driver of two cameras holds: the cameras, their identities, and its state as a device."""
+
+from __future__ import annotations
+
+from typing import Generic, Protocol, TypeVar
+
+from drivers.basler_stereo.control.identity import CameraIdentity
+from drivers.basler_stereo.options import BaslerOptions
+from ronna_hw.clock import Clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.last_known import LastKnown
+from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
+from ronna_hw.devices.readings import AreaOfInterest, StereoReading
+from ronna_hw.errors import RonnaError
+
+
+class HasArea(Protocol):
+    """A camera that reads a part of its sensor."""
+
+    area: AreaOfInterest
+
+
+C = TypeVar("C", bound=HasArea)
+
+
+class PairDevice(Generic[C]):
+    """The part of a `StereoPair` that does not depend on how its cameras are reached."""
+
+    def __init__(self, name: str, config: DeviceConfig, clock: Clock, options: BaslerOptions) -> None:
+        self._name = name
+        self._clock = clock
+        self._addresses = {side: config.address(side).require("gev").host for side in ("left", "right")}
+        self._guard = LifecycleGuard(name)
+        self._cameras: tuple[C, C] | None = None
+        self._identities: tuple[CameraIdentity, CameraIdentity] | None = None
+        self._areas: tuple[AreaOfInterest, AreaOfInterest] | None = None
+        self._exposure: tuple[float, int | None] = (options.exposure_us, options.gain_raw)
+        self._sequence = 0
+        self._last_pair: StereoReading | None = None
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    @property
+    def state(self) -> Lifecycle:
+        return self._guard.state
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """What latched FAULT, if anything."""
+        return self._guard.fault
+
+    @property
+    def serials(self) -> tuple[str, str]:
+        """Serial numbers read from the cameras, left and right; empty before `connect`."""
+        return (self._identities[0].serial, self._identities[1].serial) if self._identities else ("", "")
+
+    @property
+    def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
+        """The parts of the sensors that are read, left and right; known from `configure` on."""
+        self._guard.require("areas", READABLE)
+        left, right = self._pair
+        return left.area, right.area
+
+    def observe(self) -> LastKnown[StereoReading]:
+        return self._guard.last_known(self._last_pair)
+
+    @property
+    def _pair(self) -> tuple[C, C]:
+        assert self._cameras is not None, "the lifecycle allows this call only with cameras"
+        return self._cameras
