@@ -64,11 +64,11 @@ def stereo_reading(
 
     Its device clock is that of the left camera.
     """
-    present = left or right
-    ticks = present.stamp.device_clock if present else 0
+    stamped = left or right
+    ticks = stamped.stamp.device_clock if stamped else 0
     validities = [side.validity if side else Validity.MISSING for side in (left, right)]
     worst = next(validity for validity in _WORST_FIRST if validity in (*validities, match))
-    measured_s = present.stamp.measured_s if present else None
+    measured_s = stamped.stamp.measured_s if stamped else None
     return StereoReading(Stamp(sequence, ticks, theatre_time_s, measured_s), worst, left, right)
 
 

@@ -133,8 +133,8 @@ class CameraFaults(NoFaults):
         return bool(self._mine(kind))
 
     def happened(self, kind: str) -> bool:
-        told = self._board.happened(f"camera_{kind}")
-        return any(fault.argument in ("", self._side, BOTH) for fault in told)
+        happened = self._board.happened(f"camera_{kind}")
+        return any(fault.argument in ("", self._side, BOTH) for fault in happened)
 
     def amount(self, kind: str) -> float:
         return max((float(fault.arguments[1]) for fault in self._mine(kind)), default=0.0)

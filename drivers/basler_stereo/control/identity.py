@@ -37,8 +37,9 @@ def decode_identity(memory: bytes, address: str) -> CameraIdentity:
     """The identity in a reply to discovery; raises GEV-008."""
     if len(memory) != gev.DISCOVERY_BYTES:
         raise MalformedReply(
-            f"{address}: a discovery answer of {len(memory)} bytes",
-            expected=str(gev.DISCOVERY_BYTES),
+            f"{address}: the reply to discovery has the wrong length",
+            expected=f"{gev.DISCOVERY_BYTES} bytes",
+            got=f"{len(memory)} bytes",
             wire=memory[:16],
         )
     (high,) = struct.unpack_from(">H", memory, Bootstrap.MAC_HIGH + 2)

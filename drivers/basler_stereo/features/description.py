@@ -108,9 +108,9 @@ class _Builder(ElementTree.TreeBuilder):
         raise BadDescription("the description declares a document type", got=name)
 
 
-def _nodes(parent: ElementTree.Element) -> Iterator[Node]:
+def _nodes(group: ElementTree.Element) -> Iterator[Node]:
     """Named elements, also those inside groups, and the entries of registers that are shared by several."""
-    for element in parent:
+    for element in group:
         kind = _local(element.tag)
         if kind == "Group":
             yield from _nodes(element)

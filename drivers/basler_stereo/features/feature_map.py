@@ -241,7 +241,7 @@ class FeatureMap:
         return decode_register(node, self._memory.read(self._address(node, depth), padded)[:length])
 
     def _encoded(self, node: Node, value: Number) -> bytes:
-        present = b""
+        current = b""
         if shares_register(node):
-            present = self._memory.read(self._address(node, 0), register_length(node))
-        return encode_register(node, value, present)
+            current = self._memory.read(self._address(node, 0), register_length(node))
+        return encode_register(node, value, current)

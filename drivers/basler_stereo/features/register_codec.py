@@ -36,14 +36,14 @@ def decode_register(node: Node, data: bytes) -> Number:
     return value - (1 << width) if signed and value >> (width - 1) else value
 
 
-def encode_register(node: Node, value: Number, present: bytes = b"") -> bytes:
-    """The bytes that set a register to a value; `present`: its current bytes, for the bits left unchanged."""
+def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
+    """The bytes that set a register to a value; `current`: its bytes now, for the bits left unchanged."""
     length = register_length(node)
     if node.kind == "FloatReg":
         return struct.pack(_float_layout(node, length), float(value))
     low, width = register_bits(node, length)
     mask = (1 << width) - 1
-    others = int.from_bytes(present, _byte_order(node)) & ~(mask << low)
+    others = int.from_bytes(current, _byte_order(node)) & ~(mask << low)
     return (others | (round(value) & mask) << low).to_bytes(length, _byte_order(node))
 
 

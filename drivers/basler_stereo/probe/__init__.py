@@ -1,4 +1,4 @@
-"""Finds out why a camera does not answer: looks at each address, then connects as a procedure would."""
+"""Finds out why a camera does not reply: looks at each address, then connects as a procedure would."""
 
 from __future__ import annotations
 

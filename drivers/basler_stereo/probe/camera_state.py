@@ -1,4 +1,4 @@
-"""What is at a camera's address: who answers, who controls it, which packet size arrives.
+"""What is at a camera's address: who replies, who controls it, which packet size arrives.
 
 Reading changes nothing. To find the packet size, a camera that nobody controls is controlled for a moment,
 sends test packets, and is released; one that is controlled is left alone.
@@ -28,8 +28,8 @@ TEST_LIMIT_S = 5.0  # of all test packets
 RECEIVE_BUFFER_BYTES = 65_536  # one test packet at a time
 
 
-class Access(StrEnum):
-    """Whether anything answers at an address."""
+class Response(StrEnum):
+    """Whether anything replies at an address."""
 
     ANSWERED = "answered"
     NO_ROUTE = "no way"
@@ -39,7 +39,7 @@ class Access(StrEnum):
 
 @dataclass(frozen=True)
 class Controller:
-    """Which application is in control: none, or one at an address when the camera tells it."""
+    """Which application is in control: none, or one at an address when the camera names it."""
 
     taken: bool
     address: str = ""
@@ -53,7 +53,7 @@ class CameraState:
     """What was found; fields stay None where it did not get so far."""
 
     endpoint: Endpoint
-    access: Access
+    response: Response
     interface: Interface | None = None
     identity: CameraIdentity | None = None
     controller: Controller | None = None
@@ -66,25 +66,25 @@ def look_at_camera(endpoint: Endpoint) -> CameraState:
     try:
         control = ControlChannel(endpoint.host)
     except OSError as error:
-        return CameraState(endpoint, Access.NO_ROUTE, reason=error.strerror or str(error))
+        return CameraState(endpoint, Response.NO_ROUTE, reason=error.strerror or str(error))
     with contextlib.closing(control):
         interface = interface_of(control.local_address)
         try:
             identity = identify(control, _soon())
         except (NoCamera, MalformedReply, CommandRefused):
-            access = Access.REFUSED if control.port_closed else Access.SILENT
-            return CameraState(endpoint, access, interface)
+            response = Response.REFUSED if control.port_closed else Response.SILENT
+            return CameraState(endpoint, response, interface)
         controller = _controller(control)
         size = None if controller.taken else _largest_packet(control)
-        return CameraState(endpoint, Access.ANSWERED, interface, identity, controller, size)
+        return CameraState(endpoint, Response.ANSWERED, interface, identity, controller, size)
 
 
 def _controller(control: ControlChannel) -> Controller:
     if _read(control, Bootstrap.CCP) == gev.CCP_OPEN:
         return Controller(taken=False)
-    told = (_read(control, Bootstrap.GVCP_CAPABILITY) or 0) & GvcpCapability.CCP_APPLICATION
-    port = _read(control, Bootstrap.PRIMARY_APPLICATION_PORT) if told else None
-    address = _read(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS) if told else None
+    names_it = (_read(control, Bootstrap.GVCP_CAPABILITY) or 0) & GvcpCapability.CCP_APPLICATION
+    port = _read(control, Bootstrap.PRIMARY_APPLICATION_PORT) if names_it else None
+    address = _read(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS) if names_it else None
     if not port or not address:
         return Controller(taken=True)  # under exclusive access not even reading is allowed
     owner = socket.inet_ntoa(address.to_bytes(4, "big"))

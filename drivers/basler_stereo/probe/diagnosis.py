@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from drivers.basler_stereo.control.identity import CameraIdentity
-from drivers.basler_stereo.probe.camera_state import Access, CameraState, Controller
+from drivers.basler_stereo.probe.camera_state import CameraState, Controller, Response
 from ronna_hw.devices.probing import Finding
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.network_interfaces import Interface
@@ -39,7 +39,7 @@ def camera_finding(camera: CameraState, found: Sequence[CameraIdentity], expecte
     document: dict[str, Any] = {
         "endpoint": str(camera.endpoint),
         "well": well,
-        "access": camera.access.value,
+        "access": camera.response.value,
         "interface": asdict(camera.interface) if camera.interface else None,
         "camera": _identity(camera.identity) if camera.identity else None,
         "control": _control(camera.controller) if camera.controller else None,
@@ -137,12 +137,12 @@ def _small_packets(interface: Interface | None) -> str:
 
 def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Diagnosis:
     interface = camera.interface
-    if camera.access is Access.NO_ROUTE:
+    if camera.response is Response.NO_ROUTE:
         advice = "Give this computer an address in the camera's subnet."
         return Diagnosis(False, f"no route: {camera.reason}", advice)
     via = f" via {interface.name} ({interface.address})" if interface else ""
     elsewhere = _elsewhere(camera, found)
-    if camera.access is Access.REFUSED:
+    if camera.response is Response.REFUSED:
         advice = elsewhere or "A computer is at this address, not a camera: check the address."
         return Diagnosis(False, f"refused{via}: nothing listens on the GigE Vision port", advice)
     if interface is not None and not interface.reaches(camera.endpoint.host):

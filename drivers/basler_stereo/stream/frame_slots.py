@@ -29,8 +29,8 @@ def _packed_leader(leader: Leader | None) -> tuple[int, ...]:
 
 
 def _unpacked_leader(values: tuple[int, ...]) -> Leader | None:
-    present, *leader = values
-    return Leader(*leader) if present else None
+    came, *leader = values
+    return Leader(*leader) if came else None
 
 
 class _FrameNote(NamedTuple):

@@ -49,7 +49,7 @@ class _Exposure:
 class Acquisition:
     """Takes frames on a thread of its own and gives them to the stream channel.
 
-    `moments` is shared by the cameras of a pair; `report` is told what happens: kind, block id, theatre time
+    `moments` is shared by the cameras of a pair; `report` takes what happens: kind, block id, theatre time
     in ns. All public methods may be called from any thread.
     """
 

@@ -77,7 +77,7 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
     setting(
         "AcquisitionStatusSelector",
         CONTROL,
-        "What AcquisitionStatus tells.",
+        "Status that AcquisitionStatus shows.",
         "status_selector",
         kind=Kind.ENUMERATION,
         entries={"FrameTriggerWait": FRAME_TRIGGER_WAIT, "AcquisitionActive": ACQUISITION_ACTIVE},

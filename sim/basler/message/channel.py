@@ -45,7 +45,7 @@ class _UnderWay:
 class MessageChannel:
     """Messages to one receiver. `owner_address` says who controls the camera, `now_s` is host monotonic time.
 
-    Events may be told from any thread; `receive` and `repeat_overdue` are the server's.
+    Events may come from any thread; `receive` and `repeat_overdue` are the server's.
     """
 
     def __init__(

@@ -24,7 +24,7 @@ class EventReporter:
         self._overrun_told = False
 
     def report(self, kind: EventKind, block_id: int, moment_ns: int) -> None:
-        """Something happened; it is told when its notification is on."""
+        """Something happened; it is reported when its notification is on."""
         if kind not in self._settings().events_notified or self._channel.receiver is None:
             return
         data = struct.pack(FRAME_NUMBER, block_id) if kind is EventKind.EXPOSURE_END else b""

@@ -73,15 +73,15 @@ class Optics:
             _over(canvas.part(stalk_area), stalk.cover, stalk.light)
         if sphere_area.empty:
             return
-        ball = sphere_image.image_of(sphere, self.lens, sphere_area, film)
-        ball_light = ball.light * self._lighting.on_film(sphere_area) * strength
-        _over(canvas.part(sphere_area), ball.cover, ball_light)
+        drawn = sphere_image.image_of(sphere, self.lens, sphere_area, film)
+        drawn_light = drawn.light * self._lighting.on_film(sphere_area) * strength
+        _over(canvas.part(sphere_area), drawn.cover, drawn_light)
         both = sphere_area.common(stalk_area)
         if stalk is None or both.empty:
             return
-        stalk_part, ball_part = Canvas(stalk_area, stalk.depth_mm), Canvas(sphere_area, ball.depth_mm)
-        in_front = stalk_part.part(both) < ball_part.part(both)
-        in_front &= np.isfinite(ball_part.part(both))
+        stalk_part, drawn_part = Canvas(stalk_area, stalk.depth_mm), Canvas(sphere_area, drawn.depth_mm)
+        in_front = stalk_part.part(both) < drawn_part.part(both)
+        in_front &= np.isfinite(drawn_part.part(both))
         cover = Canvas(stalk_area, stalk.cover).part(both) * in_front
         _over(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
 

@@ -12,7 +12,7 @@ from spoilt_cameras import Stand
 from drivers.basler_stereo import probe as camera_probe
 from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.probe import camera_state, probe
-from drivers.basler_stereo.probe.camera_state import Access, CameraState, Controller, look_at_camera
+from drivers.basler_stereo.probe.camera_state import CameraState, Controller, Response, look_at_camera
 from drivers.basler_stereo.probe.diagnosis import Expected, camera_finding
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Finding
@@ -27,7 +27,7 @@ RIGHT = replace(LEFT, address="192.168.3.12", serial="21900002", user_name="righ
 CARD = Interface("enp3s0", "192.168.3.1", 24, 9000)
 ENDPOINT = Endpoint("gev", host="192.168.3.11")
 EXPECTED = Expected(ENDPOINT, LEFT.serial, MODEL)
-WELL = CameraState(ENDPOINT, Access.ANSWERED, CARD, LEFT, Controller(False), 8192)
+WELL = CameraState(ENDPOINT, Response.ANSWERED, CARD, LEFT, Controller(False), 8192)
 
 
 # --- the diagnosis -----------------------------------------------------------------------------------------
@@ -45,17 +45,17 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
 @pytest.mark.parametrize(
     ("camera", "found", "seen", "advice"),
     [
-        (CameraState(ENDPOINT, Access.SILENT, CARD), (), "silent via enp3s0", "power and cable"),
-        (CameraState(ENDPOINT, Access.SILENT, CARD), (RIGHT,), "silent", "21900002 at 192.168.3.12"),
+        (CameraState(ENDPOINT, Response.SILENT, CARD), (), "silent via enp3s0", "power and cable"),
+        (CameraState(ENDPOINT, Response.SILENT, CARD), (RIGHT,), "silent", "21900002 at 192.168.3.12"),
         (
-            CameraState(ENDPOINT, Access.SILENT, replace(CARD, address="10.0.0.5")),
+            CameraState(ENDPOINT, Response.SILENT, replace(CARD, address="10.0.0.5")),
             (),
             "silent",
             "No network card here is in its subnet",
         ),
-        (CameraState(ENDPOINT, Access.REFUSED, CARD), (), "refused", "not a camera"),
+        (CameraState(ENDPOINT, Response.REFUSED, CARD), (), "refused", "not a camera"),
         (
-            CameraState(ENDPOINT, Access.NO_ROUTE, reason="Network is unreachable"),
+            CameraState(ENDPOINT, Response.NO_ROUTE, reason="Network is unreachable"),
             (),
             "no route: Network is unreachable",
             "an address in the camera's subnet",
@@ -153,7 +153,7 @@ def test_a_camera_is_asked_measured_and_given_back(stand: Stand) -> None:
     stand.world.set_fault_script("now: camera narrow path left 1500 bytes")
     for _ in range(2):  # the first look leaves nothing behind
         found = probed(stand)
-        assert found.access is Access.ANSWERED
+        assert found.response is Response.ANSWERED
         assert found.identity is not None
         assert (found.identity.serial, found.identity.model) == (SERIALS[0], MODEL)
         assert found.interface is not None
@@ -178,10 +178,10 @@ def test_a_camera_without_test_packets_is_told(stand: Stand) -> None:
 def test_nobody_and_somebody_silent_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_state, "REPLY_LIMIT_S", 0.2)
     endpoint = Endpoint("gev", host=NOBODY)
-    assert look_at_camera(endpoint).access is Access.REFUSED
+    assert look_at_camera(endpoint).response is Response.REFUSED
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind((NOBODY, GVCP_PORT))
-        assert look_at_camera(endpoint).access is Access.SILENT
+        assert look_at_camera(endpoint).response is Response.SILENT
 
 
 # --- the findings ------------------------------------------------------------------------------------------
@@ -197,7 +197,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Interface]:
         return (RIGHT,)
 
     monkeypatch.setattr(camera_probe, "discover_cameras", discover)
-    monkeypatch.setattr(camera_probe, "look_at_camera", lambda each: CameraState(each, Access.SILENT))
+    monkeypatch.setattr(camera_probe, "look_at_camera", lambda each: CameraState(each, Response.SILENT))
     return networks
 
 
