@@ -178,16 +178,6 @@ def test_an_interruption_while_the_intent_is_written_is_journalled(
     assert cell.entries() == [("intent", "image"), ("interrupted", "image")]
 
 
-@pytest.mark.hazard(24)
-def test_with_the_guide_at_one_target_the_retreat_of_another_trajectory_is_refused(
-    cell: RecordingCell,
-) -> None:
-    engine = run_to(cell.engine(plain_order()), "held:T2")
-    with pytest.raises(StepRefused, match="back:T1 may not begin: it may not follow held:T2: only back:T2"):
-        run(engine, "back:T1")
-    assert engine.why_refused(engine.order.find("back:T2")) == ()
-
-
 @pytest.mark.hazard(1)
 def test_a_repeated_step_supersedes_what_descends_from_its_former_result(cell: RecordingCell) -> None:
     engine = run_to(cell.engine(plain_order()), "fit:T2")
@@ -198,13 +188,6 @@ def test_a_repeated_step_supersedes_what_descends_from_its_former_result(cell: R
     assert engine.why_refused(engine.order.find("tool_on")) == (
         "it may not follow localization:T1: fit:T1 is not done",
     )
-
-
-@pytest.mark.hazard(1)
-def test_nothing_moves_on_a_registration_whose_localization_was_repeated(cell: RecordingCell) -> None:
-    engine = run(run_to(cell.engine(plain_order()), "tool_on"), "localization:T1")
-    with pytest.raises(StepRefused, match=r"fit:T1 is not done; no result of fit for T1"):
-        run(engine, "approach:T1")
 
 
 def test_what_is_superseded_and_not_next_is_shown_as_such(cell: RecordingCell) -> None:

@@ -5,7 +5,6 @@ from plain_steps import plain_order
 
 from procedures.engine.errors import UnknownStep
 from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.step import StepKey
 from procedures.steps.catalogue import CLINICAL_STEPS
 
 
@@ -40,43 +39,32 @@ def test_an_unknown_step_names_those_that_exist() -> None:
         plain_order().find("drilling")
 
 
-def unmet(name: str, latest: str | None, *standing: str) -> tuple[str, ...]:
-    order = plain_order()
-    before: StepKey | None = order.find(latest) if latest else None
-    return order.unmet(order.find(name), before, lambda key: str(key) in standing)
-
-
 REGISTERED = ("image", "localization:T1", "fit:T1", "localization:T2", "fit:T2", "tool_on")
-
-
-def test_the_next_step_may_come() -> None:
-    assert unmet("image", None) == ()
-    assert unmet("localization:T1", "image", "image") == ()
-
-
-def test_a_step_may_not_be_skipped() -> None:
-    assert unmet("fit:T1", "image", "image") == ("it may not follow image: localization:T1 is not done",)
-    assert unmet("image", None) == ()
-    assert unmet("tool_on", None) == ("image is not done",)
-
-
-def test_a_step_that_is_done_may_be_repeated() -> None:
-    assert unmet("localization:T1", "fit:T2", *REGISTERED) == ()
-
-
-def test_any_trajectory_may_be_the_first() -> None:
-    assert unmet("approach:T2", "tool_on", *REGISTERED) == ()
+BACK = (*REGISTERED, "approach:T1", "held:T1", "back:T1")
+INSIDE = (*BACK, "approach:T2", "held:T2")
 
 
 @pytest.mark.hazard(24)
-def test_with_the_instrument_inside_only_the_same_trajectory_goes_on() -> None:
-    inside = (*REGISTERED, "approach:T1", "held:T1", "back:T1", "approach:T2", "held:T2")
-    assert unmet("back:T2", "held:T2", *inside) == ()
-    assert unmet("back:T1", "held:T2", *inside) == ("it may not follow held:T2: only back:T2 may",)
-    assert unmet("approach:T1", "held:T2", *inside) == ("it may not follow held:T2: only back:T2 may",)
-    assert unmet("image", "held:T2", *inside) == ("it may not follow held:T2: only back:T2 may",)
-
-
-def test_a_step_that_continues_another_comes_right_after_it() -> None:
-    done = (*REGISTERED, "approach:T1", "held:T1", "back:T1")
-    assert unmet("back:T1", "back:T1", *done) == ("it must follow held:T1",)
+@pytest.mark.parametrize(
+    ("name", "latest", "standing", "reason"),
+    [
+        ("image", None, (), None),
+        ("localization:T1", "image", ("image",), None),
+        ("localization:T1", "fit:T2", REGISTERED, None),  # again
+        ("approach:T2", "tool_on", REGISTERED, None),  # any trajectory may be the first
+        ("fit:T1", "image", ("image",), "it may not follow image: localization:T1 is not done"),
+        ("tool_on", None, (), "image is not done"),
+        ("back:T2", "held:T2", INSIDE, None),
+        ("back:T1", "held:T2", INSIDE, "it may not follow held:T2: only back:T2 may"),
+        ("approach:T1", "held:T2", INSIDE, "it may not follow held:T2: only back:T2 may"),
+        ("image", "held:T2", INSIDE, "it may not follow held:T2: only back:T2 may"),
+        ("back:T1", "back:T1", BACK, "it must follow held:T1"),
+    ],
+)
+def test_a_step_may_come_when_all_before_it_stands_and_no_instrument_is_elsewhere(
+    name: str, latest: str | None, standing: tuple[str, ...], reason: str | None
+) -> None:
+    order = plain_order()
+    before = order.find(latest) if latest else None
+    unmet = order.unmet(order.find(name), before, lambda key: str(key) in standing)
+    assert unmet == (() if reason is None else (reason,))
