@@ -46,7 +46,7 @@ class Nonconformity(AssertionError):
     """Raised by a case when the device behaves otherwise."""
 
 
-Run = Callable[["DeviceUnderTest"], None]
+Run = Callable[["DeviceUnderTest"], object]
 E = TypeVar("E", bound=Exception)
 
 

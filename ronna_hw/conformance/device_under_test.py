@@ -64,10 +64,7 @@ class DeviceUnderTest:
             device.deactivate()
         if state is Lifecycle.CONNECTED and device.state is Lifecycle.CONFIGURED:
             device = self._shared = self.make()
-        steps = (device.connect, device.configure, device.activate)
-        for step in steps[_ON_THE_WAY.index(device.state) : _ON_THE_WAY.index(state)]:
-            step()
-        return device
+        return self.brought_to(state, device)
 
     def brought_to(self, state: Lifecycle, device: Any) -> Any:
         """A device from `make`, brought from its present state to `state`."""

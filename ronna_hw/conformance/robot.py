@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from math import degrees, radians
 from typing import Any
 
@@ -80,14 +81,18 @@ def apart_rad(a: JointVector, b: JointVector) -> float:
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
-@SUITE.case("R01", "the driver implements RobotArm and starts disconnected")
-def offers_the_interface(dut: DeviceUnderTest) -> None:
-    offers(dut, RobotArm)
+def stands_at(arm: Any, joints_rad: JointVector) -> None:
+    """Raise Nonconformity unless the arm has stayed at these axes."""
+    moved = apart_rad(arm.read_state().joints_rad, joints_rad)
+    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
 
 
-@SUITE.case("R02", "connecting identifies the device")
-def identity_is_answered(dut: DeviceUnderTest) -> None:
-    identifies_device(dut)
+SUITE.case("R01", "the driver implements RobotArm and starts disconnected")(
+    partial(offers, interface=RobotArm)
+)
+
+
+SUITE.case("R02", "connecting identifies the device")(identifies_device)
 
 
 @SUITE.case("R03", "calls in the wrong state are refused")
@@ -179,8 +184,7 @@ def stop_and_start_again(dut: DeviceUnderTest) -> None:
     refused(lambda: arm.move_joints(before), StateError, "move_joints after deactivate")
     arm.activate()
     dut.clock.sleep(HOLDING_S)
-    moved = apart_rad(arm.read_state().joints_rad, before)
-    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+    stands_at(arm, before)
 
 
 @SUITE.case("R11", "a small joint move reaches its target, and the start again", needs=(MOTION,))
@@ -214,8 +218,7 @@ def target_out_of_range(dut: DeviceUnderTest) -> None:
     outside = (*here[:-1], arm.kinematics.upper_rad[-1] + SMALL_TURN_RAD)
     refused(lambda: arm.move_joints(outside), LimitError, "a target out of range")
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
-    moved = apart_rad(arm.read_state().joints_rad, here)
-    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+    stands_at(arm, here)
 
 
 @SUITE.case("R14", "hold stops the moving arm before its target; resume moves nothing", needs=(MOTION,))
@@ -264,8 +267,7 @@ def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
     second = dut.make()
     again = second.connect()
     check(identity == again, f"the identity {identity}", again)
-    moved = apart_rad(dut.brought_to(Lifecycle.ACTIVE, second).read_state().joints_rad, before)
-    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+    stands_at(dut.brought_to(Lifecycle.ACTIVE, second), before)
     dut.release()
 
 
@@ -283,9 +285,7 @@ def no_device_there(dut: DeviceUnderTest) -> None:
     fails_to_connect(make_device(dut.name, config, dut.clock), CONNECT_LIMIT_S)
 
 
-@SUITE.case("R19", "an unknown option is refused by the constructor")
-def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
-    refuses_unknown_options(dut)
+SUITE.case("R19", "an unknown option is refused by the constructor")(refuses_unknown_options)
 
 
 @SUITE.case("R20", "a straight line to a pose between the wrong frames is refused before any motion")
@@ -307,8 +307,7 @@ def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
                 f"a line to {target.target} <- {target.source}",
             )
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
-    moved = apart_rad(arm.read_state().joints_rad, before)
-    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+    stands_at(arm, before)
 
 
 @SUITE.case("R21", "with a tool, it is the tool point that follows the straight line", needs=(MOTION,))
@@ -354,7 +353,7 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
     arm = dut.make()
     with suppress(Interruption), arm.active():
         start = arm.read_state().commanded_rad
-        mover, ends = _set_moving(dut, arm, start, turned(start, STOPPED_TURN_RAD))
+        mover, ends = set_moving(dut, arm, start, turned(start, STOPPED_TURN_RAD))
         raise Interruption
     rest: ArmReading = arm.read_state()
     mover.join()
@@ -362,8 +361,7 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
     check(bool(ends), "a motion that says it was stopped")
     check(apart_rad(rest.joints_rad, start) < STOPPED_TURN_RAD / 2, "an arm stopped before its target")
     dut.clock.sleep(HOLDING_S)
-    moved = apart_rad(arm.read_state().joints_rad, rest.joints_rad)
-    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+    stands_at(arm, rest.joints_rad)
     with arm.active():
         arm.move_joints(start, speed_fraction=SLOW)
 
@@ -372,7 +370,7 @@ def _stopped_on_the_way(
     dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector, kind: StopKind
 ) -> list[RonnaError]:
     """Stop a motion once the arm has visibly left its start; what the motion raised."""
-    mover, ends = _set_moving(dut, arm, start, target)
+    mover, ends = set_moving(dut, arm, start, target)
     try:
         arm.stop(kind)
     finally:
@@ -380,7 +378,7 @@ def _stopped_on_the_way(
     return ends
 
 
-def _set_moving(
+def set_moving(
     dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector
 ) -> tuple[threading.Thread, list[RonnaError]]:
     """A thread that moves the arm, which has visibly left its start, and what the motion will raise."""

@@ -49,9 +49,9 @@ def beside(dut: DeviceUnderTest, **changes: Any) -> Any:
     return make_device(dut.name, dut.config.model_copy(update=changes), dut.clock)
 
 
-@SUITE.case("S01", "the driver implements StereoPair and starts disconnected")
-def offers_the_interface(dut: DeviceUnderTest) -> None:
-    offers(dut, StereoPair)
+SUITE.case("S01", "the driver implements StereoPair and starts disconnected")(
+    partial(offers, interface=StereoPair)
+)
 
 
 @SUITE.case("S02", "connecting identifies the cameras, and which is left and right")

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import math
 import socket
+from functools import partial
 
 from ronna_hw.conformance.any_device import (
     SLACK_S,
@@ -56,14 +57,12 @@ def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
     return readings
 
 
-@SUITE.case("T01", "the driver implements OpticalTracker and starts disconnected")
-def offers_the_interface(dut: DeviceUnderTest) -> None:
-    offers(dut, OpticalTracker)
+SUITE.case("T01", "the driver implements OpticalTracker and starts disconnected")(
+    partial(offers, interface=OpticalTracker)
+)
 
 
-@SUITE.case("T02", "connecting identifies the device")
-def identity_is_answered(dut: DeviceUnderTest) -> None:
-    identifies_device(dut)
+SUITE.case("T02", "connecting identifies the device")(identifies_device)
 
 
 @SUITE.case("T03", "calls in the wrong state are refused")
@@ -192,9 +191,7 @@ def no_device_there(dut: DeviceUnderTest) -> None:
     fails_to_connect(dut.make(endpoint=nowhere), CONNECT_LIMIT_S)
 
 
-@SUITE.case("T17", "an unknown option is refused by the constructor")
-def unknown_option_is_refused(dut: DeviceUnderTest) -> None:
-    refuses_unknown_options(dut)
+SUITE.case("T17", "an unknown option is refused by the constructor")(refuses_unknown_options)
 
 
 @SUITE.case("T18", "a reading on a silent line ends at its time limit", needs=(LINE_FAULTS,))

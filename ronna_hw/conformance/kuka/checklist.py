@@ -53,6 +53,7 @@ _LINES: dict[int, str] = {
     43: "S: every fault can be injected by name and at a given cycle, and is logged with IPOC",
     44: "D: no start outside EXT (or T1, confirmed), nor with emergency stop, guard or a message",
 }
+_SDK_CHANNEL = "a channel that no driver here uses: tests/system/kuka_sim/test_eki_channels.py"
 _ELSEWHERE: dict[int, str] = {
     18: "needs a context of its own: tests/unit/sim_kuka",
     19: "needs contexts of its own: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
@@ -62,6 +63,9 @@ _ELSEWHERE: dict[int, str] = {
     26: "needs large motions: tests/unit/sim_kuka, tests/unit/arm",
     32: "needs that program: tests/system/test_kuka_link_rsipi.py",
     33: "needs that program: tests/system/test_kuka_sim_rsipi.py; the C++ ones are not on the index",
+    36: _SDK_CHANNEL,
+    37: _SDK_CHANNEL,
+    39: _SDK_CHANNEL,
     41: "not safe on a running controller: tests/unit/sim_kuka, tests/system/kuka_sim",
     42: "nobody opens the guard for the suite: tests/system/kuka_sim/test_cell_faults.py",
     43: "simulator only: tests/unit/sim_kuka/faults/test_link_faults.py, tests/system/kuka_sim",
@@ -74,7 +78,6 @@ _REMARKS: dict[int, str] = {
     20: "RELATIVE needs a program of its own: tests/system/test_kuka_sim_rsipi.py",
     21: "our context sends neither ASPos nor RSol: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     30: "needs --allow destructive: the controller ends the run as well",
-    39: "a change needs somebody at the controller: tests/system/kuka_sim/test_cell_faults.py",
 }
 
 # Generic cases, and cases of another line, that check a line too.

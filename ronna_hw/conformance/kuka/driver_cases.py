@@ -9,21 +9,16 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ronna_hw.conformance.case import (
-    DESTRUCTIVE,
-    HOST_TIME,
-    MOTION,
-    CaseList,
-    check,
-)
+from ronna_hw.conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.conformance.kuka.rsi_client import AXES
 from ronna_hw.conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
+from ronna_hw.conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, set_moving, turned
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
@@ -40,11 +35,8 @@ LIMIT_S = 10.0
 SILENCE_LIMIT_S = 0.25  # of the driver in host time, unless the theatre file says otherwise
 SILENCE_SLACK_S = 1.5  # for a busy computer; both are below the silence that EKI may keep
 GATHERED_S = 0.05
-TURN_RAD = 0.0175  # one degree of the last axis
-LONG_TURN_RAD = 20 * TURN_RAD  # interrupted as soon as it moves visibly
-SEEN_RAD = TURN_RAD / 10
-SLOW = 0.1  # of the driver's working speed
 LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed; a controller may treat a larger one as a fault
+
 _IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 _TYPE = re.compile(rb'<Sen Type="([^"]*)">')
 
@@ -144,9 +136,8 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
         streaming(dut, arm)
         start: JointVector = arm.read_state().commanded_rad
         tap.traffic()
-        mover = threading.Thread(target=_there_and_back, args=(arm, start))
-        mover.start()
-        mover.join()
+        for target in (turned(start, SMALL_TURN_RAD), start):
+            arm.move_joints(target, speed_fraction=SLOW)
         replies = [corrections(reply) for reply in tap.traffic().replies]
         cycle_s = load_context().program.cycle_ms / 1000.0
         limits = [
@@ -162,17 +153,18 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
 @case("L30", "silence of the controller is noticed in time and latched", needs=(DESTRUCTIVE, HOST_TIME))
 def silence_is_noticed(dut: DeviceUnderTest) -> None:
     dut.release()
-    with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
-        line.gather_s = 0.001
-        with tapped(dut, eki_project=line.endpoint) as (arm, tap):
-            streaming(dut, arm)
-            line.silence()  # or the controller itself would report the end of the run
-            tap.hold()
-            limit_s = SILENCE_LIMIT_S + SILENCE_SLACK_S
-            noticed = wait_for(lambda: arm.state is Lifecycle.FAULT, limit_s)
-            check(noticed, f"state fault within {limit_s:g} s", arm.state)
-            line.silence(False)
-            tap.discard()
+    with (
+        DisturbedLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line,
+        tapped(dut, eki_project=line.endpoint) as (arm, tap),
+    ):
+        streaming(dut, arm)
+        line.silence()  # or the controller itself would report the end of the run
+        tap.hold()
+        limit_s = SILENCE_LIMIT_S + SILENCE_SLACK_S
+        noticed = wait_for(lambda: arm.state is Lifecycle.FAULT, limit_s)
+        check(noticed, f"state fault within {limit_s:g} s", arm.state)
+        line.silence(False)
+        tap.discard()
 
 
 @case(
@@ -184,17 +176,14 @@ def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
         start: JointVector = arm.read_state().commanded_rad
-        ends: list[RonnaError] = []
-        mover = threading.Thread(target=_move, args=(arm, _away(start, LONG_TURN_RAD), ends))
-        mover.start()
-        under_way = wait_for(lambda: abs(arm.read_state().joints_rad[5] - start[5]) > SEEN_RAD, LIMIT_S)
+        mover, ends = set_moving(dut, arm, start, turned(start, STOPPED_TURN_RAD))
+        check(mover.is_alive(), "an arm that moves")
         tap.hold()
         mover.join()
         tap.traffic()
         tap.discard()  # whether or not the controller has ended the run by now
         wait_for(lambda: tap.replies >= HELD, SILENCE_SLACK_S)
         later = [tuple(corrections(reply)) for reply in tap.traffic().replies]
-        check(under_way, "an arm that moves")
         check(len(ends) == 1, "a motion that reports why it ended", ends)
         check(len(set(later)) <= 1, "a constant correction from then on", later)
         arm.recover("conformance suite", LIMIT_S)
@@ -264,25 +253,6 @@ def _exchanges(tap: RsiTap) -> Traffic:
     """What passes while at least `CYCLES` replies come."""
     check(wait_for(lambda: tap.replies >= CYCLES, LIMIT_S), f"{CYCLES} replies")
     return tap.traffic()
-
-
-def _there_and_back(arm: Any, start: JointVector) -> None:
-    for target in (_away(start, TURN_RAD), start):
-        arm.move_joints(target, speed_fraction=SLOW)
-
-
-def _away(start: JointVector, turn_rad: float) -> JointVector:
-    """The last axis turned, towards the middle of its range."""
-    A1, A2, A3, A4, A5, A6 = start
-    return (A1, A2, A3, A4, A5, A6 - math.copysign(turn_rad, A6))
-
-
-def _move(arm: Any, target: JointVector, ends: list[RonnaError]) -> None:
-    """Move; add what it raises to `ends`."""
-    try:
-        arm.move_joints(target, speed_fraction=SLOW)
-    except RonnaError as error:
-        ends.append(error)
 
 
 def _stamps(datagrams: list[bytes]) -> list[int]:

@@ -22,7 +22,7 @@ class EkiLine:
     """One client of one channel. `between` keeps the bytes between elements."""
 
     def __init__(self, endpoint: Endpoint) -> None:
-        self._endpoint = endpoint
+        self.endpoint = endpoint
         self._socket = self._connected()
         self._received = b""
         self._number = 0
@@ -55,42 +55,31 @@ class EkiLine:
         self.send(command(identifier, name, **attributes))
         return identifier
 
-    def element(self, *tags: str, limit_s: float = ANSWER_LIMIT_S) -> tuple[bytes, ElementTree.Element]:
-        """The next element with one of these tags, as text and parsed; skips others."""
-        until_s = time.monotonic() + limit_s
+    def ask(self, name: str, **attributes: object) -> int:
+        """Send a command of our channel and return the code of its acknowledgement."""
+        return int(self.answer("Ack", self.command(name, **attributes)).get("Code", "-1"))
+
+    def state(self) -> ElementTree.Element:
+        """The answer to STATUS."""
+        return self.answer("State", self.command("STATUS"))
+
+    def answer(self, tag: str, identifier: str) -> ElementTree.Element:
+        """The element with this tag and identifier; raises Nonconformity when it does not come in time."""
+        until_s = time.monotonic() + ANSWER_LIMIT_S
         while True:
-            raw = self._cut_off()
-            if raw is None:
+            while (raw := self._cut_off()) is None:
                 left_s = until_s - time.monotonic()
-                check(
-                    left_s > 0, f"{' or '.join(tags)} within {limit_s:g} s", self._received[-80:] or "nothing"
-                )
+                wanted = f"{tag} {identifier} within {ANSWER_LIMIT_S:g} s"
+                check(left_s > 0, wanted, self._received[-80:] or "nothing")
                 self._socket.settimeout(left_s)
                 try:
                     data = self._socket.recv(MOST_BYTES)
                 except TimeoutError:
                     continue
-                check(bool(data), f"{' or '.join(tags)}", "the connection closed by the controller")
+                check(bool(data), wanted, "the connection closed by the controller")
                 self._received += data
-                continue
             root = ElementTree.fromstring(raw)
-            if root.tag in tags:
-                return raw, root
-
-    def ask(self, name: str, **attributes: object) -> int:
-        """Send a command of our channel and return the code of its acknowledgement."""
-        identifier = self.command(name, **attributes)
-        while True:
-            root = self.element("Ack")[1]
-            if root.get("Id") == identifier:
-                return int(root.get("Code", "-1"))
-
-    def state(self) -> ElementTree.Element:
-        """The answer to STATUS."""
-        identifier = self.command("STATUS")
-        while True:
-            root = self.element("State")[1]
-            if root.get("Id") == identifier:
+            if root.tag == tag and root.get("Id") == identifier:
                 return root
 
     def closed_by_controller(self, limit_s: float = ANSWER_LIMIT_S) -> bool:
@@ -118,9 +107,9 @@ class EkiLine:
 
     def _connected(self) -> socket.socket:
         try:
-            opened = socket.create_connection((self._endpoint.host, self._endpoint.port), ANSWER_LIMIT_S)
+            opened = socket.create_connection((self.endpoint.host, self.endpoint.port), ANSWER_LIMIT_S)
         except OSError as error:
-            raise NotShown(f"no connection to {self._endpoint}: {error.strerror or error}") from error
+            raise NotShown(f"no connection to {self.endpoint}: {error.strerror or error}") from error
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return opened
 

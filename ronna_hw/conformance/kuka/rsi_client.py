@@ -145,9 +145,9 @@ class RsiLine:
 
 
 @contextmanager
-def eki_line(dut: DeviceUnderTest, channel: str = "eki_project") -> Iterator[EkiLine]:
-    """A plain client of an EKI channel; closes every session of the driver first."""
-    endpoint = _endpoint(dut, channel)
+def eki_line(dut: DeviceUnderTest) -> Iterator[EkiLine]:
+    """A plain client of the EKI channel; closes every session of the driver first."""
+    endpoint = _endpoint(dut, "eki_project")
     dut.release()
     with EkiLine(parse_endpoint(endpoint).require("tcp")) as line:
         yield line

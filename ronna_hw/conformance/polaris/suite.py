@@ -20,7 +20,6 @@ SERIAL_LINE = Need("serial line", "the endpoint is not a serial line: it has nei
 NEEDS = (POLARIS_BYTES,)
 WITH_TOOL = (*NEEDS, TOOL_DEFINITION)
 SERIAL = (*NEEDS, SERIAL_LINE)
-LOOKS = 20  # frames to look at where one proves little
 
 
 @runtime_checkable

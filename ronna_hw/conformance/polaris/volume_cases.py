@@ -7,7 +7,7 @@ from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.polaris.bx_reply import Vector3, placed
 from ronna_hw.conformance.polaris.definitions import markers_of, shifted
 from ronna_hw.conformance.polaris.link import PolarisLink, idle_unit
-from ronna_hw.conformance.polaris.suite import LOOKS, NEEDS, WITH_TOOL, definition, seen
+from ronna_hw.conformance.polaris.suite import NEEDS, WITH_TOOL, definition, seen
 from ronna_hw.conformance.polaris.volumes import (
     SPECTRA_SHAPE,
     SPECTRA_VOLUMES,
@@ -20,6 +20,7 @@ from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus, PortStatus
 
 BEYOND_MM = 130.0  # beyond the volume's side but still in view; more than half a tool
+LOOKS = 20  # frames to look at where one proves little
 EDGE_MM = 3.0  # closer to a face, noise decides
 READ_ONLY = "Features.Firmware.Version=0"
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import nullcontext
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import pytest
 
@@ -43,14 +43,7 @@ def _counts_requests() -> Counter:
 @pytest.fixture
 def judge(monkeypatch: pytest.MonkeyPatch) -> Callable[[Counter, bool], None]:
     def run(counter: Counter, clock_known: bool) -> None:
-        unit = SimpleNamespace(load=lambda _block: "01", okay=lambda _command: None)
-
-        @contextmanager
-        def line(_dut: DeviceUnderTest) -> Iterator[Any]:
-            yield unit
-
-        monkeypatch.setattr(frame_cases, "idle_unit", line)
-        monkeypatch.setattr(frame_cases, "definition", lambda _dut: b"")
+        monkeypatch.setattr(frame_cases, "tracking", lambda _dut: nullcontext())
         monkeypatch.setattr(frame_cases, "frame_number", lambda _unit: counter())
         frame_cases.frame_rate(cast(DeviceUnderTest, SimpleNamespace(clock_known=clock_known)))
 
