@@ -143,13 +143,14 @@ class KukaRsiArm:
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start the RSI program and answer its telegrams; returns when corrections act.
 
-        Raises EKI-006 when the controller does not say what it runs (see `activate_unverified`), EKI-007
-        when it is not ready, EKI-008 when it refuses, RSI-002 when no telegram comes, RSI-015 when RSI and
-        EKI disagree about the axes. What goes wrong after the start is latched: `recover` leaves it.
+        Raises EKI-006 when the controller does not report which context it runs (see
+        `activate_unverified`), EKI-007 when it is not ready, EKI-008 when it refuses, RSI-002 when no
+        telegram comes, RSI-015 when RSI and EKI disagree about the axes. What goes wrong after the start is
+        latched: `recover` leaves it.
         """
         self._guard.require("activate", (Lifecycle.CONFIGURED,))
         if not self._connections.verified:
-            raise Unverified(f"{self._name}: the controller does not say what it runs")
+            raise Unverified(f"{self._name}: the controller does not report which context it runs")
         self._start(timeout_s)
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
 

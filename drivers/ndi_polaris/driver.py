@@ -244,7 +244,7 @@ class PolarisTracker:
         identity = self._open(deadline_s)
         if before is not None and identity.serial != before.serial:
             self._drop_link()
-            raise WrongUnit("not the unit of before", expected=before.serial, got=identity.serial)
+            raise WrongUnit("a different unit from before", expected=before.serial, got=identity.serial)
         if isinstance(cause, SensorBumped) or self._bump_reported:
             clear_bump(self._link, deadline_s)
             self._bump_reported = False

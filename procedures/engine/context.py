@@ -70,7 +70,9 @@ class StepContext:
         when its file was changed.
         """
         if model not in self.spec.reads:
-            raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare to read")
+            raise WrongResult(
+                f"{self.key} asks for {model.kind}, which is not among the results that it declares to read"
+            )
         stored = self._case.get(model, self.key.trajectory)
         self._read[stored.record.identifier] = stored.record
         return stored.result
@@ -94,7 +96,7 @@ class StepContext:
     def trajectory(self) -> str:
         """The trajectory this step is done for. Raises PRO-016 when it is done for none."""
         if self.key.trajectory is None:
-            raise WrongResult(f"{self.key} is done for no single trajectory")
+            raise WrongResult(f"{self.key} is not a step of one trajectory")
         return self.key.trajectory
 
     @property

@@ -144,7 +144,7 @@ class Engine:
         expected = self.order.spec(key).result
         if type(outcome.result) is not expected:
             raise WrongResult(
-                f"{key} left another result than it declares",
+                f"{key} returned a different result from the one it declares",
                 expected=expected.__name__,
                 got=type(outcome.result).__name__,
             )

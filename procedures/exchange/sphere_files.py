@@ -21,7 +21,7 @@ def check_names(paths: Sequence[Path]) -> None:
     """Raise EXC-001 for a name whose ending is no known form; cheap, for before the work."""
     for path in paths:
         if not path.name.endswith((MARKUPS, JSON, CSV, DICOM)):
-            raise UnknownForm(f"cannot tell the form of {path.name}")
+            raise UnknownForm(f"cannot tell the format of {path.name}")
 
 
 def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientIdentity | None = None) -> None:

@@ -36,12 +36,12 @@ class VoxelGeometry:
         sized = len(self.shape) == 3 and min(self.shape) > 0
         shapes = [np.shape(value) for value in (self.origin_mm, self.axes, self.spacing_mm)]
         if not sized or shapes != [(3,), (3, 3), (3,)]:
-            raise VolumeMalformed("a geometry of another shape", got=f"{self.shape}, {shapes}")
+            raise VolumeMalformed("the geometry has the wrong shape", got=f"{self.shape}, {shapes}")
         numbers = np.concatenate([self.origin_mm, np.ravel(self.axes), self.spacing_mm])
         if not np.isfinite(numbers).all() or np.min(self.spacing_mm) <= 0:
             raise VolumeMalformed("a geometry that is not finite, or a spacing that is not positive")
         if np.abs(self.axes.T @ self.axes - np.eye(3)).max() > AXES_TOLERANCE:
-            raise VolumeMalformed("axes that are not perpendicular unit vectors")
+            raise VolumeMalformed("the axes are not perpendicular unit vectors")
 
     def to_patient_mm(self, indices: ArrayLike) -> Array:
         """Patient positions (..., 3) mm of voxel indices (..., 3), fractions allowed."""

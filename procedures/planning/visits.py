@@ -110,7 +110,7 @@ class PathCheck:
         """Raises PLAN-007 with every unmet precondition."""
         if self.unmet:
             lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
-            raise NotReachable(f"{len(self.unmet)} pose(s) cannot be driven: {lines}")
+            raise NotReachable(f"{len(self.unmet)} pose(s) cannot be reached: {lines}")
 
 
 @dataclass(frozen=True)

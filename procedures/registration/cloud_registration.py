@@ -88,7 +88,8 @@ def register_clouds(
         differs = turn_rad(best.matrix[:3, :3], fit.matrix[:3, :3]) > SAME_TURN_RAD
         if differs and fit.residual_mm < CLEARLY_BETTER * best.residual_mm + ROUNDING_MM:
             raise SymmetricCloud(
-                "two orientations fit alike", got=f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm"
+                "two orientations fit equally well",
+                got=f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm",
             )
     return _as_fit(best)
 

@@ -126,9 +126,9 @@ def verify_two_way(
     if len(partners) and (
         partners.min() < 0 or np.any(partners.max(axis=0) >= np.array([len(image), len(tracker)]))
     ):
-        raise BadPoints("a pair names a point that is not there")
+        raise BadPoints("a pair names a point that does not exist")
     if any(not 0 <= point.fiducial < len(image) for point in stereo):
-        raise BadPoints("a stereo measurement names a fiducial that is not there")
+        raise BadPoints("a stereo measurement names a fiducial that does not exist")
     if fine is not None and fine.pairs != len(stereo):
         raise BadPoints(f"{fine.pairs} registered pairs but {len(stereo)} stereo measurements")
     rows = _ct_to_room(image, tracker, partners, coarse, fine, stereo, ct_disagreement_mm or {})

@@ -73,7 +73,7 @@ class ServoState:
         state._require_trend()
         if state.steps_made >= self.settings.steps:
             raise ServoExhausted(
-                f"the servo is not at its end after {state.steps_made} steps",
+                f"the servo has not converged after {state.steps_made} steps",
                 expected=f"a residual of at most {self.settings.tolerance_mm} mm",
                 got=f"{length:.3f} mm",
             )
@@ -108,7 +108,7 @@ class ServoState:
         before, now = self.residuals_mm[-1 - span], self.residuals_mm[-1]
         if now > self.settings.noise_mm and now > self.settings.shrink * before:
             raise ServoDiverges(
-                f"the residual does not shrink within {span} steps",
+                f"the residual has not decreased within {span} steps",
                 expected=f"at most {self.settings.shrink * before:.3f} mm",
                 got=" ".join(f"{value:.3f}" for value in self.residuals_mm) + " mm",
             )

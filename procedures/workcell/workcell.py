@@ -129,7 +129,7 @@ class Workcell:
     def flange_from(self, tool: MountedTool) -> Transform:
         """FLANGE <- TOOL of a tool, from its calibration record. Raises PRO-009 for an unchecked one."""
         if tool is MountedTool.UNKNOWN:
-            raise WrongTool("what hangs on the arm has not been checked", expected="a checked tool", got=tool)
+            raise WrongTool("the mounted tool has not been checked", expected="a checked tool", got=tool)
         records = self.calibrations
         record = records.tool_tip if tool is MountedTool.GUIDE else records.stereo_head
         return record.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)

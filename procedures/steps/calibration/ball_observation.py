@@ -109,7 +109,7 @@ def refuse_too_few(watcher: BallWatcher, count: int) -> None:
     """Raise CAL-010 when most looks could not be taken, CAL-002 when they showed no ball."""
     expected, got = f"at least {LEAST_POSES}", f"{count}; {watcher.why_rejected()}"
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
-        raise PosesOutOfReach("too few poses about the ball can be taken", expected=expected, got=got)
+        raise PosesOutOfReach("too few poses about the ball can be reached", expected=expected, got=got)
     raise TooFewPoses("too few poses show the ball", expected=expected, got=got)
 
 

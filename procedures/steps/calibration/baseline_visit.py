@@ -43,7 +43,7 @@ class BaselineVisit:
         head.check_valid_at(datetime.now(UTC))
         arm = workcell.arm.kinematics.name
         if self.baseline.arm_variant != arm:
-            raise GateFailed("the baseline is of another arm", expected=self.baseline.arm_variant, got=arm)
+            raise GateFailed("the baseline is from another arm", expected=self.baseline.arm_variant, got=arm)
         context.confirm(
             "The arm will move to the eight poses of the baseline; the ball must stand where it stood",
             f"calibration {head.identifier} of {self.baseline.created:%Y-%m-%d %H:%M} UTC",

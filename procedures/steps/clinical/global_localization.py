@@ -104,7 +104,7 @@ def _checked_spread_mm(strays: StrayAverage) -> float:
     spread_mm = max((float(group.spread_mm) for group in strays.groups), default=0.0)
     if spread_mm > SPREAD_LIMIT_MM:
         raise GateFailed(
-            "a sphere moved while the tracker looked",
+            "a sphere moved while the tracker was measuring",
             limit=f"{SPREAD_LIMIT_MM} mm",
             got=f"{spread_mm:.2f} mm",
         )

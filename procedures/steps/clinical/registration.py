@@ -86,7 +86,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     names = " and ".join(context.served_trajectories)
     if not gate.passed:
         raise GateFailed(
-            f"the fit does not agree with its own error budget at {names}",
+            f"the fit disagrees with its own error budget at {names}",
             limit=f"{gate.limit_mm:.3f} mm",
             got=f"{gate.fre_mm:.3f} mm",
             action=_advice([fiducials[one] for one in moved_spheres(image, physical, measured, arm_mm)]),

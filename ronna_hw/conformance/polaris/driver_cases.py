@@ -240,7 +240,7 @@ def rate_is_raised(dut: DeviceUnderTest) -> None:
     baud = tracker.baud if isinstance(tracker, TellsBaud) else None
     dut.release()
     if baud is None:
-        raise NotShown("the driver does not tell its baud rate")
+        raise NotShown("the driver does not report its baud rate")
     check(baud > DEFAULT_BAUD, f"more than {DEFAULT_BAUD} baud", baud)
 
 

@@ -138,5 +138,5 @@ def test_a_place_that_is_a_file_is_refused(finished: Path) -> None:
 
 
 def test_an_unknown_form_is_refused_before_the_work() -> None:
-    with pytest.raises(UnknownForm, match=r"EXC-001: cannot tell the form of spheres.xls"):
+    with pytest.raises(UnknownForm, match=r"EXC-001: cannot tell the format of spheres.xls"):
         check_names([Path("a.csv"), Path("spheres.xls")])
