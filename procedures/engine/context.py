@@ -70,9 +70,7 @@ class StepContext:
         when its file was changed.
         """
         if model not in self.spec.reads:
-            raise WrongResult(
-                f"{self.key} asks for {model.kind}, which is not among the results that it declares to read"
-            )
+            raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare to read")
         stored = self._case.get(model, self.key.trajectory)
         self._read[stored.record.identifier] = stored.record
         return stored.result
