@@ -8,7 +8,6 @@ noise allows. `ronna-campaign localization` is the same on 200 spheres and more.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import subprocess
@@ -26,7 +25,7 @@ from benchmarks.contest import cpu_of
 from benchmarks.ct_least_error import BallScan, least_errors_mm
 from benchmarks.figures import Figure, compared
 from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, read_series
-from procedures.studies.phantom_scans import AIR_HU, bound_mm
+from procedures.studies.phantom_scans import AIR_HU, bound_mm, scan_phantom
 from ronna_hw.host.child_process import command
 
 Array = NDArray[np.float64]
@@ -34,7 +33,6 @@ Method = Callable[[Volume], Localization]
 
 SEEDS = (1001, 1002)
 MORE_SEEDS = (1001, 1002, 1003, 1004, 1005, 1006)  # 42 spheres tell a ratio to 6 %, 14 to 11 %
-PHANTOM_LIMIT_S = 120.0
 SAME_SPHERE_MM = 2.0
 KIB_PER_GB = 1e9 / 1024.0
 OURS, BARE_READ, READ, BOUND = "localize", "bare pydicom and stack", "read_series", "Cramér-Rao bound"
@@ -153,23 +151,23 @@ def _figures(case: Case, scans: list[Scan]) -> tuple[list[Figure], Spheres]:
             spheres[name].add(results[0], scan.centres_mm)
     limit_mm = math.sqrt(sum(scan.bound_mm**2 for scan in scans) / len(scans))
     figures = [
-        _at_most(figure, GOAL_CPU_S) if figure.who == OURS else figure
+        figure.at_most(GOAL_CPU_S) if figure.who == OURS else figure
         for figure in compared(f"CPU per series, {case.name}", "s", cpu_s, BARE_READ)
     ]
     what = f"3-D error rms, {case.name}"
     for name, one in spheres.items():
         ratio = one.rms_mm / limit_mm
         figure = Figure(what, name, one.rms_mm * 1e3, "µm", ratio, BOUND, one.counts)
-        figures.append(_at_most(figure, case.goal_um) if name == OURS else figure)
+        figures.append(figure.at_most(case.goal_um) if name == OURS else figure)
     figures.append(Figure(what, BOUND, limit_mm * 1e3, "µm"))
     mine = spheres[OURS]
     if case.goal_95_um is not None:
         share_um = float(np.percentile(mine.errors_mm, 95.0)) * 1e3
         share = Figure(f"3-D error of 95 %, {case.name}", OURS, share_um, "µm")
-        figures.append(_at_most(share, case.goal_95_um))
+        figures.append(share.at_most(case.goal_95_um))
     if case.bare:
         over = f"error over bound, {case.name}"
-        figures.append(_at_most(Figure(over, OURS, mine.rms_mm / limit_mm, "x"), GOAL_BOUND_RATIO))
+        figures.append(Figure(over, OURS, mine.rms_mm / limit_mm, "x").at_most(GOAL_BOUND_RATIO))
         even_mm, known_mm = least_errors_mm(scans[0].typical)
         figures.append(Figure(over, "least, all voxels alike", even_mm / limit_mm, "x"))
         figures.append(Figure(over, "least, spectrum of the noise known", known_mm / limit_mm, "x"))
@@ -191,14 +189,9 @@ def _over_all_families(ours: dict[Case, Spheres]) -> list[Figure]:
             for one in spheres.chi2
         ]
         honesty = float(np.mean(squares)) / 3.0
-        low, high = GOAL_CHI2
         figure = Figure(f"error² over covariance, {words}", OURS, honesty, "per degree")
-        figures.append(replace(figure, goal=f"{low:g} to {high:g}", met=low <= honesty <= high))
+        figures.append(figure.within(*GOAL_CHI2))
     return figures
-
-
-def _at_most(figure: Figure, most: float) -> Figure:
-    return replace(figure, goal=f"value ≤ {most:g}", met=figure.value <= most)
 
 
 def _memory(series: Path) -> Figure:
@@ -211,24 +204,13 @@ def _memory(series: Path) -> Figure:
     if child.returncode:
         raise RuntimeError(f"ronna-ct localize ended with {child.returncode}")
     figure = Figure("peak memory, 512 x 512 x 200", "ronna-ct localize", usage.ru_maxrss / KIB_PER_GB, "GB")
-    return _at_most(figure, GOAL_MEMORY_GB)
+    return figure.at_most(GOAL_MEMORY_GB)
 
 
 def _scan(folder: Path, case: Case, seed: int) -> Scan:
-    arguments = ["--out", str(folder), "--family", case.family, "--protocol", case.protocol]
-    done = subprocess.run(
-        command("sim.cli", "phantom", *arguments, "--seed", str(seed), "--json"),
-        capture_output=True,
-        text=True,
-        timeout=PHANTOM_LIMIT_S,
-        check=False,
-    )
-    if done.returncode:
-        raise RuntimeError(" ".join(done.stderr.split()))
-    said = json.loads(done.stdout)
-    truth = json.loads(Path(said["truth"]).read_text(encoding="utf-8"))
+    series, truth = scan_phantom(folder, case.family, case.protocol, seed)
     centres = np.array([fiducial["centre_mm"] for fiducial in truth["fiducials"]])
-    return Scan(Path(said["series"]), centres, bound_mm(truth), _typical(truth))
+    return Scan(series, centres, bound_mm(truth), _typical(truth))
 
 
 def _typical(truth: dict[str, Any]) -> BallScan:

@@ -25,14 +25,23 @@ class Figure:
     goal: str = ""
     met: bool | None = None
 
-    def with_goal(self, *, at_least: float | None = None, at_least_ratio: float | None = None) -> Self:
-        """The same figure held against a limit for its value or for its ratio."""
-        if at_least is not None:
-            return replace(self, goal=f"value ≥ {at_least:,.0f}", met=self.value >= at_least)
-        if at_least_ratio is None or self.ratio is None:
-            raise ValueError("a goal needs a limit, and one for a ratio a baseline")
-        met = self.ratio >= at_least_ratio
-        return replace(self, goal=f"ratio ≥ {at_least_ratio:.3g}", met=met)
+    def at_least(self, limit: float) -> Self:
+        """The same figure with a goal: the least value."""
+        return replace(self, goal=f"value ≥ {limit:,g}", met=self.value >= limit)
+
+    def at_most(self, limit: float) -> Self:
+        """The same figure with a goal: the largest value."""
+        return replace(self, goal=f"value ≤ {limit:g}", met=self.value <= limit)
+
+    def within(self, low: float, high: float) -> Self:
+        """The same figure with a goal: a range of the value."""
+        return replace(self, goal=f"{low:g} to {high:g}", met=low <= self.value <= high)
+
+    def ratio_at_least(self, limit: float) -> Self:
+        """The same figure with a goal for its ratio; raises ValueError without a baseline."""
+        if self.ratio is None:
+            raise ValueError("a goal for a ratio needs a baseline")
+        return replace(self, goal=f"ratio ≥ {limit:.3g}", met=self.ratio >= limit)
 
 
 def compared(

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -107,14 +105,14 @@ def _sides_apart() -> list[Figure]:
             failed += verdict(found.status, found.pairs, right) != SUCCESS
         what = f"not found, 3 markers, sides {LEAST_SIDE_DIFFERENCE_MM:g} mm apart, {noise.value}"
         figure = Figure(what, OURS, 100.0 * failed / runs, "%", more={"runs": runs})
-        figures.append(_at_most(figure, SIDES_APART_PERCENT))
+        figures.append(figure.at_most(SIDES_APART_PERCENT))
     return figures
 
 
 def _share(what: str, method: Method, outcome: str, total: dict[str, float], most: float) -> Figure:
     runs = sum(total.get(f"{method.value}||{one}", 0.0) for one in (SUCCESS, UNSUCCESSFUL, FALSE))
     share = 100.0 * total.get(f"{method.value}||{outcome}", 0.0) / runs
-    return _at_most(Figure(what, OURS, share, "%", more={"runs": runs}), most)
+    return Figure(what, OURS, share, "%", more={"runs": runs}).at_most(most)
 
 
 def _exact() -> list[Figure]:
@@ -126,7 +124,7 @@ def _exact() -> list[Figure]:
         truth = RigidTransform.from_components(random.normal(size=3) * 500.0, Rotation.random(rng=random))
         found = register(points, truth.apply(points)).transform
         worst = max(worst, float(np.abs(found.as_matrix() - truth.as_matrix())[:3, :3].max()))
-    return [_at_most(Figure("largest rotation error, exact data", "register", worst, "rad"), 1e-12)]
+    return [Figure("largest rotation error, exact data", "register", worst, "rad").at_most(1e-12)]
 
 
 def _formulas() -> list[Figure]:
@@ -137,25 +135,17 @@ def _formulas() -> list[Figure]:
     formulas, gains = tables(add_up((unit, study.run(unit)) for unit in units))
     ((_, _, fle, one_space, _, _, tre, alarms),) = formulas.rows
     figures = [
-        _between(Figure("FLE by eq. 36 over the true one", "register", _number(fle), ""), 0.98, 1.02),
-        _between(Figure("FLE of one space by eq. 37, 38", "register", _number(one_space), ""), 0.98, 1.02),
-        _between(Figure("target error over eq. 39", "register", _number(tre), ""), 0.98, 1.02),
-        _between(Figure("false alarms of the FRE gate", "register", _number(alarms), "%"), 4.0, 6.0),
+        Figure("FLE by eq. 36 over the true one", "register", _number(fle), "").within(0.98, 1.02),
+        Figure("FLE of one space by eq. 37, 38", "register", _number(one_space), "").within(0.98, 1.02),
+        Figure("target error over eq. 39", "register", _number(tre), "").within(0.98, 1.02),
+        Figure("false alarms of the FRE gate", "register", _number(alarms), "%").within(4.0, 6.0),
     ]
     for row, least in zip(gains.rows, (20.0, 40.0), strict=True):
         gain = Figure(f"target error that weighting saves, {row[0]}", "register", _number(row[4]), "%")
-        figures.append(gain.with_goal(at_least=least))
+        figures.append(gain.at_least(least))
     return figures
 
 
 def _number(cell: object) -> float:
     assert isinstance(cell, float)
     return cell
-
-
-def _at_most(figure: Figure, most: float) -> Figure:
-    return replace(figure, goal=f"value ≤ {most:g}", met=figure.value <= most)
-
-
-def _between(figure: Figure, low: float, high: float) -> Figure:
-    return replace(figure, goal=f"{low:g} to {high:g}", met=low <= figure.value <= high)

@@ -102,7 +102,7 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
         samples = contest({"simulator and driver": move, baseline: exchange}, rounds)
         probe.close()
         figures = compared(measure, "1/s", samples, baseline)
-        figures[0] = figures[0].with_goal(at_least=goal_hz)
+        figures[0] = figures[0].at_least(goal_hz)
         figures.append(Figure(f"{measure}, planning included", figures[0].who, median(whole_moves_hz), "1/s"))
         for name, cpu_s in spent.items():
             figures.append(Figure(f"CPU per cycle of {measure}", name, cpu_s / cycles_seen * 1e6, "µs"))

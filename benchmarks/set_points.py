@@ -5,8 +5,6 @@ Watched: with a head, clamp, table and spheres around, the guide on the flange a
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ruckig import InputParameter, OutputParameter, Result, Ruckig
 
 from benchmarks.contest import contest, cpu_of
@@ -57,11 +55,7 @@ def measure() -> list[Figure]:
         ROUNDS,
     )
     figures = compared("CPU per set-point, go and stop judged", "µs", samples, BARE, scale=1e6)
-    return [_with_goal(figure) if figure.who.endswith("watched") else figure for figure in figures]
-
-
-def _with_goal(figure: Figure) -> Figure:
-    return replace(figure, goal=f"value ≤ {GOAL_US:.0f}", met=figure.value <= GOAL_US)
+    return [figure.at_most(GOAL_US) if figure.who.endswith("watched") else figure for figure in figures]
 
 
 def _surroundings(flange: Pose) -> Surroundings:

@@ -1,7 +1,6 @@
 """Centre errors over many rendered pairs: centred, out of focus, off axis, occluded and stained, half hidden.
 
-Each row counts what the measurement trusts, what it calls UNRELIABLE or no sphere, and how far the points
-are from the truth that it vouches for.
+Each row counts what the measurement trusts, and how far the points are from the truth that it vouches for.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.contest import cpu_of
 from benchmarks.stereo_alternatives import centroid, contour_ellipse, hough, least_error_px, triangulated
 from benchmarks.stereo_pictures import EXPOSURE_US, GAIN_RAW, Case, Pair, Studio, View
 from procedures.relocalization import SphereImage, SphereStatus, measure_sphere, triangulate
@@ -41,14 +39,9 @@ class Tally:
 
     images: int = 0
     trusted: int = 0
-    unreliable: int = 0
-    absent: int = 0
-    refused_pairs: int = 0
-    rim_shares: list[float] = field(default_factory=list)  # in view, of each image; 0 where no sphere is seen
     errors_mm: list[Array] = field(default_factory=list)
     squared_sigmas: list[float] = field(default_factory=list)  # of each point's error, by its covariance
     bounds_mm: list[float] = field(default_factory=list)
-    cpu_s: list[float] = field(default_factory=list)
     others_mm: dict[str, list[float]] = field(default_factory=dict)
 
     @property
@@ -76,10 +69,6 @@ class Tally:
         """Share of the images that gave no centre to be trusted."""
         return 1.0 - self.trusted / self.images
 
-    def share_with_rim(self, least: float) -> float:
-        """Share of the images that show at least so much of the rim."""
-        return float(np.mean(np.array(self.rim_shares) >= least))
-
 
 OTHERS: dict[str, Callable[[NDArray[np.uint8], float], Array]] = {
     "threshold and centroid": centroid,
@@ -106,7 +95,6 @@ def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: i
         try:
             point = triangulate(left, right, calibration)
         except (RaysDoNotMeet, WrongSize):
-            tally.refused_pairs += 1
             continue
         error = point.position_mm - pair.centre_mm
         tally.errors_mm.append(error)
@@ -116,21 +104,16 @@ def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: i
 
 
 def _measured(view: View, tally: Tally) -> SphereImage | None:
-    """The outline when it can be trusted; counts what came of the picture."""
-    found: list[SphereImage] = []
+    """The outline when it can be trusted."""
     tally.images += 1
     try:
-        tally.cpu_s.append(cpu_of(lambda: found.append(measure_sphere(view.picture))))
+        found = measure_sphere(view.picture)
     except NoSphere:
-        tally.absent += 1
-        tally.rim_shares.append(0.0)
         return None
-    tally.rim_shares.append(found[0].rim_fraction)
-    if found[0].status is not SphereStatus.OK:
-        tally.unreliable += 1
+    if found.status is not SphereStatus.OK:
         return None
     tally.trusted += 1
-    return found[0].shifted(*view.offset_px)
+    return found.shifted(*view.offset_px)
 
 
 def _others(pair: Pair, cameras: tuple[Camera, Camera], tally: Tally) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from datetime import UTC, datetime
 from math import radians
 
@@ -54,9 +53,8 @@ def _tool_centre() -> list[Figure]:
     what = "calibration: tool centre's error rms, uncalibrated arm"
     return [
         Figure("calibration: error of one outline", OURS, float(np.mean(outlines_px)), "px"),
-        _at_most(
-            Figure("calibration: tool centre's error rms, exact arm", OURS, 1e3 * _rms(errors_mm), "µm"),
-            IDEAL_UM,
+        Figure("calibration: tool centre's error rms, exact arm", OURS, 1e3 * _rms(errors_mm), "µm").at_most(
+            IDEAL_UM
         ),
         _honest("calibration: made over stated error, exact arm", errors_mm, stated_mm),
         Figure(what, OURS, 1e3 * _rms(arm_errors_mm), "µm", more={"largest_um": 1e3 * max(arm_errors_mm)}),
@@ -97,11 +95,9 @@ def _check() -> list[Figure]:
     found = sum(not _passes(head, _twisted(head, seed), seed) for seed in range(CHECKS))
     who, more = "ronna-stereo check", {"checks": float(CHECKS)}
     return [
-        Figure("camera turned by 0.01° found", who, 100.0 * found / CHECKS, "%", more=more).with_goal(
-            at_least=100.0
-        ),
-        _at_most(
-            Figure("sound head refused", who, 100.0 * sound / CHECKS, "%", more=more), FALSE_ALARMS_PERCENT
+        Figure("camera turned by 0.01° found", who, 100.0 * found / CHECKS, "%", more=more).at_least(100.0),
+        Figure("sound head refused", who, 100.0 * sound / CHECKS, "%", more=more).at_most(
+            FALSE_ALARMS_PERCENT
         ),
     ]
 
@@ -134,11 +130,6 @@ def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _at_most(figure: Figure, limit: float) -> Figure:
-    return replace(figure, goal=f"value ≤ {limit:g}", met=figure.value <= limit)
-
-
 def _honest(what: str, made_mm: Sequence[float], stated_mm: Sequence[float]) -> Figure:
     ratio = _rms([made / stated for made, stated in zip(made_mm, stated_mm, strict=True)])
-    low, high = HONEST
-    return Figure(what, OURS, ratio, "", goal=f"{low:g} to {high:g}", met=low <= ratio <= high)
+    return Figure(what, OURS, ratio, "").within(*HONEST)

@@ -59,7 +59,7 @@ def _over_peers(rates: Rates) -> list[Figure]:
     ours = []
     for peer, share in DRIVER_GOALS.items():
         pair = {name: rates.per_second[name] for name in (OURS, peer)}
-        ours.append(compared("", "1/s", pair, peer)[0].with_goal(at_least_ratio=share))
+        ours.append(compared("", "1/s", pair, peer)[0].ratio_at_least(share))
     return [*ours, *others]
 
 
@@ -85,7 +85,7 @@ def _unit(line: str, roms: Sequence[Path]) -> list[Figure]:
     figures = []
     for figure in compared("", "1/s", rates.per_second, CANNED):
         goal = UNIT_GOALS.get((line, figure.who))
-        figures.append(figure if goal is None else figure.with_goal(at_least=goal))
+        figures.append(figure if goal is None else figure.at_least(goal))
     cpu_s = {load: [spent] for load, spent in rates.unit_cpu_s.items()}
     return [
         *(_of_unit(figure, f"replies/s, {line}") for figure in figures),

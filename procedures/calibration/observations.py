@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self, TypeVar
 from pydantic import Field, ValidationError
 
 from procedures.calibration.errors import BadObservations
-from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.relocalization.sphere_image import SphereImage
 from ronna_hw.calibration import PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
 from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform
@@ -34,29 +34,8 @@ class Outline(Strict):
 
     @classmethod
     def of(cls, sphere: SphereImage) -> Self:
-        """From a measurement."""
-        return cls(
-            centre_px=sphere.centre_px,
-            axes_px=sphere.axes_px,
-            covariance_px2=sphere.covariance_px2,
-            quality=sphere.quality,
-            rim_fraction=sphere.rim_fraction,
-            scatter_px=sphere.scatter_px,
-            blur_px=sphere.blur_px,
-        )
-
-    def sphere(self) -> SphereImage:
-        """As a measurement for triangulation; only reliable ones are stored."""
-        return SphereImage(
-            centre_px=self.centre_px,
-            axes_px=self.axes_px,
-            quality=self.quality,
-            status=SphereStatus.OK,
-            covariance_px2=self.covariance_px2,
-            rim_fraction=self.rim_fraction,
-            scatter_px=self.scatter_px,
-            blur_px=self.blur_px,
-        )
+        """From a measurement; only reliable ones are stored."""
+        return cls(**{name: getattr(sphere, name) for name in cls.model_fields})
 
 
 class Observation(Strict):

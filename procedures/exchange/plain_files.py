@@ -5,16 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from procedures.exchange.dicom_object import Origin
 from procedures.exchange.spatial_fiducials import Fiducial
-from procedures.steps.clinical.registration import Prediction
+from procedures.steps.clinical.registration import RegisteredRobot
 
 MARKUPS_SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
@@ -64,25 +60,16 @@ def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
-@dataclass(frozen=True, eq=False)
-class RegistrationRow:
-    """A registration as it serves one target; `matrix` (4, 4) robot <- CT in mm."""
-
-    trajectory: str
-    matrix: NDArray[np.float64]
-    pairs: int
-    fre_mm: float
-    predicted: Prediction
-
-
-def registration_table(rows: Sequence[RegistrationRow]) -> str:
-    """CSV, a row per target: the rows of the matrix, pairs, predicted error."""
+def registration_table(registrations: Iterable[RegisteredRobot]) -> str:
+    """CSV, a row per target, also where one registration is for several: matrix row by row, error."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]
     figures = ("pairs", "fre_mm", "predicted_tre_mm", "predicted_tre_limit_mm", "confidence")
     writer.writerow(("trajectory", *elements, *figures))
-    for row in rows:
-        predicted = (row.predicted.rms_mm, row.predicted.limit_mm, row.predicted.confidence)
-        writer.writerow((row.trajectory, *row.matrix[:3].ravel().tolist(), row.pairs, row.fre_mm, *predicted))
+    for one in registrations:
+        matrix = one.robot_from_ct.transform.as_matrix()[:3].ravel().tolist()
+        for predicted in one.predictions:
+            error = (predicted.rms_mm, predicted.limit_mm, predicted.confidence)
+            writer.writerow((predicted.target, *matrix, one.pairs, one.fre_mm, *error))
     return text.getvalue()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.engine.case import Stored
 from procedures.engine.result import StepResult
@@ -18,7 +18,6 @@ from procedures.engine.run_folder import RunFolder, read_run
 from procedures.exchange.dicom_object import Origin, write
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.plain_files import (
-    RegistrationRow,
     document,
     registration_table,
     slicer_markups,
@@ -61,12 +60,11 @@ def export_run(run: Path, out: Path) -> list[Path]:
     fits = {stored.record.trajectory or ALL: stored for stored in folder.standing(RegisteredRobot)}
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
-    poses = {name: fit.result.robot_from_ct.transform.rigid.as_matrix() for name, fit in fits.items()}
     texts = {
         "spheres.csv": table(spheres),
         "spheres.json": document([one.model_dump(mode="json") for one in found.result.markers], origin),
         "spheres.mrk.json": slicer_markups(spheres),
-        "registrations.csv": registration_table(_rows(fits, poses)),
+        "registrations.csv": registration_table(fit.result for fit in fits.values()),
         "registrations.json": _summary(fits),
     }
     try:
@@ -79,7 +77,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     written.append(write(spatial_fiducials(spheres, origin), out / "spheres.dcm"))
     for trajectory, fit in fits.items():
         made = spatial_registration(
-            poses[trajectory],
+            fit.result.robot_from_ct.transform,
             replace(origin, made=datetime.fromisoformat(fit.record.created), key=fit.record.sha256),
             spheres=origin,
             description=f"trajectory {trajectory}",
@@ -97,17 +95,6 @@ def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
         rms_mm = float(np.sqrt(np.trace(np.array(marker.covariance_mm2))))
         made.append(Fiducial(f"M{number}", (x, y, z), rms_mm))
     return tuple(made)
-
-
-def _rows(
-    fits: dict[str, Stored[RegisteredRobot]], poses: dict[str, NDArray[np.float64]]
-) -> list[RegistrationRow]:
-    """A row for each target, also where one registration is for several."""
-    return [
-        RegistrationRow(predicted.target, poses[name], fit.result.pairs, fit.result.fre_mm, predicted)
-        for name, fit in fits.items()
-        for predicted in fit.result.predictions
-    ]
 
 
 def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:

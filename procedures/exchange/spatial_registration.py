@@ -10,12 +10,13 @@ from pydicom.dataset import Dataset
 from pydicom.uid import SpatialFiducialsStorage, SpatialRegistrationStorage
 
 from procedures.exchange.dicom_object import Origin, code, decimals, instance_uid, new_object, uid
+from ronna_hw.frames import Transform
 
 FIDUCIAL_ALIGNMENT = ("125022", "DCM", "Fiducial Alignment")
 
 
 def spatial_registration(
-    robot_from_ct: NDArray[np.float64],
+    robot_from_ct: Transform,
     origin: Origin,
     *,
     spheres: Origin | None = None,
@@ -23,9 +24,9 @@ def spatial_registration(
     description: str = "",
     fiducial_uids: Sequence[str] = (),
 ) -> Dataset:
-    """The object for a homogeneous matrix (4, 4) robot <- CT, mm.
+    """The object for a pose robot <- CT.
 
-    Its own frame of reference is the robot's; the CT's maps into it by the matrix. `fiducial_uids` name the
+    Its own frame of reference is the robot's; the CT's maps into it by the pose. `fiducial_uids` name the
     spheres that the fit used, in the fiducials object of the origin `spheres` (by default the same). All
     registrations made from the same spheres share the robot's frame.
     """
@@ -35,7 +36,7 @@ def spatial_registration(
     made.PositionReferenceIndicator = ""
     made.RegistrationSequence = [
         _item(made.FrameOfReferenceUID, np.eye(4)),
-        _item(origin.frame_of_reference_uid, np.asarray(robot_from_ct, dtype=float)),
+        _item(origin.frame_of_reference_uid, robot_from_ct.as_matrix()),
     ]
     if fiducial_uids:
         made.RegistrationSequence[1].UsedFiducialsSequence = [_used(one, spheres) for one in fiducial_uids]

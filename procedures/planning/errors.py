@@ -1,21 +1,7 @@
-"""What can be wrong with a plan.
+"""What can be wrong with a plan, PLAN-001 to PLAN-014.
 
-    PlanUnreadable        PLAN-001  the file is missing, not readable or not TOML
-    PlanMistakes          PLAN-002  keys or values are wrong, or mistakes of several kinds; all are listed
-    WrongSeries           PLAN-003  the plan belongs to another CT series; both UIDs are given
-    BadTrajectoryGeometry PLAN-004  entry and target are one point, or the depth is impossible
-    DuplicateTrajectory   PLAN-005  two trajectories have one id
-    OutsideField          PLAN-006  an entry or a target lies outside the CT
-    NotReachable          PLAN-007  the arm cannot take a pose or follow a line
-    WrongMarkerCount      PLAN-008  the CT shows another number of fiducials than were implanted
-    WrongOrientation      PLAN-009  the CT was taken in another patient position than the plan says
-    NotIntoHead           PLAN-011  a way does not lead from the air outside to a target inside the head
-    UnknownTool           PLAN-012  the plan names a tool that is not known; the known ones are given
-    FiducialsNotYet       PLAN-013  the plan asks for a kind of fiducials that is not supported yet
-    NoHeadInCt            PLAN-014  the CT shows nothing that could be a head
-
-All but PLAN-007, -001, -010 and -013 mean that the plan is wrong. Several findings of one check are raised
-as one error; when they are of one kind it has that kind's code, else PLAN-002.
+Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
+PLAN-002.
 """
 
 from __future__ import annotations

@@ -6,13 +6,14 @@ headrest, the tips of ears) are taken away first, so that they do not blow up th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from procedures.planning.errors import NoHeadInCt
+from ronna_hw.calibration import Numbers3, Strict
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
@@ -25,15 +26,14 @@ THIN_MM = 18.0  # what is thinner in any direction is no head
 LEAST_VOXELS = 500  # 32 ml: less is not a head
 
 
-@dataclass(frozen=True)
-class HeadShape:
-    """Middle in CT coordinates (LPS mm) and semi-axes along L, P, S, mm."""
+class HeadEllipsoid(Strict):
+    """The head as one ellipsoid, in CT coordinates."""
 
-    centre_mm: tuple[float, float, float]
-    semi_axes_mm: tuple[float, float, float]
+    centre_mm: Numbers3 = Field(description="Its middle, LPS.")
+    semi_axes_mm: Numbers3 = Field(description="Along left, posterior, superior.")
 
 
-def head_shape(volume: Volume) -> HeadShape:
+def head_shape(volume: Volume) -> HeadEllipsoid:
     """The least ellipsoid of the head's own proportions that holds all of it. Raises PLAN-014.
 
     A head that the CT cuts is taken as far as the CT shows it.
@@ -60,9 +60,9 @@ def head_shape(volume: Volume) -> HeadShape:
     centre = (low + high) / 2.0
     semi = (high - low) / 2.0 + float(spacing_mm.max())  # the grid's step, and what opening rounds off
     beyond = np.sqrt((((points - centre) / semi) ** 2).sum(axis=1).max())
-    return HeadShape(_three(centre), _three(semi * max(1.0, float(beyond))))
+    return HeadEllipsoid(centre_mm=_three(centre), semi_axes_mm=_three(semi * max(1.0, float(beyond))))
 
 
-def _three(values: Any) -> tuple[float, float, float]:
+def _three(values: Any) -> Numbers3:
     x, y, z = (float(value) for value in values)
     return (x, y, z)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from procedures.planning.head_shape import HeadShape
+from procedures.planning.head_shape import HeadEllipsoid
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.surroundings import Corridor, Surroundings
 from ronna_hw.arm.pose import Pose
@@ -19,7 +19,7 @@ class PlanningScene:
     """The head as the CT shows it, and the cell of the theatre file around it."""
 
     cell: CollisionConfig
-    head: HeadShape
+    head: HeadEllipsoid
     fiducials_ct_mm: Points = ()
 
     def with_stereo_head(self, robot_from_ct: Transform, flange_from_tool: Transform) -> Surroundings:

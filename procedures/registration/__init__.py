@@ -32,17 +32,14 @@ if TYPE_CHECKING:
     from procedures.registration.similarity_matrix import match_by_similarity
     from procedures.registration.template import match_by_template
     from procedures.registration.verification import (
-        CtToRoom,
         RoomPoint,
-        RoomToCt,
-        VerificationTable,
+        TwoWayTable,
         verify_two_way,
     )
 
 __all__ = [
     "Caveat",
     "CloudFit",
-    "CtToRoom",
     "FreGate",
     "Hypothesis",
     "Match",
@@ -50,9 +47,8 @@ __all__ = [
     "Prior",
     "Registration",
     "RoomPoint",
-    "RoomToCt",
     "TargetError",
-    "VerificationTable",
+    "TwoWayTable",
     "drop_one_explanations",
     "expected_fre_mm",
     "fle_from_fre_mm",
@@ -82,7 +78,7 @@ _HOMES = {
     "matching": ("match",),
     "similarity_matrix": ("match_by_similarity",),
     "template": ("match_by_template",),
-    "verification": ("CtToRoom", "RoomPoint", "RoomToCt", "VerificationTable", "verify_two_way"),
+    "verification": ("RoomPoint", "TwoWayTable", "verify_two_way"),
 }
 
 

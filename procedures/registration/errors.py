@@ -1,17 +1,4 @@
-"""Errors of pairing and registering points, REG-001 to REG-011.
-
-BadPoints            REG-001  an array is not (n, 3) finite millimetres, or the counts differ
-TooFewPoints         REG-002  a rigid fit needs three points
-CollinearPoints      REG-003  points on a line leave the rotation about it free
-DuplicatePoints      REG-004  two points of one set are nearer than two spheres can be
-BadCovariance        REG-005  a covariance is not (n, 3, 3), symmetric and positive definite
-NotConverged         REG-006  a weighted fit or a fit of clouds did not settle
-BadParameter         REG-007  a standard deviation, a count, a prior or a confidence is impossible
-NoUniqueMatch        REG-008  a correspondence that is not unique was about to be used
-UnsoundRegistration  REG-009  a registration that is mirrored or ill-posed was about to be used
-ResidualTooLarge     REG-010  the residuals are larger than the known errors explain
-SymmetricCloud       REG-011  a cloud without partners fits in several orientations
-"""
+"""Errors of pairing and registering points, REG-001 to REG-011."""
 
 from __future__ import annotations
 

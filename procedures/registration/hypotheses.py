@@ -35,17 +35,15 @@ LINE_RATIO = 1e-3  # second over first singular value: below it a set is a line 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What agreement is worth: the variance per axis of both sets together, mm2, and what is assumed."""
+    """What agreement is worth, from the variance per axis of both sets together, mm2."""
 
     variance_mm2: float
-    pair_odds: float = PAIR_ODDS
-    wide_set_odds: float = WIDE_SET_ODDS
 
     @property
     def nats_per_pair(self) -> float:
         """What one more agreeing pair is worth."""
         by_chance = LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
-        return math.log(self.pair_odds) + by_chance
+        return math.log(PAIR_ODDS) + by_chance
 
     def most_nats(self, pairs: int) -> float:
         """The score that no candidate of this size can exceed."""
@@ -108,7 +106,7 @@ def evaluate(
     chi_squares = squares / evidence.variance_mm2
     mirrored = mirrored_sum_mm2(fit, squares) / evidence.variance_mm2
     widths_mm = np.linalg.norm(image[:, :, None] - image[:, None], axis=-1).max(axis=(1, 2))
-    known_nats = np.where(widths_mm > WIDEST_HEAD_MM, math.log(evidence.wide_set_odds), 0.0)
+    known_nats = np.where(widths_mm > WIDEST_HEAD_MM, math.log(WIDE_SET_ODDS), 0.0)
     scores = evidence.most_nats(size) + known_nats - 0.5 * chi_squares
     on_a_line = fit.spread_mm2[:, 1] <= LINE_RATIO * fit.spread_mm2[:, 0]
     return [

@@ -13,11 +13,13 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.errors import BadPoints
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import checked_points
+from ronna_hw.calibration import Strict
 
 Array = NDArray[np.float64]
 
@@ -29,47 +31,36 @@ class Instrument(StrEnum):
     STEREO = "stereo"
 
 
-@dataclass(frozen=True)
-class CtToRoom:
-    """One fiducial of the CT and what the room says about it; None where nothing was measured, in mm.
+class CtToRoomRow(Strict):
+    """One sphere of the CT and what the room says about it; none where nothing was measured."""
 
-    `partner_is_nearest` tells whether, mapped into the room, the tracker reading nearest to the fiducial is
-    the one it was paired with.
-    """
-
-    fiducial: int
-    ct_disagreement_mm: float | None
-    tracker_index: int | None
-    tracker_residual_mm: float | None
-    stereo_residual_mm: float | None
-    leave_one_out_mm: float | None
-    partner_is_nearest: bool | None
-
-    @property
-    def unmatched(self) -> bool:
-        """In the CT, but neither the tracker nor the stereo head has it."""
-        return self.tracker_index is None and self.stereo_residual_mm is None
+    fiducial: int = Field(description="Index in the CT.")
+    ct_disagreement_mm: float | None = Field(description="Between the two estimates of its centre.")
+    tracker_index: int | None = Field(description="Its partner among the tracker's points.")
+    tracker_residual_mm: float | None = Field(description="Distance to that partner.")
+    stereo_residual_mm: float | None = Field(description="Distance to the stereo head's point.")
+    leave_one_out_mm: float | None = Field(description="The same, registered without it.")
+    partner_is_nearest: bool | None = Field(description="Whether no other point of the tracker is nearer.")
 
 
-@dataclass(frozen=True)
-class RoomToCt:
-    """One reading of the room, mapped into the CT. `fiducial` is its partner, None when unmatched."""
+class RoomToCtRow(Strict):
+    """One measured point, mapped into the CT."""
 
-    instrument: Instrument
-    index: int
-    fiducial: int | None
-    nearest_fiducial: int
-    distance_mm: float
+    instrument: Instrument = Field(description="Tracker or stereo head.")
+    index: int = Field(description="Among that instrument's points.")
+    fiducial: int | None = Field(description="Its partner in the CT; none when unmatched.")
+    nearest_fiducial: int = Field(description="The nearest sphere of the CT.")
+    distance_mm: float = Field(description="To that sphere.")
 
-    @property
-    def unmatched(self) -> bool:
-        """In the room, but no fiducial of the CT is its partner."""
-        return self.fiducial is None
 
-    @property
-    def partner_is_nearest(self) -> bool:
-        """Whether the nearest fiducial in the CT is the partner."""
-        return self.fiducial == self.nearest_fiducial
+class TwoWayTable(Strict):
+    """Both directions, with what is unmatched on either side."""
+
+    ct_to_room: tuple[CtToRoomRow, ...] = Field(description="A row for each sphere of the CT.")
+    room_to_ct: tuple[RoomToCtRow, ...] = Field(description="A row for each measured point.")
+    unmatched_ct: tuple[int, ...] = Field(description="Spheres of the CT that nothing in the room confirms.")
+    unmatched_room: tuple[tuple[Instrument, int], ...] = Field(description="Points that no sphere is.")
+    agrees_both_ways: bool = Field(description="Every partner is the nearest in both directions.")
 
 
 @dataclass(frozen=True)
@@ -78,30 +69,6 @@ class RoomPoint:
 
     fiducial: int
     position_mm: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class VerificationTable:
-    """Both directions, with what is unmatched on either side."""
-
-    ct_to_room: tuple[CtToRoom, ...]
-    room_to_ct: tuple[RoomToCt, ...]
-
-    @property
-    def unmatched_ct(self) -> tuple[int, ...]:
-        """Fiducials of the CT that nothing in the room confirms."""
-        return tuple(row.fiducial for row in self.ct_to_room if row.unmatched)
-
-    @property
-    def unmatched_room(self) -> tuple[tuple[Instrument, int], ...]:
-        """Readings of the room that are no fiducial of the CT."""
-        return tuple((row.instrument, row.index) for row in self.room_to_ct if row.unmatched)
-
-    @property
-    def agrees_both_ways(self) -> bool:
-        """Every pair is its partner's nearest neighbour in both directions."""
-        forward = all(row.partner_is_nearest is not False for row in self.ct_to_room)
-        return forward and all(row.partner_is_nearest for row in self.room_to_ct if not row.unmatched)
 
 
 def verify_two_way(
@@ -113,7 +80,7 @@ def verify_two_way(
     fine: Registration | None = None,
     stereo: Sequence[RoomPoint] = (),
     ct_disagreement_mm: Mapping[int, float] | None = None,
-) -> VerificationTable:
+) -> TwoWayTable:
     """Build the table.
 
     `image_mm` (n, 3) are all fiducials of the CT, `tracker_mm` (m, 3) all stray readings averaged, `pairs`
@@ -141,8 +108,16 @@ def verify_two_way(
             (Instrument.STEREO, index, point.fiducial, np.asarray(point.position_mm), fine.transform)
             for index, point in enumerate(stereo)
         ]
-    return VerificationTable(
-        rows, tuple(_room_to_ct(image, *reading) for reading in readings) if len(image) else ()
+    back = tuple(_room_to_ct(image, *reading) for reading in readings) if len(image) else ()
+    forward_agrees = all(row.partner_is_nearest is not False for row in rows)
+    return TwoWayTable(
+        ct_to_room=rows,
+        room_to_ct=back,
+        unmatched_ct=tuple(
+            row.fiducial for row in rows if row.tracker_index is None and row.stereo_residual_mm is None
+        ),
+        unmatched_room=tuple((row.instrument, row.index) for row in back if row.fiducial is None),
+        agrees_both_ways=forward_agrees and all(row.fiducial in (None, row.nearest_fiducial) for row in back),
     )
 
 
@@ -154,7 +129,7 @@ def _ct_to_room(
     fine: Registration | None,
     stereo: Sequence[RoomPoint],
     disagreement: Mapping[int, float],
-) -> tuple[CtToRoom, ...]:
+) -> tuple[CtToRoomRow, ...]:
     tracker_of = {int(fiducial): int(reading) for fiducial, reading in partners}
     mapped = np.asarray(coarse.apply(image), dtype=float) if len(image) else image
     measured = {point.fiducial: row for row, point in enumerate(stereo)} if fine is not None else {}
@@ -164,14 +139,16 @@ def _ct_to_room(
         distances = np.linalg.norm(tracker - mapped[fiducial], axis=1)
         row = measured.get(fiducial)
         rows.append(
-            CtToRoom(
-                fiducial,
-                disagreement.get(fiducial),
-                reading,
-                None if reading is None else float(distances[reading]),
-                None if row is None or fine is None else float(np.linalg.norm(fine.residuals_mm[row])),
-                None if row is None or fine is None else fine.leave_one_out_mm[row],
-                None if reading is None else int(distances.argmin()) == reading,
+            CtToRoomRow(
+                fiducial=fiducial,
+                ct_disagreement_mm=disagreement.get(fiducial),
+                tracker_index=reading,
+                tracker_residual_mm=None if reading is None else float(distances[reading]),
+                stereo_residual_mm=None
+                if row is None or fine is None
+                else float(np.linalg.norm(fine.residuals_mm[row])),
+                leave_one_out_mm=None if row is None or fine is None else fine.leave_one_out_mm[row],
+                partner_is_nearest=None if reading is None else int(distances.argmin()) == reading,
             )
         )
     return tuple(rows)
@@ -189,9 +166,15 @@ def _room_to_ct(
     fiducial: int | None,
     position: Array,
     room_from_ct: RigidTransform,
-) -> RoomToCt:
+) -> RoomToCtRow:
     back = np.asarray(room_from_ct.inv().apply(position), dtype=float)
     distances = np.linalg.norm(image - back, axis=1)
     nearest = int(distances.argmin())
     shown = nearest if fiducial is None else fiducial
-    return RoomToCt(instrument, index, fiducial, nearest, float(distances[shown]))
+    return RoomToCtRow(
+        instrument=instrument,
+        index=index,
+        fiducial=fiducial,
+        nearest_fiducial=nearest,
+        distance_mm=float(distances[shown]),
+    )

@@ -1,9 +1,4 @@
-"""What can go wrong when the arm's orientations are chosen.
-
-StrategyNotYet   STR-001  a strategy of the plan that is not built yet
-UnknownStrategy  STR-002  a name that is no strategy
-BadTrajectory    STR-003  entry and target are one point, or a number is not finite
-"""
+"""What can go wrong when the arm's orientations are chosen, STR-001 to STR-003."""
 
 from __future__ import annotations
 

@@ -42,25 +42,32 @@ class PhantomScan:
 def phantom_scan(family: str, protocol: str, seed: int, fiducials: str = "free") -> Iterator[PhantomScan]:
     """Make a scan; its files are deleted afterwards. Raises STU-006."""
     with tempfile.TemporaryDirectory() as folder:
-        arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
-        done = subprocess.run(
-            command("sim.cli", "phantom", "--out", folder, "--seed", str(seed), "--json", *arguments),
-            capture_output=True,
-            text=True,
-            timeout=PHANTOM_LIMIT_S,
-            check=False,
-        )
-        if done.returncode != 0:
-            raise PhantomFailed(f"{family}, {protocol}, seed {seed}", got=" ".join(done.stderr.split()))
-        said = json.loads(done.stdout)
-        truth = json.loads(Path(said["truth"]).read_text(encoding="utf-8"))
+        series, truth = scan_phantom(Path(folder), family, protocol, seed, fiducials)
         yield PhantomScan(
-            read_series(Path(said["series"])),
+            read_series(series),
             np.array([fiducial["centre_mm"] for fiducial in truth["fiducials"]]),
             np.array([fiducial.get("surface_in_field", 1.0) == 1.0 for fiducial in truth["fiducials"]]),
             truth["purpose"],
             bound_mm(truth),
         )
+
+
+def scan_phantom(
+    folder: Path, family: str, protocol: str, seed: int, fiducials: str = "free"
+) -> tuple[Path, dict[str, Any]]:
+    """Write a scan into the folder: its series and its truth. Raises STU-006."""
+    arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
+    done = subprocess.run(
+        command("sim.cli", "phantom", "--out", str(folder), "--seed", str(seed), "--json", *arguments),
+        capture_output=True,
+        text=True,
+        timeout=PHANTOM_LIMIT_S,
+        check=False,
+    )
+    if done.returncode != 0:
+        raise PhantomFailed(f"{family}, {protocol}, seed {seed}", got=" ".join(done.stderr.split()))
+    said = json.loads(done.stdout)
+    return Path(said["series"]), json.loads(Path(said["truth"]).read_text(encoding="utf-8"))
 
 
 def bound_mm(truth: dict[str, Any]) -> float:

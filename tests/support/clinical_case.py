@@ -15,8 +15,10 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import order_of
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.planning.head_shape import HeadEllipsoid
 from procedures.planning.plan import FiducialKind, PatientPosition, Plan, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
+from procedures.registration.verification import TwoWayTable
 from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.sphere_image import SphereImage, SphereStatus
@@ -26,12 +28,11 @@ from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, 
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.link_health import LinkHealth
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
-from procedures.steps.clinical.plan_check import CheckedPlan, HeadEllipsoid
+from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import Prediction, RegisteredRobot
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.two_way import TwoWayTable
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.trajectory import Trajectory

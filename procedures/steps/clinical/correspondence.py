@@ -10,12 +10,11 @@ from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.registration import match
 from procedures.registration.correspondence import MatchStatus
-from procedures.registration.verification import VerificationTable, verify_two_way
+from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.two_way import TwoWayTable
 from ronna_hw.frames import Frame, Transform
 
 SIGMA_CT_MM = 0.10  # per axis: what the localizer promises on a poor series, with reserve
@@ -48,9 +47,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     )
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)
-    table: VerificationTable = verify_two_way(
-        image, physical, pairs, transform, ct_disagreement_mm=localization.disagreement_mm
-    )
+    table = verify_two_way(image, physical, pairs, transform, ct_disagreement_mm=localization.disagreement_mm)
     residuals = np.linalg.norm(physical[pairs[:, 1]] - transform.apply(image[pairs[:, 0]]), axis=1)
     return Outcome(
         Correspondence(
@@ -59,7 +56,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
             robot_from_ct=FramedPose.of(Transform(Frame.ROBOT, Frame.CT, transform)),
             residuals_mm=residuals.tolist(),
             margin_nats=found.margin_nats if np.isfinite(found.margin_nats) else None,
-            two_way=TwoWayTable.of(table),
+            two_way=table,
         ),
         summary=f"{len(pairs)} pairs, largest residual {residuals.max():.2f} mm",
     )

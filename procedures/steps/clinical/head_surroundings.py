@@ -17,7 +17,7 @@ def planning_scene_of(context: StepContext) -> PlanningScene:
     """The head as the CT shows it, the spheres on it, and the theatre file's bodies."""
     return PlanningScene(
         context.setting.surroundings,
-        context.result(CheckedPlan).head.shape,
+        context.result(CheckedPlan).head,
         tuple(marker.centre_mm for marker in context.result(LocalizedFiducials).markers),
     )
 

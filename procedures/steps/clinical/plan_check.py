@@ -6,29 +6,16 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
-from procedures.engine.result import StepResult, Values
+from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.volume import Volume
 from procedures.planning.check import check_plan
-from procedures.planning.head_shape import HeadShape, head_shape
+from procedures.planning.head_shape import HeadEllipsoid, head_shape
 from procedures.planning.plan import Plan, PlannedTrajectory
 from procedures.planning.plan_file import read_plan
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from ronna_hw.calibration import Numbers3
-
-
-class HeadEllipsoid(Values):
-    """The head as one ellipsoid, in CT coordinates."""
-
-    centre_mm: Numbers3 = Field(description="Its middle, LPS.")
-    semi_axes_mm: Numbers3 = Field(description="Along left, posterior, superior.")
-
-    @property
-    def shape(self) -> HeadShape:
-        """For the path check."""
-        return HeadShape(self.centre_mm, self.semi_axes_mm)
 
 
 class CheckedPlan(StepResult, kind="plan_check"):
@@ -59,14 +46,13 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     volume = volume_of(context)
     check = check_plan(plan, volume, fiducials_mm=localization.centres_mm)
     check.require()
-    head = head_shape(volume)
     summary = f"{len(plan.trajectories)} trajectories, {plan.implanted} spheres implanted"
     context.setting.workspace.drop(Volume)  # the largest input is not needed after this
     return Outcome(
         CheckedPlan(
             plan=plan,
             implanted=plan.implanted,
-            head=HeadEllipsoid(centre_mm=head.centre_mm, semi_axes_mm=head.semi_axes_mm),
+            head=head_shape(volume),
             warnings=tuple(check.warnings),
         ),
         summary="; ".join((summary, *check.warnings)),

@@ -19,7 +19,7 @@ from procedures.planning.plan import PlannedTrajectory
 from procedures.registration import (
     Registration,
     RoomPoint,
-    VerificationTable,
+    TwoWayTable,
     register,
     verify_two_way,
 )
@@ -29,7 +29,6 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration_gate import arm_covariance_mm2, moved_spheres, residual_gate
 from procedures.steps.clinical.relocalization import Relocalization
-from procedures.steps.clinical.two_way import TwoWayTable
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
 
@@ -109,7 +108,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             residuals_mm=fit.residuals_mm.tolist(),
             leave_one_out_mm=tuple(fit.leave_one_out_mm),
             predictions=predictions,
-            two_way=TwoWayTable.of(_two_way(context, fit)),
+            two_way=_two_way(context, fit),
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms",
     )
@@ -156,7 +155,7 @@ def _advice(moved: list[int]) -> str:
     return f"Without sphere {which} the others agree: it has moved; localize again or leave it out."
 
 
-def _two_way(context: StepContext, fit: Registration) -> VerificationTable:
+def _two_way(context: StepContext, fit: Registration) -> TwoWayTable:
     """Every sphere of the CT beside what tracker and stereo head measured of it, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)

@@ -47,13 +47,13 @@ def test_a_ratio_is_taken_round_by_round_so_that_a_stall_of_the_machine_cancels(
 def test_a_goal_is_for_the_value_or_for_the_ratio_and_a_miss_is_called_one() -> None:
     ours, bare = figures.compared("rate", "1/s", {"ours": [40.0], "bare": [100.0]}, "bare")
     assert (bare.goal, bare.met) == ("", None)
-    assert bare.with_goal(at_least=100.0).met
-    assert ours.with_goal(at_least_ratio=0.4).met
-    missed = ours.with_goal(at_least=1500.0)
+    assert bare.at_least(100.0).met
+    assert ours.ratio_at_least(0.4).met
+    missed = ours.at_least(1500.0)
     assert (missed.goal, missed.met) == ("value ≥ 1,500", False)
-    assert not ours.with_goal(at_least_ratio=0.5).met
+    assert not ours.ratio_at_least(0.5).met
     with pytest.raises(ValueError, match="baseline"):
-        bare.with_goal(at_least_ratio=1.0)
+        bare.ratio_at_least(1.0)
 
 
 def test_the_rate_in_lock_step_is_of_the_cycles_in_which_the_arm_moves() -> None:

@@ -23,10 +23,15 @@ from procedures.exchange.errors import NotWritable
 from procedures.exchange.plain_files import slicer_markups, table
 from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
 from procedures.exchange.spatial_registration import spatial_registration
+from ronna_hw.frames import Frame, Transform
 
 ORIGIN = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", datetime(2026, 11, 20, 9, 30, tzinfo=UTC), "a hash")
 SPHERES = (Fiducial("M1", (12.345678, -1e-3, 100.0), 0.0123), Fiducial("M2", (-80.0, 33.3, 7.25), 0.02))
-POSE = RigidTransform.from_components([700.1, -20.2, 300.3], Rotation.from_rotvec([0.1, 2.0, -0.7]))
+POSE = Transform(
+    Frame.ROBOT,
+    Frame.CT,
+    RigidTransform.from_components([700.1, -20.2, 300.3], Rotation.from_rotvec([0.1, 2.0, -0.7])),
+)
 
 
 REGISTRATIONS, MATRIX_REGISTRATIONS, MATRICES = (0x0070, 0x0308), (0x0070, 0x0309), (0x0070, 0x030A)
@@ -66,7 +71,7 @@ def needs(program: str) -> pytest.MarkDecorator:
 
 def registration():
     used = [fiducial_uid(ORIGIN, sphere) for sphere in SPHERES]
-    return spatial_registration(POSE.as_matrix(), ORIGIN, description="trajectory T1", fiducial_uids=used)
+    return spatial_registration(POSE, ORIGIN, description="trajectory T1", fiducial_uids=used)
 
 
 OBJECTS = {"registration": registration, "fiducials": lambda: spatial_fiducials(SPHERES, ORIGIN)}

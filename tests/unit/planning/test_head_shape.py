@@ -7,7 +7,7 @@ import pytest
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import NoHeadInCt
-from procedures.planning.head_shape import HeadShape, head_shape
+from procedures.planning.head_shape import HeadEllipsoid, head_shape
 
 CENTRE_MM = np.array([3.0, -40.0, 810.0])
 SEMI_AXES_MM = np.array([75.0, 95.0, 90.0])
@@ -33,7 +33,7 @@ def _head(points: np.ndarray) -> np.ndarray:
     return np.asarray(((points / SEMI_AXES_MM) ** 2).sum(axis=-1) <= 1.0)
 
 
-def _fits(shape: HeadShape, tolerance_mm: float = 8.0) -> None:
+def _fits(shape: HeadEllipsoid, tolerance_mm: float = 8.0) -> None:
     assert np.allclose(shape.centre_mm, CENTRE_MM, atol=3.0)
     assert np.all(np.array(shape.semi_axes_mm) >= SEMI_AXES_MM)
     assert np.all(np.array(shape.semi_axes_mm) <= SEMI_AXES_MM + tolerance_mm)

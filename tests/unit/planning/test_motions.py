@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.head_shape import HeadShape
+from procedures.planning.head_shape import HeadEllipsoid
 from procedures.planning.motions import HOME, motions_of, previews_of
 from procedures.planning.planning_scene import PlanningScene
 from procedures.planning.reach import check_paths
@@ -26,7 +26,7 @@ from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
 from ronna_hw.frames import Frame, Transform
 
 CASE_HOME = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
-HEAD = HeadShape((3.2, -41.7, 812.4), (78.0, 98.0, 93.0))
+HEAD = HeadEllipsoid(centre_mm=(3.2, -41.7, 812.4), semi_axes_mm=(78.0, 98.0, 93.0))
 FIDUCIALS = ((-20.0, -110.0, 880.0), (64.0, -75.0, 880.0), (5.0, -60.0, 915.0))
 TRAJECTORIES = (
     Trajectory("T1", (10.0, -112.0, 872.0), (5.0, -70.0, 838.0)),

@@ -1,4 +1,4 @@
-"""plan.toml: read strictly, all mistakes at once, written so that it reads back equal."""
+"""plan.toml: read strictly, all mistakes at once."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_readings_are_mapped_back_into_the_ct(case):
     stray, paired = table.room_to_ct[0], table.room_to_ct[1]
     assert stray.fiducial is None
     assert stray.distance_mm > 100.0
-    assert paired.partner_is_nearest
+    assert paired.nearest_fiducial == paired.fiducial
     assert paired.distance_mm < 0.2
     assert table.agrees_both_ways
 
