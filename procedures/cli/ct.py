@@ -15,7 +15,7 @@ from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.imaging import Candidate, Localization, PatientIdentity, Volume
+    from procedures.imaging import Candidate, Localization, PatientIdentity
 
 
 class Method(StrEnum):
@@ -31,7 +31,6 @@ PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will lo
 
 app = typer.Typer(
     name="ronna-ct",
-    help="Localize marker spheres in a CT series.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -144,33 +143,28 @@ def localize(
     for sentence in volume.warnings:
         console.tell(f"warning: {sentence}")
     if refused is not None:
-        likely = _likely_first(refused.candidates)
-        if show_candidates:
-            _show_candidates(likely, as_json=as_json)
+        likely = imaging.likeliest_first(refused.candidates)
+        if show_candidates and as_json:
+            console.print_json({"candidates": _listed(likely)})
+        elif show_candidates:
+            _print_candidates(likely)
         if pictures is not None:
-            _write_candidate_pictures(pictures, volume, likely[:PICTURED_CANDIDATES])
+            from procedures.imaging.pictures import candidate_pictures
+
+            _write_pictures(pictures, "candidate", candidate_pictures(volume, likely[:PICTURED_CANDIDATES]))
         raise refused
     if pictures is not None:
-        _write_pictures(pictures, volume, result)
+        from procedures.imaging.pictures import marker_pictures
+
+        _write_pictures(pictures, "marker", marker_pictures(volume, result))
     write_spheres(result, write or (), patient)
-    candidates = _likely_first(result.candidates) if show_candidates else None
+    candidates = imaging.likeliest_first(result.candidates) if show_candidates else None
     if as_json:
         console.print_json(_document(result, elapsed_s, patient, candidates))
         return
     _print_markers(result)
     if candidates is not None:
         _print_candidates(candidates)
-
-
-def _show_candidates(candidates: list[Candidate], *, as_json: bool) -> None:
-    if as_json:
-        console.print_json({"candidates": _listed(candidates)})
-    else:
-        _print_candidates(candidates)
-
-
-def _likely_first(candidates: Sequence[Candidate]) -> list[Candidate]:
-    return sorted(candidates, key=lambda one: (not one.accepted, -(one.surface_share or 0.0)))
 
 
 def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
@@ -187,16 +181,7 @@ def _document(
     candidates: list[Candidate] | None,
 ) -> dict[str, Any]:
     document: dict[str, Any] = {
-        "markers": [
-            {
-                "centre_mm": marker.centre_mm.tolist(),
-                "covariance_mm2": marker.covariance_mm2.tolist(),
-                "radius_mm": marker.radius_mm,
-                "quality": marker.quality,
-                "flags": list(marker.flags),
-            }
-            for marker in result.markers
-        ],
+        "markers": [marker.document() for marker in result.markers],
         "series_instance_uid": result.series_instance_uid,
         "elapsed_s": elapsed_s,
     }
@@ -210,21 +195,10 @@ def _document(
 def _print_markers(result: Localization) -> None:
     rows = []
     for number, marker in enumerate(result.markers, start=1):
-        x, y, z = marker.centre_mm
         sigma_mm = float(marker.covariance_mm2.trace()) ** 0.5
-        rows.append(
-            [
-                str(number),
-                f"{x:.3f}",
-                f"{y:.3f}",
-                f"{z:.3f}",
-                f"{sigma_mm:.3f}",
-                f"{marker.agreement_mm:.3f}",
-                f"{marker.radius_mm:.2f}",
-                f"{marker.quality:.2f}",
-                " ".join(marker.flags),
-            ]
-        )
+        lengths_mm = (*marker.centre_mm, sigma_mm, marker.agreement_mm)
+        sizes = (f"{marker.radius_mm:.2f}", f"{marker.quality:.2f}")
+        rows.append([str(number), *(f"{value:.3f}" for value in lengths_mm), *sizes, " ".join(marker.flags)])
     console.print_table(
         f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS in mm",
         ["#", "L", "P", "S", "sigma", "agree", "radius", "quality", "flags"],
@@ -245,20 +219,10 @@ def _print_candidates(candidates: Sequence[Candidate]) -> None:
     )
 
 
-def _write_pictures(folder: Path, volume: Volume, result: Localization) -> None:
-    from procedures.imaging.pictures import marker_pictures
-
+def _write_pictures(folder: Path, name: str, pictures: Sequence[bytes]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    for number, picture in enumerate(marker_pictures(volume, result), start=1):
-        (folder / f"marker-{number}.png").write_bytes(picture)
-
-
-def _write_candidate_pictures(folder: Path, volume: Volume, candidates: Sequence[Candidate]) -> None:
-    from procedures.imaging.pictures import candidate_pictures
-
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, picture in enumerate(candidate_pictures(volume, candidates), start=1):
-        (folder / f"candidate-{number}.png").write_bytes(picture)
+    for number, picture in enumerate(pictures, start=1):
+        (folder / f"{name}-{number}.png").write_bytes(picture)
 
 
 def main() -> None:

@@ -37,16 +37,7 @@ def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientId
     from procedures.exchange.run_export import fiducials
     from procedures.exchange.spatial_fiducials import spatial_fiducials
 
-    markers = [
-        {
-            "centre_mm": marker.centre_mm.tolist(),
-            "covariance_mm2": marker.covariance_mm2.tolist(),
-            "radius_mm": marker.radius_mm,
-            "quality": marker.quality,
-            "flags": list(marker.flags),
-        }
-        for marker in found.markers
-    ]
+    markers = [marker.document() for marker in found.markers]
     spheres = fiducials(found.markers)
     key = hashlib.sha256(canonical_json(markers)).hexdigest()
     origin = Origin(found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key)

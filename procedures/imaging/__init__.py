@@ -2,7 +2,7 @@
 
 from procedures.imaging.dicom.patient_identity import PatientIdentity, read_identity
 from procedures.imaging.localization import localize
-from procedures.imaging.markers import Candidate, Localization, Marker
+from procedures.imaging.markers import Candidate, Localization, Marker, likeliest_first
 from procedures.imaging.pick_files import read_picks
 from procedures.imaging.picks import localize_picks
 from procedures.imaging.series import read_series
@@ -17,6 +17,7 @@ __all__ = [
     "ThesisFit",
     "Volume",
     "VoxelGeometry",
+    "likeliest_first",
     "localize",
     "localize_as_thesis",
     "localize_picks",

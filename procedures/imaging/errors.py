@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from procedures.imaging.markers import Candidate, likeliest_first
 from ronna_hw.errors import EXIT_REFUSED, DataError
-
-if TYPE_CHECKING:
-    from procedures.imaging.markers import Candidate
-
 
 LISTED_CANDIDATES = 8  # in the message; all of them are in the error
 
@@ -127,8 +122,8 @@ class MarkerCountWrong(DataError):
 
     def __init__(self, what: str, *, candidates: tuple[Candidate, ...]) -> None:
         self.candidates = candidates
-        likely = sorted(candidates, key=lambda one: (not one.accepted, -(one.surface_share or 0.0)))
-        listed = ", ".join(candidate.describe() for candidate in likely[:LISTED_CANDIDATES])
+        likely = likeliest_first(candidates)[:LISTED_CANDIDATES]
+        listed = ", ".join(candidate.describe() for candidate in likely)
         more = len(candidates) - LISTED_CANDIDATES
         if more > 0:
             listed += f" and {more} less likely"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +42,11 @@ class Candidate:
         return f"({x:z.1f}, {y:z.1f}, {z:z.1f}) {self.reason}"
 
 
+def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Accepted ones, then by the surface that was found."""
+    return sorted(candidates, key=lambda one: (not one.accepted, -(one.surface_share or 0.0)))
+
+
 @dataclass(frozen=True, eq=False)
 class Marker:
     """One localized sphere.
@@ -60,6 +67,16 @@ class Marker:
     quality: float
     agreement_mm: float
     flags: tuple[str, ...] = ()
+
+    def document(self) -> dict[str, Any]:
+        """As plain data for JSON."""
+        return {
+            "centre_mm": self.centre_mm.tolist(),
+            "covariance_mm2": self.covariance_mm2.tolist(),
+            "radius_mm": self.radius_mm,
+            "quality": self.quality,
+            "flags": list(self.flags),
+        }
 
 
 @dataclass(frozen=True, eq=False)
