@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydicom.dataset import Dataset, FileMetaDataset
-from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
+from painted_ct import write_series
+from spoiled_slices import every, setting
 
 SECRETS = ("Seeded^Patient", "SEEDED-ID", "19610203", "Seeded Hospital", "Seeded^Physician")
 SLICES = 12
@@ -19,27 +19,9 @@ SLICES = 12
 @pytest.fixture
 def series(tmp_path: Path) -> Path:
     """An empty scan whose headers are full of patient data."""
-    folder = tmp_path / "series"
-    folder.mkdir()
-    for number in range(SLICES):
-        data = Dataset()
-        data.file_meta, data.preamble = FileMetaDataset(), b"\0" * 128
-        data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-        data.file_meta.MediaStorageSOPClassUID = data.SOPClassUID = CTImageStorage
-        data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID = UID(f"1.2.3.{number + 1}")
-        data.SeriesInstanceUID, data.FrameOfReferenceUID = UID("1.2.3"), UID("1.2.4")
-        data.Modality = "CT"
-        data.PatientName, data.PatientID, data.PatientBirthDate = SECRETS[:3]
-        data.InstitutionName, data.ReferringPhysicianName = SECRETS[3:]
-        data.ImagePositionPatient, data.ImageOrientationPatient = [0, 0, number], [1, 0, 0, 0, 1, 0]
-        data.PixelSpacing, data.SliceThickness = [0.5, 0.5], 1.0
-        data.RescaleSlope, data.RescaleIntercept = 1, 0
-        data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
-        data.Rows = data.Columns = 32
-        data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
-        data.PixelData = np.full((32, 32), -1000, "<i2").tobytes()
-        data.save_as(folder / f"{number:03d}.dcm", enforce_file_format=True)
-    return folder
+    words = ("PatientName", "PatientID", "PatientBirthDate", "InstitutionName", "ReferringPhysicianName")
+    named = every(setting(**dict(zip(words, SECRETS, strict=True))))
+    return write_series(tmp_path / "series", np.full((SLICES, 32, 32), -1000, dtype=np.int16), edit=named)
 
 
 def _sound(_series: Path) -> None:
@@ -47,16 +29,16 @@ def _sound(_series: Path) -> None:
 
 
 def _without_a_slice(series: Path) -> None:
-    (series / "005.dcm").unlink()
+    (series / "0005.dcm").unlink()
 
 
 def _truncated(series: Path) -> None:
-    os.truncate(series / "004.dcm", 700)
+    os.truncate(series / "0004.dcm", 700)
 
 
 def _with_an_unreadable_name(series: Path) -> None:
     """A value that pydicom warns about, quoting it."""
-    path = series / "006.dcm"
+    path = series / "0006.dcm"
     path.write_bytes(path.read_bytes().replace(b"Seeded^Patient", b"Seeded^Patien\xff"))
 
 

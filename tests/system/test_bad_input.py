@@ -2,13 +2,11 @@
 
 import json
 import resource
-import shutil
 import socket
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-import pydicom
 import pytest
 from user_commands import Commands, one_error
 
@@ -30,36 +28,6 @@ def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) 
     assert code in line
     assert done.returncode == exit_code, line
     return line
-
-
-def test_a_missing_folder(commands: Commands, tmp_path: Path) -> None:
-    _refused(commands.run("ronna-ct", "localize", str(tmp_path / "none")), "CT-", EXIT_FAILED)
-
-
-def test_an_empty_series(commands: Commands, tmp_path: Path) -> None:
-    _refused(commands.run("ronna-ct", "localize", str(tmp_path)), "CT-", EXIT_FAILED)
-
-
-def test_a_mixed_series(commands: Commands, patient: Path, tmp_path: Path) -> None:
-    mixed = tmp_path / "mixed"
-    shutil.copytree(patient / "ct", mixed)
-    for number, path in enumerate(sorted(mixed.iterdir())[:3]):
-        stranger = pydicom.dcmread(path)
-        stranger.SeriesInstanceUID += ".1"
-        stranger.SOPInstanceUID = stranger.file_meta.MediaStorageSOPInstanceUID = (
-            f"{stranger.SOPInstanceUID}.1"
-        )
-        stranger.save_as(mixed / f"stranger{number}.dcm")
-    _refused(commands.run("ronna-ct", "localize", str(mixed)), "CT-", EXIT_FAILED)
-
-
-def test_a_truncated_file_is_named(commands: Commands, patient: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut"
-    shutil.copytree(patient / "ct", cut)
-    victim = sorted(cut.iterdir())[10]
-    victim.write_bytes(victim.read_bytes()[:20_000])
-    line = _refused(commands.run("ronna-ct", "localize", str(cut)), "CT-", EXIT_FAILED)
-    assert victim.name in line
 
 
 def test_a_theatre_file_with_three_mistakes_names_all_three(

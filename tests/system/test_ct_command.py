@@ -12,57 +12,34 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import pytest
-from pydicom.dataset import Dataset, FileMetaDataset
-from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
-from scipy.special import erfc
+from painted_ct import SERIES_UID, Scan, write_series
+from spoiled_slices import only, setting
 from user_commands import in_this_process
 
 from procedures.cli.ct import app
 
 COMMAND = [sys.executable, "-P", "-c", "from procedures.cli.ct import main; main()"]
-SPACING_MM = (1.0, 0.5, 0.5)
 ORIGIN_MM = np.array([10.0, -20.0, 30.0])
 CENTRES_MM = np.array([[24.3, -7.1, 47.6], [50.2, -6.4, 52.1]])  # LPS
-SERIES_UID = "1.2.826.0.1.3680043.8.498.77"
 
 
 @pytest.fixture(scope="module")
 def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two blurred balls in air, written as an axial series that carries a patient's name."""
+    """Two balls in air, written as an axial series that carries a patient's name."""
+    scan = Scan(shape=(40, 56, 110), noise_hu=15.0)
+    for centre_mm in CENTRES_MM:
+        scan.ball((centre_mm - ORIGIN_MM)[::-1])
     folder = tmp_path_factory.mktemp("series")
-    slices, rows, columns = np.meshgrid(*(np.arange(n) for n in (40, 56, 110)), indexing="ij")
-    places = ORIGIN_MM + np.stack([columns * 0.5, rows * 0.5, slices * 1.0], axis=-1)
-    image = np.full(places.shape[:3], -1000.0)
-    for centre in CENTRES_MM:
-        depth = np.linalg.norm(places - centre, axis=-1) - 5.75
-        image += 1150.0 * 0.5 * erfc(depth / (np.sqrt(2.0) * 0.5))
-    image += np.random.default_rng(3).normal(0.0, 15.0, image.shape)
-    for number, plane in enumerate(np.rint(image).astype("<i2")):
-        data = Dataset()
-        data.file_meta, data.preamble = FileMetaDataset(), b"\0" * 128
-        data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-        data.file_meta.MediaStorageSOPClassUID = data.SOPClassUID = CTImageStorage
-        data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID = f"{SERIES_UID}.{number + 1}"
-        data.SeriesInstanceUID, data.FrameOfReferenceUID = SERIES_UID, f"{SERIES_UID}.0"
-        data.Modality, data.PatientName, data.PatientID = "CT", "Secret^Name", "SECRET-ID"
-        data.ImagePositionPatient = [*(float(v) for v in ORIGIN_MM[:2]), float(ORIGIN_MM[2] + number)]
-        data.ImageOrientationPatient = [1, 0, 0, 0, 1, 0]
-        data.PixelSpacing, data.SliceThickness = [0.5, 0.5], 1.0
-        data.RescaleSlope, data.RescaleIntercept = 1, 0
-        data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
-        data.Rows, data.Columns = plane.shape
-        data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
-        data.PixelData = plane.tobytes()
-        data.save_as(folder / f"{number:03d}.dcm", enforce_file_format=True)
-    return folder
+    return write_series(folder, scan.voxels(), scan.spacing_mm, origin_mm=tuple(ORIGIN_MM))
 
 
 def ronna_ct(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=150)
+    return in_this_process(app, *arguments)
 
 
 def test_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
-    done = ronna_ct("localize", series, "--json", "--expected", 2)
+    line = [*COMMAND, "localize", str(series), "--json", "--expected", "2"]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=150)
     assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout)
     assert set(document) == {"markers", "series_instance_uid", "elapsed_s"}
@@ -99,17 +76,16 @@ def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> N
     assert "leave --method out" in refused.stderr
 
 
-def test_a_wrong_count_shows_every_candidate_when_asked(series: Path, tmp_path: Path) -> None:
-    done = ronna_ct("localize", series, "--expected", 3, "--candidates", "--pictures", tmp_path / "seen")
+def test_another_count_is_refused_with_every_candidate(series: Path, tmp_path: Path) -> None:
+    pictures = tmp_path / "seen"
+    done = ronna_ct("localize", series, "--expected", 3, "--candidates", "--json", "--pictures", pictures)
     assert done.returncode == 3
-    assert done.stdout.count("is a marker") == 2
-    assert sorted(path.name for path in (tmp_path / "seen").iterdir()) == [
-        "candidate-1.png",
-        "candidate-2.png",
-    ]
-    as_json = ronna_ct("localize", series, "--expected", 3, "--candidates", "--json")
-    assert as_json.returncode == 3
-    assert [one["accepted"] for one in json.loads(as_json.stdout)["candidates"]] == [True, True]
+    assert [one["accepted"] for one in json.loads(done.stdout)["candidates"]] == [True, True]
+    assert done.stderr.startswith("CT-016: 2 markers found, 3 expected; candidates: (")
+    assert done.stderr.count("\n") == 1
+    assert sorted(path.name for path in pictures.iterdir()) == ["candidate-1.png", "candidate-2.png"]
+    assert ronna_ct("localize", series, "--expected", 3, "--candidates").stdout.count("is a marker") == 2
+    assert ronna_ct("localize", series, "--expected", 3, "--json").stdout == ""
 
 
 def test_off_a_terminal_the_table_is_lines_of_fields(series: Path) -> None:
@@ -140,14 +116,6 @@ def test_on_a_terminal_there_is_a_table(series: Path) -> None:
     assert "┃" in text
 
 
-def test_pictures_are_written_into_a_new_folder(series: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "new" / "pictures"
-    assert ronna_ct("localize", series, "--pictures", folder).returncode == 0
-    pictures = sorted(folder.iterdir())
-    assert [path.name for path in pictures] == ["marker-1.png", "marker-2.png"]
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
-
-
 @pytest.mark.hazard(35)
 def test_nobody_is_named_unless_asked_for(series: Path, tmp_path: Path) -> None:
     forms = [tmp_path / f"spheres{ending}" for ending in (".dcm", ".json", ".csv", ".mrk.json")]
@@ -156,6 +124,9 @@ def test_nobody_is_named_unless_asked_for(series: Path, tmp_path: Path) -> None:
         "localize", series, "--verbose", "--candidates", "--pictures", tmp_path / "seen", *written
     )
     assert done.returncode == 0
+    pictures = sorted((tmp_path / "seen").iterdir())
+    assert [path.name for path in pictures] == ["marker-1.png", "marker-2.png"]
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
     everything = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
     assert len(everything) == len(forms) + 2
     for shown in (done.stdout.encode(), done.stderr.encode(), *everything):
@@ -172,38 +143,19 @@ def test_the_patient_is_named_to_who_asks(series: Path, tmp_path: Path) -> None:
     assert told.stderr == "patient: Secret^Name, identifier SECRET-ID\n"
 
 
-def test_another_count_is_refused_with_the_candidates(series: Path) -> None:
-    done = ronna_ct("localize", series, "--expected", 3, "--json")
-    assert (done.returncode, done.stdout) == (3, "")
-    assert done.stderr.startswith("CT-016: 2 markers found, 3 expected; candidates: (")
-    assert done.stderr.count("\n") == 1
-
-
-def copy_of(series: Path, folder: Path) -> Path:
-    folder.mkdir()
-    for path in series.iterdir():
-        (folder / path.name).symlink_to(path)
-    return folder
-
-
 def test_bad_input_is_one_clear_message_with_its_code(series: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    truncated = copy_of(series, tmp_path / "truncated")
-    whole = (truncated / "005.dcm").read_bytes()
-    (truncated / "005.dcm").unlink()
-    (truncated / "005.dcm").write_bytes(whole[: len(whole) // 2])
-    mixed = copy_of(series, tmp_path / "mixed")
-    data = pydicom.dcmread(mixed / "007.dcm")
-    data.SeriesInstanceUID = "1.2.3.4.5"
-    (mixed / "007.dcm").unlink()
-    data.save_as(mixed / "007.dcm")
+    voxels = np.zeros((9, 8, 8), dtype=np.int16)
+    truncated = write_series(tmp_path / "truncated", voxels)
+    os.truncate(truncated / "0005.dcm", 600)
+    mixed = write_series(tmp_path / "mixed", voxels, edit=only(7, setting(SeriesInstanceUID="1.2.3.4.5")))
     (tmp_path / "file").write_text("x")
     cases = [
         (["localize", tmp_path / "missing"], 1, "CT-001", "does not exist"),
         (["localize", tmp_path / "file"], 1, "CT-001", "is not a folder"),
         (["localize", tmp_path / "empty"], 1, "CT-002", "no DICOM image"),
         (["localize", mixed], 1, "CT-003", "1.2.3.4.5"),
-        (["localize", truncated], 1, "CT-005", "005.dcm"),
+        (["localize", truncated], 1, "CT-005", "0005.dcm"),
         (["localize", series, "--diameter-mm", "0"], 1, "CT-017", "0 mm"),
         (["localize", series, "--pictures", tmp_path / "file"], 1, "CLI-005", "file"),
         (["localize", series, "--expected", "some"], 2, "CLI-001", "--expected"),
@@ -211,7 +163,7 @@ def test_bad_input_is_one_clear_message_with_its_code(series: Path, tmp_path: Pa
         (["measure"], 2, "CLI-001", "measure"),
     ]
     for arguments, exit_code, code, named in cases:
-        done = in_this_process(app, *arguments)
+        done = ronna_ct(*arguments)
         assert (done.returncode, done.stdout) == (exit_code, ""), arguments
         assert done.stderr.startswith(f"{code}: "), done.stderr
         assert named in done.stderr
@@ -219,16 +171,17 @@ def test_bad_input_is_one_clear_message_with_its_code(series: Path, tmp_path: Pa
         assert "secret" not in done.stderr.lower()
 
 
-def test_help_imports_nothing_heavy() -> None:
+@pytest.mark.parametrize("command", [("ct", "localize"), ("plan", "check"), ("campaign", "registration")])
+def test_help_imports_nothing_heavy(command: tuple[str, str]) -> None:
+    module, name = command
     script = (
         "import sys; from ronna_hw.command_line.console import exit_code_of; "
-        "from procedures.cli.ct import app; "
-        "code = exit_code_of(app, ['localize', '--help']); "
+        f"from procedures.cli.{module} import app; "
+        f"code = exit_code_of(app, ['{name}', '--help']); "
         "print(code, sorted({'numpy', 'scipy', 'pydicom', 'cv2', 'matplotlib'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "0 []"
-    assert "--expected" in done.stdout
 
 
 def test_the_example_prints_the_centres(series: Path) -> None:
