@@ -73,7 +73,6 @@ class BundleFit:
     residuals_px: Array
     shifts_mm: Array
     used: NDArray[np.bool_]
-    spread: float
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,6 @@ def fit_bundle(
         residuals_px=found.residuals,
         shifts_mm=found.shifts,
         used=found.used,
-        spread=spread,
     )
 
 

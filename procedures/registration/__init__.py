@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
     from procedures.registration.error_theory import (
         FreGate,
-        expected_fre_mm,
         fle_from_fre_mm,
         fle_of_one_space_mm,
         fre_gate,
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
         drop_one_explanations,
         register,
     )
-    from procedures.registration.similarity_matrix import match_by_similarity
     from procedures.registration.template import match_by_template
     from procedures.registration.verification import (
         RoomPoint,
@@ -50,13 +48,11 @@ __all__ = [
     "TargetError",
     "TwoWayTable",
     "drop_one_explanations",
-    "expected_fre_mm",
     "fle_from_fre_mm",
     "fle_of_one_space_mm",
     "fre_gate",
     "fre_limit_mm",
     "match",
-    "match_by_similarity",
     "match_by_template",
     "register",
     "register_clouds",
@@ -67,7 +63,6 @@ _HOMES = {
     "cloud_registration": ("CloudFit", "register_clouds"),
     "error_theory": (
         "FreGate",
-        "expected_fre_mm",
         "fle_from_fre_mm",
         "fle_of_one_space_mm",
         "fre_gate",
@@ -76,7 +71,6 @@ _HOMES = {
     "point_registration": ("Caveat", "Registration", "TargetError", "drop_one_explanations", "register"),
     "correspondence": ("Hypothesis", "Match", "MatchStatus", "Prior"),
     "matching": ("match",),
-    "similarity_matrix": ("match_by_similarity",),
     "template": ("match_by_template",),
     "verification": ("RoomPoint", "TwoWayTable", "verify_two_way"),
 }

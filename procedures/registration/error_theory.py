@@ -52,13 +52,6 @@ def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
     return math.sqrt(float(np.square(residuals_mm).mean()) * pairs / (2.0 * (pairs - 2)))
 
 
-def expected_fre_mm(fle_mm: float, pairs: int) -> float:
-    """Root of the expected squared FRE for a known FLE, eq. 36 the other way. Raises REG-002, REG-007."""
-    degrees_of_freedom(pairs)
-    require_size("FLE", fle_mm)
-    return fle_mm * math.sqrt((pairs - 2) / pairs)
-
-
 def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDENCE) -> float:
     """The FRE that a sound registration exceeds with probability 1 - confidence.
 

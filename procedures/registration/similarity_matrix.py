@@ -15,18 +15,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from procedures.registration.correspondence import Match, MatchStatus
-from procedures.registration.errors import BadParameter
-from procedures.registration.points import FEWEST_PAIRS, checked_points
-from procedures.registration.rigid_fit import as_transform, fit_rigid
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.points import FEWEST_PAIRS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 THESIS_TOLERANCES_MM = tuple(round(1.0 + 0.1 * step, 1) for step in range(51))  # e from 1 to 6 mm
-DEFAULT_TOLERANCE_MM = 3.0
 
 
 @dataclass(frozen=True)
@@ -37,28 +34,14 @@ class SimilarityPairs:
     pairs: Indices
 
 
-def match_by_similarity(
-    image_mm: ArrayLike, physical_mm: ArrayLike, *, tolerance_mm: float = DEFAULT_TOLERANCE_MM
-) -> Match:
-    """Pair image points (n, 3) with physical points (m, 3), in mm, by the thesis' rule with its parameter e.
-
-    UNIQUE when every point left has exactly one partner, AMBIGUOUS when some have several, else TOO_FEW or
-    INCONSISTENT. Raises REG-001 and REG-007.
-    """
-    image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
-    if not (np.isfinite(tolerance_mm) and tolerance_mm > 0.0):
-        raise BadParameter("the tolerance e must be a positive length", got=f"{tolerance_mm} mm")
-    if min(len(image), len(physical)) < FEWEST_PAIRS:
-        found = SimilarityPairs(MatchStatus.TOO_FEW, _no_pairs())
-    else:
-        (found,) = match_many_by_similarity(image[None], physical[None], np.array([tolerance_mm]))
-    return _answer(found, image, physical)
-
-
 def match_many_by_similarity(
     image_mm: Array, physical_mm: Array, tolerance_mm: Array
 ) -> tuple[SimilarityPairs, ...]:
-    """The same for readings (b, n, 3) and (b, m, 3), each with its own e (b,); n and m at least 3."""
+    """Pair image points (b, n, 3) with physical points (b, m, 3), in mm, by the thesis' rule.
+
+    Each reading has its own e (b,), mm; n and m are at least 3. UNIQUE when every point left has exactly one
+    partner, AMBIGUOUS when some have several, else INCONSISTENT.
+    """
     image, physical = _distances(image_mm), _distances(physical_mm)
     found: dict[int, SimilarityPairs] = {}
     for readings in _levels(image, physical):
@@ -197,27 +180,3 @@ def _sorted_rows(distances: Array, kept: Indices) -> Array:
 
 def _no_pairs() -> Indices:
     return np.empty((0, 2), dtype=np.intp)
-
-
-def _answer(found: SimilarityPairs, image: Array, physical: Array) -> Match:
-    reasons = {
-        MatchStatus.UNIQUE: f"{len(found.pairs)} points agree within e",
-        MatchStatus.AMBIGUOUS: "points have several partners: their distances are alike",
-        MatchStatus.INCONSISTENT: "fewer than three points agree within e",
-        MatchStatus.TOO_FEW: f"{len(image)} image and {len(physical)} physical points, {FEWEST_PAIRS} needed",
-    }
-    transform = None
-    if len(found.pairs):
-        fit = fit_rigid(image[found.pairs[:, 0]], physical[found.pairs[:, 1]])
-        transform = as_transform(fit.rotation, fit.translation_mm)
-    used_image, used_physical = set(found.pairs[:, 0].tolist()), set(found.pairs[:, 1].tolist())
-    return Match(
-        found.status,
-        found.pairs,
-        transform,
-        reasons[found.status],
-        runner_up=None,
-        margin_nats=0.0,
-        unmatched_image=tuple(i for i in range(len(image)) if i not in used_image),
-        unmatched_physical=tuple(j for j in range(len(physical)) if j not in used_physical),
-    )

@@ -74,9 +74,7 @@ class CorrespondenceStudy:
 
     def parameters(self) -> dict[str, object]:
         """Everything the results depend on."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
-        }
+        return asdict(self)
 
     def units(self) -> Sequence[Unit]:
         """Cells in the order noise model, patient, fiducials, outliers."""

@@ -73,9 +73,7 @@ class LocalizationStudy:
 
     def parameters(self) -> dict[str, object]:
         """Everything the results depend on."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
-        }
+        return asdict(self)
 
     def units(self) -> Sequence[Unit]:
         """A unit per volume, then one per set."""

@@ -44,9 +44,7 @@ class RegistrationStudy:
 
     def parameters(self) -> dict[str, object]:
         """Everything the results depend on."""
-        return {
-            key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()
-        }
+        return asdict(self)
 
     def units(self) -> Sequence[Unit]:
         """Cells in the order kind of error, fiducials."""

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from ideal_arm import with_ideal_arm, with_turned_camera, write_scene
 from scipy.spatial.transform import Rotation
+from turned_camera import with_turned_camera, write_scene
 from user_commands import Commands, one_error
 
 from benchmarks.head_looks import ENDPOINTS, TrueHead, observation_set, true_head
+from benchmarks.stereo_cell import with_ideal_arm
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
 from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_looks
 from procedures.cli.stereo.command import app
@@ -27,6 +28,7 @@ from ronna_hw.frames import Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
 from sim.theatre.scene.model import Scene
+from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
 
 GOAL_MM = 0.03
@@ -259,7 +261,7 @@ class Calibrated:
 @pytest.fixture(scope="module")
 def calibrated(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
     folder = tmp_path_factory.mktemp("calibrated")
-    scene = with_ideal_arm()
+    scene = with_ideal_arm(named_scene("mini", seed=0))
     file = write_scene(scene, folder / "scene.json")
     done = shared_commands.run(
         *("ronna-stereo", "calibrate", "--sim", "--scene", str(file), "--out", str(folder), "--json"),

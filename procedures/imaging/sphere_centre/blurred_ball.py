@@ -15,7 +15,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from procedures.imaging.region import Region
-from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS, SXY, SZ
+from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS
 from procedures.imaging.sphere_centre.ball_voxels import MIN_VOXELS, BallVoxels
 from procedures.imaging.sphere_centre.whitened_ball import fit_whitened
 
@@ -37,7 +37,6 @@ class BlurredBall:
     covariance_mm2: Array
     radius_mm: float
     noise_hu: float
-    blur_mm: tuple[float, float]  # sigma across slices, in the plane
     metal_share: float  # of the sphere's surface, too near metal to be used
     streak_hu: float  # usual size of the terms by which streaks bend the background, at the surface
     contrast_hu: float
@@ -80,7 +79,6 @@ def fit_blurred_ball(
         covariance_mm2=fitted.covariance_mm2,
         radius_mm=float(fitted.unknowns[RADIUS]),
         noise_hu=fitted.noise_hu,
-        blur_mm=(float(fitted.unknowns[SZ]), float(fitted.unknowns[SXY])),
         metal_share=metal_share,
         streak_hu=fitted.streak_hu,
         contrast_hu=float(fitted.unknowns[IN] - fitted.unknowns[OUT]),
