@@ -186,7 +186,7 @@ def test_bends_are_seen_when_noise_does_not_explain_them_and_slopes_are_no_small
 
 
 def test_an_estimate_that_knows_nothing_better_gets_no_weight() -> None:
-    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, NOISE_HU, (0.45, 0.45), 0.0, 0.0, 1100.0)
+    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, NOISE_HU, 0.0, 0.0, 1100.0)
     nowhere = np.zeros(1, dtype=bool)
     edge = RadialEdge(
         CENTRE_MM + 0.02, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, 130.0, -1000.0, 1.0, 0.0, nowhere
