@@ -118,12 +118,18 @@ def fit_bundle(
     values[:BALL] = np.median(in_robot, axis=0)
     found = _adjusted(looks, cameras, values, FIRST_ARM_ERROR_MM)
     arm_error = found.arm_error
+    if arm_error > ARM_ERROR_LIMIT_MM:
+        raise DoesNotFit(
+            "the ball seems to move from look to look",
+            limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
+            got=f"{arm_error:.2f} mm",
+        )
     if arm is not None and arm_error > REPEATABILITY_MM:
         columns = error_columns(arm, [one.joints_rad for one in observations], found.values[:BALL])
         looks = replace(looks, arm_columns_mm=columns * min(1.0, arm_error / UNCALIBRATED_MM))
         values = np.concatenate([found.values, np.zeros(columns.shape[2])])
         found = _adjusted(looks, cameras, values, arm_error)
-    _require_fit(found.used, arm_error, found.gaps, looks)
+    _require_fit(found.used, found.gaps, looks)
     normal = _normal_matrix(looks, cameras, found.values, found.arm_error, found.image_scale, found.used)
     return BundleFit(
         cameras=_cameras(cameras, found.values),
@@ -295,14 +301,8 @@ def _sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, 
     return max(arm, LEAST_ARM_ERROR_MM), max(image, 1.0)
 
 
-def _require_fit(used: NDArray[np.bool_], arm_error: float, gaps: Array, looks: _Looks) -> None:
+def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
     gap_px = float(np.median(np.abs(gaps))) * float(np.sqrt(looks.covariances_px2[:, 0, 0].mean()))
-    if arm_error > ARM_ERROR_LIMIT_MM:
-        raise DoesNotFit(
-            "the ball seems to move from look to look",
-            limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
-            got=f"{arm_error:.2f} mm",
-        )
     if gap_px > GAP_LIMIT_PX:
         raise DoesNotFit(
             "left and right images contradict each other",

@@ -7,7 +7,9 @@ import time
 from pathlib import Path
 
 import pytest
-from user_commands import Commands
+from user_commands import Commands, in_this_process
+
+from procedures.cli.campaign import app
 
 STARTED_S = 60.0  # hang guard: the first units of a pool that has to import SciPy on a busy computer
 UNITS_BEFORE_THE_KILL = 10
@@ -38,14 +40,14 @@ def test_a_campaign_leaves_tables_and_a_plot_and_knows_that_it_is_done(
         "formulas-of-the-rigid-fit.csv",
         "what-weighting-by-covariances-gains.csv",
     }
-    again = commands.run("ronna-campaign", *arguments)
+    again = in_this_process(app, *arguments)
     assert "resuming: 7 of 7 units" in again.stderr
     assert again.stdout.startswith("fiducials\truns\t")
 
 
-def test_another_study_in_the_folder_is_refused_in_one_line(commands: Commands, tmp_path: Path) -> None:
+def test_another_study_in_the_folder_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "units.jsonl").write_text('{"study": "correspondence", "fingerprint": "0"}\n')
-    refused = commands.run("ronna-campaign", "registration", "--runs", "2", "--out", str(tmp_path))
+    refused = in_this_process(app, "registration", "--runs", "2", "--out", tmp_path)
     assert refused.returncode == 2
     assert refused.stdout == ""
     assert refused.stderr.startswith("STU-001: ")
