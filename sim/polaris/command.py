@@ -11,7 +11,7 @@ import typer
 SERIAL_PTY = "serial-pty"
 
 
-class ProfileName(StrEnum):
+class ModelName(StrEnum):
     """Models that can be simulated."""
 
     SPECTRA = "spectra"
@@ -22,7 +22,7 @@ def polaris(
     endpoint: Annotated[
         str, typer.Option(help="serial-pty for a pseudo-terminal, or tcp://host:port.")
     ] = SERIAL_PTY,
-    profile: Annotated[ProfileName, typer.Option(help="Model of the unit.")] = ProfileName.SPECTRA,
+    model: Annotated[ModelName, typer.Option("--profile", help="Model of the unit.")] = ModelName.SPECTRA,
     scene: Annotated[str, typer.Option(help="bench, bench-near, default, mini, or a file.")] = "bench",
     throttle: Annotated[bool, typer.Option(help="Send at the baud rate of the serial line.")] = False,
     wired: Annotated[
@@ -57,9 +57,9 @@ def polaris(
         return
     address = None if endpoint == SERIAL_PTY else network_address(endpoint)
     behaviour = UnitBehaviour.with_settings(setting or [])
-    kind = UNIT_MODELS[profile.value]
+    kind = UNIT_MODELS[model.value]
     tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
-    if scene == "bench" and profile is ProfileName.VICRA:
+    if scene == "bench" and model is ModelName.VICRA:
         scene = "bench-near"  # the other bench is beyond its volume
     room, control = open_world(world, scene, faults)
     interpreter = CommandInterpreter(Unit(room, kind, behaviour, tools))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from drivers.ndi_polaris.probe.line import Access, Attempt, LineState, Outcome
+from drivers.ndi_polaris.probe.line import Attempt, LineState, Opening, Outcome
 from ronna_hw.devices.probing import Finding
 from ronna_hw.host.serial_ports import permission_advice
 from ronna_hw.wire.polaris import DEFAULT_BAUD
@@ -29,7 +29,7 @@ def line_finding(line: LineState) -> Finding:
     document: dict[str, Any] = {
         "endpoint": str(line.endpoint),
         "well": well,
-        "access": line.access.value,
+        "access": line.opening.value,
         "answered_at_baud": answered.baud if answered else None,
         "answer": answered.reply if answered else None,
         "last_bytes": line.last_bytes.hex(" "),
@@ -46,7 +46,7 @@ def line_finding(line: LineState) -> Finding:
 
 def diagnose(line: LineState) -> Diagnosis:
     """Say what was seen, and what that means."""
-    if line.access is not Access.OPENED:
+    if line.opening is not Opening.OPENED:
         return _not_opened(line)
     if (answered := line.answered) is not None:
         return _answered(answered)
@@ -80,21 +80,21 @@ def diagnose(line: LineState) -> Diagnosis:
 
 def _not_opened(line: LineState) -> Diagnosis:
     endpoint = line.endpoint
-    if line.access is Access.MISSING:
+    if line.opening is Opening.MISSING:
         advice = "Is the adapter plugged in? The ports that exist are listed above."
         return Diagnosis(False, f"{endpoint.path} does not exist", advice)
-    if line.access is Access.FORBIDDEN:
+    if line.opening is Opening.FORBIDDEN:
         return Diagnosis(False, f"permission denied: {endpoint.path}", permission_advice(endpoint.path))
     if line.users:
         users = " and ".join(str(user) for user in line.users)
         return Diagnosis(False, f"held by another program: {users}", "End that program, or use another port.")
-    if line.access is Access.HELD:
+    if line.opening is Opening.HELD:
         return Diagnosis(
             False,
             "held by another program, which this user may not see",
             f"Find it with: sudo fuser -v {endpoint.path}",
         )
-    if line.access is Access.CLOSED:
+    if line.opening is Opening.CLOSED:
         return Diagnosis(
             False,
             "the connection is closed as soon as it is used",

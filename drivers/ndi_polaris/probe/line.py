@@ -28,7 +28,7 @@ INQUIRY_LIMIT_S = 1.0  # of one rate, or of the connection
 KEPT_BYTES = 32
 
 
-class Access(StrEnum):
+class Opening(StrEnum):
     """Whether the line could be opened."""
 
     OPENED = "opened"
@@ -66,7 +66,7 @@ class LineState:
     """Everything that was seen of one line."""
 
     endpoint: Endpoint
-    access: Access
+    opening: Opening
     attempts: tuple[Attempt, ...] = ()
     users: tuple[PortUser, ...] = ()
     refusal: PortUnavailable | None = None  # where the line could not be opened
@@ -82,11 +82,11 @@ class LineState:
         return next((attempt.heard for attempt in reversed(self.attempts) if attempt.heard), b"")
 
 
-_ACCESS_BY_ERROR = {
-    errno.EACCES: Access.FORBIDDEN,
-    errno.EAGAIN: Access.HELD,
-    errno.EBUSY: Access.HELD,
-    errno.ECONNREFUSED: Access.REFUSED,
+_OPENING_BY_ERROR = {
+    errno.EACCES: Opening.FORBIDDEN,
+    errno.EAGAIN: Opening.HELD,
+    errno.EBUSY: Opening.HELD,
+    errno.ECONNREFUSED: Opening.REFUSED,
 }
 
 
@@ -94,23 +94,23 @@ def look_at_line(endpoint: Endpoint) -> LineState:
     """Look at a serial or TCP line; never raises for what a line may do. Raises CFG-002 for others."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
-            return LineState(endpoint, Access.MISSING)
+            return LineState(endpoint, Opening.MISSING)
         users = users_of_serial_port(endpoint.path)
         if not os.access(endpoint.path, os.R_OK | os.W_OK):
-            return LineState(endpoint, Access.FORBIDDEN, users=users)
+            return LineState(endpoint, Opening.FORBIDDEN, users=users)
         if users:
-            return LineState(endpoint, Access.HELD, users=users)
+            return LineState(endpoint, Opening.HELD, users=users)
     try:
         transport = open_transport(endpoint, OPEN_LIMIT_S)
     except PortUnavailable as error:
-        access = _ACCESS_BY_ERROR.get(error.number or 0, Access.UNREACHABLE)
-        return LineState(endpoint, access, refusal=error)
+        opening = _OPENING_BY_ERROR.get(error.number or 0, Opening.UNREACHABLE)
+        return LineState(endpoint, opening, refusal=error)
     try:
         attempts = _attempts(CommandLink(transport))
     finally:
         transport.close()
     closed = endpoint.scheme == "tcp" and attempts[-1].outcome is Outcome.LOST
-    return LineState(endpoint, Access.CLOSED if closed else Access.OPENED, () if closed else attempts)
+    return LineState(endpoint, Opening.CLOSED if closed else Opening.OPENED, () if closed else attempts)
 
 
 def _attempts(link: CommandLink) -> tuple[Attempt, ...]:

@@ -15,11 +15,11 @@ WAVELENGTH_BITS = 0x07  # of the marker type
 
 
 def warning_of(
-    tool: ToolDefinition, others: list[ToolDefinition], parameters: UnitBehaviour
+    tool: ToolDefinition, others: list[ToolDefinition], behaviour: UnitBehaviour
 ) -> WarningCode | None:
     """The warning of PINIT for `tool` beside `others`; None for a good tool."""
-    unique = _has_unique_segments(tool, parameters)
-    conflicts = any(_conflict(tool, other, parameters) for other in others)
+    unique = _has_unique_segments(tool, behaviour)
+    conflicts = any(_conflict(tool, other, behaviour) for other in others)
     if not unique:
         return WarningCode.NOT_UNIQUE_AND_CONFLICTS if conflicts else WarningCode.GEOMETRY_NOT_UNIQUE
     if conflicts:
@@ -32,23 +32,23 @@ def wavelength_of(tool: ToolDefinition) -> int:
     return tool.marker_type & WAVELENGTH_BITS
 
 
-def _judged(tool: ToolDefinition, parameters: UnitBehaviour) -> bool:
-    return bool(tool.flags & polaris_rom.FLAG_UNIQUE_GEOMETRY) or not parameters.judges_only_flagged
+def _judged(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
+    return bool(tool.flags & polaris_rom.FLAG_UNIQUE_GEOMETRY) or not behaviour.judges_only_flagged
 
 
-def _has_unique_segments(tool: ToolDefinition, parameters: UnitBehaviour) -> bool:
-    if not _judged(tool, parameters):
+def _has_unique_segments(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
+    if not _judged(tool, behaviour):
         return True
     lengths = sorted(_segments_mm(tool).values())
-    return all(b - a >= parameters.segment_tolerance_mm for a, b in pairwise(lengths))
+    return all(b - a >= behaviour.segment_tolerance_mm for a, b in pairwise(lengths))
 
 
-def _conflict(tool: ToolDefinition, other: ToolDefinition, parameters: UnitBehaviour) -> bool:
-    if not (_judged(tool, parameters) and _judged(other, parameters)):
+def _conflict(tool: ToolDefinition, other: ToolDefinition, behaviour: UnitBehaviour) -> bool:
+    if not (_judged(tool, behaviour) and _judged(other, behaviour)):
         return False
-    tolerance_mm = parameters.conflict_tolerance_mm
+    tolerance_mm = behaviour.conflict_tolerance_mm
     ours, theirs = _segments_mm(tool), _segments_mm(other)
-    if parameters.conflict == "segment":
+    if behaviour.conflict == "segment":
         return any(abs(a - b) < tolerance_mm for a in ours.values() for b in theirs.values())
     triangles = np.array(_triangles_mm(theirs, len(other.markers_mm)))
     return any(

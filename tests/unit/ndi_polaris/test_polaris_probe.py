@@ -17,7 +17,7 @@ import pytest
 from drivers.ndi_polaris.line import inquiry
 from drivers.ndi_polaris.probe import line, probe
 from drivers.ndi_polaris.probe.diagnosis import diagnose, line_finding
-from drivers.ndi_polaris.probe.line import Access, LineState, Outcome, look_at_line
+from drivers.ndi_polaris.probe.line import LineState, Opening, Outcome, look_at_line
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.wire.polaris import crc16
@@ -189,7 +189,7 @@ def test_a_missing_permission_names_the_group(
     end = other_end(unit_at(9600))
     monkeypatch.setattr(line.os, "access", lambda _path, _mode: False)
     state = look_at_line(end.endpoint)
-    assert state.access is Access.FORBIDDEN
+    assert state.opening is Opening.FORBIDDEN
     diagnosis = diagnose(state)
     assert diagnosis.seen == f"permission denied: {end.path}"
     assert end.heard == []
@@ -273,7 +273,7 @@ def test_the_document_has_every_attempt_in_hex(other_end: Callable[[Answer], Oth
 
 
 def test_a_line_that_was_not_opened_has_no_attempts() -> None:
-    finding = line_finding(LineState(Endpoint("tcp", host="127.0.0.1", port=1), Access.MISSING))
+    finding = line_finding(LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING))
     assert finding.document is not None
     assert finding.document["attempts"] == []
 

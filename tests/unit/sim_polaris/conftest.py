@@ -48,6 +48,18 @@ class Bench:
         """The bytes of an answer."""
         return self.interpreter.reply(line.encode("latin-1"))
 
+    def ready(self) -> Bench:
+        """Initialise the unit."""
+        assert self.send("INIT ") == "OKAY"
+        return self
+
+    def track(self, *tools: TrackerTool) -> Bench:
+        """Enable tools and start tracking."""
+        for tool in tools:
+            self.enable(tool)
+        assert self.send("TSTART 80") == "OKAY"
+        return self
+
     def load(self, content: bytes) -> int:
         """Request a handle and write a definition to it."""
         handle = int(self.send("PHRQ *********1****"), 16)
@@ -102,6 +114,4 @@ def pointer() -> TrackerTool:
 @pytest.fixture
 def bench(make_bench: Callable[..., Bench]) -> Bench:
     """An initialised unit on the bench."""
-    bench = make_bench()
-    assert bench.send("INIT ") == "OKAY"
-    return bench
+    return make_bench().ready()

@@ -68,15 +68,13 @@ def test_both_at_once(bench: Bench) -> None:
 
 def test_one_shared_segment_is_a_conflict_where_the_unit_says_so(make_bench: Callable[..., Bench]) -> None:
     for rule, answer in (("triangle", "OKAY"), ("segment", "WARNING03")):
-        bench = make_bench(conflict=rule)
-        bench.send("INIT ")
+        bench = make_bench(conflict=rule).ready()
         judged(bench, write_definition(tool(TRIANGLE)))
         assert judged(bench, write_definition(tool(ONE_SIDE_SHARED))) == answer
 
 
 def test_definitions_without_the_flag_may_be_left_alone(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench(judges_only_flagged=True)
-    bench.send("INIT ")
+    bench = make_bench(judges_only_flagged=True).ready()
     square = write_definition(tool(SQUARE))
     assert judged(bench, changed(square, rom.FLAGS_OFFSET, b"\0")) == "OKAY"
     assert judged(bench, square) == "WARNING02"
@@ -90,8 +88,7 @@ def test_a_tool_without_a_wavelength_gets_the_default_one(bench: Bench, pointer:
 
 
 def test_older_firmware_says_warning_alone(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench(warns_with_code=False)
-    bench.send("INIT ")
+    bench = make_bench(warns_with_code=False).ready()
     assert judged(bench, write_definition(tool(SQUARE))) == "WARNING"
 
 

@@ -34,8 +34,7 @@ def counted(
 
     monkeypatch.setattr(Unit, "_measured", counting)
     bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     return bench, now_ns, measured
 
 

@@ -71,8 +71,7 @@ def test_disabled_handles_may_stand_in_the_reply(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     for status, told in ((False, "02DISABLED\n"), (True, "02DISABLED00000011")):
-        bench = make_bench(lists_disabled_handles=True, status_of_unseen_handles=status)
-        bench.send("INIT ")
+        bench = make_bench(lists_disabled_handles=True, status_of_unseen_handles=status).ready()
         bench.enable(pointer)
         bench.enable(pointer)
         bench.send("PDIS 02")
@@ -93,10 +92,7 @@ def test_the_active_stray_of_a_passive_tool_has_two_forms(
         ({}, "02\n", 13),
         ({"text_active_stray": "words", "binary_active_stray_always": False}, "MISSING\n", 1),
     ):
-        bench = make_bench(**behaviour)
-        bench.send("INIT ")
-        bench.enable(pointer)
-        bench.send("TSTART 80")
+        bench = make_bench(**behaviour).ready().track(pointer)
         assert bench.send("TX 0004") == f"0101{text}0000"
         assert len(bench.raw("BX 0004")) == 6 + 1 + 2 + size + 2 + 2
 
@@ -104,18 +100,14 @@ def test_the_active_stray_of_a_passive_tool_has_two_forms(
 def test_markers_of_tools_are_told_by_bx_and_perhaps_by_tx(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
-    bench = make_bench(text_tool_markers=True)
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench = make_bench(text_tool_markers=True).ready().track(pointer)
     answer = bench.send("TX 0008")
     assert answer.startswith("0101" + "04" + "0")
     assert len(answer) == 4 + 2 + 1 + 4 * 21 + 1 + 4
     raw = bench.raw("BX 0008")
     assert raw[9:11] == b"\x04\0"
     assert len(raw) == 6 + 1 + 2 + 1 + 1 + 48 + 2 + 2
-    usual = make_bench()
-    usual.send("INIT ")
+    usual = make_bench().ready()
     usual.send("TSTART 80")
     assert usual.send("TX 0008") == "ERROR23"
 
@@ -134,8 +126,7 @@ def test_a_serial_number_may_be_told_byte_by_byte(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     for number, told in ((True, "3E000001"), (False, "0100003E")):
-        bench = make_bench(serial_low_byte_first=number)
-        bench.send("INIT ")
+        bench = make_bench(serial_low_byte_first=number).ready()
         bench.enable(pointer)
         assert bench.send("PHINF 01")[23:31] == told
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from ronna_hw.wire import polaris_rom
 from sim.polaris.tools.definition import write_definition
 from sim.polaris.unit.model import SPECTRA, VICRA, UnitModel
 from sim.theatre.scene.model import TrackerTool
@@ -82,13 +81,6 @@ def test_nothing_written_is_no_tool(bench: Bench) -> None:
     assert bench.send("PDIS 01") == "ERROR0E"
 
 
-def test_a_bad_checksum_is_found_by_pinit(bench: Bench, pointer: TrackerTool) -> None:
-    content = bytearray(write_definition(pointer))
-    content[polaris_rom.MARKER_POSITIONS_OFFSET] ^= 1
-    handle = bench.load(bytes(content))
-    assert bench.send(f"PINIT {handle:02X}") == "ERROR13"
-
-
 def test_a_tool_that_is_not_enabled_cannot_be_disabled(bench: Bench, pointer: TrackerTool) -> None:
     bench.load(write_definition(pointer))
     assert bench.send("PINIT 01") == "OKAY"
@@ -100,8 +92,7 @@ def test_a_tool_that_is_not_enabled_cannot_be_disabled(bench: Bench, pointer: Tr
 def test_no_more_tools_are_enabled_than_the_unit_tracks(
     make_bench: Callable[..., Bench], pointer: TrackerTool, model: UnitModel, tools: int
 ) -> None:
-    bench = make_bench(model=model)
-    bench.send("INIT ")
+    bench = make_bench(model=model).ready()
     for _ in range(tools):
         bench.enable(pointer)
     handle = bench.load(write_definition(pointer))

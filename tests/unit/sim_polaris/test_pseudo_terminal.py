@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
@@ -76,7 +77,9 @@ class Host:
         termios.tcflush(self._file, termios.TCOFLUSH)
 
     def close(self) -> None:
-        os.close(self._file)
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1
 
 
 class Line:
@@ -91,11 +94,15 @@ class Line:
         server = Server(self.interpreter, self._end)
         self._thread = threading.Thread(target=server.serve_line, args=(self._terminal,))
         self._thread.start()
+        self._hosts = contextlib.ExitStack()
 
     def host(self) -> Host:
-        return Host(self._terminal.endpoint.removeprefix("serial://"))
+        host = Host(self._terminal.endpoint.removeprefix("serial://"))
+        self._hosts.callback(host.close)
+        return host
 
     def close(self) -> None:
+        self._hosts.close()
         self._end.give()
         self._thread.join()
         self._terminal.close()
@@ -119,14 +126,12 @@ def test_power_up_says_reset_at_9600(make_line: Callable[..., Line]) -> None:
     assert host.read() == RESET
     assert host.ask("PHSR 00").startswith(b"ERROR10")
     assert host.ask("INIT:E3A5") == OKAY
-    host.close()
 
 
 def test_a_unit_may_be_switched_on_long_before(make_line: Callable[..., Line]) -> None:
     host = make_line(power_up_reset=False).host()
     host.write(b"INIT:E3A5\r")
     assert host.read() == OKAY
-    host.close()
 
 
 @pytest.mark.parametrize(
@@ -145,7 +150,6 @@ def test_comm_is_answered_at_the_old_rate_and_then_the_line_switches(
     assert host.hears_nothing("ECHO x")
     host.set_line(termios.B9600)
     assert host.ask("ECHO x").startswith(b"x")
-    host.close()
 
 
 def test_half_a_command_at_a_wrong_rate_is_forgotten(make_line: Callable[..., Line]) -> None:
@@ -155,7 +159,6 @@ def test_half_a_command_at_a_wrong_rate_is_forgotten(make_line: Callable[..., Li
     assert host.hears_nothing("TSTART ")
     host.set_line(termios.B9600)
     assert host.ask("TX 0001").startswith(b"ERROR0C")
-    host.close()
 
 
 def test_a_wrong_rate_may_be_heard_as_garbage(make_line: Callable[..., Line]) -> None:
@@ -164,7 +167,6 @@ def test_a_wrong_rate_may_be_heard_as_garbage(make_line: Callable[..., Line]) ->
     host.set_line(termios.B38400)
     host.write(b"ECHO x\r")
     assert all(byte > 0x7F for byte in host.read_some(100))
-    host.close()
 
 
 def test_odd_parity_must_be_odd_at_both_ends(make_line: Callable[..., Line]) -> None:
@@ -174,14 +176,12 @@ def test_odd_parity_must_be_odd_at_both_ends(make_line: Callable[..., Line]) -> 
     assert host.hears_nothing("ECHO x")
     host.set_line(flags=termios.PARODD)
     assert host.ask("ECHO x").startswith(b"x")
-    host.close()
 
 
 def test_a_line_may_be_understood_at_any_rate(make_line: Callable[..., Line]) -> None:
     host = make_line(enforces_line=False).host()
     assert host.ask("COMM 50000") == OKAY
     assert host.ask("ECHO x").startswith(b"x")
-    host.close()
 
 
 def test_seven_bits_are_too_few_for_bx(make_line: Callable[..., Line]) -> None:
@@ -190,33 +190,25 @@ def test_seven_bits_are_too_few_for_bx(make_line: Callable[..., Line]) -> None:
         assert host.ask(command) == OKAY
     host.write(b"BX 0001\r")
     assert host.read_some(2) == b"\x44\x25"  # of C4 A5
-    host.close()
 
 
-def test_a_fast_line_left_behind_falls_back(make_line: Callable[..., Line]) -> None:
-    line = make_line()
+@pytest.mark.parametrize(
+    ("line_after_close", "wrong", "right"),
+    [("default", termios.B115200, termios.B9600), ("kept", termios.B9600, termios.B115200)],
+)
+def test_a_fast_line_left_behind_falls_back_or_stays_fast(
+    make_line: Callable[..., Line], line_after_close: str, wrong: int, right: int
+) -> None:
+    line = make_line(line_after_close=line_after_close)
     first = line.host()
     assert first.ask("INIT ") == OKAY
     assert first.ask("COMM 50000") == OKAY
     first.close()
     second = line.host()
-    second.set_line(termios.B9600)
-    assert second.ask("PHSR 00").startswith(b"00")  # nothing else was forgotten
-    second.close()
-
-
-def test_a_fast_line_left_behind_may_stay_fast(make_line: Callable[..., Line]) -> None:
-    line = make_line(line_after_close="kept")
-    first = line.host()
-    first.ask("INIT ")
-    first.ask("COMM 50000")
-    first.close()
-    second = line.host()
-    second.set_line(termios.B9600)
+    second.set_line(wrong)
     assert second.hears_nothing("ECHO x")
-    second.set_line(termios.B115200)
-    assert second.ask("ECHO x").startswith(b"x")
-    second.close()
+    second.set_line(right)
+    assert second.ask("PHSR 00").startswith(b"00")  # nothing else was forgotten
 
 
 def test_a_break_resets_the_unit_from_any_rate(make_line: Callable[..., Line]) -> None:
@@ -229,7 +221,6 @@ def test_a_break_resets_the_unit_from_any_rate(make_line: Callable[..., Line]) -
     assert host.read() == RESET
     assert host.ask("PHSR 00").startswith(b"ERROR10")
     assert host.ask("INIT:E3A5") == OKAY
-    host.close()
 
 
 def test_a_unit_that_starts_is_deaf_until_it_says_reset(make_line: Callable[..., Line]) -> None:
@@ -243,7 +234,6 @@ def test_a_unit_that_starts_is_deaf_until_it_says_reset(make_line: Callable[...,
     host.write(b"INIT \r")
     assert host.read() == RESET
     assert host.ask("PHSR 00").startswith(b"ERROR10")
-    host.close()
 
 
 def test_a_break_ends_a_command_that_takes_too_long(make_line: Callable[..., Line]) -> None:
@@ -255,7 +245,6 @@ def test_a_break_ends_a_command_that_takes_too_long(make_line: Callable[..., Lin
     host.send_break()
     assert host.read() == RESET
     assert host.ask("PHSR 00").startswith(b"ERROR10")
-    host.close()
 
 
 def test_what_looks_like_a_break_at_the_opening_of_a_line_is_none(make_line: Callable[..., Line]) -> None:
@@ -268,7 +257,6 @@ def test_what_looks_like_a_break_at_the_opening_of_a_line_is_none(make_line: Cal
     assert second.ask("PHSR 00").startswith(b"00")
     second.flush_output()  # one direction alone is no break either
     assert second.ask("PHSR 00").startswith(b"00")
-    second.close()
 
 
 def test_who_flushes_both_directions_and_speaks_on_sent_no_break(make_line: Callable[..., Line]) -> None:
@@ -277,19 +265,6 @@ def test_who_flushes_both_directions_and_speaks_on_sent_no_break(make_line: Call
     for _ in range(20):
         host.flush_both()
         assert host.ask("PHSR 00").startswith(b"00")
-    host.close()
-
-
-def test_reset_is_said_at_9600_again(make_line: Callable[..., Line]) -> None:
-    host = make_line().host()
-    host.ask("INIT ")
-    host.ask("COMM 50000")
-    host.set_line(termios.B115200)
-    assert host.ask("RESET 0") == RESET
-    assert host.hears_nothing("ECHO x")
-    host.set_line(termios.B9600)
-    assert host.ask("ECHO x").startswith(b"x")
-    host.close()
 
 
 def test_a_host_without_pseudo_terminals_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -318,4 +293,3 @@ def test_throttling_counts_both_directions_and_every_bit(make_line: Callable[...
     host.ask("COMM 30010")  # 38400 baud, two stop bits
     host.set_line(termios.B38400, termios.CSTOPB)
     assert seconds() >= bytes_both_ways * 11 / 38400
-    host.close()

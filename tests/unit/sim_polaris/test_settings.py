@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.theatre.scene.model import TrackerTool
-
 if TYPE_CHECKING:
     from conftest import Bench
 
@@ -69,29 +67,3 @@ def test_volume_k_of_the_feature_list_begins_at_1_plus_74_k_as_plus_reads_it(ben
         "5-240000-153200-095000+057200+039800+056946+024303+029773+999999+99999924\n",
         "5-300000-153200-095000+057200+039800+056946+024303+029773+999999+07350024\n",
     ]
-
-
-def test_an_alert_withholds_transforms_until_it_is_read(bench: Bench, pointer: TrackerTool) -> None:
-    bench.enable(pointer)
-    bench.send("TSTART 80")
-    assert "MISSING" not in bench.send("TX 0001")
-    assert bench.send(f"SET Param.Simulated Alerts={1 << 21}") == "OKAY"
-    answer = bench.send("TX 0001")
-    assert "MISSING" in answer
-    assert answer.endswith("0100")
-    assert bench.send("GET Param.Bump Detector.Bumped").endswith("=1")
-    assert bench.send("GET Info.Status.New Alerts").endswith(f"={1 << 21}")
-    assert bench.send("GET Info.Status.New Alerts").endswith("=0")
-    assert "MISSING" not in bench.send("TX 0001")
-    assert bench.send("SET Param.Bump Detector.Clear=1") == "OKAY"
-    assert bench.send("GET Info.Status.Alerts").endswith("=0")
-
-
-@pytest.mark.parametrize(("bit", "status"), [(0, "0010"), (29, "0200")])
-def test_a_hardware_fault_or_a_cold_unit_shows_in_the_system_status(
-    bench: Bench, bit: int, status: str
-) -> None:
-    bench.send("TSTART 80")
-    bench.send(f"SET Param.Simulated Alerts={1 << bit}")
-    bench.send("GET Info.Status.New Alerts")
-    assert bench.send("TX 0001") == f"00{status}"

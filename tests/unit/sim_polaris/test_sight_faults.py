@@ -55,9 +55,7 @@ def tell(bench: Bench, options: str = "1803") -> Told:
 
 @pytest.fixture
 def tracked(bench: Bench, pointer: TrackerTool) -> Bench:
-    bench.enable(pointer)
-    assert bench.send("TSTART 80") == "OKAY"
-    return bench
+    return bench.track(pointer)
 
 
 def disturb(bench: Bench, *lines: str) -> None:
@@ -140,10 +138,7 @@ def test_a_tool_partially_out_of_the_volume_says_so(tracked: Bench) -> None:
 def test_a_unit_may_hide_tools_that_are_partially_out(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
-    bench = make_bench(poses_partially_out=False)
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench = make_bench(poses_partially_out=False).ready().track(pointer)
     _, half_y = PYRAMID.half_widths_mm(1500.0)
     disturb(bench, f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
     assert tell(bench, "1003").missing
@@ -227,10 +222,7 @@ def test_the_same_faults_give_the_same_frames_again(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     def record() -> list[bytes]:
-        bench = make_bench()
-        bench.send("INIT ")
-        bench.enable(pointer)
-        bench.send("TSTART 80")
+        bench = make_bench().ready().track(pointer)
         disturb(bench, "sunlight", "strays 5", "phantoms 5 mm", f"bend tool {POINTER_NUMBER} 1 mm")
         return [bench.raw("BX 1803") for _ in range(20)]
 
@@ -249,10 +241,7 @@ def phantom_scene() -> Scene:
 def test_two_spheres_in_one_plane_with_both_sensors_make_two_phantoms(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
-    bench = make_bench(phantom_scene())
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench = make_bench(phantom_scene()).ready().track(pointer)
     # two markers of the pointer lie in one plane with the sensors as well
     assert len(tell(bench).strays_mm) == 3 + 2 + 2
     disturb(bench, f"occlude tool {POINTER_NUMBER}")
@@ -269,10 +258,7 @@ def test_in_and_out_bits_tell_which_strays_are_inside(
     scene = named_scene("bench")
     strays = ((0.0, 0.0, -1500.0), (0.0, 0.0, -2600.0), (0.0, 700.0, -1500.0))
     tracker = scene.tracker.model_copy(update={"strays_mm": strays})
-    bench = make_bench(scene.model_copy(update={"tracker": tracker}))
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench = make_bench(scene.model_copy(update={"tracker": tracker})).ready().track(pointer)
     for _ in range(10):
         block = bench.send("TX 1801").split("\n")[1]
         bits = int(block[2], 16)

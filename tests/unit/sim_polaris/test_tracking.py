@@ -64,9 +64,7 @@ def at_depth(depth_mm: float) -> Scene:
 
 
 def test_each_loaded_tool_of_the_bench_has_a_place_of_its_own(bench: Bench, pointer: TrackerTool) -> None:
-    bench.enable(pointer)
-    bench.enable(robot_frame())
-    bench.send("TSTART 80")
+    bench.track(pointer, robot_frame())
     answer = bench.send("TX 0801")
     places = bench.world.scene.tracker.places
     assert position(answer, 0) == pytest.approx(places[0].translation_mm, abs=1.0)
@@ -77,16 +75,14 @@ def test_the_place_of_a_freed_tool_is_taken_by_the_next(bench: Bench, pointer: T
     bench.enable(pointer)
     bench.enable(pointer)
     bench.send("PHF 01")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     answer = bench.send("TX 0801")
     assert position(answer, 0) == pytest.approx((-150.0, -300.0, -1500.0), abs=1.0)
     assert position(answer, 1) == pytest.approx((-150.0, -100.0, -1500.0), abs=1.0)
 
 
 def test_the_bench_has_three_strays_without_identity(bench: Bench, pointer: TrackerTool) -> None:
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     truth = np.array(bench.world.scene.tracker.strays_mm)
     orders = set()
     for _ in range(30):
@@ -103,31 +99,10 @@ def test_strays_are_seen_only_while_a_tool_makes_the_illuminators_fire(bench: Be
     assert bench.send("TX 1801") == "00" + "00" + "0000"
 
 
-def test_text_and_bytes_of_one_frame_agree(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
-    bench = make_bench(paced=True)
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
-    for _ in range(100):
-        text, raw = bench.send("TX 1801"), bench.raw("BX 1801")
-        number = struct.unpack_from("<I", raw, 6 + 1 + 2 + 36)[0]
-        if frame_number(text) == number:
-            break
-    values = struct.unpack_from("<8f", raw, 6 + 1 + 2)
-    assert position(text) == pytest.approx(values[4:7], abs=0.005)
-    record = text[4:28]
-    quaternion = [float(record[k : k + 6]) / 1e4 for k in range(0, 24, 6)]
-    assert quaternion == pytest.approx(values[:4], abs=5e-5)
-    assert np.linalg.norm(quaternion) == pytest.approx(1.0, abs=1e-3)
-    points = struct.unpack_from("<9f", raw, 6 + 45 - 2 + 2)
-    assert strays(text).ravel() == pytest.approx(points, abs=0.005)
-
-
 def test_each_request_gets_exactly_one_new_frame_of_a_clock_that_waits(
     bench: Bench, pointer: TrackerTool
 ) -> None:
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     began_ns = bench.world.clock.now_ns()
     numbers = [frame_number(bench.send("TX 0001")) for _ in range(60)]
     assert numbers == list(range(1, 61))
@@ -143,8 +118,7 @@ def test_a_paced_clock_gives_sixty_frames_per_second_and_repeats_them(
     moments = [0.0]
     monkeypatch.setattr(bench.world.clock, "now_ns", lambda: round(moments[0] * 1e9))
     bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     answers = []
     for k in range(121):
         moments[0] = k / 120.0 + 1e-4
@@ -159,14 +133,12 @@ def test_a_slower_illuminator_leaves_out_counts(
     bench: Bench, pointer: TrackerTool, rate: str, step: int
 ) -> None:
     bench.send(f"IRATE {rate}")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     assert [frame_number(bench.send("TX 0001")) for _ in range(4)] == [step * k for k in range(1, 5)]
 
 
 def test_only_option_80_sets_the_frame_number_back(bench: Bench, pointer: TrackerTool) -> None:
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     for _ in range(10):
         bench.send("TX 0001")
     bench.send("TSTOP ")
@@ -187,10 +159,7 @@ def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     def record(scene: Scene, skipped: int) -> list[bytes]:
-        bench = make_bench(scene)
-        bench.send("INIT ")
-        bench.enable(pointer)
-        bench.send("TSTART 80")
+        bench = make_bench(scene).ready().track(pointer)
         bench.world.clock.sleep((skipped + 0.5) / 60.0)
         return [bench.raw("BX 1803") for _ in range(20)]
 
@@ -205,10 +174,7 @@ def test_a_frame_that_was_lost_on_the_line_is_given_again(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     def record(lost: int | None) -> list[bytes]:
-        bench = make_bench()
-        bench.send("INIT ")
-        bench.enable(pointer)
-        bench.send("TSTART 80")
+        bench = make_bench().ready().track(pointer)
         heard = []
         for number in range(5):
             if number == lost:
@@ -221,8 +187,7 @@ def test_a_frame_that_was_lost_on_the_line_is_given_again(
 
 
 def test_a_lost_frame_is_not_given_again_when_a_newer_one_is_due(bench: Bench, pointer: TrackerTool) -> None:
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     lost = frame_number(bench.send("TX 0001"))
     bench.world.clock.sleep(1.0)
     bench.send("ECHO INSTEP")
@@ -230,8 +195,7 @@ def test_a_lost_frame_is_not_given_again_when_a_newer_one_is_due(bench: Bench, p
 
 
 def test_tracking_that_starts_anew_gives_no_frame_of_before(bench: Bench, pointer: TrackerTool) -> None:
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     bench.send("TX 0001")
     bench.send("TSTOP ")
     bench.send("ECHO INSTEP")
@@ -240,8 +204,7 @@ def test_tracking_that_starts_anew_gives_no_frame_of_before(bench: Bench, pointe
 
 
 def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerTool) -> None:
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     errors = []
     for _ in range(300):
         raw = bench.raw("BX 0801")
@@ -259,8 +222,7 @@ def test_the_reference_frame_hangs_on_the_arm(make_bench: Callable[..., Bench]) 
     bench = make_bench(scene)
     truth = put_arm(bench)
     bench.send("INIT ")
-    bench.enable(robot_frame())
-    bench.send("TSTART 80")
+    bench.track(robot_frame())
     answer = bench.send("TX 0001")
     assert position(answer) == pytest.approx(truth[:3, 3], abs=1.5)
     quaternion = [float(answer[k : k + 6]) / 1e4 for k in range(4, 28, 6)]
@@ -272,8 +234,7 @@ def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> N
     bench = make_bench(scene)
     put_arm(bench)
     bench.send("INIT ")
-    bench.enable(robot_frame())
-    bench.send("TSTART 80")
+    bench.track(robot_frame())
     answer = bench.send("TX 1801")
     assert "MISSING" not in answer
     tracker_from_ct = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(
@@ -292,8 +253,7 @@ def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
     bench = make_bench(named_scene("mini", seed=4))
     put_arm(bench)
     bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     answer = bench.send("TX 1801")
     assert answer.startswith("0101MISSING00000031")  # the pointer is not in this room
     assert answer.split("\n")[1].startswith("07")
@@ -336,10 +296,7 @@ def test_faults_hide_what_they_name_for_as_long_as_they_last(
 def test_a_tool_behind_the_volume_is_missing_unless_asked_for(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
-    bench = make_bench(at_depth(2500.0))
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench = make_bench(at_depth(2500.0)).ready().track(pointer)
     assert bench.send("TX 0001").startswith("0101MISSING00000071")
     assert position(bench.send("TX 0801"))[2] == pytest.approx(-2500.0, abs=2.0)
     assert bench.send("TX 0803").split("\n")[0][-20:-16] == "5555"
@@ -347,34 +304,3 @@ def test_a_tool_behind_the_volume_is_missing_unless_asked_for(
     bench.send("VSEL 2")
     bench.send("TSTART 80")
     assert "00000031" in bench.send("TX 0001")
-
-
-def test_a_tool_half_out_of_the_volume_says_so(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
-    scene = named_scene("bench")
-    place = scene.tracker.places[0].model_copy(update={"translation_mm": (0.0, 490.0, -1500.0)})
-    tracker = scene.tracker.model_copy(update={"places": (place,)})
-    bench = make_bench(scene.model_copy(update={"tracker": tracker}))
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
-    assert "000000B1" in bench.send("TX 0001")
-
-
-@pytest.mark.parametrize(("turn_deg", "seen"), [(0.0, True), (80.0, True), (100.0, False), (180.0, False)])
-def test_a_tool_that_turns_its_markers_away_is_missing(
-    make_bench: Callable[..., Bench], pointer: TrackerTool, turn_deg: float, seen: bool
-) -> None:
-    scene = at_depth(1500.0)
-    half = np.radians(turn_deg) / 2
-    turned = (float(np.cos(half)), float(np.sin(half)), 0.0, 0.0)
-    place = scene.tracker.places[0].model_copy(update={"quaternion_wxyz": turned})
-    tracker = scene.tracker.model_copy(update={"places": (place,)})
-    bench = make_bench(scene.model_copy(update={"tracker": tracker}))
-    bench.send("INIT ")
-    bench.enable(pointer)
-    bench.send("TSTART 80")
-    answer = bench.send("TX 0803")
-    assert ("MISSING" not in answer) is seen
-    assert answer.split("\n")[0][-20:-16] == ("3333" if seen else "1111")

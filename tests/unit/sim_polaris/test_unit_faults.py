@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def tracked(bench: Bench, pointer: TrackerTool) -> Bench:
-    bench.enable(pointer)
-    assert bench.send("TSTART 80") == "OKAY"
-    return bench
+    return bench.track(pointer)
 
 
 def happen(bench: Bench, *lines: str) -> None:
@@ -89,8 +87,7 @@ def test_a_fault_of_the_hardware_shows_in_every_place_that_tells_of_it(
     assert bench.send("INIT ") == "WARNING01"
     assert value(bench, "Info.Status.Alerts") == str(1 << 5)
     happen(bench)
-    bench.enable(pointer)
-    assert bench.send("TSTART 80") == "OKAY"
+    bench.track(pointer)
     happen(bench, "alert 0")
     bench.send("TX 0801")
     assert value(bench, "Info.Status.New Alerts") == str(1 << 0 | 1 << 5)  # both are news

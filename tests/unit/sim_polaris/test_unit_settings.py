@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -82,21 +82,6 @@ def test_a_second_bump_is_news_again(bench: Bench) -> None:
     assert value(bench, "Info.Status.New Alerts") == str(BUMP)
 
 
-@pytest.mark.parametrize(
-    ("behaviour", "answer"),
-    [({}, "WARNING01"), ({"hardware_fault_at_init": "ERROR15"}, "ERROR15")],
-)
-def test_a_broken_unit_says_so_at_init_and_does_not_track(
-    make_bench: Callable[..., Bench], behaviour: dict[str, Any], answer: str
-) -> None:
-    bench = make_bench(**behaviour)
-    bench.send("INIT ")
-    bench.send(f"SET Param.Simulated Alerts={MAIN_VOLTAGE}")
-    assert bench.send("INIT ") == answer
-    assert bench.send("TSTART 80") == "ERROR12"
-    assert bench.send("SSTAT 0007") == "000002"
-
-
 @pytest.mark.parametrize("line", ["SET Param.Watch Dog Timer=2", "HCWDOG 2"])
 def test_the_watch_dog_stops_tracking_when_the_host_is_silent(
     bench: Bench, pointer: TrackerTool, line: str
@@ -114,8 +99,7 @@ def test_the_watch_dog_stops_tracking_when_the_host_is_silent(
 
 
 def test_the_watch_dog_may_reset_the_unit(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench(watch_dog="reset", reset_s=0.0)
-    bench.send("INIT ")
+    bench = make_bench(watch_dog="reset", reset_s=0.0).ready()
     bench.send("HCWDOG 2")
     bench.world.clock.sleep(1.0)
     assert bench.interpreter.unasked() == b""
@@ -142,11 +126,9 @@ def test_a_beep_may_take_its_time(make_bench: Callable[..., Bench]) -> None:
 
 
 def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
-    bench = make_bench(named_scene("bench-near"), model=VICRA)
-    bench.send("INIT ")
-    for _ in bench.world.scene.tracker.places:
-        handle = bench.enable(pointer)
-        bench.send("TSTART 80")
+    bench = make_bench(named_scene("bench-near"), model=VICRA).ready()
+    for handle, _ in enumerate(bench.world.scene.tracker.places, start=1):
+        bench.track(pointer)
         tool, strays = bench.send("TX 1001").split("\n")
         assert tool.startswith(f"01{handle:02X}+")
         assert strays.startswith("030")
@@ -155,8 +137,7 @@ def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], poin
 
 
 def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
-    bench = make_bench(model=VICRA)
-    assert bench.send("INIT ") == "OKAY"
+    bench = make_bench(model=VICRA).ready()
     assert bench.send("VER 4").split("\n") == [
         "Polaris Vicra Control Firmware",
         "NDI S/N: P6-00042",
@@ -175,7 +156,6 @@ def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTo
     assert bench.send("IRATE 1") == "ERROR23"
     assert bench.send("IRATE 0") == "OKAY"
     assert bench.send("PHRQ *********001**") == "ERROR2F"
-    bench.enable(pointer)
-    bench.send("TSTART 80")
+    bench.track(pointer)
     assert bench.send("TX 0001").startswith("0101MISSING00000071")  # 1.5 m is behind its volume
     assert bench.send("TX 0801").startswith("0101+")

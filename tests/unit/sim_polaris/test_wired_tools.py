@@ -38,9 +38,7 @@ def two_wired(make_bench: Callable[..., Bench], pointer: TrackerTool) -> Bench:
     sockets = WiredPorts(SOCKETS)
     sockets.add(WiredTool.from_definition(wired_definition(pointer), 1, USER_BYTES))
     sockets.add(WiredTool(None, bytearray(USER_BYTES)))
-    bench = make_bench(wired=sockets)
-    assert bench.send("INIT ") == "OKAY"
-    return bench
+    return make_bench(wired=sockets).ready()
 
 
 def test_plugged_tools_have_handles_after_init(two_wired: Bench) -> None:
