@@ -11,7 +11,6 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 
 PROJECT_PORT = 54602  # EKI gives a KR C4 the ports 54600 to 54615; 54600 is the control SDK's
-SDK_PORT = 54600
 STATE_PERIOD_MS = 100
 
 CMD = "Cmd"

@@ -30,7 +30,7 @@ def _runs(pid: int) -> bool:
     return status.rpartition(")")[2].split()[0] != "Z"
 
 
-@pytest.mark.parametrize("lifetime_s", [0.0, 0.03, 0.1, 0.3])
+@pytest.mark.parametrize("lifetime_s", [0.0, 0.1])
 @pytest.mark.parametrize("device", ["polaris", "theatre"])
 def test_a_simulator_ends_and_says_why_when_its_parent_dies_while_it_starts(
     device: str, lifetime_s: float, tmp_path: Path

@@ -100,32 +100,6 @@ def test_a_fault_of_the_unit_latches_and_recover_leads_back_to_tracking(
     assert any(sees(tracker.read_frame()) for _ in range(5))
 
 
-@pytest.mark.hazard(15)
-@pytest.mark.parametrize("fault", ["cold", "hot"])
-def test_a_wrong_temperature_holds_until_it_is_right(
-    world: World, tracker: PolarisTracker, fault: str
-) -> None:
-    happen(world, f"{fault} for {LASTS_S} s")
-    assert isinstance(first_trouble(tracker), errors.TemperatureHold)
-    assert tracker.state is Lifecycle.HOLD
-    world.clock.sleep(LASTS_S)
-    frames = [frame for frame in (read_or_none(tracker) for _ in range(5)) if frame is not None]
-    assert sees(frames[-1])
-    assert tracker.state is Lifecycle.ACTIVE
-
-
-@pytest.mark.hazard(15)
-def test_a_hardware_fault_that_lasts_refuses_the_recovery(world: World, tracker: PolarisTracker) -> None:
-    happen(world, f"alert 2 for {LASTS_S} s")
-    first_trouble(tracker)
-    with pytest.raises(errors.HardwareFailure):
-        tracker.recover("tester", timeout_s=100.0)
-    assert tracker.state is Lifecycle.FAULT
-    world.clock.sleep(LASTS_S)
-    tracker.recover("tester", timeout_s=100.0)
-    assert tracker.state is Lifecycle.CONFIGURED
-
-
 @pytest.mark.hazard(14)
 @pytest.mark.parametrize(
     ("fault", "validity"),
@@ -175,13 +149,6 @@ def test_a_unit_without_power_is_found_again_when_it_is_back(world: World, track
     tracker.recover("tester", timeout_s=100.0)
     tracker.activate()
     assert sees(tracker.read_frame())
-
-
-def read_or_none(tracker: PolarisTracker) -> TrackerFrame | None:
-    try:
-        return tracker.read_frame()
-    except errors.TemperatureHold:
-        return None
 
 
 def test_a_unit_held_up_by_its_computer_measures_what_it_would_have_measured(

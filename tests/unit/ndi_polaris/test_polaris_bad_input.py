@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 import serial
+from polaris_unit_in_process import bring_up
 
 from drivers.ndi_polaris import PolarisTracker, errors
 from drivers.ndi_polaris.rom.definition import definition_hash, encode_definition
@@ -156,10 +157,7 @@ def test_a_program_that_hangs_up() -> None:
 def test_a_unit_that_an_earlier_program_left_tracking_is_taken_over(make_tracker: Make, unit: Any) -> None:
     unit.initialised = unit.tracking = True
     unit.handles[1] = {"occupied", "initialised", "enabled"}
-    device = make_tracker()
-    device.connect()
-    device.configure()
-    device.activate()
+    device = bring_up(make_tracker())
     assert [reading.tool for reading in device.read_frame().tools] == ["robot_frame"]
 
 

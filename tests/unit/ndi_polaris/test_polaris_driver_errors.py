@@ -87,21 +87,6 @@ def test_a_lost_link_latches_a_fault(tracker: PolarisTracker, unit: Any) -> None
     assert tracker.fault is caught.value
 
 
-def test_a_restarted_unit_latches_a_fault_and_a_recovery_makes_a_new_session(
-    tracker: PolarisTracker, unit: Any
-) -> None:
-    unit.restart()
-    unit.unit_baud = unit.baud
-    with pytest.raises(errors.UnitRestarted):
-        tracker.read_frame()
-    assert tracker.state is Lifecycle.FAULT
-    unit.restart()
-    tracker.recover("tester")
-    assert tracker.state is Lifecycle.CONFIGURED
-    tracker.activate()
-    assert tracker.read_frame().tool("robot_frame").position_mm
-
-
 def test_tracking_that_stopped_by_itself_is_a_restart(tracker: PolarisTracker, unit: Any) -> None:
     unit.tracking = False
     with pytest.raises(errors.UnitRestarted, match="no longer tracking"):
