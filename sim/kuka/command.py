@@ -74,14 +74,15 @@ def kuka(
     from sim.kuka.controller.autostart import Autostart
     from sim.kuka.controller.controller import Controller
     from sim.kuka.controller.cycle_loop import CycleLoop
-    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, changed_parameters, parameter_rows
+    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters, changed_parameters
     from sim.kuka.eki.server import EkiServer
     from sim.kuka.rsi.rsi_socket import resolve
     from sim.kuka.rsi.telegram_writer import TelegramWriter
+    from sim.named_parameters import rows
     from sim.theatre.process import announce, end_with_parent, open_world
 
     if list_parameters:
-        for name, value, meaning in parameter_rows():
+        for name, value, meaning in rows(ControllerParameters):
             typer.echo(f"{name}={value}  {meaning}")
         return
     parameters = changed_parameters(parameter or ())

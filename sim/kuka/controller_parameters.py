@@ -7,18 +7,11 @@ chooses one.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 from sim.kuka.errors import UnknownParameter
-
-
-@dataclass(frozen=True)
-class Most:
-    """The largest value that a parameter may have."""
-
-    value: float
+from sim.named_parameters import Most, changed
 
 
 @dataclass(frozen=True)
@@ -136,51 +129,7 @@ class ControllerParameters:
 
 def changed_parameters(assignments: Iterable[str]) -> ControllerParameters:
     """The parameters with some set by `NAME=VALUE`; raises KRC-003 for an unknown name or a wrong value."""
-    values: dict[str, Any] = {}
-    kinds = _kinds()
-    for assignment in assignments:
-        name, _, text = assignment.partition("=")
-        if name not in kinds:
-            alike = " or ".join(get_close_matches(name, kinds)) or None
-            raise UnknownParameter(f"the controller has no parameter {name!r}", expected=alike)
-        values[name] = _value(name, text, *kinds[name])
-    return replace(ControllerParameters(), **values)
-
-
-def parameter_rows() -> list[tuple[str, str, str]]:
-    """Name, best estimate and meaning of each parameter, with the values of an enumeration."""
-    kinds = _kinds()
-    rows = []
-    for entry in fields(ControllerParameters):
-        kind, meaning, *_ = kinds[entry.name]
-        choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
-        rows.append((entry.name, str(entry.default).lower(), meaning + choices))
-    return rows
-
-
-def _kinds() -> dict[str, tuple[Any, ...]]:
-    """Type, meaning and, where there is one, the largest value of each parameter."""
-    hints = get_type_hints(ControllerParameters, include_extras=True)
-    return {entry.name: get_args(hints[entry.name]) for entry in fields(ControllerParameters)}
-
-
-def _value(name: str, text: str, kind: Any, _meaning: str, most: Most | None = None) -> Any:
-    choices = {"true": True, "false": False} if kind is bool else {item: item for item in get_args(kind)}
-    if choices:
-        if text not in choices:
-            raise UnknownParameter(f"{name} cannot be {text!r}", expected=" or ".join(choices))
-        return choices[text]
-    try:
-        value = kind(text)
-    except ValueError:
-        raise UnknownParameter(f"{name} cannot be {text!r}", expected=f"a {kind.__name__}") from None
-    may_be_zero = getattr(ControllerParameters, name) == 0
-    largest = most.value if most is not None else float("inf")
-    if not (value > 0 or (may_be_zero and value == 0)) or not value <= largest or value == float("inf"):
-        least = "of at least 0" if may_be_zero else "above 0"
-        up_to = f", at most {largest:g}" if most is not None else ""
-        raise UnknownParameter(f"{name} cannot be {text}", expected=f"a number {least}{up_to}")
-    return value
+    return changed(ControllerParameters(), assignments, UnknownParameter)
 
 
 IPO_FAST_S = 0.004  # cycle of #IPO_FAST, in which the drives work before a program sets another

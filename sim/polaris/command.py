@@ -42,21 +42,22 @@ def polaris(
     """Simulate an NDI Polaris Spectra or Vicra, for any client, until terminated."""
     import gc
 
+    from sim.named_parameters import rows
     from sim.polaris.line.interpreter import CommandInterpreter
     from sim.polaris.line.pseudo_terminal import PseudoTerminal
     from sim.polaris.line.server import EndSignal, Server, listen, network_address
     from sim.polaris.tools.wired_tools import plugged_in
-    from sim.polaris.unit.behaviour import UnitBehaviour, parameter_rows
+    from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
     from sim.polaris.unit.model import UNIT_MODELS
     from sim.polaris.unit.unit import Unit
     from sim.theatre.process import announce, end_with_parent, open_world
 
     if list_parameters:
-        for name, value, meaning in parameter_rows():
+        for name, value, meaning in rows(UnitBehaviour):
             typer.echo(f"{name}={value}  {meaning}")
         return
     address = None if endpoint == SERIAL_PTY else network_address(endpoint)
-    behaviour = UnitBehaviour.with_settings(setting or [])
+    behaviour = changed_behaviour(setting or [])
     kind = UNIT_MODELS[model.value]
     tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     if scene == "bench" and model is ModelName.VICRA:

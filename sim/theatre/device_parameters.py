@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from sim.errors import BadDeviceParameter
 from sim.kuka.controller_parameters import changed_parameters
-from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.polaris.unit.behaviour import changed_behaviour
 
 COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by the names that fault scripts use
 
@@ -26,5 +26,5 @@ def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
         name = COMMANDS[device]
         found[name] = (*found.get(name, ()), assignment)
     changed_parameters(found.get("kuka", ()))
-    UnitBehaviour.with_settings(list(found.get("polaris", ())))
+    changed_behaviour(found.get("polaris", ()))
     return found

@@ -33,7 +33,8 @@ from procedures.steps.catalogue import CLINICAL_STEPS
 from ronna_hw.config import TheatreFile
 from ronna_hw.conformance import robot, stereo, tracker
 from ronna_hw.errors import RonnaError, concrete_errors
-from sim.polaris.unit.behaviour import parameter_rows
+from sim.named_parameters import rows
+from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.theatre.faults import FAULT_KINDS
 from sim.theatre.scene.model import Scene
 
@@ -63,7 +64,7 @@ def tables() -> dict[str, str]:
         "stereo-options.md": model_tables({"Options": BaslerOptions}),
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
-        "tracker-parameters.md": parameter_table(parameter_rows()),
+        "tracker-parameters.md": parameter_table(rows(UnitBehaviour)),
     }
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from data_files import REFERENCE, read_rows
 from page_tables import table
 
-from sim.kuka.controller_parameters import parameter_rows
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.named_parameters import rows
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def robot_parameters() -> str:
     return (
         table(("", "open question", "set by"), questions)
         + "\n## Parameters\n\n"
-        + parameter_table(parameter_rows())
+        + parameter_table(rows(ControllerParameters))
     )
 
 

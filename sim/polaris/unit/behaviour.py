@@ -6,15 +6,13 @@ The defaults are best estimates. A driver must work with every alternative; choo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
-from enum import IntEnum
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
+from sim.named_parameters import changed
 from sim.polaris.errors import BadUnitParameter
 from sim.polaris.unit.refusal import ErrorCode
-
-ON_WORDS, OFF_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,52 +158,7 @@ class UnitBehaviour:
     user_memory_bytes: Annotated[int, "Size of the user area of a wired tool's memory."] = 1024
     line_separation_mm: Annotated[float, "Line separation that 3D reports for every marker."] = 0.05
 
-    @classmethod
-    def with_settings(cls, settings: list[str]) -> UnitBehaviour:
-        """The defaults with some parameters set by `name=value`; raises PSU-001."""
-        kinds = _kinds()
-        values: dict[str, Any] = {}
-        for setting in settings:
-            name, equals, text = setting.partition("=")
-            if name not in kinds:
-                alike = ", ".join(get_close_matches(name, kinds)) or None
-                raise BadUnitParameter(f"unknown parameter {name!r}", expected=alike)
-            if not equals:
-                raise BadUnitParameter(f"{name} has no value", expected=f"{name}=VALUE")
-            values[name] = _value(name, kinds[name][0], text)
-        return replace(cls(), **values)
 
-
-def parameter_rows() -> list[tuple[str, str, str]]:
-    """(name, default, meaning) of each parameter, with the values of an enumeration."""
-    rows = []
-    kinds = _kinds()
-    for entry in fields(UnitBehaviour):
-        kind, meaning = kinds[entry.name]
-        default: Any = entry.default
-        text = f"{int(default):02X}" if isinstance(default, IntEnum) else str(default).lower()
-        choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
-        rows.append((entry.name, default if get_origin(kind) is Literal else text, meaning + choices))
-    return rows
-
-
-def _kinds() -> dict[str, tuple[Any, str]]:
-    """Type and meaning of each parameter."""
-    hints = get_type_hints(UnitBehaviour, include_extras=True)
-    return {entry.name: get_args(hints[entry.name]) for entry in fields(UnitBehaviour)}
-
-
-def _value(name: str, kind: Any, text: str) -> Any:
-    if get_origin(kind) is Literal:
-        if text in get_args(kind):
-            return text
-        raise BadUnitParameter(f"{name} is {text!r}", expected=", ".join(get_args(kind)))
-    if kind is bool:
-        if text.lower() in ON_WORDS + OFF_WORDS:
-            return text.lower() in ON_WORDS
-        raise BadUnitParameter(f"{name} is {text!r}", expected="true or false")
-    try:
-        return ErrorCode(int(text, 16)) if kind is ErrorCode else kind(text)
-    except ValueError as error:
-        expected = "an error code of two hexadecimal digits" if kind is ErrorCode else "a number"
-        raise BadUnitParameter(f"{name} is {text!r}", expected=expected) from error
+def changed_behaviour(assignments: Iterable[str]) -> UnitBehaviour:
+    """The defaults with some parameters set by `NAME=VALUE`; raises PSU-001."""
+    return changed(UnitBehaviour(), assignments, BadUnitParameter)

@@ -25,15 +25,15 @@ def test_parameters_are_set_by_name() -> None:
     [
         ("lag=1", "no parameter 'lag'"),
         ("lag_s", "lag_s cannot be ''"),
-        ("lag_s=-1", "lag_s cannot be -1"),
-        ("lag_s=nan", "lag_s cannot be nan"),
-        ("lag_s=0", "lag_s cannot be 0; expected a number above 0"),
-        ("delay_lag_cycles=-1", "delay_lag_cycles cannot be -1; expected a number of at least 0"),
-        ("reply_window=1.5", "reply_window cannot be 1.5; expected a number above 0, at most 1"),
+        ("lag_s=-1", "lag_s cannot be '-1'"),
+        ("lag_s=nan", "lag_s cannot be 'nan'"),
+        ("lag_s=0", "lag_s cannot be '0'; expected a number above 0"),
+        ("delay_lag_cycles=-1", "delay_lag_cycles cannot be '-1'; expected a whole number of at least 0"),
+        ("reply_window=1.5", "reply_window cannot be '1.5'; expected a number above 0, at most 1"),
         ("inverted_status=8", "at most 7"),
         ("dead_time_cycles=1.5", "dead_time_cycles cannot be '1.5'"),
         ("timeout_counting=some", "timeout_counting cannot be 'some'"),
-        ("streams_after_stop=1", "streams_after_stop cannot be '1'"),
+        ("streams_after_stop=perhaps", "streams_after_stop cannot be 'perhaps'; expected true or false"),
     ],
 )
 def test_a_wrong_parameter_is_refused_with_what_may_stand_there(assignment: str, told: str) -> None:

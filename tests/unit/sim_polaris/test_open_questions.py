@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from ronna_hw.wire.polaris import ReplyOption, SystemStatus
+from sim.named_parameters import rows
 from sim.polaris.errors import BadUnitParameter
 from sim.polaris.measurement.frame import Frame, Stray
 from sim.polaris.replies.bx import binary_body
 from sim.polaris.replies.tx import text_reply
-from sim.polaris.unit.behaviour import UnitBehaviour, parameter_rows
+from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
 from sim.polaris.unit.refusal import ErrorCode
 from sim.theatre.scene.model import TrackerTool
 
@@ -132,15 +133,15 @@ def test_a_serial_number_may_be_told_byte_by_byte(
 
 
 def test_every_parameter_has_a_meaning_and_can_be_set_by_its_name() -> None:
-    rows = parameter_rows()
-    assert [name for name, _, _ in rows] == [entry.name for entry in fields(UnitBehaviour)]
-    assert all(len(meaning) > len(name) for name, _, meaning in rows)
-    assert UnitBehaviour.with_settings([f"{name}={value}" for name, value, _ in rows]) == UnitBehaviour()
+    listed = rows(UnitBehaviour)
+    assert [name for name, _, _ in listed] == [entry.name for entry in fields(UnitBehaviour)]
+    assert all(len(meaning) > len(name) for name, _, meaning in listed)
+    assert changed_behaviour([f"{name}={value}" for name, value, _ in listed]) == UnitBehaviour()
 
 
 def test_parameters_are_set_by_text() -> None:
     settings = ["enforces_line=no", "bad_definition=40", "watch_dog=reset", "reset_s=2.5"]
-    chosen = UnitBehaviour.with_settings(settings)
+    chosen = changed_behaviour(settings)
     assert not chosen.enforces_line
     assert chosen.bad_definition is ErrorCode.DEFINITION_CORRUPT
     assert (chosen.watch_dog, chosen.reset_s) == ("reset", 2.5)
@@ -150,8 +151,8 @@ def test_parameters_are_set_by_text() -> None:
     ("setting", "said"),
     [
         ("weak_dog=reset", "watch_dog"),
-        ("watch_dog=bark", "stop, reset"),
-        ("watch_dog", "no value"),
+        ("watch_dog=bark", "stop or reset"),
+        ("watch_dog", "stop or reset"),
         ("enforces_line=perhaps", "true or false"),
         ("bad_definition=99", "error code"),
         ("reset_s=soon", "a number"),
@@ -159,5 +160,5 @@ def test_parameters_are_set_by_text() -> None:
 )
 def test_a_wrong_setting_is_named(setting: str, said: str) -> None:
     with pytest.raises(BadUnitParameter, match=said) as refused:
-        UnitBehaviour.with_settings([setting])
+        changed_behaviour([setting])
     assert refused.value.code == "PSU-001"

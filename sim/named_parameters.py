@@ -1,0 +1,86 @@
+"""Parameters of a simulated device that are set by NAME=VALUE: fields of a frozen dataclass.
+
+Each field is annotated with its meaning and, where there is one, its largest value. A number that is 0 by
+default may be 0; every other one is above it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from enum import IntEnum
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from ronna_hw.errors import ConfigurationError
+
+Parameters = TypeVar("Parameters")
+TRUE_WORDS, FALSE_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
+
+
+@dataclass(frozen=True)
+class Most:
+    """The largest value that a parameter may have."""
+
+    value: float
+
+
+def changed(
+    defaults: Parameters, assignments: Iterable[str], refusal: type[ConfigurationError]
+) -> Parameters:
+    """The parameters with some set by `NAME=VALUE`; raises `refusal` for an unknown name or a wrong value."""
+    values: dict[str, Any] = {}
+    kinds = _kinds(type(defaults))
+    for assignment in assignments:
+        name, _, text = assignment.partition("=")
+        if name not in kinds:
+            alike = " or ".join(get_close_matches(name, kinds)) or None
+            raise refusal(f"there is no parameter {name!r}", expected=alike)
+        kind, _, *most = kinds[name]
+        value, expected = _value(kind, text, getattr(defaults, name), most)
+        if value is None:
+            raise refusal(f"{name} cannot be {text!r}", expected=expected)
+        values[name] = value
+    return replace(defaults, **values)  # type: ignore[type-var]
+
+
+def rows(parameters: type) -> list[tuple[str, str, str]]:
+    """(name, default, meaning) of each parameter, with the values of an enumeration."""
+    found = []
+    for name, (kind, meaning, *_) in _kinds(parameters).items():
+        default: Any = getattr(parameters, name)
+        text = f"{int(default):02X}" if isinstance(default, IntEnum) else str(default)
+        choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
+        found.append((name, text if choices else text.lower(), meaning + choices))
+    return found
+
+
+def _kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:
+    """Type, meaning and, where there is one, the largest value of each parameter."""
+    hints = get_type_hints(parameters, include_extras=True)
+    return {entry.name: get_args(hints[entry.name]) for entry in fields(parameters)}
+
+
+def _value(kind: Any, text: str, default: Any, most: list[Most]) -> tuple[Any, str]:
+    """The value, None for a wrong text, and what was expected."""
+    if get_origin(kind) is Literal:
+        return (text if text in get_args(kind) else None), " or ".join(get_args(kind))
+    if kind is bool:
+        word = text.lower()
+        return (word in TRUE_WORDS if word in TRUE_WORDS + FALSE_WORDS else None), "true or false"
+    if kind is str:
+        return text or None, "a text"
+    coded = issubclass(kind, IntEnum)
+    largest = most[0].value if most else math.inf
+    least = "of at least 0" if default == 0 else "above 0"
+    expected = f"{'a whole number' if kind is int else 'a number'} {least}"
+    expected += f", at most {largest:g}" if most else ""
+    expected = "an error code of two hexadecimal digits" if coded else expected
+    try:
+        value = kind(int(text, 16)) if coded else kind(text)
+    except ValueError:
+        return None, expected
+    least_met = value > 0 or (default == 0 and value == 0)
+    in_range = coded or (least_met and value <= largest and value < math.inf)
+    return (value if in_range else None), expected
