@@ -52,7 +52,6 @@ class Camera:
         self._trigger: Command | None = None
         self.area = AreaOfInterest(0, 0, 0, 0)
         self.tick_frequency_hz = gev.TICK_FREQUENCY_HZ
-        self.late_frames = 0
         self.lost: RonnaError | None = None  # set by the heartbeat
         self.notices: list[str] = []
 
@@ -198,7 +197,6 @@ class Camera:
             if self._next_block is None or frame.block_id == self._next_block:
                 self._next_block = following(frame.block_id)
                 return frame
-            self.late_frames += 1
         return None
 
     def check_control(self, deadline_s: float) -> None:
