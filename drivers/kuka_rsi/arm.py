@@ -25,9 +25,8 @@ from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.line_target import LineTarget, tool_in_flange
-from ronna_hw.arm.motion.planning import TOOL_Z, MotionPlan, plan_along_tool, plan_joint_move, plan_line
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.motion.line_target import LineTarget
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
@@ -39,7 +38,6 @@ from ronna_hw.devices.readings import (
     JointVector,
     LinkStatistics,
     ToolIdentity,
-    Vector3,
 )
 from ronna_hw.devices.robot import StopKind
 from ronna_hw.errors import RonnaError
@@ -266,11 +264,6 @@ class KukaRsiArm:
             return link_statistics(NO_STATE, ())
         return link_statistics(link.state, link.histogram(), link.jitter_histogram())
 
-    @property
-    def degraded(self) -> bool:
-        """Whether the arm goes slower because cycles were lost."""
-        return self._connections.open_link is not None and self._connections.open_link.state.degraded
-
     # Motion
 
     def move_joints(
@@ -295,29 +288,6 @@ class KukaRsiArm:
             return plan_line(self._kinematics, start_rad, line.flange, limits, line.point_in_flange_mm)
 
         return self._move("move_linear", plan, speed_fraction, timeout_s)
-
-    def move_along_tool(
-        self,
-        distance_mm: float,
-        *,
-        flange_from_tool: Transform | None = None,
-        axis: Vector3 = TOOL_Z,
-        speed_fraction: float = 1.0,
-        timeout_s: float = 60.0,
-    ) -> ArmReading:
-        """Straight on along an axis of the tool, orientation kept: an approach, or, negative, a retreat.
-
-        Raises as `move_linear`.
-        """
-
-        tool = Pose()
-        if flange_from_tool is not None:
-            tool = Pose.from_matrix(tool_in_flange(flange_from_tool).as_matrix().tolist())
-
-        def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
-            return plan_along_tool(self._kinematics, start_rad, distance_mm, limits, tool, axis)
-
-        return self._move("move_along_tool", plan, speed_fraction, timeout_s)
 
     def preview(
         self,

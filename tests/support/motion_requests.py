@@ -20,7 +20,7 @@ from ronna_hw.arm.clearance.swept_path import sweep_path
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.motion.planning import MotionPlan, plan_along_tool, plan_joint_move, plan_line
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
 from ronna_hw.arm.motion.speed_zones import with_speed_steps
 from ronna_hw.arm.pose import Pose
@@ -100,7 +100,7 @@ def _follow(rng: random.Random, found: Driven, plan: MotionPlan, start: JointVec
             found.trusted_path = rng.random() >= UNTRUSTED_PATHS
             if not found.trusted_path:
                 motion = StopMotion(state_from_history(monitor.history_rad, CYCLE_S), limits, CYCLE_S)
-                found.left_its_way = not motion.stays_on_way and monitor.last_rad != start
+                found.left_its_way = motion._halt is None and monitor.last_rad != start
                 prepared = motion.prepare()
             found.stop_predicted_s, found.rest_predicted_rad = motion.predicted_stop()
         stopping = 0 <= stop_at <= cycle
@@ -153,7 +153,9 @@ def _request(rng: random.Random, start: JointVector, limits: MotionLimits) -> Mo
         turned = flange.compose(Pose.from_kuka(0, 0, 0, *(rng.gauss(0, 12) for _ in range(3))))
         goal = Pose((x + rng.gauss(0, 60), y + rng.gauss(0, 60), z + rng.gauss(0, 60)), turned.rotation)
         return plan_line(MODEL, start, goal, limits, TOOL.position_mm)
-    return plan_along_tool(MODEL, start, rng.uniform(-120, 120), limits, TOOL)
+    tool = MODEL.forward(start).compose(TOOL)
+    along = Pose(tool.apply((0.0, 0.0, rng.uniform(-120, 120))), tool.rotation)
+    return plan_line(MODEL, start, along.compose(TOOL.inverse()), limits, TOOL.position_mm)
 
 
 def _beside(rng: random.Random, start: JointVector) -> JointVector:

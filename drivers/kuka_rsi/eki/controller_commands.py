@@ -1,4 +1,4 @@
-"""Everything on the EKI channel that is neither motion nor the RSI stream: tool, base, override, program."""
+"""Everything on the EKI channel that is neither motion nor the RSI stream: tool, base, override."""
 
 from __future__ import annotations
 
@@ -46,14 +46,6 @@ class ControllerCommands:
     def set_override(self, percent: int, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         """Program override, 1..100; corrections by RSI are not scaled by it."""
         self._give(CommandName.SET_OV, timeout_s, Val=percent)
-
-    def select_program(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Select the RSI program without starting it."""
-        self._give(CommandName.SELECT, timeout_s)
-
-    def cancel_program(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Cancel whatever program is selected."""
-        self._give(CommandName.CANCEL, timeout_s)
 
     def _give(self, command: CommandName, timeout_s: float, **values: object) -> None:
         self._guard.require(f"controller {command}", AT_REST)

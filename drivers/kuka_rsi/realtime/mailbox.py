@@ -32,7 +32,6 @@ RECORDER_CYCLES = 256
 LONGEST_SURROUNDINGS_BYTES = 24_000
 READ_TRIES = 100  # a writer is in the block for about 2 us
 STOP_KIND_BITS = 3
-STOP_KIND_MASK = (1 << STOP_KIND_BITS) - 1
 NO_JOINTS: JointVector = (0.0,) * 6  # of a command that moves nothing
 NO_STEP = SpeedStep(0.0, 0.0)
 
@@ -90,11 +89,6 @@ class Mailbox:
         mailbox = Mailbox(fd)
         mailbox.write_state(NO_STATE)
         mailbox.close()
-
-    @property
-    def is_ours(self) -> bool:
-        """Whether the memory carries our mark."""
-        return _MAP.is_marked(self._memory)
 
     def close(self) -> None:
         """Let go of the memory."""

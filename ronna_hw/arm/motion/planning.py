@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cbrt, ceil, degrees, hypot, inf, pi, radians, sqrt
+from math import cbrt, ceil, degrees, pi, radians, sqrt
 
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics
@@ -21,7 +21,6 @@ SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples th
 LEAST_SAMPLES = 16  # enough for the second differences of a short line
 LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; any slower is too close to a singularity
 PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is for stops that know only set-points
-TOOL_Z: Vector3 = (0.0, 0.0, 1.0)  # along which tools approach
 STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
 
 
@@ -127,41 +126,6 @@ def plan_line(
             got=f"{allowed.velocity / asked.velocity:.2%}",
         )
     return MotionPlan(start_rad, points[-1], allowed, target, tool_in_flange_mm)
-
-
-def plan_along_tool(
-    kinematics: Kinematics,
-    start_rad: JointVector,
-    distance_mm: float,
-    limits: MotionLimits,
-    flange_from_tool: Pose,
-    axis: Vector3 = TOOL_Z,
-) -> MotionPlan:
-    """A straight line along an axis of the tool, orientation kept: an approach, or, negative, a retreat.
-
-    Raises as `pose_along_tool` and `plan_line`.
-    """
-    goal = pose_along_tool(kinematics, start_rad, distance_mm, flange_from_tool, axis)
-    return plan_line(kinematics, start_rad, goal, limits, flange_from_tool.position_mm)
-
-
-def pose_along_tool(
-    kinematics: Kinematics,
-    start_rad: JointVector,
-    distance_mm: float,
-    flange_from_tool: Pose,
-    axis: Vector3 = TOOL_Z,
-) -> Pose:
-    """The flange's pose after the tool has moved `distance_mm` along `axis` (tool frame, any length).
-
-    Raises ARM-006 for an axis without direction.
-    """
-    length = hypot(*axis)
-    if not STANDSTILL_RAD < length < inf:
-        raise MotionInvalid("the tool axis has no direction", got=repr(axis))
-    x, y, z = (distance_mm * part / length for part in axis)
-    tool = kinematics.forward(start_rad).compose(flange_from_tool)
-    return Pose(tool.apply((x, y, z)), tool.rotation).compose(flange_from_tool.inverse())
 
 
 def _scaled(travel: list[float], limits: MotionLimits) -> PathLimits:

@@ -7,7 +7,7 @@ is left to compute, and a stop is never a jump.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfiler, State
@@ -24,25 +24,6 @@ class Prepared(NamedTuple):
 
     go_rad: JointVector
     stop_rad: JointVector
-
-
-class Motion(Protocol):
-    """A source of set-points. `finished` when the last one has been taken."""
-
-    @property
-    def finished(self) -> bool: ...
-
-    def prepare(self) -> Prepared:
-        """The next set-points; raises an error of `ronna_hw.arm.errors` when a path has no solution."""
-        ...
-
-    def take_go(self) -> None:
-        """The go point was sent."""
-        ...
-
-    def take_stop(self) -> None:
-        """The stop point was sent; from now on both points are those of the stop."""
-        ...
 
 
 class PathMotion:
@@ -71,24 +52,22 @@ class PathMotion:
         """Whether it was stopped before its end."""
         return self._along.stopping
 
-    @property
-    def progress(self) -> float:
-        """Path parameter of the last point taken, 0..1."""
-        return self._along.state.position[0]
-
     def prepare(self) -> Prepared:
+        """The next set-points; raises an error of `ronna_hw.arm.errors` when the path has no solution."""
         go, stop = self._along.prepare()
         go_rad = self._at(go)
         self._next = Prepared(go_rad, go_rad if stop is go else self._at(stop))
         return self._next
 
     def take_go(self) -> None:
+        """The go point was sent."""
         if self._next is not None:
             self._along.take_go()
             self._joints = self._next.go_rad
             self._next = None
 
     def take_stop(self) -> None:
+        """The stop point was sent; from now on both points are those of the stop."""
         if self._next is not None:
             self._along.take_stop()
             self._joints = self._next.stop_rad
@@ -133,11 +112,6 @@ class StopMotion:
             else:
                 self._halt = None
         self._time_s = 0.0
-
-    @property
-    def stays_on_way(self) -> bool:
-        """Whether the joints brake together."""
-        return self._halt is not None
 
     @property
     def finished(self) -> bool:

@@ -9,7 +9,7 @@ that depends on the number of the motion, and on nothing else.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, exp, radians, sin
+from math import cos, exp, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,8 +92,3 @@ class TrueArm:
         angles[1] += self._sag_rad[0] * stretch
         angles[2] += self._sag_rad[1] * fore
         return angles
-
-
-def in_radians(angles_deg: Sequence[float]) -> list[float]:
-    """Angles in radians."""
-    return [radians(angle) for angle in angles_deg]

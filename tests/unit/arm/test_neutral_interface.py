@@ -63,7 +63,7 @@ def test_every_solution_reaches_the_pose_and_the_true_one_is_among_them(
     arm: Kinematics,
 ) -> None:
     seen = set()
-    for joints in _postures(arm, 200, 1):
+    for joints in _postures(arm, 1000, 1):
         pose = arm.forward(joints)
         found = arm.solutions(pose)
         assert _largest_difference(nearest(found, joints).joints_rad, joints) < 1e-6

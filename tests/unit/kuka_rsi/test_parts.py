@@ -54,8 +54,7 @@ def mailbox() -> Iterator[Mailbox]:
 # Mailbox
 
 
-def test_a_fresh_mailbox_is_ours_and_says_starting(mailbox: Mailbox) -> None:
-    assert mailbox.is_ours
+def test_a_fresh_mailbox_says_starting(mailbox: Mailbox) -> None:
     assert mailbox.read_state() == NO_STATE
     assert mailbox.read_command() is None
     assert mailbox.orders() == Orders(0, 0, 0)
@@ -190,3 +189,5 @@ def test_every_fault_and_every_refusal_has_words() -> None:
     for result in Result:
         if result.name.startswith("REFUSED"):
             assert "arm" in str(error_of_refusal("arm", NO_STATE._replace(result=result)))
+    busy = error_of_refusal("arm", NO_STATE._replace(result=Result.REFUSED_BUSY))
+    assert (busy.code, "another motion is running" in str(busy)) == ("RSI-012", True)

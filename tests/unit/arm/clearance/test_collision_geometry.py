@@ -44,6 +44,11 @@ def _capsule(rng: random.Random) -> Capsule:
     return Capsule(start, _point(rng), rng.uniform(1, 60))
 
 
+def gap_mm(a: Capsule, b: Capsule) -> float:
+    """Of the two surfaces; negative when they overlap."""
+    return segment_distance_mm(a.start_mm, a.end_mm, b.start_mm, b.end_mm) - a.radius_mm - b.radius_mm
+
+
 def _coal_distance(a: Capsule, b: Capsule) -> float:
     """Of the bare axes, by thin capsules in metres would lose digits: radius 1 mm, added again."""
     shapes = []
@@ -94,14 +99,6 @@ def test_both_formulas_give_one_distance() -> None:
     batch = segment_distances(*columns)
     one_by_one = [gap_mm(a, b) + a.radius_mm + b.radius_mm for a, b in pairs]
     assert np.allclose(batch, one_by_one, atol=1e-7)
-
-
-def test_the_distance_does_not_depend_on_order_or_direction() -> None:
-    rng = random.Random(3)
-    for _ in range(500):
-        a, b = _capsule(rng), _capsule(rng)
-        turned = Capsule(b.end_mm, b.start_mm, b.radius_mm)
-        assert gap_mm(a, b) == pytest.approx(gap_mm(turned, a), abs=1e-9)
 
 
 @pytest.mark.parametrize("axes", [SEMI_AXES_MM, (90.0, 75.0, 95.0), (80.0, 80.0, 80.0), (60.0, 100.0, 110.0)])
@@ -156,12 +153,6 @@ def test_no_body_moves_farther_than_the_levers_of_the_joints_say(arm: Kinematics
         assert moved <= bound * (1.0 + 1e-9)
         largest = max(largest, moved / bound)
     assert largest > 0.7  # and the bound is no wild guess
-
-
-def test_the_hand_ends_at_the_flange() -> None:
-    hand = body_segments(BODIES, HOME)[3]
-    assert hand[1] == pytest.approx(MODEL.forward(HOME).position_mm)
-    assert math.dist(*hand) == pytest.approx(MODEL.dimensions.flange_mm)
 
 
 def test_surroundings_travel_as_one_line() -> None:

@@ -17,7 +17,7 @@ from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_MM_S, working_limits
-from ronna_hw.arm.motion.planning import MotionPlan, plan_along_tool, plan_joint_move
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import MOST_STEPS
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.motion.speed_zones import with_speed_steps
@@ -54,6 +54,12 @@ def _move() -> MotionPlan:
     return plan_joint_move(MODEL, START, ASIDE, LIMITS)
 
 
+def _along_the_needle(distance_mm: float) -> MotionPlan:
+    tool = MODEL.forward(START).compose(TOOL)
+    goal = Pose(tool.apply((0.0, 0.0, distance_mm)), tool.rotation).compose(TOOL.inverse())
+    return plan_line(MODEL, START, goal, LIMITS, TOOL.position_mm)
+
+
 @pytest.mark.hazard(24)
 def test_a_thin_post_on_the_way_is_found_between_the_first_samples() -> None:
     path = sweep_path(MODEL, _move(), _around(_post(23.0, 9.0)))
@@ -76,16 +82,16 @@ def test_a_post_beyond_the_margin_is_passed() -> None:
 
 def test_who_stands_too_near_may_leave_but_not_come_nearer() -> None:
     beside = _around(_post(0.0, 4.0))
-    sweep_path(MODEL, plan_along_tool(MODEL, START, -40.0, LIMITS, TOOL), beside).require()
+    sweep_path(MODEL, _along_the_needle(-40.0), beside).require()
     with pytest.raises(NotClear):
-        sweep_path(MODEL, plan_along_tool(MODEL, START, 3.0, LIMITS, TOOL), beside).require()
+        sweep_path(MODEL, _along_the_needle(3.0), beside).require()
 
 
 @pytest.mark.hazard(24)
 def test_only_the_needle_enters_the_head_and_only_along_its_corridor() -> None:
     x, y, z = _at(0.0)
     head = Obstacle("head", Capsule((x, y, z - 110.0), (x, y, z - 110.0), 80.0), is_head=True)
-    into = plan_along_tool(MODEL, START, 60.0, LIMITS, TOOL)
+    into = _along_the_needle(60.0)
     axis_end = MODEL.forward(into.target_rad).apply(TOOL.position_mm)
     corridor = Corridor((x, y, z), axis_end, 2.5)
     around = _around(head)
@@ -183,23 +189,6 @@ def test_a_preview_says_how_the_path_will_be() -> None:
     payload = json.loads(json.dumps(seen.as_payload(), allow_nan=False))
     assert payload["closest"]["second"] == "post"
     assert payload["clear"] is True
-
-
-def test_a_preview_of_a_bad_path_tells_and_does_not_raise() -> None:
-    seen = preview(MODEL, _move(), _around(_post(23.0, 2.0)), LIMITS)
-    assert not seen.clear
-    assert seen.refused is not None
-
-
-def test_approach_and_retreat_lie_on_the_tool_axis() -> None:
-    begin = MODEL.forward(START).compose(TOOL)
-    for distance in (50.0, -80.0):
-        plan = plan_along_tool(MODEL, START, distance, LIMITS, TOOL)
-        end = MODEL.forward(plan.target_rad).compose(TOOL)
-        assert end.position_mm == pytest.approx(begin.apply((0.0, 0.0, distance)), abs=1e-6)
-        assert end.angle_rad(begin) < 1e-9
-        half = MODEL.forward(plan.path(MODEL).joints(0.5, START)).apply(TOOL.position_mm)
-        assert half == pytest.approx(begin.apply((0.0, 0.0, distance / 2)), abs=1e-6)
 
 
 @pytest.mark.hazard(5)

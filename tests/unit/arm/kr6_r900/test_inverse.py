@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from ronna_hw.arm.angles import radians6
@@ -14,23 +13,6 @@ from ronna_hw.arm.pose import Pose
 
 HOME = radians6(0, -90, 90, 0, 90, 0)
 USUAL = branch(overhead=False, elbow=True, flipped=False)
-
-
-def _gap(a: tuple[float, ...], b: tuple[float, ...]) -> float:
-    return max(abs(x - y) for x, y in zip(a, b, strict=True))
-
-
-@pytest.mark.parametrize("variant", list(ArmVariant))
-def test_ten_thousand_random_poses_come_back(variant: ArmVariant) -> None:
-    model = kr6_r900(variant)
-    random = np.random.default_rng(11)
-    for joints in map(tuple, random.uniform(model.lower_rad, model.upper_rad, (10_000, 6)).tolist()):
-        pose = model.forward(joints)
-        found = model.solutions(pose)
-        assert _gap(nearest(found, joints).joints_rad, joints) < 1e-6
-        assert _gap(model.solve_branch(pose, model.branch_of(joints), joints), joints) < 1e-6
-        worst = max(found, key=lambda s: model.forward(s.joints_rad).distance_mm(pose))
-        assert model.forward(worst.joints_rad).distance_mm(pose) < 1e-6
 
 
 def test_branches_of_one_pose_are_distinct_and_chosen_explicitly() -> None:

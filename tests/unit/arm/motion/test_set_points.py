@@ -1,8 +1,6 @@
 """Motion invariants: paths are kept, limits are kept, a stop at any cycle is smooth and stays on the path."""
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
@@ -17,7 +15,7 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfiler, State
 from ronna_hw.arm.motion.path import LinePath
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.motion.set_points import Motion, PathMotion, StopMotion
+from ronna_hw.arm.motion.set_points import PathMotion, StopMotion
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 
@@ -37,7 +35,7 @@ def _motion(plan: MotionPlan) -> PathMotion:
     return PathMotion(plan.path(MODEL), plan.start_rad, plan.limits, CYCLE_S)
 
 
-def _run(motion: Motion, start: JointVector, stop_at: int | None = None) -> list[JointVector]:
+def _run(motion: PathMotion, start: JointVector, stop_at: int | None = None) -> list[JointVector]:
     """All set-points sent; every one, and every stop that was ready beside it, passes the monitor."""
     monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, start), start)
     sent = [start]
@@ -193,13 +191,3 @@ def test_bad_numbers_for_a_profile_are_one_typed_error(
         MotionProfiler(1).move(start, target, bounds)
     assert caught.value.code == "ARM-006"
     assert "\n" not in str(caught.value)
-
-
-def test_nothing_heavy_comes_with_the_motion_modules() -> None:
-    code = (
-        "import sys, ronna_hw.arm.motion, ronna_hw.arm.monitor, ronna_hw.arm.motion.planning\n"
-        "heavy = {'scipy', 'cv2', 'pydicom', 'pydantic'} & set(sys.modules)\n"
-        "sys.exit(' '.join(sorted(heavy)) or 0)"
-    )
-    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr

@@ -32,7 +32,7 @@ def _interrupted(plan: MotionPlan, cycles: int) -> tuple[list[JointVector], list
         sent.append(motion.prepare().go_rad)
         motion.take_go()
     stop = StopMotion(state_from_history((sent[-1], sent[-2], sent[-3], sent[-4]), CYCLE_S), LIMITS, CYCLE_S)
-    assert stop.stays_on_way
+    assert stop._halt is not None
     stopped = sent[-2:]
     while not stop.finished:
         stopped.append(stop.prepare().stop_rad)
@@ -86,7 +86,7 @@ def test_joints_that_cannot_brake_together_brake_each_by_itself() -> None:
     turning_hard = State(list(START), [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 20.0, 0.0, 0.0, 0.0, 0.0])
     assert halt(turning_hard, LIMITS) is None
     stop = StopMotion(turning_hard, LIMITS, CYCLE_S)
-    assert not stop.stays_on_way
+    assert stop._halt is None
     while not stop.finished:
         stop.take_stop()
     assert stop.prepare().go_rad == pytest.approx(stop.predicted_stop()[1])
