@@ -91,14 +91,6 @@ class RsiClient:
             self.answer((begin_deg + share * (goal_deg - begin_deg), 0.0, 0.0, 0.0, 0.0, 0.0))
         return seen
 
-    def receive_whole(self) -> bool:
-        """Receive; True when it is a telegram."""
-        try:
-            ElementTree.fromstring(self.receive())
-        except ElementTree.ParseError:
-            return False
-        return True
-
     def try_cycle(self, axes_deg: Sequence[float]) -> bool:
         """A cycle, when there is one; False when the stream has ended."""
         self.socket.settimeout(0.5)
@@ -197,25 +189,6 @@ class EkiClient:
     def raw(self, count: int) -> list[bytes]:
         """The next reads as they come."""
         return [self.socket.recv(65536) for _ in range(count)]
-
-    def settle(self) -> None:
-        """Throw away what has queued up."""
-        self._buffer = b""
-        self.socket.setblocking(False)
-        try:
-            while self.socket.recv(65536):
-                pass
-        except BlockingIOError:
-            self.socket.settimeout(LIMIT_S)
-
-    def hears_nothing(self, duration_s: float) -> bool:
-        self.socket.settimeout(duration_s)
-        try:
-            return not self.socket.recv(65536)
-        except TimeoutError:
-            return True
-        finally:
-            self.socket.settimeout(LIMIT_S)
 
     def close(self) -> None:
         self.socket.close()

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from math import radians
 from pathlib import Path
@@ -17,11 +16,11 @@ import pytest
 from waiting import eventually
 
 from drivers.kuka_rsi import KukaRsiArm
-from drivers.kuka_rsi.errors import LinkProcessDied, MotionStopped
+from drivers.kuka_rsi.errors import LinkProcessDied
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices import Lifecycle, StopKind
+from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.host.child_process import ChildProcess, command
@@ -125,31 +124,6 @@ def test_a_whole_session_of_joint_and_straight_moves(make_arm: Callable[[], Kuka
     arm.move_joints(_moved(reading.joints_rad, -1, 0, 0, 0, 0, 0))
 
 
-def test_hold_in_motion_comes_to_rest_and_a_new_motion_may_follow(make_arm: Callable[[], KukaRsiArm]) -> None:
-    arm = _activated(make_arm())
-    start = arm.read_state().joints_rad
-    stopped: list[MotionStopped] = []
-
-    def move() -> None:
-        try:
-            arm.move_joints(_moved(start, 40, 0, 0, 0, 0, 0))
-        except MotionStopped as error:
-            stopped.append(error)
-
-    mover = threading.Thread(target=move)
-    mover.start()
-    eventually(lambda: arm.read_state().joints_rad[0] > start[0] + radians(2))
-    arm.stop(StopKind.HOLD)
-    mover.join()
-    assert stopped
-    assert _state(arm) is Lifecycle.HOLD
-    resting = arm.read_state()
-    assert resting.joints_rad[0] < start[0] + radians(39)
-    arm.resume()
-    arm.move_joints(start)
-    assert _state(arm) is Lifecycle.ACTIVE
-
-
 @pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.hazard(30)
 def test_when_the_program_is_killed_the_arm_stops_and_the_controller_is_left_clean(
@@ -197,13 +171,3 @@ def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
     arm.activate()
     reading = arm.move_joints(_moved(start, 1, 0, 0, 0, 0, 0))
     assert reading.joints_rad == pytest.approx(_moved(start, 1, 0, 0, 0, 0, 0), abs=radians(0.0002))
-
-
-@pytest.mark.hazard(32)
-def test_switching_the_drives_off_is_latched_and_recovered(make_arm: Callable[[], KukaRsiArm]) -> None:
-    arm = _activated(make_arm())
-    arm.stop(StopKind.DRIVES_OFF)
-    assert _state(arm) is Lifecycle.FAULT
-    arm.recover("operator")
-    arm.activate()
-    assert _state(arm) is Lifecycle.ACTIVE

@@ -45,21 +45,6 @@ def test_the_state_says_what_a_driver_must_know_before_it_moves(cell: Callable[.
     assert not any(b"/>" in segment for segment in eki.segments)
 
 
-def test_the_state_comes_unasked_and_requests_may_be_split_merged_and_padded(
-    cell: Callable[..., Cell],
-) -> None:
-    eki = cell().project()
-    for _ in range(5):
-        assert eki.read().get("Id") == "0"
-    request = b'<Cmd Id="9" Name="STATUS"></Cmd>'
-    eki.socket.sendall(b"\0\0\n" + request[:11])
-    eki.socket.sendall(request[11:] + b"\0" * 400 + request.replace(b"9", b"10") + request[:5])
-    eki.until(lambda element: element.get("Id") == "9")
-    eki.until(lambda element: element.get("Id") == "10")
-    eki.socket.sendall(request[5:].replace(b"9", b"11"))
-    eki.until(lambda element: element.get("Id") == "11")
-
-
 @pytest.mark.hazard(34)
 def test_a_second_client_is_refused_and_a_lost_one_does_not_end_the_run(cell: Callable[..., Cell]) -> None:
     here = cell()
@@ -183,24 +168,6 @@ def test_a_motion_by_eki_is_answered_twice_and_takes_theatre_time(
     assert lock_step_world.clock.now_s() - before_s > 20.0 / 36.0
     assert lock_step_world.arm().at_rest
     assert not lock_step_world.clock.streaming()
-
-
-def test_a_motion_by_eki_is_stopped_on_its_way(cell: Callable[..., Cell]) -> None:
-    eki = cell().project()
-    assert eki.command("DRIVES", On=1) == 0
-    axes = eki.state(Id="8").find("Axis")
-    assert axes is not None
-    here = {name: float(value) for name, value in axes.attrib.items()}
-    eki.socket.sendall(_ptp(22, {**here, "A1": here["A1"] + 150.0}, 5))
-    eki.state(Moving="1", ProState="P_ACTIVE")
-    assert eki.command("RSI_START") == 4
-    eki.socket.sendall(b'<Cmd Id="23" Name="STOP" Kind="FAST"></Cmd>')
-    aborted = eki.until(lambda element: element.get("Id") == "22" and element.get("Code") != "0")
-    assert aborted.get("Code") == "7"
-    assert eki.until(lambda element: element.get("Id") == "23").get("Code") == "0"
-    stopped = eki.state(Moving="0").find("Axis")
-    assert stopped is not None
-    assert here["A1"] <= float(stopped.get("A1", "")) < here["A1"] + 149.0
 
 
 def _ptp(identifier: int, axes_deg: dict[str, float], speed_percent: int) -> bytes:

@@ -44,20 +44,6 @@ def test_lock_step_waits_for_a_silent_client_and_then_lets_the_cycles_run_to_the
     assert lock_step_world.clock.now_s() - before_s == pytest.approx(0.4, abs=0.02)
 
 
-def test_dropped_replies_are_cycles_that_are_late(cell: Callable[..., Cell], lock_step_world: World) -> None:
-    here = cell(world=lock_step_world)
-    eki, rsi = here.project(), here.rsi
-    lock_step_world.set_fault_script("at 0 s: robot drop 10 % for 4 s")
-    here.start(eki)
-    rsi.move((5.0, 0.0, 0.0, 0.0, 0.0, 0.0), cycles=900)
-    lost = rsi.late
-    assert 50 <= lost <= 140
-    lock_step_world.set_fault_script("")
-    rsi.cycles(300, (5.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    assert rsi.late - lost <= 1
-    assert rsi.axes_deg[0] == pytest.approx(5.0, abs=1e-4)
-
-
 def test_an_idle_world_paces_itself_until_somebody_waits(
     cell: Callable[..., Cell], lock_step_world: World
 ) -> None:

@@ -11,7 +11,6 @@ from drivers.kuka_rsi.errors import (
     DrivesOff,
     LinkStopped,
     MotionNotFinished,
-    MotionRefused,
     MotionStopped,
     ProtectiveStop,
 )
@@ -42,7 +41,7 @@ def test_hold_stops_the_arm_smoothly_and_resume_moves_nothing(controller: Any, a
     ("kind", "error"),
     [
         (StopKind.PROTECTIVE, ProtectiveStop),
-        pytest.param(StopKind.DRIVES_OFF, DrivesOff, marks=pytest.mark.slow),
+        (StopKind.DRIVES_OFF, DrivesOff),
         pytest.param(StopKind.LINK, LinkStopped, marks=pytest.mark.slow),
     ],
 )
@@ -66,16 +65,6 @@ def test_a_stop_that_is_no_hold_is_latched_until_recovered(
     assert "ACK_ERRORS" in controller.commands
     active_arm.activate()
     active_arm.move_joints(THERE)
-
-
-@pytest.mark.slow
-def test_a_second_motion_while_one_runs_is_refused(controller: Any, active_arm: Any) -> None:
-    thread, _ = moving(active_arm, controller)
-    with pytest.raises(MotionRefused, match="another") as refused:
-        active_arm.move_joints(THERE)
-    assert refused.value.code == "RSI-012"
-    active_arm.stop()
-    thread.join()
 
 
 def test_an_arm_that_does_not_settle_is_told_after_its_time_in_cycles(make_arm: Any, controller: Any) -> None:

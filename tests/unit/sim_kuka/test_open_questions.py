@@ -117,7 +117,8 @@ def test_a_software_end_switch_stops_or_cuts(
     if rests_deg is None:
         with pytest.raises(AssertionError):
             bench.ramp(on_a1(175.0), steps=2000)
-        assert bench.controller.message is not None
+        assert bench.controller.message.number == ControllerParameters().end_switch_message
+        assert bench.controller.message.text.startswith("software end switch +A1")
         return
     bench.ramp(on_a1(175.0), steps=2000)
     bench.rest(on_a1(175.0))

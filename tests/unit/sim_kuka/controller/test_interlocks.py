@@ -116,3 +116,17 @@ def test_an_axis_that_sticks_is_held_until_the_command_has_run_ahead(bench: Any)
     drives.stick(frozenset())
     bench.rest((0.07, 0.04, 0.0, 0.0, 0.0, 0.0))
     assert bench.controller.arm.axes_deg[0] == 0.07
+
+
+def test_in_T1_a_correction_beyond_250_mm_per_second_stops_the_arm(in_T1: Any) -> None:
+    controller = in_T1.controller
+    controller.start()
+    in_T1.enter_movecorr()
+    controller.acknowledge()
+    in_T1.answer()
+    in_T1.ramp(on_a1(3.0), steps=300)  # some 20 mm/s
+    assert controller.message is None
+    for n in range(200):  # a gentle start to 45 deg/s at more than 400 mm
+        if controller.message is None:
+            in_T1.answer(on_a1(3.0 + 0.18 * n * min(1.0, n / 60)))
+    assert controller.message.number == ControllerParameters().T1_speed_message

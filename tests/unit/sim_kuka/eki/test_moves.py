@@ -15,7 +15,6 @@ from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.orientation import frame_of, status_and_turn
 from sim.kuka.arm.posture import axes_of_posture
 from sim.kuka.arm.robot_description import Variant, description
-from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.motion import shares
 from sim.kuka.eki.move_commands import EkiMoves
@@ -195,19 +194,6 @@ def test_a_line_through_the_straight_wrist_is_stopped_and_not_jumped(program: Pr
     assert max(steps, default=0.0) < 615.0 * 0.004
 
 
-@pytest.mark.parametrize("fast", [False, True])
-def test_a_stop_aborts_the_motion_on_its_ramp_and_the_next_may_follow(program: Program, fast: bool) -> None:
-    program.ptp((120.0, *HOME_DEG[1:]))
-    program.cycles(100)
-    begun = program.controller.arm.axes_deg[0]
-    program.controller.stop(fast=fast)
-    assert program.ends[-1].code is AckCode.ABORTED
-    program.finish()
-    way = program.controller.arm.axes_deg[0] - begun
-    assert 0.0 < way < 60.0
-    assert program.ptp(HOME_DEG).code is AckCode.OK
-
-
 def test_a_fast_stop_is_shorter(make_bench: Callable[..., Any]) -> None:
     ways = []
     for fast in (False, True):
@@ -228,6 +214,7 @@ def test_a_fast_stop_is_shorter(make_bench: Callable[..., Any]) -> None:
         (lambda c: c.press_emergency_stop(True), ProState.STOP),
         (lambda c: c.switch_drives(False), ProState.END),
         (lambda c: c.cancel(), ProState.FREE),
+        (lambda c: c.stop(), ProState.END),
         (lambda c: c.turn_key(OperationMode.T1), ProState.END),
         (lambda c: c.collide(), ProState.STOP),
     ],
@@ -279,29 +266,3 @@ def test_in_T1_a_motion_needs_the_start_key_and_is_slow(program: Program) -> Non
     controller.hold_enabling_switch(False)
     assert not controller.drives_on
     assert controller.switch_drives(True).code is AckCode.NOT_READY
-
-
-def test_the_true_arm_follows_a_motion_with_its_own_geometry(make_bench: Callable[..., Any]) -> None:
-    from sim.theatre.scene.arm_truth import draw_arm
-
-    truth = draw_arm(np.random.default_rng(3)).model_copy(update={"home_deg": HOME_DEG})
-    bench = make_bench(start=False, truth=truth)
-    program = Program(bench)
-    program.controller.switch_drives(True)
-    program.ptp()
-    program.finish()
-    assert bench.published[-1].at_rest
-    assert bench.published[-1].motion_number == 1
-    nominal = JointChain(description("kr6_r900_sixx")).flange(np.radians(GOAL_DEG))
-    assert 0.1 < dist(bench.published[-1].robot_from_flange[:3, 3], nominal[:3, 3]) < 6.0
-
-
-def test_a_line_that_an_axis_cannot_follow_ends_with_the_message(make_bench: Callable[..., Any]) -> None:
-    parameters = ControllerParameters(line_acceleration_mm_s2=1e6)
-    program = Program(make_bench(start=False, parameters=parameters))
-    program.controller.switch_drives(True)
-    begin = list(program.controller.arm.frame)
-    near_axis = [20.0, 80.0, *begin[2:]]
-    if program.to_pose("LIN", near_axis, Vel=2.0).code is AckCode.OK:
-        assert program.finish() is AckCode.ABORTED
-        assert program.controller.message.number == 1102

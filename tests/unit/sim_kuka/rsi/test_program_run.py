@@ -266,25 +266,6 @@ def test_the_default_context_clamps_at_the_software_end_switches(bench: Any) -> 
     assert bench.controller.run.correction_stats == (0b11, 0)
 
 
-def test_an_end_switch_stops_a_correction_that_no_limit_clamps(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
-) -> None:
-    wide = (400.0,) * 6
-    context = context_with(
-        axis_correction={"limits": "explicit", "lower_deg": tuple(-v for v in wide), "upper_deg": wide},
-        axis_monitor={"limits": "explicit", "max_deg": wide},
-    )
-    bench = make_bench(context)
-    bench.enter_movecorr()
-    with pytest.raises(AssertionError):
-        bench.ramp(on_a1(175.0), steps=2000)
-    assert message_of(bench) == ControllerParameters().end_switch_message
-    assert bench.controller.message.text.startswith("software end switch +A1")
-    while bench.controller.moving:
-        bench.controller.settle()
-    assert axis_of(bench) < 171.0
-
-
 def test_a_foreign_context_keeps_the_makers_narrow_limits(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
