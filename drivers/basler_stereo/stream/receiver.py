@@ -25,6 +25,7 @@ from drivers.basler_stereo.stream.receiver_orders import (
     send_order,
 )
 
+RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0
 LOOK_UP_S = 0.1  # while waiting for a frame: how soon a hopeless wait is noticed
 

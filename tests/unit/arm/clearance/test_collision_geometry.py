@@ -44,11 +44,6 @@ def _capsule(rng: random.Random) -> Capsule:
     return Capsule(start, _point(rng), rng.uniform(1, 60))
 
 
-def gap_mm(a: Capsule, b: Capsule) -> float:
-    """Of the two surfaces; negative when they overlap."""
-    return segment_distance_mm(a.start_mm, a.end_mm, b.start_mm, b.end_mm) - a.radius_mm - b.radius_mm
-
-
 def _coal_distance(a: Capsule, b: Capsule) -> float:
     """Of the bare axes, by thin capsules in metres would lose digits: radius 1 mm, added again."""
     shapes = []

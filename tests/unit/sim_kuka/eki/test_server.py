@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterator
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 
 from ronna_hw.endpoints import Endpoint
+from sim.kuka.controller.autostart import Autostart
 from sim.kuka.eki import server as eki_server
+from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import GARBAGE, PADDING, UNREAD_LIMIT, EkiServer, after_garbage, half, padded
 
 LOOP_S = 0.012
@@ -173,3 +176,18 @@ def test_a_full_memory_has_no_room_for_the_next_request(line: Line) -> None:
     line.say(1)
     assert not line.server.connected
     assert line.program.read == []
+
+
+def test_the_sdks_client_is_told_the_status_once_and_again_when_it_changes(
+    line: Line, make_bench: Callable[..., Any]
+) -> None:
+    controller = make_bench(start=False).controller
+    channel = SdkChannel(line.server, controller, Autostart(controller, wanted=False))
+    told = []
+    for change in (lambda: None, lambda: None, lambda: controller.open_guard(True), lambda: None):
+        change()
+        line.time.now_s += 1.0
+        channel.tick(line.time.now_s)
+        line.loop()
+        told.append(line.heard().count(b"<Status "))
+    assert told == [1, 0, 1, 0]
