@@ -13,13 +13,13 @@ CAMERAS = 2
 def basler(
     address: Annotated[
         list[str] | None,
-        typer.Option(help="IP address of the left, then of the right camera; a free pair when not given."),
+        typer.Option(help="IP address of the left, then of the right camera; a free pair by default."),
     ] = None,
     scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Two GigE Vision cameras that see the scene; runs until it is ended."""
+    """Simulate a pair of GigE Vision cameras, for any client, until terminated."""
     from ipaddress import IPv4Address
 
     from sim.basler.kept_memory import keep_freed_memory

@@ -35,10 +35,10 @@ def kuka(
         typer.Option(help=f"Where the client listens [default: the Ethernet file's, or {RSI_DEFAULT}]."),
     ] = None,
     eki: Annotated[
-        str, typer.Option(help="EKI channel of the C++ SDK; port 0 takes any free one.")
+        str, typer.Option(help="EKI channel of the C++ SDK; port 0 for any free one.")
     ] = "tcp://127.0.0.1:54600",
     eki_project: Annotated[
-        str, typer.Option(help="EKI channel of this project; port 0 takes any free one.")
+        str, typer.Option(help="EKI channel of this project; port 0 for any free one.")
     ] = "tcp://127.0.0.1:54602",
     rsi_config: Annotated[
         Path | None, typer.Option(help="KUKA Ethernet file (XML): layout of the telegrams.")
@@ -60,13 +60,13 @@ def kuka(
         typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
     ] = None,
     list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="List everything that --set can change, and exit.")
+        bool, typer.Option("--list-parameters", help="List the parameters that --set takes, and exit.")
     ] = False,
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """A KUKA controller with its arm: RSI over UDP, EKI over TCP; runs until terminated."""
+    """Simulate a KUKA controller and its arm, for any client, until terminated."""
     import gc
 
     from ronna_hw.endpoints import parse_endpoint

@@ -31,7 +31,7 @@ def theatre(
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 0,
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
-    speed: Annotated[Speed, typer.Option(help="max: as fast as the devices go; 1: real time.")] = Speed.MAX,
+    speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
     ] = None,
@@ -45,7 +45,7 @@ def theatre(
         ),
     ] = None,
 ) -> None:
-    """Start all devices on one scene and write theatre.toml; runs until terminated."""
+    """Simulate a whole theatre and write its theatre.toml, until terminated."""
     import threading
 
     from ronna_hw.errors import EXIT_FAILED
@@ -96,7 +96,7 @@ def mount(
     number: Annotated[int, typer.Argument(min=0, help="Tool to mount; 0 removes it.")],
     control: Annotated[str, typer.Option(help="Control port, from the theatre's READY line.")],
 ) -> None:
-    """Exchange the tool of a running theatre, as the staff would."""
+    """Mount another tool in a running theatre, as the staff would."""
     from ronna_hw.host.control_port import ask_control_port
 
     ask_control_port(control, "mount", number=number)
@@ -105,20 +105,18 @@ def mount(
 def fault(
     line: Annotated[
         str | None,
-        typer.Argument(
-            help="A fault, such as 'tracker occlude marker 3 for 2 s'; without one, all kinds are listed."
-        ),
+        typer.Argument(help="Such as 'tracker occlude marker 3 for 2 s', or a whole line of a fault script."),
     ] = None,
     control: Annotated[str | None, typer.Option(help="Control port, from the READY line.")] = None,
     clear: Annotated[bool, typer.Option("--clear", help="End all faults first.")] = False,
 ) -> None:
-    """Inject a fault into a running theatre or simulator, at once or as the line says; or list all kinds."""
+    """Inject a fault into a running theatre or simulator; without one, list all faults."""
     from ronna_hw.host.control_port import ask_control_port
     from sim.theatre.faults import FAULT_KINDS, TRIGGERS
 
     if line is None and not clear:
         rows = [(kind.usage, "once" if kind.momentary else "lasts", kind.meaning) for kind in FAULT_KINDS]
-        print_table("Faults that can be injected", ("fault", "", "what happens"), rows)
+        print_table("Faults that can be injected", ("fault", "", "effect"), rows)
         return
     if control is None:
         raise typer.BadParameter("give the control port: --control tcp://...", param_hint="--control")

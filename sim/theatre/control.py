@@ -61,7 +61,9 @@ class Room:
         number = int(request["number"])
         mount = self._world.scene.mount
         if number not in (0, mount.tool_number_stereo, mount.tool_number_guide):
-            raise ValueError(f"there is no tool {number} in this theatre")
+            raise ValueError(
+                f"expected tool 0, {mount.tool_number_stereo} or {mount.tool_number_guide}, got {number}"
+            )
         self._world.mount_tool(number)
 
     def _fault(self, request: dict[str, Any]) -> None:
