@@ -22,78 +22,36 @@ LOSS_LANE, ORDER_LANE, DOUBLE_LANE, ANSWER_LANE, MESSAGE_LANE = 0, 1, 2, 3, 4  #
 Light = NDArray[np.float32]
 
 
-class NoFaults:
-    """A camera to which nothing happens; also the questions that may be asked."""
+class EmptyBoard:
+    """A board without any fault."""
 
-    def lost(self, _block_id: int, _packets: int) -> Collection[int]:
-        """Packet ids that get lost on the way."""
+    empty = True
+
+    def active(self, _kind: str) -> tuple[Fault, ...]:
         return ()
 
-    def order(self, _block_id: int, packets: int) -> Sequence[int]:
-        """Packet ids in the order in which they arrive, some perhaps twice."""
-        return range(packets)
-
-    def passes(self, _packet_bytes: int) -> bool:
-        """True when the network carries a packet of that size."""
-        return True
-
-    def active(self, _kind: str) -> bool:
-        """True while a fault of that kind acts on this camera."""
-        return False
-
-    def happened(self, _kind: str) -> bool:
-        """True once after a momentary fault of that kind."""
-        return False
-
-    def amount(self, _kind: str) -> float:
-        """The largest number of the faults of that kind that act; 0 without one."""
-        return 0.0
-
-    def on_lens(self) -> tuple[tuple[str, float], ...]:
-        """What acts on the light, by name and amount; to compare, and for `spoil`."""
+    def happened(self, _kind: str) -> tuple[Fault, ...]:
         return ()
 
-    def spoil(self, light: Light, _left_px: int, _top_px: int) -> Light:
-        """Light (height, width) of an area of the sensor as it is with that."""
-        return light
 
-    @property
-    def scripted(self) -> bool:
-        """True while there are faults of cameras at all."""
-        return False
-
-    def drift_ppm(self) -> float:
-        """How much the time stamp counter runs too fast."""
-        return 0.0
-
-    def answer_lost(self) -> bool:
-        """True when the next answer to a command gets lost."""
-        return False
-
-    def message_lost(self) -> bool:
-        """True when the next message with events gets lost."""
-        return False
-
-
-NO_FAULTS = NoFaults()
-
-
-class CameraFaults(NoFaults):
-    """Asks the board on behalf of one camera. May be asked from any thread: each has its own board."""
+class CameraFaults:
+    """Asks the board on behalf of one camera. One object per thread: each has a board of its own."""
 
     def __init__(self, world: World, camera: CameraTruth, side: str) -> None:
         self._world = world
         self._side = side
         self._camera = camera
-        self._board = FaultBoard(world, "camera")
+        self._board: FaultBoard | EmptyBoard = FaultBoard(world, "camera")
         self._answers = 0
         self._messages = 0
 
     @property
     def scripted(self) -> bool:
+        """True while there are faults of cameras at all."""
         return not self._board.empty
 
     def lost(self, block_id: int, packets: int) -> Collection[int]:
+        """Packet ids that get lost on the way."""
         if self._board.empty:
             return ()
         gone: set[int] = set()
@@ -111,6 +69,7 @@ class CameraFaults(NoFaults):
         return gone
 
     def order(self, block_id: int, packets: int) -> Sequence[int]:
+        """Packet ids in the order in which they arrive, some perhaps twice."""
         if self._board.empty:
             return range(packets)
         ids = np.arange(packets)
@@ -122,6 +81,7 @@ class CameraFaults(NoFaults):
         return [int(number) for number in ids]
 
     def passes(self, packet_bytes: int) -> bool:
+        """True when the network carries a packet of that size."""
         if self._board.empty:
             return True
         if self.active("unplug"):
@@ -130,19 +90,24 @@ class CameraFaults(NoFaults):
         return packet_bytes <= min(limits, default=packet_bytes)
 
     def active(self, kind: str) -> bool:
+        """True while a fault of that kind acts on this camera."""
         return bool(self._mine(kind))
 
     def happened(self, kind: str) -> bool:
+        """True once after a momentary fault of that kind."""
         happened = self._board.happened(f"camera_{kind}")
         return any(fault.argument in ("", self._side, BOTH) for fault in happened)
 
     def amount(self, kind: str) -> float:
+        """The largest number of the faults of that kind that act; 0 without one."""
         return max((float(fault.arguments[1]) for fault in self._mine(kind)), default=0.0)
 
     def drift_ppm(self) -> float:
+        """How much the time stamp counter runs too fast."""
         return sum(float(fault.arguments[1]) for fault in self._mine("drift"))
 
     def answer_lost(self) -> bool:
+        """True when the next answer to a command gets lost."""
         share = self.amount("lose_answers")
         if not share:
             return False
@@ -150,6 +115,7 @@ class CameraFaults(NoFaults):
         return bool(self._noise(self._answers, ANSWER_LANE).uniform(0.0, WHOLE) < share)
 
     def message_lost(self) -> bool:
+        """True when the next message with events gets lost."""
         share = self.amount("lose_events")
         if not share:
             return False
@@ -157,12 +123,14 @@ class CameraFaults(NoFaults):
         return bool(self._noise(self._messages, MESSAGE_LANE).uniform(0.0, WHOLE) < share)
 
     def on_lens(self) -> tuple[tuple[str, float], ...]:
+        """What acts on the light, by name and amount; to compare, and for `spoil`."""
         if self._board.empty:
             return ()
         found = [(kind, self.amount(kind)) for kind in ("defocus", "dust") if self.active(kind)]
         return (*found, *((kind, 1.0) for kind in ("darken", "saturate") if self.active(kind)))
 
     def spoil(self, light: Light, left_px: int, top_px: int) -> Light:
+        """Light (height, width) of an area of the sensor as it is with that."""
         for kind, amount in self.on_lens():
             match kind:
                 case "defocus":
@@ -194,3 +162,13 @@ class CameraFaults(NoFaults):
 
     def _noise(self, counter: int, lane: int) -> np.random.Generator:
         return noise(self._world.scene.seed, f"stream of camera {self._camera.serial}", counter, lane)
+
+
+class NoFaults(CameraFaults):
+    """A camera to which nothing happens."""
+
+    def __init__(self) -> None:
+        self._board = EmptyBoard()
+
+
+NO_FAULTS = NoFaults()

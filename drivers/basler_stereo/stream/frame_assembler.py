@@ -37,7 +37,6 @@ class Frame:
     leader: Leader | None
     data: bytearray | memoryview
     missing_packets: int
-    resent_packets: int
     slot: int = 0  # where `data` is in the memory that the assembler was given
 
 
@@ -62,7 +61,6 @@ class _Block:
     came: bytearray  # one flag per packet id, leader and trailer included
     leader: Leader | None = None
     left: int = 0
-    resent: int = 0
     rounds: int = 0  # of resend requests since one was fulfilled completely
     requested: list[int] = field(default_factory=list)  # packets of the last resend request
     last_packet_s: float = 0.0
@@ -217,7 +215,6 @@ class FrameAssembler:
             return
         block.came[packet_id] = 1
         block.left -= 1
-        block.resent += header.status == GevStatus.PACKET_RESEND
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
         """Store the content in its place; False when kind, place and length do not match."""
@@ -244,7 +241,7 @@ class FrameAssembler:
             block.data[begin:end] = bytes(end - begin)  # not the pixels of an earlier frame
         self.counters.frames += 1
         self.counters.incomplete_frames += bool(missing) or block.leader is None
-        return Frame(block.block_id, block.leader, block.data, len(missing), block.resent, block.slot)
+        return Frame(block.block_id, block.leader, block.data, len(missing), block.slot)
 
     def _place(self, packet_id: int) -> tuple[int, int]:
         """Where a payload packet's bytes belong."""

@@ -40,7 +40,6 @@ class _FrameNote(NamedTuple):
     use_count: Annotated[int, "Q"]
     block_id: Annotated[int, "I"]
     missing_packets: Annotated[int, "I"]
-    resent_packets: Annotated[int, "I"]
     leader: Annotated[Leader | None, FieldCode("?QIIIIIH", _packed_leader, _unpacked_leader)]
 
 
@@ -82,21 +81,20 @@ class FrameSlots:
                 self._use_counts[frame.slot],
                 frame.block_id,
                 frame.missing_packets,
-                frame.resent_packets,
                 frame.leader,
             )
         )
 
     def fetch(self, note: bytes) -> Frame | None:
         """A copy of the frame, or None when newer ones have overwritten it."""
-        slot, use_count, block_id, missing, resent, leader = _NOTE.unpack(note)
+        slot, use_count, block_id, missing, leader = _NOTE.unpack(note)
         if self._use_counts[slot] != use_count:
             return None
         begin = _DATA_AT + slot * self._payload_bytes
         data = bytearray(self._view[begin : begin + self._payload_bytes])
         if self._use_counts[slot] != use_count:
             return None
-        return Frame(block_id, leader, data, missing, resent)
+        return Frame(block_id, leader, data, missing)
 
     def write_counters(self, counters: StreamCounters) -> None:
         """Show the counters to the other side."""

@@ -137,13 +137,10 @@ class StreamReceiver:
             elif left_s <= 0 or hopeless():
                 return None
 
-    def discard(self) -> int:
-        """Discard frames not yet taken; returns how many. Raises GEV-017."""
-        count = 0
+    def discard(self) -> None:
+        """Discard frames not yet taken. Raises GEV-017."""
         while select.select([self._notes], [], [], 0.0)[0]:
             self._next_note()
-            count += 1
-        return count
 
     def close(self) -> None:
         """Stop receiving the stream."""

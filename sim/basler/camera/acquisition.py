@@ -26,7 +26,7 @@ from sim.basler.camera.timing import (
     shortest_period_us,
 )
 from sim.basler.camera.trigger_count import TriggerCount
-from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.message.events import EventKind
 from sim.basler.stream.block import Frame
 from sim.basler.stream.channel import StreamChannel
@@ -63,7 +63,7 @@ class Acquisition:
         ticks: Ticks,
         moments: TriggerMoments,
         report: Callable[[EventKind, int, int], None],
-        faults: NoFaults = NO_FAULTS,
+        faults: CameraFaults = NO_FAULTS,
     ) -> None:
         self._name = name
         self._settings = settings

@@ -17,7 +17,7 @@ from sim.basler.control.port import Actions, ControlPort
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Refusal, RegisterMap
 from sim.basler.control.replay import ReplayCache
-from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.message.channel import MessageChannel
 from sim.basler.message.reporter import EventReporter
 from sim.basler.stream.channel import StreamChannel
@@ -36,7 +36,7 @@ class Camera:
         clock: TheatreClock,
         moments: TriggerMoments,
         *,
-        faults: NoFaults = NO_FAULTS,
+        faults: CameraFaults = NO_FAULTS,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.identity = identity

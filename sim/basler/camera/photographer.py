@@ -9,7 +9,7 @@ from typing import Protocol
 from sim.basler.camera.pixels import depth_bits, ramp_image, to_wire
 from sim.basler.camera.settings import FrameSettings, RampImage
 from sim.basler.disturbance import Disturbances
-from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import Pose, View
@@ -44,7 +44,7 @@ class Photographer:
     The same trigger number, settings and pose of the head give the same bytes.
     """
 
-    def __init__(self, world: World, camera: CameraTruth, faults: NoFaults = NO_FAULTS) -> None:
+    def __init__(self, world: World, camera: CameraTruth, faults: CameraFaults = NO_FAULTS) -> None:
         self._faults = faults
         self._seed = world.scene.seed
         self._serial = camera.serial

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from ronna_hw.wire.gige_vision import SENSOR_HEIGHT_PX, TICK_FREQUENCY_HZ
 from sim.basler.camera.settings import FrameSettings, Settings
-from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.faults import NO_FAULTS, CameraFaults
 
 FULL_FRAME_RATE_HZ = 50.0
 ROW_US = 1e6 / FULL_FRAME_RATE_HZ / SENSOR_HEIGHT_PX  # read-out of one row
@@ -78,7 +78,7 @@ class TriggerMoments:
 class Ticks:
     """The camera's time stamp counter, which runs with the theatre's clock."""
 
-    def __init__(self, clock: TheatreClock, faults: NoFaults = NO_FAULTS) -> None:
+    def __init__(self, clock: TheatreClock, faults: CameraFaults = NO_FAULTS) -> None:
         self._clock = clock
         self._faults = faults
         self._zero_ns = 0

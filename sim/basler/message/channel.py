@@ -23,7 +23,7 @@ from ronna_hw.wire.gige_vision import (
     GvcpCommand,
     GvcpFlag,
 )
-from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.message.events import Event
 
 DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # of the register map at power-on; the family's are unconfirmed
@@ -53,7 +53,7 @@ class MessageChannel:
         address: str,
         owner_address: Callable[[], str | None],
         now_s: Callable[[], float],
-        faults: NoFaults = NO_FAULTS,
+        faults: CameraFaults = NO_FAULTS,
     ) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind((address, 0))

@@ -17,7 +17,7 @@ from ronna_hw.wire.gige_vision import (
     GevStatus,
     GvspFormat,
 )
-from sim.basler.faults import NO_FAULTS, NoFaults
+from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.canvas import Area
 from sim.basler.stream.block import Block, Frame, header
 
@@ -40,7 +40,7 @@ class StreamChannel:
     """Sends blocks to one receiver. `owner_address` says who controls the camera."""
 
     def __init__(
-        self, address: str, owner_address: Callable[[], str | None], faults: NoFaults = NO_FAULTS
+        self, address: str, owner_address: Callable[[], str | None], faults: CameraFaults = NO_FAULTS
     ) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((address, 0))

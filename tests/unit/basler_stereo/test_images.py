@@ -24,7 +24,7 @@ def image(
         if leader
         else None
     )
-    return camera_image(Frame(1, said, bytearray(data), missing, 0), "S", AREA, PixelFormat.MONO8, 5, 1.25)
+    return camera_image(Frame(1, said, bytearray(data), missing), "S", AREA, PixelFormat.MONO8, 5, 1.25)
 
 
 def test_a_whole_frame_is_a_valid_image():

@@ -318,6 +318,7 @@ class LosesFirst(NoFaults):
     """The first message is lost."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.messages = 0
 
     def message_lost(self) -> bool:

@@ -24,13 +24,13 @@ def sides():
 def written(slots: FrameSlots, block_id: int, leader: Leader | None = LEADER) -> bytes:
     number, memory = slots.claim()
     memory[:] = bytes([block_id]) * PAYLOAD
-    return slots.note(Frame(block_id, leader, memory, 2, 3, number))
+    return slots.note(Frame(block_id, leader, memory, 2, number))
 
 
 def test_a_frame_is_fetched_as_it_was_written(sides):
     writer, reader = sides
     frame = reader.fetch(written(writer, 9))
-    assert (frame.block_id, frame.leader, frame.missing_packets, frame.resent_packets) == (9, LEADER, 2, 3)
+    assert (frame.block_id, frame.leader, frame.missing_packets) == (9, LEADER, 2)
     assert bytes(frame.data) == bytes([9]) * PAYLOAD
 
 
