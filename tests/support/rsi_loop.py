@@ -6,16 +6,17 @@ import os
 import re
 import socket
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
+
+from responder_stand import SETTINGS
 
 from drivers.kuka_rsi.options import REHEARSAL_LEAD_US
 from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, StopOrder
 from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.sockets import ANY_HOST
 
-AXES = tuple(f"AK.A{k}" for k in range(1, 7))
 START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
 CONTROLLER = ("127.0.0.1", 40000)
 CYCLE_MS = 4
@@ -55,24 +56,13 @@ class InProcessLink:
         Mailbox.initialise(self._memory_fd)
         self.mailbox = Mailbox(self._memory_fd)
         self.replies = SentReplies()
-        settings = LinkSettings(
-            host="127.0.0.1",
-            port=1,
-            parent_pid=1,
+        settings = replace(
+            SETTINGS,
             mailbox_fd=self._memory_fd,
             event_fd=self._event_fd,
-            variant="kr6_r900_sixx",
-            cycle_ms=CYCLE_MS,
-            sentype="KROSHU",
             send_tags=("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay"),
-            receive_tags=("Stop", *AXES),
-            axis_tags=AXES,
-            stop_tag="Stop",
             silence_limit_s=60.0,
             heartbeat_limit_s=heartbeat_limit_s,
-            settle_tolerance_deg=0.0002,
-            speed_fraction=0.12,
-            real_time_priority=0,
             rehearsal_lead_us=REHEARSAL_LEAD_US if rehearses else 0,
         )
         end: Any = self.replies if link is None else link

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -12,6 +11,7 @@ from typing import Literal
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from responder_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_DEG
 
 from drivers.kuka_rsi.errors import LinkUnusable
 from drivers.kuka_rsi.fault_errors import error_of_fault
@@ -27,28 +27,17 @@ from drivers.kuka_rsi.realtime.link_state import (
 from drivers.kuka_rsi.realtime.losses import WINDOW_CYCLES, Losses
 from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.set_points import Choice
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 
-MODEL = kr6_r900("kr6_r900_sixx")
-LIMITS = working_limits(MODEL)
 CYCLE_MS = 4
 FULL_STEP_DEG = [degrees(speed) * CYCLE_MS / 1000 for speed in MODEL.full_speed_rad_s]
 WORKING_SHARE = 0.12
 TAKEN_SHARE = 0.25  # of a full-speed step: what a controller takes in one cycle
 ROUNDING = 1.001
-START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
-START = radians6(*START_DEG)
-FAR = radians6(40, -60, 60, 30, 80, 90)
 JOINT_MOVE = plan_joint_move(MODEL, START, FAR, LIMITS)
-TAGS = tuple(f"AK.A{k}" for k in range(1, 7))
-NUMBERS = re.compile(rb'"(-?\d+\.\d{6})"')
 AT_SPEED = 150  # cycles after which the motion runs at full working speed
 
 Loss = Literal["", "reply", "telegram"]
@@ -59,27 +48,7 @@ class HoldingController:
     """Takes what arrives, keeps it otherwise. `tells`: by how many telegrams too late; None is never."""
 
     def __init__(self, tells: int | None = 0) -> None:
-        self.responder = Responder(
-            LinkSettings(
-                host="127.0.0.1",
-                port=1,
-                parent_pid=1,
-                mailbox_fd=0,
-                event_fd=0,
-                variant="kr6_r900_sixx",
-                cycle_ms=CYCLE_MS,
-                sentype="KROSHU",
-                send_tags=("DEF_AIPos", "DEF_Delay"),
-                receive_tags=("Stop", *TAGS),
-                axis_tags=TAGS,
-                stop_tag="Stop",
-                silence_limit_s=0.25,
-                heartbeat_limit_s=1.0,
-                settle_tolerance_deg=0.0002,
-                speed_fraction=WORKING_SHARE,
-                real_time_priority=0,
-            )
-        )
+        self.responder = Responder(SETTINGS)
         self._tells = tells
         self._cycle = 0
         self._commands = 0

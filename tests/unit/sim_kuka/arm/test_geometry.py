@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from kr6_golden_poses import GOLDEN
 
 from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.orientation import frame_of, pose_of_frame, status_and_turn
@@ -15,31 +16,6 @@ from sim.kuka.arm.robot_description import Variant, description
 from sim.kuka.arm.true_arm import TrueArm
 from sim.theatre.scene.arm_truth import draw_arm
 from sim.theatre.scene.model import ArmTruth
-
-# A1..A6 deg, then X Y Z A B C of the flange: sixx, and position of the -2 (same orientation).
-GOLDEN = [
-    ((0, -90, 90, 0, 0, 0), (525, 0, 890), (535, 0, 880), (0, 90, 0)),
-    ((0, -90, 90, 0, 90, 0), (445, 0, 810), (445, 0, 790), (180, 0, 180)),
-    ((0, 0, 0, 0, 0, 0), (980, 0, 435), (990, 0, 425), (0, 90, 0)),
-    (
-        (30, -75, 110, -20, 45, 60),
-        (462.372, -244.610, 551.274),
-        (460.329, -240.638, 533.584),
-        (-163.174, 18.179, 178.797),
-    ),
-    (
-        (-45, -120, 130, 15, -60, -100),
-        (176.974, 202.333, 814.536),
-        (178.670, 207.199, 812.058),
-        (145.348, 8.181, 41.879),
-    ),
-    (
-        (10, -60, 80, 0, 70, 0),
-        (649.128, -114.459, 603.282),
-        (645.760, -113.865, 583.885),
-        (170, 0, 180),
-    ),
-]
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 
