@@ -8,7 +8,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, model_validator
 
 from ronna_hw.errors import EXIT_REFUSED, DataError
 
@@ -18,6 +18,18 @@ if TYPE_CHECKING:
 UNIT_NORM_TOLERANCE = 1e-6
 Numbers3 = tuple[float, float, float]
 Numbers4 = tuple[float, float, float, float]
+
+SHORTEST_TRANSLATION_MM = 1.0  # of a tool or a camera; 300 mm in metres are shorter
+SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, but 150 mm in metres are
+
+
+def _millimetres(length_mm: float) -> float:
+    if 0.0 < length_mm < SHORTEST_MM:
+        raise ValueError("give millimetres, not metres")
+    return length_mm
+
+
+Length = AfterValidator(_millimetres)  # of something large enough that metres can be told from millimetres
 
 
 class CalibrationExpired(DataError):
@@ -41,10 +53,13 @@ class PoseRecord(Strict):
     quaternion_wxyz: Numbers4 = Field(description="Rotation, scalar first, of norm 1.")
 
     @model_validator(mode="after")
-    def _unit(self) -> Self:
+    def _plausible(self) -> Self:
         norm = sum(value * value for value in self.quaternion_wxyz) ** 0.5
         if abs(norm - 1.0) > UNIT_NORM_TOLERANCE:
-            raise ValueError(f"quaternion_wxyz has norm {norm:.6f}, not 1")
+            raise ValueError(f"quaternion_wxyz has norm {norm:.6f}, not 1: give a rotation, not angles")
+        length_mm = sum(value * value for value in self.translation_mm) ** 0.5
+        if 0.0 < length_mm < SHORTEST_TRANSLATION_MM:
+            raise ValueError(f"translation_mm has length {length_mm:.3g}: give millimetres, not metres")
         return self
 
     def transform(self, target: Frame, source: Frame) -> Transform:
@@ -77,8 +92,8 @@ class DatedRecord(Strict):
     """Fields that all calibration records have in common."""
 
     identifier: str = Field(description="Name of the record.")
-    created: datetime = Field(description="When it was measured.")
-    expires: datetime = Field(description="When it expires.")
+    created: AwareDatetime = Field(description="When it was measured, with the time zone.")
+    expires: AwareDatetime = Field(description="When it expires, with the time zone.")
     made_by: str = Field(description="Who or what measured it.")
     stated_error_mm: Annotated[float, Field(ge=0)] = Field(
         description="One standard deviation, as stated by who made it."

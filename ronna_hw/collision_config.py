@@ -18,10 +18,10 @@ from pydantic import Field, model_validator
 from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid
 from ronna_hw.arm.clearance.surroundings import ArmRadii, Corridor, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.pose import Pose
-from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.calibration import Length, Numbers3, Strict
 
-Millimetres = Annotated[float, Field(gt=0, le=5000)]
-NotNegative = Annotated[float, Field(ge=0, le=5000)]
+Millimetres = Annotated[float, Field(gt=0, le=5000), Length]
+NotNegative = Annotated[float, Field(ge=0, le=5000), Length]
 Speed = Annotated[float, Field(gt=0, le=2000)]
 
 SPHERE_POST_RADIUS_MM = 7.0  # a marker of 11.5 mm on its post, with what the coarse localization leaves open

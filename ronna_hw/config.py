@@ -11,7 +11,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
-from ronna_hw.calibration import StereoHeadCalibration, Strict, ToolTipCalibration, TrackerFrameCalibration
+from ronna_hw.calibration import (
+    Length,
+    StereoHeadCalibration,
+    Strict,
+    ToolTipCalibration,
+    TrackerFrameCalibration,
+)
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
@@ -99,7 +105,7 @@ class ProcedureSettings(Strict):
     servo_area_px: tuple[int, int] = Field(
         default=(1024, 1024), description="Columns and rows of each sensor that the visual servo reads."
     )
-    standoff_mm: Annotated[float, Field(gt=0)] = Field(
+    standoff_mm: Annotated[float, Field(gt=0), Length] = Field(
         default=60.0, description="Distance outside the entry where approach begins and retreat ends."
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = Field(

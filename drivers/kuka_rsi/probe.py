@@ -10,27 +10,38 @@ import errno
 from collections.abc import Sequence
 
 from drivers.kuka_rsi.arm import KukaRsiArm
+from drivers.kuka_rsi.eki.controller_state import what_forbids_motion
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Finding, Progress, connect_and_leave, endpoints_of
+from ronna_hw.devices.probing import Diagnostic, Obstacle, Progress, connect_and_leave, endpoints_of
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.port_users import user_of_udp_port
+from ronna_hw.wire.kuka_eki import OperationMode
+
+READY_ADVICE = "Release the emergency stop, close the guard, and acknowledge the messages at the pendant."
 
 
-def probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
+def probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
     """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
     streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
-    return (*map(stream_port_finding, streams), connect_and_leave(name, config, KukaRsiArm))
+    arm = connect_and_leave(name, config, KukaRsiArm, not_ready=_what_forbids_motion)
+    return (*map(stream_port_diagnostic, streams), arm)
 
 
-def stream_port_finding(endpoint: Endpoint) -> Finding:
+def _what_forbids_motion(arm: KukaRsiArm) -> Obstacle | None:
+    """In any operating mode: which one is right depends on what is to be done."""
+    unmet = what_forbids_motion(arm.controller.state(), drives=False, modes=tuple(OperationMode))
+    return Obstacle("; ".join(unmet), READY_ADVICE) if unmet else None
+
+
+def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
     """Whether the driver can listen where the controller is to send: bind as it would, and let go."""
     subject = f"stream port {endpoint}"
     try:
         bind(endpoint.host, endpoint.port).close()
     except OSError as error:
-        return Finding(subject, False, *_refusal(endpoint, error))
-    return Finding(subject, True, "free for the driver to listen on")
+        return Diagnostic(subject, False, *_refusal(endpoint, error))
+    return Diagnostic(subject, True, "free for the driver to listen on")
 
 
 def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:

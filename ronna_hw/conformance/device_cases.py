@@ -90,14 +90,14 @@ class DeviceCases:
         identity = dut.make().connect()
         dut.release()
         shares: list[float] = []
-        findings = load_probe(dut.config.driver)(dut.name, dut.config, shares.append)
-        for finding in findings:
-            check(bool(finding.subject and finding.seen), "a subject and what was seen", finding)
-            check(finding.well or bool(finding.advice), "advice on what is not well", finding)
+        diagnostics = load_probe(dut.config.driver)(dut.name, dut.config, shares.append)
+        for diagnostic in diagnostics:
+            check(bool(diagnostic.subject and diagnostic.seen), "a subject and what was seen", diagnostic)
+            check(diagnostic.well or bool(diagnostic.advice), "advice on what is not well", diagnostic)
         recognized = [
-            f for f in findings if f.well and (identity.model in f.seen or identity.serial in f.seen)
+            f for f in diagnostics if f.well and (identity.model in f.seen or identity.serial in f.seen)
         ]
-        check(bool(recognized), f"a finding that names {identity.model} {identity.serial}", findings)
+        check(bool(recognized), f"a diagnostic that names {identity.model} {identity.serial}", diagnostics)
         check(all(0 <= share <= 1 for share in shares), "progress between 0 and 1", shares)
         again = dut.make().connect()
         check(again == identity, "a device that the probe has let go of", again)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
@@ -24,11 +24,13 @@ from ronna_hw.errors import ConnectError, RonnaError
 CONNECT_LIMIT_S = 3.0  # host time
 REACH_LIMIT_S = 1.0
 
+D = TypeVar("D", bound=Device)
+
 Progress = Callable[[float], None]  # called with the share done, 0 to 1
 
 
 @dataclass(frozen=True)
-class Finding:
+class Diagnostic:
     """One line: what was looked at, whether it is well, what was seen, what to do.
 
     `document` holds the same in numbers and bytes, ready for JSON; `section` is the list of the doctor's JSON
@@ -43,10 +45,17 @@ class Finding:
     document: Mapping[str, Any] | None = None
 
 
+class Obstacle(NamedTuple):
+    """What keeps a device that answers from being used, and what to do."""
+
+    seen: str
+    advice: str
+
+
 class Probe(Protocol):
     """Looks at one device of a theatre file."""
 
-    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
+    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
         """What was found, in the order in which to read it; never raises for what the device does.
 
         Talks to the endpoints of `config` only, in bounded time; nothing moves and no setting stays changed.
@@ -63,7 +72,7 @@ class EndpointProbe(Probe, Protocol):
         """Schemes that it can look at, such as `serial`."""
         ...
 
-    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Finding]:
+    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         """As a call, without the driver itself: what is at each endpoint?"""
         ...
 
@@ -71,12 +80,14 @@ class EndpointProbe(Probe, Protocol):
 def connect_and_leave(
     name: str,
     config: DeviceConfig,
-    make_device: Callable[[str, DeviceConfig, Clock], Device],
+    make_device: Callable[[str, DeviceConfig, Clock], D],
     advice: str = "",
-) -> Finding:
+    not_ready: Callable[[D], Obstacle | None] = lambda device: None,
+) -> Diagnostic:
     """Connect as a procedure would, read the identity, and close.
 
-    `advice` is what to do when that fails, where the caller knows better than the driver's error.
+    `advice` is what to do when that fails, where the caller knows better than the driver's error. `not_ready`
+    looks at the connected device: what keeps it from being used, if anything.
     """
     endpoints = endpoints_of(config)
     addresses = ", ".join(map(str, endpoints))
@@ -85,14 +96,18 @@ def connect_and_leave(
         device = make_device(name, config, HostClock())
         try:
             identity = device.connect(CONNECT_LIMIT_S)
+            obstacle = not_ready(device)
         finally:
             device.close()
     except RonnaError as error:
         if isinstance(error, ConnectError):  # a wrong configuration gives its own advice
             advice = advice or next(filter(None, map(why_unreachable, endpoints)), "")
         advice = advice or error.advice
-        return Finding(subject, False, f"{addresses}: {error.code} {error.what}", advice)
-    return Finding(subject, True, f"{addresses}: {identity.model} {identity.serial} {identity.firmware}")
+        return Diagnostic(subject, False, f"{addresses}: {error.code} {error.what}", advice)
+    seen = f"{addresses}: {identity.model} {identity.serial} {identity.firmware}"
+    if obstacle is not None:
+        return Diagnostic(subject, False, f"{seen}; {obstacle.seen}", obstacle.advice)
+    return Diagnostic(subject, True, seen)
 
 
 def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:

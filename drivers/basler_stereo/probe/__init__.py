@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
 from drivers.basler_stereo.pair import BaslerStereoPair
 from drivers.basler_stereo.probe.camera_state import look_at_camera
-from drivers.basler_stereo.probe.diagnosis import Expected, camera_finding, discovery_finding
+from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic, discovery_diagnostic
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Finding, Progress, connect_and_leave
+from ronna_hw.devices.probing import Diagnostic, Progress, connect_and_leave
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface, interface_of
 
@@ -21,23 +21,25 @@ class BaslerProbe:
 
     endpoint_schemes = frozenset({"gev"})
 
-    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
-        findings = self._cameras(_expected(config), lambda share: progress(CAMERAS_SHARE * share))
-        advice = next((finding.advice for finding in findings if not finding.well), "")
-        return (*findings, connect_and_leave(name, config, BaslerStereoPair, advice))
+    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+        diagnostics = self._cameras(_expected(config), lambda share: progress(CAMERAS_SHARE * share))
+        advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
+        return (*diagnostics, connect_and_leave(name, config, BaslerStereoPair, advice))
 
-    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Finding]:
+    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         return self._cameras([Expected(endpoint) for endpoint in endpoints], progress)
 
-    def _cameras(self, cameras: Sequence[Expected], progress: Progress) -> Sequence[Finding]:
+    def _cameras(self, cameras: Sequence[Expected], progress: Progress) -> Sequence[Diagnostic]:
         """Broadcast discovery on the cameras' own networks, then each address."""
         networks = {network: discover_cameras(network) for network in dict.fromkeys(_networks(cameras))}
         found = [each for replied in networks.values() for each in replied]
-        findings = [discovery_finding(network, replied) for network, replied in networks.items() if replied]
+        diagnostics = [
+            discovery_diagnostic(network, replied) for network, replied in networks.items() if replied
+        ]
         for number, camera in enumerate(cameras, start=1):
-            findings.append(camera_finding(look_at_camera(camera.endpoint), found, camera))
+            diagnostics.append(camera_diagnostic(look_at_camera(camera.endpoint), found, camera))
             progress(number / len(cameras))
-        return findings
+        return diagnostics
 
 
 def _networks(cameras: Sequence[Expected]) -> Iterator[Interface]:

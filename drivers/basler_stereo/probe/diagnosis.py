@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.probe.camera_state import CameraState, Controller, Response
-from ronna_hw.devices.probing import Finding
+from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.network_interfaces import Interface
 
@@ -33,7 +33,7 @@ class Diagnosis(NamedTuple):
     advice: str = ""
 
 
-def camera_finding(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Finding:
+def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnostic:
     """The camera for the doctor, in numbers as well. `found` replied to broadcast discovery."""
     well, seen, advice = diagnose(camera, found, expected)
     document: dict[str, Any] = {
@@ -47,13 +47,13 @@ def camera_finding(camera: CameraState, found: Sequence[CameraIdentity], expecte
         "seen": seen,
         "cause": advice,
     }
-    return Finding(f"camera {camera.endpoint}", well, seen, advice, SECTION, document)
+    return Diagnostic(f"camera {camera.endpoint}", well, seen, advice, SECTION, document)
 
 
-def discovery_finding(interface: Interface, found: Sequence[CameraIdentity]) -> Finding:
+def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) -> Diagnostic:
     """The cameras on one network."""
     listed = ", ".join(f"{each.model} {each.serial} at {each.address}" for each in found)
-    return Finding(f"cameras on {interface.name}", True, listed)
+    return Diagnostic(f"cameras on {interface.name}", True, listed)
 
 
 def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnosis:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from drivers.ndi_polaris.probe.line import Attempt, LineState, Opening, Outcome
-from ronna_hw.devices.probing import Finding
+from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.host.serial_ports import permission_advice
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
@@ -22,7 +22,7 @@ class Diagnosis(NamedTuple):
     advice: str = ""
 
 
-def line_finding(line: LineState) -> Finding:
+def line_diagnostic(line: LineState) -> Diagnostic:
     """The line for the doctor, with every attempt in bytes."""
     well, seen, advice = diagnose(line)
     answered = line.answered
@@ -41,7 +41,7 @@ def line_finding(line: LineState) -> Finding:
         "seen": seen,
         "cause": advice,
     }
-    return Finding(f"line {line.endpoint}", well, seen, advice, SECTION, document)
+    return Diagnostic(f"line {line.endpoint}", well, seen, advice, SECTION, document)
 
 
 def diagnose(line: LineState) -> Diagnosis:

@@ -7,68 +7,68 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from ronna_hw.devices.probing import Finding
+from ronna_hw.devices.probing import Diagnostic
 
 RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras at 1500-byte packets
 
 
-def computer_findings() -> Iterator[Finding]:
+def computer_diagnostics() -> Iterator[Diagnostic]:
     """All checks that need no device."""
-    yield Finding("Python", sys.version_info >= (3, 11), sys.version.split()[0])
+    yield Diagnostic("Python", sys.version_info >= (3, 11), sys.version.split()[0])
     yield _packages()
     yield _receive_buffer()
     yield _real_time()
     yield from _serial_ports()
 
 
-def _packages() -> Finding:
+def _packages() -> Diagnostic:
     from ronna_hw.host.own_packages import foreign_packages
 
     if foreign := foreign_packages():
         advice = "Run in an environment where no other package has these names."
-        return Finding("packages", False, f"foreign: {', '.join(foreign)}", advice)
-    return Finding("packages", True, "ours")
+        return Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
+    return Diagnostic("packages", True, "ours")
 
 
-def _receive_buffer() -> Finding:
+def _receive_buffer() -> Diagnostic:
     try:
         size = int(Path("/proc/sys/net/core/rmem_max").read_text())
     except OSError:
-        return Finding("camera receive buffer", True, "unknown on this system")
+        return Diagnostic("camera receive buffer", True, "unknown on this system")
     large = size >= RECEIVE_BUFFER_WANTED
     advice = "" if large else "Raise net.core.rmem_max to 4194304, or use jumbo packets."
-    return Finding("camera receive buffer", large, f"net.core.rmem_max {size}", advice)
+    return Diagnostic("camera receive buffer", large, f"net.core.rmem_max {size}", advice)
 
 
-def _real_time() -> Finding:
+def _real_time() -> Diagnostic:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     except PermissionError:
         advice = "Allow RLIMIT_RTPRIO 80 for hardware; tests do not need it."
-        return Finding("real-time priority", False, "not permitted", advice)
-    return Finding("real-time priority", True, "permitted")
+        return Diagnostic("real-time priority", False, "not permitted", advice)
+    return Diagnostic("real-time priority", True, "permitted")
 
 
-def _serial_ports() -> Iterator[Finding]:
+def _serial_ports() -> Iterator[Diagnostic]:
     from serial.tools import list_ports
 
     ports = sorted(list_ports.comports(), key=lambda port: str(port.device))
     if not ports:
-        yield Finding("serial ports", True, "none on this computer")
+        yield Diagnostic("serial ports", True, "none on this computer")
     for port in ports:
         description = "no description" if port.description == "n/a" else str(port.description)
         yield _serial_port(str(port.device), description)
 
 
-def _serial_port(path: str, description: str) -> Finding:
+def _serial_port(path: str, description: str) -> Diagnostic:
     from ronna_hw.host.port_users import users_of_serial_port
     from ronna_hw.host.serial_ports import permission_advice, permissions
 
     subject = f"serial port {path}"
     seen = f"{description}; {permissions(path)}"
     if not os.access(path, os.R_OK | os.W_OK):
-        return Finding(subject, False, f"{seen}; permission denied", permission_advice(path))
+        return Diagnostic(subject, False, f"{seen}; permission denied", permission_advice(path))
     if users := users_of_serial_port(path):
         seen += "; in use by " + " and ".join(map(str, users))
-    return Finding(subject, True, seen)
+    return Diagnostic(subject, True, seen)

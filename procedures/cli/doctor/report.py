@@ -4,34 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.doctor.computer import computer_findings
+from procedures.cli.doctor.calibrations import calibration_diagnostics
+from procedures.cli.doctor.computer import computer_diagnostics
 from ronna_hw.command_line.console import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, read_theatre_file
-from ronna_hw.devices.probing import Finding
+from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe
 
+NO_DEVICES = (
+    "no devices",
+    "Declare them as [tracker], [robot.master] and [stereo]; ronna-sim theatre writes an example.",
+)
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
 
-Look = Callable[[Progress], Sequence[Finding]]
+Look = Callable[[Progress], Sequence[Diagnostic]]
 
 
 @dataclass(frozen=True)
 class Report:
-    """What was found on the computer, and at the devices."""
+    """What was found on the computer, in the calibration records, and at the devices."""
 
-    computer: tuple[Finding, ...]
-    devices: tuple[Finding, ...]
+    computer: tuple[Diagnostic, ...]
+    devices: tuple[Diagnostic, ...]
+    calibrations: tuple[Diagnostic, ...] = ()
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Everything, in the order in which it is shown."""
-        return self.computer + self.devices
+        return self.computer + self.calibrations + self.devices
 
     def section(self, name: str) -> list[Mapping[str, Any]]:
         """The documents of one section."""
@@ -46,25 +53,30 @@ def examine(
     Raises CFG-001 for a bad theatre file, CFG-002 for an endpoint that no probe can look at.
     """
     looks = [*_looks_at_endpoints(endpoints)]
+    calibrations: tuple[Diagnostic, ...] = ()
     if config is not None:
-        looks += [partial(_probe, name, device) for name, device in read_theatre_file(config).devices.items()]
-    computer = tuple(computer_findings())
-    found: list[Finding] = []
+        theatre = read_theatre_file(config)
+        calibrations = tuple(calibration_diagnostics(theatre, datetime.now(UTC)))
+        looks += [partial(_probe, name, device) for name, device in theatre.devices.items()]
+        if not theatre.devices:
+            looks.append(lambda progress: (Diagnostic(f"theatre {theatre.theatre}", False, *NO_DEVICES),))
+    computer = tuple(computer_diagnostics())
+    found: list[Diagnostic] = []
     for number, look in enumerate(looks):
         found += look(partial(_advance, progress, number, len(looks)))
         progress((number + 1) / len(looks))
-    return Report(computer, tuple(found))
+    return Report(computer, tuple(found), calibrations)
 
 
 def show(report: Report, *, as_json: bool) -> None:
-    """Print the findings; ends with exit code 4 when a device or an endpoint has a problem."""
+    """Print the diagnostics; ends with exit code 4 when a device or an endpoint has a problem."""
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
             {
                 "findings": [
                     {"subject": f.subject, "well": f.well, "seen": f.seen, "advice": f.advice}
-                    for f in report.findings
+                    for f in report.diagnostics
                 ]
             }
             | {name: report.section(name) for name in sections}
@@ -73,9 +85,9 @@ def show(report: Report, *, as_json: bool) -> None:
         print_table(
             "Doctor",
             ("checked", "", "found", "what to do"),
-            [(f.subject, "ok" if f.well else "PROBLEM", f.seen, f.advice) for f in report.findings],
+            [(f.subject, "ok" if f.well else "PROBLEM", f.seen, f.advice) for f in report.diagnostics],
         )
-    if not all(finding.well for finding in report.devices):
+    if not all(diagnostic.well for diagnostic in report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
 
 
@@ -99,12 +111,12 @@ def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[Look]:
         yield partial(probes[driver].look_at, endpoints)
 
 
-def _probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
-    """What the driver's probe finds. One that fails is a finding too: the other devices still follow."""
+def _probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+    """What the driver's probe finds. One that fails is a diagnostic too: the other devices still follow."""
     try:
         return load_probe(config.driver)(name, config, progress)
     except RonnaError as error:
-        return (Finding(f"device {name}", False, f"{error.code} {error.what}", error.advice),)
+        return (Diagnostic(f"device {name}", False, f"{error.code} {error.what}", error.advice),)
 
 
 def _advance(progress: Progress, number: int, looks: int, share: float) -> None:

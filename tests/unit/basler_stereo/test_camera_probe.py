@@ -13,9 +13,9 @@ from drivers.basler_stereo import probe as camera_probe
 from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.probe import camera_state, probe
 from drivers.basler_stereo.probe.camera_state import CameraState, Controller, Response, look_at_camera
-from drivers.basler_stereo.probe.diagnosis import Expected, camera_finding
+from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Finding
+from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface
 from ronna_hw.host.port_users import PortUser
@@ -34,12 +34,12 @@ WELL = CameraState(ENDPOINT, Response.ANSWERED, CARD, LEFT, Controller(False), 8
 
 
 def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> None:
-    finding = camera_finding(WELL, (), EXPECTED)
-    assert finding.well
-    assert finding.advice == ""
-    assert "enp3s0 (192.168.3.1, MTU 9000)" in finding.seen
-    assert "no application in control" in finding.seen
-    assert "packets of 8192 bytes arrive" in finding.seen
+    diagnostic = camera_diagnostic(WELL, (), EXPECTED)
+    assert diagnostic.well
+    assert diagnostic.advice == ""
+    assert "enp3s0 (192.168.3.1, MTU 9000)" in diagnostic.seen
+    assert "no application in control" in diagnostic.seen
+    assert "packets of 8192 bytes arrive" in diagnostic.seen
 
 
 @pytest.mark.parametrize(
@@ -115,21 +115,21 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
 def test_what_is_not_well_has_a_cause_in_plain_words(
     camera: CameraState, found: tuple[CameraIdentity, ...], seen: str, advice: str
 ) -> None:
-    finding = camera_finding(camera, found, EXPECTED)
-    assert not finding.well
-    assert seen in finding.seen
-    assert advice in finding.advice
-    assert finding.document is not None
-    assert finding.document["cause"] == finding.advice
+    diagnostic = camera_diagnostic(camera, found, EXPECTED)
+    assert not diagnostic.well
+    assert seen in diagnostic.seen
+    assert advice in diagnostic.advice
+    assert diagnostic.document is not None
+    assert diagnostic.document["cause"] == diagnostic.advice
 
 
 def test_small_packets_are_well_and_say_what_would_be_better() -> None:
-    finding = camera_finding(
+    diagnostic = camera_diagnostic(
         replace(WELL, packet_bytes=1500, interface=replace(CARD, mtu_bytes=1500)), (), EXPECTED
     )
-    assert finding.well
-    assert "packets of 1500 bytes arrive" in finding.seen
-    assert "enp3s0 has an MTU of 1500" in finding.advice
+    assert diagnostic.well
+    assert "packets of 1500 bytes arrive" in diagnostic.seen
+    assert "enp3s0 has an MTU of 1500" in diagnostic.advice
 
 
 # --- the state ---------------------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ def test_nobody_and_somebody_silent_are_told_apart(monkeypatch: pytest.MonkeyPat
         assert look_at_camera(endpoint).response is Response.SILENT
 
 
-# --- the findings ------------------------------------------------------------------------------------------
+# --- the diagnostics --------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -201,7 +201,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Interface]:
     return networks
 
 
-def looked_at(*addresses: str) -> list[Finding]:
+def looked_at(*addresses: str) -> list[Diagnostic]:
     return list(probe.look_at([Endpoint("gev", host=each) for each in addresses], lambda share: None))
 
 
@@ -215,9 +215,9 @@ def test_broadcast_discovery_stays_on_the_network_of_the_given_addresses(asked: 
 def test_nothing_is_broadcast_for_an_address_in_no_subnet_of_this_computer(
     asked: list[Interface],
 ) -> None:
-    (finding,) = looked_at("203.0.113.1")
+    (diagnostic,) = looked_at("203.0.113.1")
     assert asked == []
-    assert finding.subject == "camera gev://203.0.113.1"
+    assert diagnostic.subject == "camera gev://203.0.113.1"
 
 
 def test_the_cameras_of_a_theatre_file_and_their_cause(stand: Stand) -> None:

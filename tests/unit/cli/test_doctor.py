@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from procedures.cli.doctor import report as doctor
+from procedures.cli.doctor.calibrations import calibration_diagnostics
 from procedures.cli.doctor.report import Report, examine, show
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Finding, Progress
+from ronna_hw.devices.probing import Diagnostic, Progress
 from ronna_hw.endpoints import BadEndpoint, Endpoint
 from ronna_hw.errors import ConnectError
 
-WELL = Finding("line tcp://127.0.0.1:1", True, "answered", section="lines", document={"baud": 9600})
-UNWELL = Finding("device tracker", False, "silent", "Switch it on.")
+WELL = Diagnostic("line tcp://127.0.0.1:1", True, "answered", section="lines", document={"baud": 9600})
+UNWELL = Diagnostic("device tracker", False, "silent", "Switch it on.")
 
 
 class LineProbe:
@@ -24,15 +28,15 @@ class LineProbe:
 
     endpoint_schemes = frozenset({"tcp", "serial"})
 
-    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
+    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
         progress(0.5)
-        return (WELL, Finding(f"device {name}", True, config.driver))
+        return (WELL, Diagnostic(f"device {name}", True, config.driver))
 
-    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Finding]:
-        return [Finding(f"line {endpoint}", True, "answered") for endpoint in endpoints]
+    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
+        return [Diagnostic(f"line {endpoint}", True, "answered") for endpoint in endpoints]
 
 
-def failing(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Finding]:
+def failing(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
     raise ConnectError("no such bus", action="Plug it in.")
 
 
@@ -56,12 +60,38 @@ def theatre(tmp_path: Path) -> Path:
 def test_every_device_of_a_theatre_file_is_probed_also_after_a_probe_that_fails(theatre: Path) -> None:
     shares: list[float] = []
     report = examine(theatre, (), shares.append)
-    assert [finding.subject for finding in report.devices] == [
+    assert [diagnostic.subject for diagnostic in report.devices] == [
         "device tracker", "line tcp://127.0.0.1:1", "device device.force"
     ]  # fmt: skip
     assert not report.devices[0].well
     assert report.devices[0].advice == "Plug it in."
     assert shares == [0.5, 0.75, 1.0]
+
+
+def test_a_theatre_without_devices_is_a_problem_that_says_what_to_declare(tmp_path: Path) -> None:
+    (tmp_path / "theatre.toml").write_text('theatre = "lab"\n')
+    (diagnostic,) = examine(tmp_path / "theatre.toml").devices
+    assert not diagnostic.well
+    assert "[robot.master]" in diagnostic.advice
+
+
+@pytest.mark.parametrize(("days", "well", "said"), [(1, True, "valid until"), (-1, False, "expired on")])
+def test_each_calibration_record_shows_until_when_it_is_valid(days: int, well: bool, said: str) -> None:
+    now = datetime.now(UTC)
+    record = SimpleNamespace(identifier="head-1", expires=now + timedelta(days=days))
+    records = SimpleNamespace(stereo_head=record, tool_tip=record, tracker_frame=record)
+    for diagnostic in calibration_diagnostics(cast("Any", SimpleNamespace(calibration=records)), now):
+        assert (diagnostic.well, bool(diagnostic.advice)) == (well, not well)
+        assert diagnostic.seen.startswith(f"head-1, {said} ")
+
+
+def test_missing_calibrations_are_a_problem_only_where_a_case_could_be_run(theatre: Path) -> None:
+    (alone,) = examine(theatre).calibrations
+    assert alone.well
+    arm = '[robot.master]\ndriver = "lines"\nendpoint = "tcp://127.0.0.1:3"\n'
+    theatre.write_text(theatre.read_text() + arm + arm.replace("robot.master", "stereo"))
+    (whole,) = examine(theatre).calibrations
+    assert "[calibration]" in whole.advice
 
 
 def test_bare_endpoints_are_looked_at_by_the_probe_of_their_scheme() -> None:
@@ -109,5 +139,5 @@ def test_a_device_that_is_not_well_ends_with_4(capsys: pytest.CaptureFixture[str
 
 
 def test_a_computer_that_is_not_well_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
-    show(Report((Finding("packages", False, "foreign: sim"),), (WELL,)), as_json=False)
+    show(Report((Diagnostic("packages", False, "foreign: sim"),), (WELL,)), as_json=False)
     assert "packages\tPROBLEM\tforeign: sim" in capsys.readouterr().out

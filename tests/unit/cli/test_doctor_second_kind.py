@@ -16,6 +16,6 @@ def test_a_device_of_another_kind_is_shown_by_the_doctor(
     monkeypatch.setattr(ScaledForceSensor, "present", present)
     path = tmp_path / "theatre.toml"
     path.write_text(f'theatre = "lab"\n{DECLARED}')
-    (finding,) = examine(path).devices
-    assert (finding.subject, finding.well) == ("device device.force", present)
-    assert ("F1 7 1.0" in finding.seen) is present
+    (diagnostic,) = examine(path).devices
+    assert (diagnostic.subject, diagnostic.well) == ("device device.force", present)
+    assert ("F1 7 1.0" in diagnostic.seen) is present

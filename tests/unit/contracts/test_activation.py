@@ -77,6 +77,7 @@ def test_a_failure_to_deactivate_masks_nothing_and_is_raised_when_nothing_else_i
     with pytest.raises(ZeroDivisionError) as caught, device.active():
         raise ZeroDivisionError
     assert caught.value.__notes__ == ["device could not be deactivated: no reply to STOP"]
+    device.guard.enter(Lifecycle.CONFIGURED)
     with pytest.raises(LinkTimeout), device.active():
         pass
 

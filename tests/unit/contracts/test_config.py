@@ -1,4 +1,7 @@
+import re
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -33,6 +36,41 @@ def test_all_mistakes_of_a_theatre_file_are_reported_at_once() -> None:
     assert "3 mistake(s)" in message
     for part in ("colour", "clock.endpoint", "tracker.driver"):
         assert part in message
+
+
+RECORD: dict[str, Any] = {
+    "identifier": "tip",
+    "made_by": "lab",
+    "stated_error_mm": 0.05,
+    "tool_number": 2,
+    "created": datetime(2026, 11, 1, tzinfo=UTC),
+    "expires": datetime(2026, 12, 1, tzinfo=UTC),
+}
+POSE: dict[str, Any] = {"translation_mm": [0.0, 0.0, 300.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("record", "pose", "said"),
+    [
+        (
+            {},
+            {"translation_mm": [0.0, 0.0, 0.3]},
+            "length 0.3: give millimetres, not metres",
+        ),
+        (
+            {},
+            {"quaternion_wxyz": [0.0, 90.0, 0.0, 0.0]},
+            "not 1: give a rotation, not angles",
+        ),
+        ({"expires": datetime.fromisoformat("2026-12-01")}, {}, "timezone"),
+    ],
+)
+def test_a_record_in_the_wrong_unit_or_without_a_time_zone_says_so(
+    record: dict[str, Any], pose: dict[str, Any], said: str
+) -> None:
+    tip = {**RECORD, "flange_from_tool": {**POSE, **pose}, **record}
+    with pytest.raises(BadTheatreFile, match=re.escape(said)):
+        parse_theatre({"theatre": "lab", "calibration": {"tool_tip": tip}})
 
 
 def test_a_device_needs_an_endpoint() -> None:

@@ -7,7 +7,7 @@ from force_sensor import ScaledForceSensor, install
 
 from ronna_hw import registry
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Finding, endpoints_of
+from ronna_hw.devices.probing import Diagnostic, endpoints_of
 
 ENDPOINT = "tcp://127.0.0.1:1"
 CLOSED: list[str] = []
@@ -21,8 +21,8 @@ class Sensor(ScaledForceSensor):
         super().close()
 
 
-def own_probe(name: str, config: DeviceConfig, progress: object) -> tuple[Finding, ...]:
-    return (Finding(f"device {name}", False, "no load cell", "Plug it in."),)
+def own_probe(name: str, config: DeviceConfig, progress: object) -> tuple[Diagnostic, ...]:
+    return (Diagnostic(f"device {name}", False, "no load cell", "Plug it in."),)
 
 
 @pytest.fixture(autouse=True)
@@ -31,10 +31,10 @@ def _installed(monkeypatch: pytest.MonkeyPatch) -> None:
     CLOSED.clear()
 
 
-def probed(driver: str = "force", endpoint: str = ENDPOINT) -> Finding:
+def probed(driver: str = "force", endpoint: str = ENDPOINT) -> Diagnostic:
     config = DeviceConfig(driver=driver, endpoint=endpoint)
-    (finding,) = registry.load_probe(driver)("force", config, lambda share: None)
-    return finding
+    (diagnostic,) = registry.load_probe(driver)("force", config, lambda share: None)
+    return diagnostic
 
 
 def test_a_driver_brings_its_own_probe(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,7 +45,7 @@ def test_a_driver_brings_its_own_probe(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_driver_without_a_probe_is_identified_and_closed() -> None:
-    assert probed() == Finding("device force", True, f"{ENDPOINT}: F1 7 1.0")
+    assert probed() == Diagnostic("device force", True, f"{ENDPOINT}: F1 7 1.0")
     assert CLOSED == ["force"]
 
 
@@ -53,14 +53,14 @@ def test_a_device_that_does_not_answer_is_closed_and_the_cause_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(Sensor, "present", False)
-    finding = probed()
-    assert not finding.well
-    assert finding.advice.startswith(f"Nothing listens at {ENDPOINT}")
+    diagnostic = probed()
+    assert not diagnostic.well
+    assert diagnostic.advice.startswith(f"Nothing listens at {ENDPOINT}")
     assert probed(endpoint="serial:///dev/scales").advice == "Switch it on."
     assert CLOSED == ["force", "force"]
 
 
-def test_a_driver_that_is_not_installed_is_a_finding() -> None:
+def test_a_driver_that_is_not_installed_is_a_diagnostic() -> None:
     assert "DEV-002" in probed("abacus").seen
 
 

@@ -7,11 +7,13 @@ import socket
 from collections.abc import Iterator
 
 import pytest
+from fake_controller import FakeController
 
 from drivers.kuka_rsi import probe as kuka_probe
-from drivers.kuka_rsi.probe import stream_port_finding
+from drivers.kuka_rsi.probe import stream_port_diagnostic
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.loopback import own_udp_endpoint
 
 
 @pytest.fixture
@@ -24,31 +26,31 @@ def taken() -> Iterator[Endpoint]:
 
 def test_a_free_port_is_well_and_left_free(taken: Endpoint) -> None:
     free = Endpoint("udp", "127.77.0.1", taken.port)
-    assert stream_port_finding(free).well
-    assert stream_port_finding(free).well
+    assert stream_port_diagnostic(free).well
+    assert stream_port_diagnostic(free).well
 
 
 def test_a_port_in_use_names_the_program(taken: Endpoint) -> None:
-    finding = stream_port_finding(taken)
-    assert not finding.well
-    assert f"(pid {os.getpid()})" in finding.seen
-    assert "End that program" in finding.advice
+    diagnostic = stream_port_diagnostic(taken)
+    assert not diagnostic.well
+    assert f"(pid {os.getpid()})" in diagnostic.seen
+    assert "End that program" in diagnostic.advice
 
 
 def test_a_port_in_use_by_an_unseen_program_names_the_command_that_finds_it(
     taken: Endpoint, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(kuka_probe, "user_of_udp_port", lambda _address, _port: None)
-    finding = stream_port_finding(taken)
-    assert "may not see" in finding.seen
-    assert f"ss -ulnp 'sport = {taken.port}'" in finding.advice
+    diagnostic = stream_port_diagnostic(taken)
+    assert "may not see" in diagnostic.seen
+    assert f"ss -ulnp 'sport = {taken.port}'" in diagnostic.advice
 
 
 def test_an_address_of_another_subnet_is_not_one_of_this_computer() -> None:
-    finding = stream_port_finding(Endpoint("udp", "192.0.2.1", 59152))  # for documents: RFC 5737
-    assert not finding.well
-    assert "192.0.2.1 is not an address of this computer" in finding.seen
-    assert "Ethernet file" in finding.advice
+    diagnostic = stream_port_diagnostic(Endpoint("udp", "192.0.2.1", 59152))  # for documents: RFC 5737
+    assert not diagnostic.well
+    assert "192.0.2.1 is not an address of this computer" in diagnostic.seen
+    assert "Ethernet file" in diagnostic.advice
 
 
 def test_the_arm_of_a_theatre_file_and_the_cause(taken: Endpoint) -> None:
@@ -59,3 +61,14 @@ def test_the_arm_of_a_theatre_file_and_the_cause(taken: Endpoint) -> None:
     assert (stream.subject, arm.subject) == (f"stream port {taken}", "device robot.master")
     assert "EKI-001" in arm.seen
     assert "Nothing listens at tcp://127.0.0.1:1" in arm.advice
+
+
+def test_a_pressed_emergency_stop_is_named_with_what_to_do(controller: FakeController) -> None:
+    endpoints = {"rsi": own_udp_endpoint(), "eki_project": f"tcp://127.0.0.1:{controller.eki_port}"}
+    controller.facts["EStop"] = "1"
+    _, arm = kuka_probe.probe(
+        "robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), lambda share: None
+    )
+    assert not arm.well
+    assert arm.seen.endswith("; emergency stop is active")
+    assert "Release the emergency stop" in arm.advice

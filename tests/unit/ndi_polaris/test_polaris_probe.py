@@ -16,7 +16,7 @@ import pytest
 
 from drivers.ndi_polaris.line import inquiry
 from drivers.ndi_polaris.probe import line, probe
-from drivers.ndi_polaris.probe.diagnosis import diagnose, line_finding
+from drivers.ndi_polaris.probe.diagnosis import diagnose, line_diagnostic
 from drivers.ndi_polaris.probe.line import LineState, Opening, Outcome, look_at_line
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -258,24 +258,24 @@ def test_nobody_listens() -> None:
     assert "Nothing listens" in diagnosis.advice
 
 
-# --- the findings ------------------------------------------------------------------------------------------
+# --- the diagnostics --------------------------------------------------------------------------------------
 
 
 def test_the_document_has_every_attempt_in_hex(other_end: Callable[[Answer], OtherEnd]) -> None:
     end = other_end(unit_at(115200, b"\xfe\xff"))
-    finding = line_finding(look_at_line(end.endpoint))
-    assert (finding.subject, finding.section) == (f"line serial://{end.path}", "lines")
-    assert finding.document is not None
-    assert finding.document["answered_at_baud"] == 115200
-    assert [attempt["outcome"] for attempt in finding.document["attempts"]] == ["garbage", "answered"]
-    assert finding.document["attempts"][0]["bytes"] == "fe ff"
-    assert finding.document["last_bytes"] == ANSWER.hex(" ")
+    diagnostic = line_diagnostic(look_at_line(end.endpoint))
+    assert (diagnostic.subject, diagnostic.section) == (f"line serial://{end.path}", "lines")
+    assert diagnostic.document is not None
+    assert diagnostic.document["answered_at_baud"] == 115200
+    assert [attempt["outcome"] for attempt in diagnostic.document["attempts"]] == ["garbage", "answered"]
+    assert diagnostic.document["attempts"][0]["bytes"] == "fe ff"
+    assert diagnostic.document["last_bytes"] == ANSWER.hex(" ")
 
 
 def test_a_line_that_was_not_opened_has_no_attempts() -> None:
-    finding = line_finding(LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING))
-    assert finding.document is not None
-    assert finding.document["attempts"] == []
+    diagnostic = line_diagnostic(LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING))
+    assert diagnostic.document is not None
+    assert diagnostic.document["attempts"] == []
 
 
 def test_the_cause_found_on_the_line_is_the_advice_for_the_device() -> None:
