@@ -6,7 +6,9 @@ import contextlib
 import itertools
 import math
 import socket
+from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 from ronna_hw.conformance.any_device import (
     SLACK_S,
@@ -21,6 +23,7 @@ from ronna_hw.conformance.any_device import (
 from ronna_hw.conformance.case import CHECKED_REPLIES, LINE_FAULTS, NotShown, Suite, check, refused
 from ronna_hw.conformance.device_cases import DeviceCases, observe
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
 from ronna_hw.devices.tracker import OpticalTracker
@@ -55,6 +58,14 @@ def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
     if not readings:
         raise NotShown("no tool is configured")
     return readings
+
+
+@contextlib.contextmanager
+def disturbed(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
+    """(line, tracker): an active tracker on a line that can misbehave; every session is closed afterwards."""
+    with dut.disturbed_line() as line:
+        yield line, dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+        dut.release()
 
 
 SUITE.case("T01", "the driver implements OpticalTracker and starts disconnected")(
@@ -196,19 +207,16 @@ SUITE.case("T17", "an unknown option is refused by the constructor")(refuses_unk
 
 @SUITE.case("T18", "a reading on a silent line ends at its time limit", needs=(LINE_FAULTS,))
 def silence_ends_a_reading(dut: DeviceUnderTest) -> None:
-    with dut.disturbed_line() as line:
-        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+    with disturbed(dut) as (line, tracker):
         line.silence()
         with ends_within(READ_LIMIT_S + SLACK_S):
             refused(lambda: tracker.read_frame(READ_LIMIT_S), LinkTimeout, "read_frame on a silent line")
         line.silence(False)
-        dut.release()
 
 
 @SUITE.case("T19", "closing on a silent line ends in bounded time and raises nothing", needs=(LINE_FAULTS,))
 def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
-    with dut.disturbed_line() as line:
-        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+    with disturbed(dut) as (line, tracker):
         line.silence()
         with ends_within(CLOSE_LIMIT_S):
             tracker.close()
@@ -221,8 +229,7 @@ def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
     needs=(LINE_FAULTS,),
 )
 def late_reply(dut: DeviceUnderTest) -> None:
-    with dut.disturbed_line() as line:
-        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+    with disturbed(dut) as (line, tracker):
         tracker.read_frame()
         line.delay_next(READ_LIMIT_S + 0.1)
         refused(lambda: tracker.read_frame(READ_LIMIT_S), RonnaError, "a reading whose reply is late")
@@ -232,13 +239,11 @@ def late_reply(dut: DeviceUnderTest) -> None:
         second, third = (tracker.read_frame(2.0).stamp.device_clock for _ in range(2))
         # If every reply belonged to the previous request, the pause would show one reading late.
         check(third - second <= second - first, "a fresh frame after a pause", (first, second, third))
-        dut.release()
 
 
 @SUITE.case("T21", "a broken connection latches a fault that only recover clears", needs=(LINE_FAULTS,))
 def broken_connection(dut: DeviceUnderTest) -> None:
-    with dut.disturbed_line() as line:
-        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+    with disturbed(dut) as (line, tracker):
         line.cut()
         for _ in range(RECOVERY_READS):
             if tracker.state is Lifecycle.FAULT:
@@ -250,7 +255,6 @@ def broken_connection(dut: DeviceUnderTest) -> None:
         check(observe(tracker, Lifecycle.FAULT).fault is not None, "the fault observed")
         tracker.recover("conformance suite")
         dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame()
-        dut.release()
 
 
 @SUITE.case(
@@ -259,8 +263,7 @@ def broken_connection(dut: DeviceUnderTest) -> None:
     needs=(LINE_FAULTS, CHECKED_REPLIES),
 )
 def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
-    with dut.disturbed_line() as line:
-        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+    with disturbed(dut) as (line, tracker):
         for disturb in (line.flip_next, line.lose_next_byte):
             before = tracker.read_frame().stamp
             disturb()
@@ -269,7 +272,6 @@ def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
                 after = tracker.read_frame(2.0).stamp
                 check(after.device_clock >= before.device_clock, "a later frame", after)
             tracker.read_frame(2.0)
-        dut.release()
 
 
 SUITE.cases.extend(DeviceCases(lambda tracker: tracker.read_frame(), CLOSE_LIMIT_S).numbered("T", 23))
@@ -277,12 +279,10 @@ SUITE.cases.extend(DeviceCases(lambda tracker: tracker.read_frame(), CLOSE_LIMIT
 
 @SUITE.case("T27", "observing a silent line asks nothing and latches nothing", needs=(LINE_FAULTS,))
 def observing_a_silent_line(dut: DeviceUnderTest) -> None:
-    with dut.disturbed_line() as line:
-        tracker = dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+    with disturbed(dut) as (line, tracker):
         tracker.read_frame()
         line.silence()
         for _ in range(FRAMES):
             observe(tracker, Lifecycle.ACTIVE)
         line.silence(False)
         tracker.read_frame()
-        dut.release()

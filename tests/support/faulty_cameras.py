@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import socket
-
 from drivers.basler_stereo import BaslerStereoPair
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess
+from ronna_hw.host.control_port import ask_control_port
 
 AREA = AreaOfInterest(896, 416, 256, 256)
 LIMIT_S = 30.0  # of host time; what takes longer hangs
@@ -21,7 +19,7 @@ class Cameras:
 
     def __init__(self, child: ChildProcess) -> None:
         self._endpoints = dict(child.ready["endpoints"])
-        self._control = parse_endpoint(child.ready["control"]).require("tcp")
+        self._control = child.ready["control"]
         self._pairs: list[BaslerStereoPair] = []
 
     @property
@@ -30,17 +28,11 @@ class Cameras:
         left, right = (parse_endpoint(self._endpoints[side]).host for side in ("left", "right"))
         return left, right
 
-    def tell(self, **request: str) -> None:
-        with socket.create_connection((self._control.host, self._control.port), LIMIT_S) as door:
-            door.sendall(json.dumps(request).encode() + b"\n")
-            answer = json.loads(door.makefile("rb").readline())
-        assert answer["ok"], answer
-
     def fault(self, phrase: str) -> None:
-        self.tell(do="fault", line=f"now: camera {phrase}")
+        ask_control_port(self._control, "fault", line=f"now: camera {phrase}")
 
     def heal(self) -> None:
-        self.tell(do="clear_faults")
+        ask_control_port(self._control, "clear_faults")
 
     def new_pair(self, **options: object) -> BaslerStereoPair:
         config = DeviceConfig(driver="basler_stereo", endpoints=self._endpoints, options=options)

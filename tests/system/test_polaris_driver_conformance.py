@@ -88,44 +88,6 @@ def test_without_permission_nothing_is_reset(commands: Any) -> None:
     assert all("--allow destructive" in reason for reason in left_out.values())
 
 
-def test_nobody_at_the_endpoint_is_one_message_and_exit_code_4(commands: Any) -> None:
-    run = commands.run("ronna-conformance", "tracker", "--endpoint", "tcp://127.0.0.1:1")
-    assert run.returncode == 4
-    assert run.stdout == ""
-    assert run.stderr.startswith("NDI-001")
-    assert len(run.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code"),
-    [
-        ((), "CNF-001"),
-        (("--sim", "--endpoint", "tcp://127.0.0.1:1"), "CNF-001"),
-        (("--config", "no-such-file.toml"), "CFG-001"),
-        (("--endpoint", "8765"), "CFG-002"),
-        (("--sim", "--driver", "no_such_driver"), "DEV-002"),
-        (("--sim", "--only", "Z"), "CNF-003"),
-        (("--colour",), "CLI-001"),
-    ],
-)
-def test_a_wrong_command_line_is_one_message_and_exit_code_2(
-    commands: Any, arguments: tuple[str, ...], code: str
-) -> None:
-    run = commands.run("ronna-conformance", "tracker", *arguments)
-    assert run.returncode == 2, run.stderr
-    assert run.stderr.startswith(code)
-    assert "Traceback" not in run.stderr
-
-
-def test_a_report_that_cannot_be_written_is_told_before_the_work(commands: Any, tmp_path: Path) -> None:
-    run = commands.run(
-        "ronna-conformance", "tracker", "--endpoint", "tcp://127.0.0.1:1",
-        "--report", str(tmp_path / "no" / "report.json"),
-    )  # fmt: skip
-    assert run.returncode == 1
-    assert run.stderr.startswith("CLI-005")  # before anybody noticed that nobody is there
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_ends_its_simulator(commands: Any, number: int) -> None:
     run = commands.start("ronna-conformance", "tracker", "--sim")

@@ -83,6 +83,7 @@ _REMARKS: dict[int, str] = {
 # Generic cases, and cases of another line, that check a line too.
 _ALSO: dict[int, tuple[str, ...]] = {
     3: ("L11",),  # its tap only receives what is sent to the tap's port
+    6: ("K04",),
     28: ("R10", "R17"),
     29: ("R06",),
 }

@@ -11,15 +11,11 @@ import pytest
 
 from ronna_hw.conformance.choice import Choice, resolve
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
+from ronna_hw.conformance.errors import DeviceNotInFile, NoSimulator
 from ronna_hw.conformance.protocol import ProtocolCases
 from ronna_hw.conformance.stand import stand
-from ronna_hw.devices.errors import UnknownDriver
-from ronna_hw.endpoints import BadEndpoint
-from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.host.child_process import ChildNotReady
 
-NOBODY = ("tcp://127.0.0.1:1",)
 THEATRE = """
 schema = 1
 theatre = "two arms"
@@ -45,35 +41,6 @@ def theatre(tmp_path: Path) -> Path:
 
 def stand_for(kind: str, choice: Choice) -> AbstractContextManager[DeviceUnderTest]:
     return stand(resolve(kind, choice))
-
-
-@pytest.mark.parametrize(
-    ("sim", "file", "endpoints"),
-    [
-        (False, False, ()),
-        (True, True, ()),
-        (True, False, NOBODY),
-        (False, True, NOBODY),
-    ],
-)
-def test_exactly_one_thing_must_be_named(
-    theatre: Path, sim: bool, file: bool, endpoints: tuple[str, ...]
-) -> None:
-    with (
-        pytest.raises(NoDeviceChosen) as caught,
-        stand_for("tracker", Choice(sim=sim, config=theatre if file else None, endpoints=endpoints)),
-    ):
-        pass
-    assert caught.value.exit_code == EXIT_USAGE
-    assert caught.value.code == "CNF-001"
-
-
-def test_an_unknown_permission_is_refused() -> None:
-    with (
-        pytest.raises(NoDeviceChosen, match="fire"),
-        stand_for("tracker", Choice(endpoints=NOBODY, allow=("fire",))),
-    ):
-        pass
 
 
 def test_the_device_of_a_theatre_file_keeps_its_options(theatre: Path) -> None:
@@ -113,19 +80,6 @@ def test_an_endpoint_alone_means_the_usual_driver_with_its_usual_options() -> No
         assert dut.config.driver == "ndi_polaris"
         assert dut.make().tools == ("robot_frame",)
         assert "destructive" in dut.offers
-
-
-def test_bad_endpoints_and_drivers_are_told() -> None:
-    with pytest.raises(BadEndpoint), stand_for("tracker", Choice(endpoints=("8765",))):
-        pass
-    with (
-        pytest.raises(UnknownDriver),
-        stand_for("tracker", Choice(endpoints=NOBODY, driver="no_such_driver")),
-    ):
-        pass
-    two = (*NOBODY, "tcp://127.0.0.1:2")
-    with pytest.raises(NoDeviceChosen), stand_for("tracker", Choice(endpoints=two)):
-        pass
 
 
 def test_named_endpoints_reach_the_driver_by_their_names() -> None:

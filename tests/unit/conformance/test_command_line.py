@@ -1,0 +1,55 @@
+"""A mistake in the command line, or nobody at the endpoint, is one message and the documented exit code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ronna_hw.command_line.console import exit_code_of
+from ronna_hw.conformance import cli
+from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
+
+NOBODY = "tcp://127.0.0.1:1"
+
+
+def message_of(capsys: pytest.CaptureFixture[str], *arguments: str, exit_code: int) -> str:
+    assert exit_code_of(cli.app, ["tracker", *arguments]) == exit_code
+    printed, message = capsys.readouterr()
+    assert printed == ""
+    assert len(message.splitlines()) == 1
+    return message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        ((), "CNF-001"),
+        (("--sim", "--config", "theatre.toml"), "CNF-001"),
+        (("--sim", "--endpoint", NOBODY), "CNF-001"),
+        (("--config", "theatre.toml", "--endpoint", NOBODY), "CNF-001"),
+        (("--endpoint", NOBODY, "--allow", "fire"), "CNF-001"),
+        (("--endpoint", NOBODY, "--endpoint", "tcp://127.0.0.1:2"), "CNF-001"),
+        (("--config", "no-such-file.toml"), "CFG-001"),
+        (("--endpoint", "8765"), "CFG-002"),
+        (("--sim", "--driver", "no_such_driver"), "DEV-002"),
+        (("--sim", "--only", "Z"), "CNF-003"),
+        (("--colour",), "CLI-001"),
+    ],
+)
+def test_a_wrong_command_line_is_a_usage_error(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: str
+) -> None:
+    assert message_of(capsys, *arguments, exit_code=EXIT_USAGE).startswith(code)
+
+
+def test_nobody_at_the_endpoint_is_not_found(capsys: pytest.CaptureFixture[str]) -> None:
+    assert message_of(capsys, "--endpoint", NOBODY, exit_code=EXIT_NOT_FOUND).startswith("NDI-001")
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_the_run(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    report = str(tmp_path / "no" / "report.json")
+    message = message_of(capsys, "--endpoint", NOBODY, "--report", report, exit_code=EXIT_FAILED)
+    assert message.startswith("CLI-005")  # before anybody noticed that nobody is there
