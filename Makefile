@@ -3,10 +3,16 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# Many tests wait for processes and ports: four workers keep two cores busy.
-PYTEST := $(BIN)/python -m pytest -n 4
+# Many tests wait for processes and ports: four workers keep two cores busy, and a worker that has nothing left
+# takes over from the others.
+PYTEST := $(BIN)/python -m pytest -n 4 --dist worksteal
 
 .PHONY: setup demo test test-all soak lint bench docs lock clean
+
+# Tests start hundreds of processes: none of them starts threads of its own for small matrices, and none compiles
+# again what the one before it has compiled.
+test test-all soak: export OPENBLAS_NUM_THREADS := 1
+test test-all soak: export PYTHONDONTWRITEBYTECODE :=
 
 setup: $(STAMP)
 

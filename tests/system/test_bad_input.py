@@ -8,19 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from user_commands import Commands, one_error
+from user_commands import Commands, in_this_process, one_error
 
+from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
+from sim.cli import app as ronna_sim
 from sim.theatre.scene.named_scenes import named_scene
-
-
-@pytest.fixture(scope="module")
-def patient(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A phantom case: `ct/` and `plan.toml`."""
-    folder = tmp_path_factory.mktemp("case")
-    made = shared_commands.run("ronna-sim", "phantom", "--scene", "mini", "--seed", "1", "--out", str(folder))
-    assert made.returncode == 0, made.stderr
-    return folder
 
 
 def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) -> str:
@@ -30,40 +23,16 @@ def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) 
     return line
 
 
-def test_a_theatre_file_with_three_mistakes_names_all_three(
-    commands: Commands, patient: Path, tmp_path: Path
-) -> None:
+def test_a_theatre_file_with_three_mistakes_names_all_three(tmp_path: Path) -> None:
     path = tmp_path / "theatre.toml"
     path.write_text(
         'schema = 1\ntheatre = "lab"\ncolour = "green"\n[clock]\nendpoint = "tcp://127.0.0.1:1"\n'
         '[tracker]\ndriver = 5\nendpoint = "serial:///dev/ttyUSB0"\n'
     )
-    done = commands.run(
-        "ronna-procedure",
-        "run",
-        "--config",
-        str(path),
-        "--case",
-        str(patient),
-        "--out",
-        str(tmp_path / "runs"),
-    )
-    line = _refused(done, "CFG-001", EXIT_USAGE)
+    words = ("run", "--config", path, "--case", tmp_path, "--out", tmp_path / "runs")
+    line = _refused(in_this_process(ronna_procedure, *words), "CFG-001", EXIT_USAGE)
     for mistake in ("colour", "clock.endpoint", "tracker.driver"):
         assert mistake in line
-
-
-@pytest.mark.hazard(9)
-def test_a_plan_for_another_series(commands: Commands, patient: Path, tmp_path: Path) -> None:
-    plan = tmp_path / "plan.toml"
-    text = (patient / "plan.toml").read_text()
-    uid = next(line.split('"')[1] for line in text.splitlines() if line.startswith("series_instance_uid"))
-    plan.write_text(text.replace(uid, "1.2.3.4"))
-    line = _refused(
-        commands.run("ronna-plan", "check", str(plan), "--ct", str(patient / "ct")), "PLAN-003", EXIT_FAILED
-    )
-    assert "1.2.3.4" in line
-    assert uid in line
 
 
 @pytest.fixture
@@ -83,11 +52,13 @@ def _tracker_at(endpoint: str, folder: Path) -> Path:
     return path
 
 
-def test_an_endpoint_that_does_not_answer_and_what_the_doctor_says(
-    commands: Commands, silent_port: int, tmp_path: Path
-) -> None:
+def _doctor(theatre: Path) -> subprocess.CompletedProcess[str]:
+    return in_this_process(ronna_procedure, "doctor", "--config", theatre, "--json")
+
+
+def test_an_endpoint_that_does_not_answer_and_what_the_doctor_says(silent_port: int, tmp_path: Path) -> None:
     theatre = _tracker_at(f"tcp://127.0.0.1:{silent_port}", tmp_path)
-    done = commands.run("ronna-procedure", "doctor", "--config", str(theatre), "--json")
+    done = _doctor(theatre)
     assert done.returncode == EXIT_NOT_FOUND
     finding = json.loads(done.stdout)["findings"][-1]
     assert not finding["well"]
@@ -95,14 +66,12 @@ def test_an_endpoint_that_does_not_answer_and_what_the_doctor_says(
     assert finding["advice"]
 
 
-def test_an_endpoint_where_nothing_listens_and_what_the_doctor_says(
-    commands: Commands, tmp_path: Path
-) -> None:
+def test_an_endpoint_where_nothing_listens_and_what_the_doctor_says(tmp_path: Path) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         free = probe.getsockname()[1]
     theatre = _tracker_at(f"tcp://127.0.0.1:{free}", tmp_path)
-    done = commands.run("ronna-procedure", "doctor", "--config", str(theatre), "--json")
+    done = _doctor(theatre)
     assert done.returncode == EXIT_NOT_FOUND
     assert "Nothing listens" in json.loads(done.stdout)["findings"][-1]["advice"]
 
@@ -115,7 +84,7 @@ def test_a_device_of_the_wrong_kind(commands: Commands, tmp_path: Path) -> None:
     ready = json.loads(robot.stdout.readline().removeprefix("READY "))
     try:
         theatre = _tracker_at(ready["endpoints"]["eki_project"], tmp_path)
-        done = commands.run("ronna-procedure", "doctor", "--config", str(theatre), "--json")
+        done = _doctor(theatre)
     finally:
         robot.terminate()
         robot.communicate(timeout=5)
@@ -123,47 +92,45 @@ def test_a_device_of_the_wrong_kind(commands: Commands, tmp_path: Path) -> None:
     assert "NDI-" in json.loads(done.stdout)["findings"][-1]["seen"]
 
 
-def test_a_port_in_use(commands: Commands, silent_port: int) -> None:
-    done = commands.run("ronna-sim", "polaris", "--endpoint", f"tcp://127.0.0.1:{silent_port}")
+def test_a_port_in_use(silent_port: int) -> None:
+    done = in_this_process(ronna_sim, "polaris", "--endpoint", f"tcp://127.0.0.1:{silent_port}")
     line = _refused(done, "SIM-004", EXIT_NOT_FOUND)
     assert str(silent_port) in line
 
 
-def test_a_camera_address_that_is_none(commands: Commands) -> None:
-    done = commands.run("ronna-sim", "basler", "--address", "foo", "--address", "127.77.9.2")
+def test_a_camera_address_that_is_none() -> None:
+    done = in_this_process(ronna_sim, "basler", "--address", "foo", "--address", "127.77.9.2")
     assert "'foo' is not an IPv4 address" in " ".join(one_error(done.stderr))
     assert done.returncode == EXIT_USAGE
 
 
-def test_a_fault_script_that_cannot_happen(commands: Commands, tmp_path: Path) -> None:
+def test_a_fault_script_that_cannot_happen(tmp_path: Path) -> None:
     path = tmp_path / "faults.txt"
     path.write_text("at 0 s: tracker occlude marker 99 for 1 s")
-    done = commands.run(
-        "ronna-sim", "theatre", "--scene", "mini", "--faults", str(path), "--out", str(tmp_path / "theatre")
-    )
-    assert "got 99" in _refused(done, "SIM-003", EXIT_USAGE)
+    words = ("theatre", "--scene", "mini", "--faults", path, "--out", tmp_path / "theatre")
+    assert "got 99" in _refused(in_this_process(ronna_sim, *words), "SIM-003", EXIT_USAGE)
 
 
-def test_truth_with_a_bad_line(commands: Commands, tmp_path: Path) -> None:
+def test_truth_with_a_bad_line(tmp_path: Path) -> None:
     theatre = tmp_path / "theatre"
     theatre.mkdir()
     (theatre / "scene.json").write_text(named_scene("mini").model_dump_json(by_alias=True))
     (theatre / "truth.jsonl").write_text("nonsense\n")
-    done = commands.run("ronna-sim", "verify", str(tmp_path))
+    done = in_this_process(ronna_sim, "verify", tmp_path)
     assert "line 1" in _refused(done, "SIM-007", EXIT_FAILED)
 
 
-def test_an_output_folder_that_cannot_be_written(commands: Commands, tmp_path: Path) -> None:
-    blocked = tmp_path / "runs"
-    blocked.write_text("a file, not a folder")
-    done = commands.run("ronna-procedure", "run", "--sim", "--scene", "mini", "--out", str(blocked))
-    _refused(done, "CLI-005", EXIT_FAILED)
+def test_an_output_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("a file, not a folder")
+    _refused(_run_mini(tmp_path / "runs"), "CLI-005", EXIT_FAILED)
 
 
-def test_a_read_only_output_folder(commands: Commands) -> None:
-    done = commands.run("ronna-procedure", "run", "--sim", "--scene", "mini", "--out", "/proc/self/runs")
-    assert done.returncode == EXIT_FAILED
-    assert one_error(done.stderr)[0].startswith("CLI-00")
+def test_a_read_only_output_folder() -> None:
+    _refused(_run_mini(Path("/proc/self/runs")), "CLI-00", EXIT_FAILED)
+
+
+def _run_mini(out: Path) -> subprocess.CompletedProcess[str]:
+    return in_this_process(ronna_procedure, "run", "--sim", "--scene", "mini", "--out", out)
 
 
 @pytest.mark.hazard(33)
@@ -193,10 +160,8 @@ def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path:
         ("STR-001", ("--strategy", "jdms")),
     ],
 )
-def test_what_is_not_built_yet_says_so(
-    commands: Commands, tmp_path: Path, code: str, option: tuple[str, ...]
-) -> None:
-    done = commands.run("ronna-procedure", "run", "--sim", *option, "--out", str(tmp_path / "runs"))
+def test_what_is_not_built_yet_says_so(tmp_path: Path, code: str, option: tuple[str, ...]) -> None:
+    done = in_this_process(ronna_procedure, "run", "--sim", *option, "--out", tmp_path / "runs")
     assert "not yet" in _refused(done, code, EXIT_USAGE)
     assert not (tmp_path / "runs").exists()
 
@@ -212,10 +177,10 @@ def test_what_is_not_built_yet_says_so(
         ("fly",),
     ],
 )
-def test_a_wrong_command_line(commands: Commands, tmp_path: Path, arguments: tuple[str, ...]) -> None:
-    done = subprocess.run(
-        commands.line("ronna-procedure", *arguments), env=commands.environment, cwd=tmp_path,
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=150, check=False,
-    )  # fmt: skip
+def test_a_wrong_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = in_this_process(ronna_procedure, *arguments)
     one_error(done.stderr)
     assert done.returncode == EXIT_USAGE, done.stderr

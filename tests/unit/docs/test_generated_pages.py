@@ -1,10 +1,8 @@
 import generate
-import pytest
-
-TABLES: dict[str, str] = generate.tables()
 
 
-@pytest.mark.parametrize("name", sorted(TABLES))
-def test_the_generated_tables_are_up_to_date(name: str) -> None:
-    committed = (generate.REFERENCE / name).read_text(encoding="utf-8")
-    assert committed == generate.with_table(committed, TABLES[name]), "run make docs"
+def test_the_generated_tables_are_up_to_date() -> None:
+    tables = generate.tables()
+    pages = {name: (generate.REFERENCE / name).read_text(encoding="utf-8") for name in tables}
+    stale = [name for name, page in pages.items() if page != generate.with_table(page, tables[name])]
+    assert stale == [], "run make docs"
