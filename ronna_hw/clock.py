@@ -12,6 +12,7 @@ import mmap
 import os
 import threading
 import time
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
@@ -80,6 +81,7 @@ class SharedClock:
         except ValueError as error:
             os.close(self._file)
             raise ClockUnavailable(f"{path} is too short for a clock") from error
+        self._close_file = weakref.finalize(self, os.close, self._file)
         memory = self._memory
         if not layout.CLOCK.is_marked(memory) or layout.VERSION.read(memory) != layout.LAYOUT_VERSION:
             self.close()
@@ -165,9 +167,8 @@ class SharedClock:
 
     def close(self) -> None:
         """Let go of the shared memory; may be called twice."""
-        if not self._memory.closed:
-            self._memory.close()
-            os.close(self._file)
+        self._memory.close()
+        self._close_file()
 
 
 def open_clock(endpoint: Endpoint | str) -> HostClock | SharedClock:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import weakref
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -80,8 +81,11 @@ class World:
     def __init__(self, path: str, scene: Scene | None = None) -> None:
         self._path = path
         try:
-            self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-            self._memory = mmap.mmap(self._file, os.fstat(self._file).st_size)
+            file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            try:
+                self._memory = mmap.mmap(file, os.fstat(file).st_size)
+            finally:
+                os.close(file)
         except (OSError, ValueError) as error:
             raise WorldUnavailable(f"cannot open the world at {path}: {error}") from error
         if not _MAP.is_marked(self._memory):
@@ -92,19 +96,25 @@ class World:
 
     @classmethod
     def create(cls, scene: Scene, *, paced: bool) -> World:
-        """Make a world of `scene`; `paced` worlds follow the host's clock."""
+        """Make a world of `scene`; `paced` worlds follow the host's clock.
+
+        Others can open it as long as this object is kept.
+        """
         content = scene.model_dump_json(by_alias=True).encode()
-        clock_path, clock_memory = _block("ronna-clock", CLOCK.size_bytes)
+        clock_file, clock_path, clock_memory = _block("ronna-clock", CLOCK.size_bytes)
         with clock_memory:
             SharedClock.initialise(clock_memory, paced=paced)
-        path, memory = _block("ronna-world", _SCENE_OFFSET + len(content))
+        file, path, memory = _block("ronna-world", _SCENE_OFFSET + len(content))
         with memory:
             _CLOCK.write(memory, ClockRow(clock_path))
             _SCENE_LENGTH.write(memory, len(content))
             memory[_SCENE_OFFSET : _SCENE_OFFSET + len(content)] = content
             _TOOL.write(memory, scene.mount.tool_number_stereo)
             _MAP.mark_memory(memory)
-        return cls(path, scene)
+        world = cls(path, scene)
+        for block in (clock_file, file):
+            weakref.finalize(world, os.close, block)
+        return world
 
     @classmethod
     def open(cls, endpoint: str) -> World:
@@ -189,8 +199,8 @@ class World:
         return Scene.model_validate_json(self._memory[_SCENE_OFFSET:end], strict=False)
 
 
-def _block(name: str, size: int) -> tuple[str, mmap.mmap]:
-    """Path for other processes, and memory, of a new anonymous block; it stays open in this process."""
+def _block(name: str, size: int) -> tuple[int, str, mmap.mmap]:
+    """A new anonymous block: its file, the path for other processes while that is open, and its memory."""
     file = os.memfd_create(name, os.MFD_CLOEXEC)
     os.ftruncate(file, size)
-    return f"/proc/{os.getpid()}/fd/{file}", mmap.mmap(file, size)
+    return file, f"/proc/{os.getpid()}/fd/{file}", mmap.mmap(file, size)
