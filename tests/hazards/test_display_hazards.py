@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import pty
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +12,7 @@ from procedures.engine.case import RECORDS_FOLDER
 from procedures.engine.journal import Entry, Journal
 from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
 from procedures.reporting.report import write_report
+from ronna_hw.command_line import tables
 
 EXTREMES_MM = (0.0004, 0.0006, 9.9996, 12345.6789, 99999.9994)
 SHOWN = ("0.000", "0.001", "10.000", "12345.679", "99999.999")
@@ -36,9 +33,6 @@ OUTCOME = FinishedRun(
     sim_s=1.0,
     wall_s=1.0,
     report="report.html",
-)
-ON_TERMINAL = (
-    "import sys; from ronna_hw.command_line.console import print_table as t; t('errors', {head!r}, {rows!r})"
 )
 
 
@@ -62,46 +56,14 @@ def test_every_number_of_the_report_is_whole(tmp_path: Path) -> None:
     assert '<span class="big">12345.679 mm</span>' in text
 
 
-def _on_terminal(columns: int) -> str:
-    """What a table with the extreme numbers looks like on a terminal of that width."""
-    rows = [["T1", "123456.7", shown, shown] for shown in SHOWN]
-    program = ON_TERMINAL.format(head=["target", "depth mm", "predicted mm", "error mm"], rows=rows)
-    primary, secondary = pty.openpty()
-    try:
-        subprocess.run(
-            [sys.executable, "-P", "-c", program],
-            stdout=secondary,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "COLUMNS": str(columns), "TERM": "xterm"},
-            timeout=150,
-            check=True,
-        )
-    finally:
-        os.close(secondary)
-    text = b""
-    while True:
-        try:
-            part = os.read(primary, 65536)
-        except OSError:  # the line has hung up: everything was read
-            break
-        if not part:
-            break
-        text += part
-    os.close(primary)
-    return text.decode()
-
-
-def _numbers(text: str) -> list[str]:
-    return re.findall(r"\d+\.\d+", text)
-
-
 @pytest.mark.hazard(6)
-def test_every_number_is_whole_on_a_usual_terminal() -> None:
-    text = _on_terminal(80)
-    assert _numbers(text) == [number for shown in SHOWN for number in ("123456.7", shown, shown)]
-
-
-@pytest.mark.hazard(6)
-def test_every_number_is_whole_on_a_narrow_terminal() -> None:
-    text = _on_terminal(30)
-    assert _numbers(text) == [number for shown in SHOWN for number in ("123456.7", shown, shown)]
+@pytest.mark.parametrize("columns", [80, 30])
+def test_every_number_is_whole_on_a_usual_and_on_a_narrow_terminal(
+    columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    head = ["target", "depth mm", "predicted mm", "error mm"]
+    tables.print_table("errors", head, [["T1", "123456.7", shown, shown] for shown in SHOWN])
+    numbers = re.findall(r"\d+\.\d+", capsys.readouterr().out)
+    assert numbers == [number for shown in SHOWN for number in ("123456.7", shown, shown)]

@@ -84,7 +84,7 @@ def _largest_steps(tap: RsiTap) -> tuple[float, float]:
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("late", [False, True], ids=["told at once", "told a telegram late"])
 @pytest.mark.parametrize(
-    "lost_percent", [pytest.param(1, marks=pytest.mark.slow), 5, pytest.param(10, marks=pytest.mark.slow), 20]
+    "lost_percent", [*(pytest.param(share, marks=pytest.mark.slow) for share in (1, 5, 10)), 20]
 )
 def test_while_replies_are_lost_at_full_working_speed_the_arm_arrives_without_a_jump(
     tapped_cell: Any, lost_percent: int, late: bool

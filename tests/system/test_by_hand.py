@@ -9,7 +9,9 @@ import time
 from pathlib import Path
 
 import pytest
-from user_commands import Commands, one_error
+from user_commands import Commands, in_this_process, one_error
+
+from sim.cli import app as ronna_sim
 
 CASE_S = 150.0
 
@@ -59,7 +61,7 @@ def test_a_person_confirms_each_value_and_exchanges_the_tool(commands: Commands,
     assert "predicted error of" in text
 
 
-def test_a_theatre_that_is_not_there_cannot_exchange_its_tool(commands: Commands) -> None:
-    done = commands.run("ronna-sim", "mount", "2", "--control", "tcp://127.0.0.1:9")
+def test_a_theatre_that_is_not_there_cannot_exchange_its_tool() -> None:
+    done = in_this_process(ronna_sim, "mount", "2", "--control", "tcp://127.0.0.1:9")
     assert done.returncode == 4
     assert one_error(done.stderr)[0].startswith("CTL-001")

@@ -21,11 +21,9 @@ def units_in(folder: Path) -> int:
     return max(0, path.read_bytes().count(b"\n") - 1) if path.exists() else 0
 
 
-def test_a_campaign_leaves_tables_and_a_plot_and_knows_that_it_is_done(
-    commands: Commands, tmp_path: Path
-) -> None:
-    arguments = ("registration", "--runs", "2", "--seed", "3", "--workers", "1", "--out", str(tmp_path))
-    first = commands.run("ronna-campaign", *arguments, "--json")
+def test_a_campaign_leaves_tables_and_a_plot_and_knows_that_it_is_done(tmp_path: Path) -> None:
+    arguments = ("registration", "--runs", "2", "--seed", "3", "--workers", "1", "--out", tmp_path)
+    first = in_this_process(app, *arguments, "--json")
     assert first.returncode == 0, first.stderr
     told = json.loads(first.stdout)
     assert Path(told["report"]) == tmp_path / "report.md"

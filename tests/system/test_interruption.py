@@ -7,70 +7,24 @@ import time
 from pathlib import Path
 
 import pytest
+from run_folders import assert_nothing_half_written, await_motion_in
 from user_commands import Commands, one_error
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
 from ronna_hw.errors import EXIT_LINK_LOST
-from ronna_hw.records import read_record
 
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "5")
 MOVING_STEP = "relocalization:T1"
-REACHED_S = 100.0
-
-
-def _folder(out: Path) -> Path | None:
-    return next(iter(out.iterdir()), None) if out.exists() else None
-
-
-def _await_step(out: Path, step: str) -> None:
-    """Return when the journal holds the intent of a step."""
-    deadline = time.monotonic() + REACHED_S
-    while time.monotonic() < deadline:
-        folder = _folder(out)
-        journal = folder / JOURNAL_FILE if folder else None
-        if journal and journal.exists() and any(line.get("step") == step for line in read_journal(journal)):
-            return
-        time.sleep(0.01)
-    raise AssertionError(f"{step} was not reached")
-
-
-def _nothing_half_written(out: Path) -> None:
-    folder = _folder(out)
-    if folder is None:
-        return
-    assert [path for path in folder.rglob("*.partial")] == []
-    for path in (folder / "records").glob("*.json"):
-        read_record(path)
-    if (folder / JOURNAL_FILE).exists():
-        list(read_journal(folder / JOURNAL_FILE))
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_one_signal_while_the_arm_moves_closes_the_run_and_exits_130(
-    commands: Commands, tmp_path: Path, number: signal.Signals
-) -> None:
-    out = tmp_path / "runs"
-    process = commands.start("ronna-procedure", *CASE, "--out", str(out))
-    _await_step(out, MOVING_STEP)
-    process.send_signal(number)
-    _, stderr = process.communicate(timeout=15)
-    assert process.returncode == 130, stderr
-    folder = _folder(out)
-    assert folder is not None
-    lines = list(read_journal(folder / JOURNAL_FILE))
-    assert [line["entry"] for line in lines[-2:]] == ["interrupted", "closed"]
-    _nothing_half_written(out)
 
 
 @pytest.mark.hazard(2)
 def test_killing_the_command_leaves_no_process_and_no_torn_record(commands: Commands, tmp_path: Path) -> None:
     out = tmp_path / "runs"
     process = commands.start("ronna-procedure", *CASE, "--out", str(out))
-    _await_step(out, MOVING_STEP)
+    await_motion_in(out, MOVING_STEP)
     process.kill()
     process.communicate(timeout=5)
     assert commands.await_no_survivors() == []
-    _nothing_half_written(out)
+    assert_nothing_half_written(out)
 
 
 @pytest.mark.slow
@@ -87,7 +41,7 @@ def test_interrupted_at_twenty_random_moments_nothing_stays_behind(
         _, stderr = process.communicate(timeout=15)
         assert process.returncode in (0, 130), stderr
         assert commands.await_no_survivors() == []
-        _nothing_half_written(out)
+        assert_nothing_half_written(out)
 
 
 def _process_of(commands: Commands, words: str) -> int:
@@ -114,10 +68,10 @@ def test_a_device_that_dies_in_the_middle_is_told_and_everything_ends(
 ) -> None:
     out = tmp_path / "runs"
     process = commands.start("ronna-procedure", *CASE, "--out", str(out))
-    _await_step(out, MOVING_STEP)
+    await_motion_in(out, MOVING_STEP)
     os.kill(_process_of(commands, words), number)
     _, stderr = process.communicate(timeout=150)
     assert process.returncode == EXIT_LINK_LOST, stderr
     one_error(stderr)
     assert commands.await_no_survivors() == []
-    _nothing_half_written(out)
+    assert_nothing_half_written(out)

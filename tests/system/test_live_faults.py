@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from user_commands import Commands, one_error
+from user_commands import in_this_process, one_error
 
 from drivers.ndi_polaris import PolarisTracker
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
+from sim.cli import app
 
 
-def test_a_simulator_alone_takes_faults_at_its_control_port(shared_commands: Commands) -> None:
+def test_a_simulator_alone_takes_faults_at_its_control_port() -> None:
     with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris")) as unit:
         control = unit.ready["control"]
         config = DeviceConfig(
@@ -24,19 +25,19 @@ def test_a_simulator_alone_takes_faults_at_its_control_port(shared_commands: Com
         tracker.configure()
         tracker.activate()
         assert tracker.read_frame().tools[0].validity is Validity.OK
-        hide = ("ronna-sim", "fault", "tracker occlude tool robot_frame", "--control", control)
-        assert shared_commands.run(*hide).returncode == 0
+        hide = ("fault", "tracker occlude tool robot_frame", "--control", control)
+        assert in_this_process(app, *hide).returncode == 0
         assert _settles(tracker, Validity.MISSING)
-        assert shared_commands.run("ronna-sim", "fault", "--clear", "--control", control).returncode == 0
+        assert in_this_process(app, "fault", "--clear", "--control", control).returncode == 0
         assert _settles(tracker, Validity.OK)
-        refused = shared_commands.run("ronna-sim", "fault", "tea", "--control", control)
+        refused = in_this_process(app, "fault", "tea", "--control", control)
         assert refused.returncode == 2
         assert one_error(refused.stderr)[0].startswith("CTL-002")
         tracker.close()
 
 
-def test_without_a_fault_all_kinds_are_listed(shared_commands: Commands) -> None:
-    listed = shared_commands.run("ronna-sim", "fault")
+def test_without_a_fault_all_kinds_are_listed() -> None:
+    listed = in_this_process(app, "fault")
     assert listed.returncode == 0
     assert "tracker occlude marker N" in listed.stdout
 

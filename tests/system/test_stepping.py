@@ -29,7 +29,6 @@ def test_steps_are_listed_run_refused_with_reasons_and_left(commands: Commands, 
         "next",
         "why positioning:T1",
         "run positioning:T1",
-        "to plan_check",
         "quit",
     )
     assert done.returncode == 0, done.stderr
@@ -37,13 +36,12 @@ def test_steps_are_listed_run_refused_with_reasons_and_left(commands: Commands, 
     assert "done ct_import: " in done.stdout
     assert "positioning:T1: refused: it may not follow" in done.stdout
     assert "no result of registration" in done.stdout
-    assert "done plan_check: " in done.stdout
     assert "PRO-001" in done.stderr
 
 
 @pytest.mark.slow
 def test_an_unknown_step_is_told_and_the_case_goes_on(commands: Commands, tmp_path: Path) -> None:
-    done = _step(commands, tmp_path, "run drilling", "next", "quit")
+    done = _step(commands, tmp_path, "run drilling", "to plan_check", "quit")
     assert done.returncode == 0
     assert "PRO-005" in done.stderr
-    assert "done ct_import" in done.stdout
+    assert "done plan_check: " in done.stdout

@@ -67,7 +67,7 @@ def bound_tests(tests: Path = TESTS) -> list[BoundTest]:
     found: list[BoundTest] = []
     for path in sorted(tests.rglob("test_*.py")):
         source = path.read_text(encoding="utf-8")
-        if f"mark.{MARK}" not in source:
+        if "mark.hazard" not in source:
             continue
         tree = ast.parse(source, str(path))
         marks = [

@@ -1,0 +1,45 @@
+"""The folder of a case that still runs, or was ended early."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from ronna_hw.records import Record, read_record
+
+REACHED_S = 100.0
+
+
+def run_folder(out: Path) -> Path | None:
+    """The only run in a folder of runs, if it is there yet."""
+    return next(iter(out.iterdir()), None) if out.exists() else None
+
+
+def await_motion_in(out: Path, step: str) -> None:
+    """Return when the journal of the run holds a motion in that step."""
+    deadline = time.monotonic() + REACHED_S
+    while time.monotonic() < deadline:
+        folder = run_folder(out)
+        if folder and (folder / JOURNAL_FILE).exists():
+            lines = [(line["entry"], line.get("step")) for line in read_journal(folder / JOURNAL_FILE)]
+            if ("intent", step) in lines and ("motion", None) in lines[lines.index(("intent", step)) :]:
+                return
+        time.sleep(0.01)
+    raise AssertionError(f"the arm did not move in {step}")
+
+
+def records_of(folder: Path) -> list[Record]:
+    """Every record of a run; none may be torn."""
+    return [read_record(path) for path in sorted((folder / "records").glob("*.json"))]
+
+
+def assert_nothing_half_written(out: Path) -> None:
+    """A run that was ended left whole records and a whole journal, or nothing."""
+    folder = run_folder(out)
+    if folder is None:
+        return
+    assert [path for path in folder.rglob("*.partial")] == []
+    records_of(folder)
+    if (folder / JOURNAL_FILE).exists():
+        list(read_journal(folder / JOURNAL_FILE))
