@@ -27,6 +27,7 @@ from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.clock import HostClock
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, Stamp, StereoReading, Validity
 from ronna_hw.frames import Frame, Transform
 from sim.basler.camera.photographer import Photographer
@@ -76,6 +77,8 @@ def without_arm_errors(scene: Scene) -> Scene:
 @dataclass
 class CellArm:
     """The arm: every motion arrives at once, with the flanks of its directions."""
+
+    state = Lifecycle.ACTIVE
 
     world: World
     kinematics: Kr6R900

@@ -36,6 +36,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import (
     ConfigurationError,
@@ -127,7 +128,7 @@ class ProtectiveStop(StateError):
     action = "Find the reason, then recover the arm."
 
 
-class MotionStopped(StateError):
+class MotionStopped(MotionInterrupted):
     """A motion was stopped before its end; the arm is at rest on its path."""
 
     code = "RSI-010"

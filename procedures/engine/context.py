@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from procedures.engine.case import PICTURES_FOLDER, Case
+from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed, WrongResult
-from procedures.engine.operator import Operator, Question, Room
+from procedures.engine.events import Happening, Progress
+from procedures.engine.operator import YES, Operator, Question, Room, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepKey, StepSpec
 from procedures.engine.workspace import Workspace
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=StepResult)
 D = TypeVar("D")
-Progress = Callable[[float, str], None]  # share done 0..1, what is being done
+ShowProgress = Callable[[float, str], None]  # share done 0..1, what is being done
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class CaseSetting:
     settings: ProcedureSettings
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
-    progress: Progress = lambda _share, _text: None
+    progress: ShowProgress = lambda _share, _text: None
     workspace: Workspace = field(default_factory=Workspace)
 
 
@@ -60,7 +62,9 @@ class StepContext:
     trajectories: tuple[str, ...]
     setting: CaseSetting
     _case: Case
-    _record_confirmation: Callable[[Question, bool], None]
+    _ask: Callable[[Question], str]
+    _checkpoint: Checkpoint
+    _publish: Callable[[Happening], object]
     _read: dict[str, Record] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
@@ -125,13 +129,16 @@ class StepContext:
         write_whole(folder / name, png)
 
     def progress(self, share: float, text: str) -> None:
-        """Tell how far the step is, 0..1, and what it is doing."""
+        """Say how far the step is, 0..1, and what it is doing; rests here when the operator wants a pause."""
+        self._publish(Progress(step=str(self.key), share=share, text=text))
         self.setting.progress(share, text)
+        self._checkpoint.here(f"{self.key}, {text}")
 
-    def confirm(self, subject: str, value: str) -> None:
+    def confirm(self, topic: Topic, subject: str, value: str, trajectory: str | None = None) -> None:
         """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""
-        question = Question(subject, value)
-        answer = self.setting.operator.confirm(question)
-        self._record_confirmation(question, answer)
-        if not answer:
+        if self.choose(Question(topic, subject, value, trajectory=trajectory)) != YES:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
+
+    def choose(self, question: Question) -> str:
+        """Have the operator choose one of a question's answers, and record it."""
+        return self._ask(question)

@@ -6,17 +6,22 @@ Work happens here, never in a transition of the state chart. Whatever ends a ste
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from procedures.engine.case import Case, Stored
+from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.context import CaseSetting, StepContext
-from procedures.engine.errors import JournalNotWritable, StepRefused, WrongResult
+from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
+from procedures.engine.events import CaseState, EventStream, Fault, Refusal, StepState
 from procedures.engine.journal import Entry, Journal, JournalValue
-from procedures.engine.machine import ProcedureMachine
-from procedures.engine.operator import Question
+from procedures.engine.machine import RECOVERY, ProcedureMachine
+from procedures.engine.operator import Topic
 from procedures.engine.order import CaseOrder
+from procedures.engine.questions import Questions
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, StepKey
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
 from ronna_hw.records import Record
@@ -26,10 +31,9 @@ _log = logger(part="engine")
 
 
 class Engine:
-    """One run of a procedure.
+    """One run of a procedure. A step that fails leaves the case held: the arm at rest, every result standing.
 
-    `safe_point` is called between steps and may wait, or raise to end the procedure there; `on_ending` before
-    the arm is stopped for good.
+    `on_ending` is called before the arm is stopped for good.
     """
 
     def __init__(
@@ -39,19 +43,24 @@ class Engine:
         setting: CaseSetting,
         journal: Journal,
         *,
+        events: EventStream | None = None,
         listener: Listener = lambda _key, _outcome: None,
-        safe_point: Callable[[], None] = lambda: None,
         on_ending: Callable[[], None] = lambda: None,
+        recovering: bool = False,
     ) -> None:
+        """`recovering` begins in recovery: nothing may begin before `accept`."""
         self.order = order
         self.case = case
         self.setting = setting
-        self.machine = ProcedureMachine(order)
+        self.events = EventStream(setting.clock.now_s) if events is None else events
+        self.machine = ProcedureMachine(order, recovering=recovering)
+        self.questions = Questions(setting.operator, journal, setting.clock.now_s, self.events)
+        self.checkpoint = Checkpoint(self.questions.ask, self._resting, setting.clock.sleep)
         self._journal = journal
         self._listener = listener
-        self._safe_point = safe_point
         self._on_ending = on_ending
-        self._latest: StepKey | None = None  # the step that was begun last
+        self._latest: StepKey | None = None  # the step that was done last
+        setting.workcell.ask_before_motion(self.checkpoint, self.questions.ask)
 
     @property
     def upcoming(self) -> StepKey | None:
@@ -76,6 +85,10 @@ class Engine:
         """Everything that keeps a step from beginning now; empty when it may begin."""
         if self.machine.ended:
             return (f"the case has ended: {self.machine.state}",)
+        if self.machine.state == RECOVERY:
+            return ("what was found after the restart has not been accepted",)
+        if faults := self.faults:
+            return tuple(f"the {role} is in fault: {fault}" for role, fault in faults.items())
         spec = self.order.spec(key)
         unmet = self.order.unmet(key, self._latest, self.case.stands)
         missing = tuple(
@@ -89,41 +102,114 @@ class Engine:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
         if unmet := self.why_refused(key):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
+            self.events.publish(Refusal(step=str(key), unmet=unmet))
             _log.warning("step refused", step=self._logged(str(key)), unmet=self._logged("; ".join(unmet)))
             raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
         spec = self.order.spec(key)
         self.machine.begin(key.name)
-        self._latest = key
+        self._show_state()
         try:
             self._write(Entry.INTENT, step=str(key), moves=spec.moves)
+            self.events.publish(StepState(step=str(key), state="begun"))
             _log.info("step begins", step=self._logged(str(key)))
             self.setting.room.announce(str(key))
+            self.checkpoint.here(f"before {key}")
             context = self._context(key)
             outcome = spec.run(context)
             stored = self._store(key, outcome, context.read)
-        except KeyboardInterrupt:
-            self._on_ending()
+        except (KeyboardInterrupt, OperatorAborted) as ended:
+            if isinstance(ended, KeyboardInterrupt):
+                self._on_ending()
             self.setting.workcell.stop()
             self.machine.abort()
+            self._show_state()
             self._write(Entry.INTERRUPTED, step=str(key))
+            self.events.publish(StepState(step=str(key), state="interrupted"))
             _log.warning("step interrupted", step=self._logged(str(key)))
             raise
         except Exception as problem:
             self._fail(key, problem)
             raise
+        self._latest = key
         _log.info("step done", step=self._logged(str(key)), summary=self._logged(outcome.summary))
+        self.events.publish(
+            StepState(step=str(key), state="done", summary=outcome.summary, record=stored.record.identifier)
+        )
         if self.upcoming is None:
             self.machine.finish()
+            self._show_state()
         self._listener(key, outcome)
         return stored.record
 
     def run_to(self, last: StepKey | None = None) -> None:
         """Run the upcoming steps up to and including `last`, or all."""
         while (key := self.upcoming) is not None:
-            self._safe_point()
             self.run_step(key)
             if key == last:
                 return
+
+    # Between steps
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """The devices that are in fault, by role, and why."""
+        devices = {role: device.observe() for role, device in self.setting.workcell.devices.items()}
+        return {role: str(seen.fault) for role, seen in devices.items() if seen.state is Lifecycle.FAULT}
+
+    def acknowledge(self, by: str) -> dict[str, str]:
+        """Recover every device that is in fault; moves nothing. Returns what was acknowledged, by role.
+
+        `by` is the person's name. Raises what a driver raises whose device cannot be recovered yet.
+        """
+        faults = self.faults
+        for role, fault in faults.items():
+            self.setting.workcell.recover(role, by)
+            self._write(Entry.ACKNOWLEDGED, device=role, fault=fault, by=by)
+            _log.info("fault acknowledged", device=role)
+        return faults
+
+    def retreat_home(self) -> None:
+        """Leave the head and park: an instrument out along its axis, then home on a way that is clear.
+
+        Raises PRO-002 unless the operator confirms, and what a motion raises.
+        """
+        workcell = self.setting.workcell
+        self._write(Entry.HOME, instrument_in=self.instrument_in)
+        self._latest = None
+        try:
+            workcell.start()
+            if (trajectory := self.instrument_in) is not None:
+                out = [workcell.facts(workcell.insertion.standoff)] if workcell.insertion else []
+                workcell.confirm_motion(Topic.RETREAT, f"retreat from {trajectory}", out, trajectory)
+                workcell.withdraw(trajectory)
+            workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
+            workcell.return_home()
+        except BaseException:
+            workcell.stop()
+            raise
+        finally:
+            if self.machine.state != RECOVERY:
+                self.machine.hold()
+                self._show_state()
+
+    def accept(self) -> None:
+        """The operator accepted what was found after a restart: steps may begin."""
+        self.machine.accept()
+        self._show_state()
+
+    @contextmanager
+    def _resting(self, state: str, reason: str) -> Iterator[None]:
+        """While the case is paused or suspended."""
+        self.machine.rest(state)
+        self._write(Entry.RESTED, state=state, reason=reason)
+        self._show_state(reason)
+        yield
+        self.machine.go_on()
+        self._write(Entry.RESUMED, state=state)
+        self._show_state()
+
+    def _show_state(self, reason: str = "") -> None:
+        self.events.publish(CaseState(state=self.machine.state, reason=reason))
 
     def close(self, outcome: str) -> None:
         """End the sessions and the journal."""
@@ -136,6 +222,7 @@ class Engine:
             pass  # it has been reported where it broke; closing must go on
         finally:
             self._journal.close()
+            self.events.end()
 
     def _store(
         self, key: StepKey, outcome: Outcome[StepResult], parents: tuple[Record, ...]
@@ -159,16 +246,22 @@ class Engine:
             **supersedes,
         )
         self.case.accept(key, stored)
+        for identifier in gone:
+            self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
         return stored
 
     def _fail(self, key: StepKey, problem: Exception) -> None:
         self.setting.workcell.stop()
-        self.machine.fail()
+        self.machine.hold()
         code = problem.code if isinstance(problem, RonnaError) else type(problem).__name__
         attachments = problem.attachments if isinstance(problem, RonnaError) else {}
         _log.error("step failed", step=self._logged(str(key)), error=code)  # its words are in the journal
         for name, text in attachments.items():
             (self.case.folder / name).write_text(text, encoding="utf-8")
+        advice = problem.advice if isinstance(problem, RonnaError) else ""
+        self.events.publish(Fault(code=code, what=str(problem), advice=advice))
+        self.events.publish(StepState(step=str(key), state="failed", summary=str(problem)))
+        self._show_state(str(problem))
         if not isinstance(problem, JournalNotWritable):
             files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
@@ -180,7 +273,9 @@ class Engine:
             trajectories=self.order.trajectories,
             setting=self.setting,
             _case=self.case,
-            _record_confirmation=self._record_confirmation,
+            _ask=self.questions.ask,
+            _checkpoint=self.checkpoint,
+            _publish=self.events.publish,
         )
 
     def _logged(self, text: str) -> str:
@@ -188,9 +283,6 @@ class Engine:
         for number, name in enumerate(self.order.trajectories, start=1):
             text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
         return text
-
-    def _record_confirmation(self, question: Question, answer: bool) -> None:
-        self._write(Entry.CONFIRMATION, subject=question.subject, value=question.value, answer=answer)
 
     def _write(self, entry: Entry, **data: JournalValue) -> None:
         self._journal.write(entry, self.setting.clock.now_s(), **data)

@@ -87,3 +87,10 @@ class WrongResult(RonnaError):
 
     code = "PRO-016"
     action = "Correct the step: its declaration names its result and the results it reads."
+
+
+class GuardUnmet(RefusedError):
+    """A guard suspended the running step, and what it watches was not restored."""
+
+    code = "PRO-017"
+    action = "Restore what it names, then repeat the step."

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -39,6 +39,10 @@ class Entry(StrEnum):
     MOVED = "moved"  # what came of it
     FAILED = "failed"
     INTERRUPTED = "interrupted"
+    RESTED = "rested"  # paused, or suspended by a guard; with the reason
+    RESUMED = "resumed"  # goes on after a rest
+    ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, by whom
+    HOME = "home"  # the intent to leave the head and park, outside the steps
     CLOSED = "closed"
 
 
@@ -53,8 +57,10 @@ class _Chain(NamedTuple):
 class Journal:
     """The journal of one run."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, on_line: Callable[[bytes], None] = lambda _line: None) -> None:
+        """`on_line` is handed every line once it is written."""
         self.path = folder / JOURNAL_FILE
+        self._on_line = on_line
         self._chain = _Chain(0, 0, FIRST)
         self._pending = b""  # a line that is being written
         self.closed = False
@@ -104,6 +110,7 @@ class Journal:
         except OSError as error:
             raise self._not_writable(error.strerror) from error
         self._settle()
+        self._on_line(line)
 
     def _settle(self) -> None:
         """Count the pending line when it is in the file.

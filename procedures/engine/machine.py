@@ -6,6 +6,7 @@ never in a callback. Whether a step may begin is the engine's to decide, before 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Protocol, cast
 
@@ -17,9 +18,19 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Phase, Scope, StepSpec
 
 SEPARATOR = "."  # between phase and step; the library's own underscore occurs in names of steps
-IDLE = "idle"
-FINISHED, FAULT, ABORTED = "finished", "fault", "aborted"
-ENDS = (FINISHED, FAULT, ABORTED)
+RECOVERY, IDLE, HELD = "recovery", "idle", "held"
+PAUSED, SUSPENDED = "paused", "suspended"
+FINISHED, ABORTED = "finished", "aborted"
+RESTS = (PAUSED, SUSPENDED)
+ENDS = (FINISHED, ABORTED)
+# What may be between steps, beside the step's own state, and what it means to a reader of the chart.
+BETWEEN = {
+    RECOVERY: "after a restart: nothing moves before the devices were read again and the operator accepted",
+    IDLE: "nothing has begun",
+    HELD: "a step failed or was left: the arm is at rest, every result stands",
+    PAUSED: "the operator rests the case",
+    SUSPENDED: "a guard waits for what it watches",
+}
 
 
 class _StepState(NestedState):
@@ -37,25 +48,21 @@ class _Triggered(Protocol):
 
 
 class ProcedureMachine:
-    """Begin a step, finish, fail or abort; nothing else changes the state."""
+    """Begin a step, hold, rest, go on, finish or abort; nothing else changes the state."""
 
-    state: str  # phase and step
+    state: str  # phase and step, or what is between steps
 
-    def __init__(self, order: CaseOrder) -> None:
-        running = [IDLE, *map(state_of, order.steps)]
-        last = order.spec(order.sequence[-1])
+    def __init__(self, order: CaseOrder, *, recovering: bool = False) -> None:
+        self._before = IDLE  # where a rest goes back to
         nested = [
             {"name": str(phase), "children": [step.name for step in order.steps if step.phase is phase]}
             for phase in Phase
         ]
-        rows = [_row(f"begin_{step.name}", running, state_of(step)) for step in order.steps]
-        rows += [_row(f"end_{end}", running, end) for end in (FAULT, ABORTED)]
-        rows.append(_row(f"end_{FINISHED}", [state_of(last)], FINISHED))
         _Machine(
             self,
-            states=[IDLE, *(state for state in nested if state["children"]), *ENDS],
-            transitions=rows,
-            initial=IDLE,
+            states=[*BETWEEN, *(state for state in nested if state["children"]), *ENDS],
+            transitions=list(_transitions(order)),
+            initial=RECOVERY if recovering else IDLE,
             auto_transitions=False,
         )
 
@@ -68,24 +75,49 @@ class ProcedureMachine:
         """Enter a step's state."""
         self._go(f"begin_{step}")
 
+    def accept(self) -> None:
+        """The operator accepted what was found after a restart."""
+        self._go("case_accept")
+
+    def hold(self) -> None:
+        """A step failed or was left."""
+        self._go("case_hold")
+
+    def rest(self, state: str) -> None:
+        """Pause or suspend, from wherever the case is."""
+        before = self.state
+        self._go(f"rest_{state}")
+        self._before = before
+
+    def go_on(self) -> None:
+        """Back to where the case was before it rested."""
+        self._go(f"back_to_{self._before}")
+
     def finish(self) -> None:
         """The last step is done and every result stands."""
-        self._go(f"end_{FINISHED}")
-
-    def fail(self) -> None:
-        """A step ended with an error."""
-        self._go(f"end_{FAULT}")
+        self._go("case_finish")
 
     def abort(self) -> None:
         """The operator ended the procedure."""
-        self._go(f"end_{ABORTED}")
+        self._go("case_abort")
 
     def _go(self, event: str) -> None:
         cast("_Triggered", self).trigger(event)
 
 
-def _row(trigger: str, source: list[str], dest: str) -> dict[str, object]:
-    return {"trigger": trigger, "source": source, "dest": dest}
+def _transitions(order: CaseOrder) -> Iterator[list[str | Sequence[str]]]:
+    """Trigger, sources, destination."""
+    working = [IDLE, HELD, *map(state_of, order.steps)]
+    for step in order.steps:
+        yield [f"begin_{step.name}", working, state_of(step)]
+    for rest in RESTS:
+        yield [f"rest_{rest}", working, rest]
+    for state in working:
+        yield [f"back_to_{state}", list(RESTS), state]
+    yield ["case_accept", RECOVERY, HELD]
+    yield ["case_hold", [*working, *RESTS], HELD]
+    yield ["case_finish", [HELD, state_of(order.spec(order.sequence[-1]))], FINISHED]
+    yield ["case_abort", [RECOVERY, *working, *RESTS], ABORTED]
 
 
 def state_of(step: StepSpec[StepResult]) -> str:
@@ -95,7 +127,7 @@ def state_of(step: StepSpec[StepResult]) -> str:
 
 def mermaid(steps: Steps) -> str:
     """The state chart as mermaid text: the way through a case, and what is done for each trajectory."""
-    lines = ["stateDiagram-v2", f"  [*] --> {IDLE}"]
+    lines = ["stateDiagram-v2", f"  [*] --> {IDLE}", f"  [*] --> {RECOVERY} : resume"]
     phases = [phase for phase in Phase if any(step.phase is phase for step in steps)]
     for phase in phases:
         lines.append(f"  state {phase} {{")
@@ -104,9 +136,14 @@ def mermaid(steps: Steps) -> str:
     names = [IDLE, *(step.name for step in steps), FINISHED]
     lines.extend(f"  {one} --> {other}" for one, other in pairwise(names))
     lines.extend(f"  {last} --> {first} : next trajectory" for first, last in _blocks(steps))
-    for end in (FAULT, ABORTED):
-        lines.extend(f"  {phase} --> {end}" for phase in phases)
+    lines.append(f"  {RECOVERY} --> {HELD} : accepted")
+    for phase in phases:
+        lines.append(f"  {phase} --> {HELD} : a step fails or is left")
+        lines.append(f"  {HELD} --> {phase} : a step that may begin")
+        lines.extend(f"  {phase} --> {rest}\n  {rest} --> {phase}" for rest in RESTS)
+    lines.extend(f"  {state} --> {ABORTED}" for state in (HELD, RECOVERY, *RESTS))
     lines.extend(f"  {end} --> [*]" for end in ENDS)
+    lines.extend(f"  note right of {state} : {meaning}" for state, meaning in BETWEEN.items())
     return "\n".join(lines) + "\n"
 
 

@@ -1,28 +1,69 @@
-"""The person at the table and the hands in the room, or the scripts that stand in for them.
+"""The operator's mind, which answers, and the room's hands, which act; or the scripts that stand in for them.
 
-A confirmation shows the value that is confirmed, and is recorded with it. A time-out means no.
+A question shows the value that is being decided on and is recorded with it. Silence is the last answer, which
+never goes on. Only one of the listed words answers; anything else is asked again.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
+
+YES, NO = "yes", "no"
+
+
+class Topic(StrEnum):
+    """What can be asked in a case; with a trajectory where it belongs to one, such as `approach:T1`."""
+
+    PATIENT = "patient"  # that this is the patient and the plan
+    RESUME = "resume"  # what was found again after a restart
+    FIRST_MOTION = "first_motion"  # since the devices were connected or a stop
+    REGISTRATION = "registration"
+    TOOL_CHANGE = "tool_change"
+    TOOL_TIP = "tool_tip"
+    APPROACH = "approach"  # to the stand-off over an entry, and on along the axis
+    AT_TARGET = "at_target"  # the arm holds until this is answered
+    RETREAT = "retreat"
+    PARK = "park"
+    CALIBRATION = "calibration"
+    PAUSE = "pause"
+    GUARD = "guard"  # a guard suspends the step
+    FAILURE = "failure"  # a step has failed
+    UNVERIFIED = "unverified"  # a controller that cannot say how it is set up
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked: `subject` names the decision, `value` is what is being confirmed."""
+    """What is asked. The first of `answers` goes on, the last is what silence means.
 
+    `timeout_s` is host time; None stands until somebody answers.
+    """
+
+    topic: Topic
     subject: str
     value: str
-    timeout_s: float = 300.0
+    answers: tuple[str, ...] = (YES, NO)
+    trajectory: str | None = None
+    timeout_s: float | None = 300.0
+
+    @property
+    def name(self) -> str:
+        """Its stable name, as answer files have it: the topic, and the trajectory if it belongs to one."""
+        return f"{self.topic}:{self.trajectory}" if self.trajectory else str(self.topic)
+
+    @property
+    def silence(self) -> str:
+        """What no answer in time means."""
+        return self.answers[-1]
 
 
 class Operator(Protocol):
     """Who decides."""
 
-    def confirm(self, question: Question) -> bool:
-        """Answer a question; False also when no answer came in time."""
+    def ask(self, question: Question) -> str:
+        """One of the question's answers; the last one also when none came in time."""
         ...
 
 
@@ -36,3 +77,9 @@ class Room(Protocol):
     def change_tool(self, number: int, description: str) -> None:
         """Mount another tool; the step then has it confirmed and reads the controller's inputs."""
         ...
+
+
+def words(answers: Sequence[str]) -> str:
+    """The answers as a person reads them: `yes or no`."""
+    *others, last = answers
+    return f"{', '.join(others)} or {last}" if others else last

@@ -32,7 +32,12 @@ class Insertion:
     @property
     def standoff(self) -> Transform:
         """The pose on the axis outside the entry."""
-        return back_along_axis(self.target, self.depth_mm + self.standoff_mm)
+        return back_along_axis(self.target, self.travel_mm)
+
+    @property
+    def travel_mm(self) -> float:
+        """From the stand-off to the target."""
+        return self.depth_mm + self.standoff_mm
 
     def check_on_axis(self, tool: Transform) -> None:
         """Raise PRO-015 unless a pose ROBOT <- TOOL has its tip and its direction on the axis."""

@@ -7,17 +7,21 @@ beyond the entry, nothing but motion along its own axis is possible, whatever as
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import Protocol, TypeVar
 
+from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import JournalNotWritable, StepRefused
 from procedures.engine.journal import Journal
+from procedures.engine.operator import Question, Topic
 from procedures.workcell.errors import InstrumentInside, WrongTool
 from procedures.workcell.insertion import Insertion
+from procedures.workcell.motion_facts import MotionFacts, in_sequence
 from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_sensor
+from procedures.workcell.supervised_motion import Move, SupervisedMotion
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import Kinematics
@@ -35,6 +39,7 @@ MASTER = "master"  # the arm that carries stereo head and guide
 STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
 APPROACH_RAD = math.radians(0.2)
+TRAIL = 200  # joint angles that are kept to find the way back; a case visits fewer between two homes
 AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way into the head
 
 
@@ -74,7 +79,8 @@ class Workcell:
         theatre.require("tracker", "stereo", f"robot.{MASTER}")
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
-        self._log = MotionLog(journal, theatre.clock)
+        self._motion = SupervisedMotion(MotionLog(journal, theatre.clock))
+        self._trail: deque[JointVector] = deque(maxlen=TRAIL)  # where the arm was since it left home
         self._tool = MountedTool.UNKNOWN
         self._insertion: Insertion | None = None
         self._home_rad: JointVector | None = None
@@ -184,18 +190,51 @@ class Workcell:
         for device in (self._arm, self.stereo) if cameras else (self._arm,):
             if device.state is Lifecycle.CONFIGURED:
                 device.activate()
+                if device is self._arm:
+                    self._motion.begin_anew()
+
+    def ask_before_motion(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
+        """Have every motion meet that checkpoint, and the first one confirmed."""
+        self._motion.ask_before(checkpoint, ask)
+
+    def confirm_motion(
+        self, topic: Topic, subject: str, motions: Sequence[MotionFacts], trajectory: str | None = None
+    ) -> None:
+        """Have the operator confirm motions that follow; raises PRO-002 unless the answer is yes."""
+        self._motion.confirm(topic, subject, in_sequence(motions), trajectory)
+
+    def facts(self, goal: JointVector | Transform) -> MotionFacts:
+        """What a joint move to joints, or a line of the mounted tool to a pose, would do from here."""
+        arm, here_rad = self._arm, self.joints_rad()
+        flange = arm.kinematics.flange_pose(here_rad)
+        if isinstance(goal, Transform):
+            preview = arm.preview(goal, flange_from_tool=self.flange_from_tool)
+            travel_mm = math.dist(goal.translation_mm, (flange @ self.flange_from_tool).translation_mm)
+            turns_rad = [high - low for low, high in preview.joint_ranges_rad]
+        else:
+            preview = arm.preview(goal)
+            travel_mm = math.dist(arm.kinematics.flange_pose(goal).translation_mm, flange.translation_mm)
+            turns_rad = [abs(to - now) for to, now in zip(goal, here_rad, strict=True)]
+        return MotionFacts(f"the {self._tool}", travel_mm, max(turns_rad), preview)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
-        with self._motion("go", list(joints_rad)) as reached:
-            self._go(joints_rad, reached)
-        return reached[-1]
+        return self._move("go", joints_rad, lambda reached: self._go(joints_rad, reached))
 
     def go_home(self) -> ArmReading:
         """A joint move to where the case began."""
-        with self._motion("home", list(self.home_rad)) as reached:
-            reached.append(self._arm.move_joints(self.home_rad))
-        return reached[-1]
+        reached = self._move_joints("home", self.home_rad)
+        self._trail.clear()
+        return reached
+
+    def return_home(self) -> ArmReading:
+        """As `go_home`; where that is not clear, back along the way the arm came since it left home."""
+        try:
+            return self.go_home()
+        except NotClear:  # raised before anything moved
+            for joints_rad in reversed(tuple(self._trail)):
+                self._move_joints("back", joints_rad)
+            return self.go_home()
 
     def settle(
         self, joints_rad: JointVector, arriving: Sequence[int], *, from_afar: bool = False
@@ -206,20 +245,20 @@ class Workcell:
         """
         A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
         back: JointVector = (A[0], A[1], A[2], A[3], A[4], A[5])
-        with self._motion("settle", list(joints_rad)) as reached:
+
+        def move(reached: list[ArmReading]) -> None:
             if from_afar:
                 self._go(back, reached)
             else:
                 self._arm.move_joints(back)
             reached.append(self._arm.move_joints(joints_rad))
-        return reached[-1]
+
+        return self._move("settle", joints_rad, move)
 
     def line_to(self, pose: Transform) -> ArmReading:
         """A straight line of the flange that brings the mounted tool to a pose."""
         flange = pose @ self.flange_from_tool.inverse()
-        with self._motion("line", pose.translation_mm.tolist()) as reached:
-            reached.append(self._arm.move_linear(flange))
-        return reached[-1]
+        return self._move("line", pose, lambda reached: reached.append(self._arm.move_linear(flange)))
 
     def insert(self, insertion: Insertion) -> ArmReading:
         """From the stand-off of a trajectory along its axis onto the target.
@@ -245,6 +284,15 @@ class Workcell:
         reached = self._along_axis("withdraw", insertion.standoff, insertion, 1.0)
         self._insertion = None
         return reached
+
+    def recover(self, role: str, by: str) -> None:
+        """Recover a device from its fault; moves nothing. What hangs on the arm counts as unchecked then."""
+        device = self.devices[role]
+        device.recover(by)
+        if device is self._arm:
+            self._motion.begin_anew()
+            if self._insertion is None:  # an instrument that is inside is the guide
+                self._tool = MountedTool.UNKNOWN
 
     # Looking
 
@@ -278,6 +326,7 @@ class Workcell:
     def stop(self) -> None:
         """Bring the arm to rest as well as the link still allows; never raises."""
         self._theatre.stop()
+        self._motion.begin_anew()
 
     def close(self) -> None:
         """End all sessions, the arm's first; never raises."""
@@ -294,20 +343,39 @@ class Workcell:
     def _along_axis(
         self, what: str, pose: Transform, insertion: Insertion, speed_fraction: float
     ) -> ArmReading:
-        to = pose.translation_mm.tolist()
-        with self._log.motion(what, to, trajectory=insertion.trajectory) as reached:
+        def move(reached: list[ArmReading]) -> None:
+            insertion.check_on_axis(self.tool_pose())
             reached.append(
                 self._arm.move_linear(
                     pose, flange_from_tool=self.flange_from_tool, speed_fraction=speed_fraction
                 )
             )
-        return reached[-1]
 
-    @contextmanager
-    def _motion(self, what: str, to: list[float]) -> Iterator[list[ArmReading]]:
+        return self._motion.carry_out(
+            what,
+            pose.translation_mm.tolist(),
+            move,
+            value=lambda: str(self.facts(pose)),
+            resume=self._resume,
+            trajectory=insertion.trajectory,
+        )
+
+    def _move(self, what: str, goal: JointVector | Transform, move: Move) -> ArmReading:
         self._require_outside(what)
-        with self._log.motion(what, to) as reached:
-            yield reached
+        to = goal.translation_mm.tolist() if isinstance(goal, Transform) else list(goal)
+        reached = self._motion.carry_out(
+            what, to, move, value=lambda: str(self.facts(goal)), resume=self._resume
+        )
+        self._trail.append(reached.joints_rad)
+        return reached
+
+    def _move_joints(self, what: str, joints_rad: JointVector) -> ArmReading:
+        return self._move(what, joints_rad, lambda reached: reached.append(self._arm.move_joints(joints_rad)))
+
+    def _resume(self) -> None:
+        """Out of HOLD; moves nothing."""
+        if self._arm.state is Lifecycle.HOLD:
+            self._arm.resume()
 
     def _require_outside(self, what: str) -> None:
         if self._insertion is not None:

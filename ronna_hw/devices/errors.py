@@ -12,6 +12,13 @@ class WrongState(StateError):
     action = "Bring the device to the expected state first; after a fault, call recover."
 
 
+class MotionInterrupted(StateError):
+    """A motion was stopped before its end, by `stop` from elsewhere; the arm rests on its path in HOLD.
+
+    Each driver of an arm has its own, with its code.
+    """
+
+
 class UnknownDriver(ConfigurationError):
     """The theatre file names a driver that no installed package provides."""
 

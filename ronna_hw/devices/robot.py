@@ -53,7 +53,8 @@ class RobotArm(Device, Protocol):
 
         `speed_fraction` scales the driver's working speed, 0 < fraction <= 1. `timeout_s` is in theatre
         time where the controller is clocked by it. Raises LimitError before motion when the path leaves
-        the joint ranges, StateError outside ACTIVE, and the latched fault when the link or monitor trips.
+        the joint ranges, StateError outside ACTIVE, MotionInterrupted when `stop` ended it, and the latched
+        fault when the link or monitor trips.
         """
         ...
 

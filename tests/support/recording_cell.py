@@ -12,7 +12,7 @@ from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.journal import JOURNAL_FILE, Journal, read_journal
-from procedures.engine.operator import Question
+from procedures.engine.operator import Question, Topic
 from procedures.engine.order import CaseOrder
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.strategy import Strategy
@@ -20,6 +20,7 @@ from procedures.workcell import Workcell
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import HostClock
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
 from ronna_hw.devices.last_known import LastKnown
@@ -85,6 +86,9 @@ class RecordingDevice:
         self.calls.append("deactivate")
         self.state = Lifecycle.CONFIGURED
 
+    def observe(self) -> LastKnown[object]:
+        return LastKnown(self.state, None, None)
+
     def close(self) -> None:
         self.state = Lifecycle.CLOSED
 
@@ -147,20 +151,32 @@ class RecordingArm(RecordingDevice):
         self.motions.append(("line", self.joints_rad))
         return self.read_state()
 
+    def preview(self, target: JointVector | Transform, **_more: Any) -> PathPreview:
+        return PathPreview(
+            duration_s=1.0,
+            joint_ranges_rad=tuple((joint, joint) for joint in self.joints_rad),
+            closest=None,
+            refused=None,
+            singularity=self.kinematics.singular_measure(self.joints_rad),
+            largest_joint_speed_share=0.5,
+            largest_speed_mm_s=100.0,
+            nearest_to_head_mm=None,
+        )
+
     def stop(self, *_kind: object) -> None:
         self.stops += 1
 
 
 class RecordingOperator:
-    """Answers as told, and remembers the questions."""
+    """Goes on, or by `refusing` some topics answers these as silence would; remembers the questions."""
 
-    def __init__(self, answer: bool = True) -> None:
-        self.answer = answer
+    def __init__(self, *refusing: Topic) -> None:
+        self.refusing = refusing
         self.asked: list[Question] = []
 
-    def confirm(self, question: Question) -> bool:
+    def ask(self, question: Question) -> str:
         self.asked.append(question)
-        return self.answer
+        return question.silence if question.topic in self.refusing else question.answers[0]
 
 
 @dataclass

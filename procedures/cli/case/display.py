@@ -36,7 +36,7 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
         console=console,
         transient=True,
     )
-    with pause_on_interrupt() as pause, bar:
+    with pause_on_interrupt() as interrupts, bar:
         task = bar.add_task("starting", total=1.0)
 
         def progress(share: float, text: str) -> None:
@@ -53,12 +53,7 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
             finally:
                 bar.start()
 
-        def safe_point() -> None:
-            if pause.wanted:
-                with asking():
-                    pause.safe_point()
-
-        yield Watcher(progress, listener, lambda text: progress(0.0, text), safe_point, asking)
+        yield Watcher(progress, listener, lambda text: progress(0.0, text), interrupts.attach, asking)
 
 
 def _write_line(key: StepKey, outcome: Outcome[StepResult]) -> None:

@@ -20,7 +20,7 @@ from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.log_output import keep_log
 
 if TYPE_CHECKING:
-    from procedures.engine.context import ClinicalInput, Progress
+    from procedures.engine.context import ClinicalInput, ShowProgress
     from procedures.engine.engine import Engine, Listener
     from procedures.engine.operator import Operator, Room
     from procedures.engine.order import CaseOrder
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 class Watcher:
     """Who follows a run while it runs."""
 
-    progress: Progress = lambda _share, _text: None
+    progress: ShowProgress = lambda _share, _text: None
     listener: Listener = lambda _key, _outcome: None
     status: Callable[[str], None] = lambda _text: None
-    safe_point: Callable[[], None] = lambda: None
+    opened: Callable[[Engine], None] = lambda _engine: None  # before its first step
     asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
 
 
@@ -80,6 +80,7 @@ def opened_engine(
             room = stack.enter_context(contextlib.closing(SimulatedRoom(simulated.theatre.control)))
         engine = _make_engine(request, folder, file, procedure, operator, room, watcher)
         outcome = "failed"
+        watcher.opened(engine)
         try:
             yield engine
             outcome = "done" if engine.upcoming is None else "left"
@@ -136,6 +137,7 @@ def _make_engine(
     from procedures.engine.case import Case
     from procedures.engine.context import CaseSetting
     from procedures.engine.engine import Engine
+    from procedures.engine.events import EventStream
     from procedures.engine.journal import Entry, Journal
     from procedures.workcell import Workcell
     from ronna_hw.theatre import Theatre
@@ -143,7 +145,8 @@ def _make_engine(
     theatre = Theatre.from_file(file)
     wanted = procedure(theatre)
     calibrations = wanted.calibrations or theatre.calibrations  # what is missing is known before the journal
-    journal = Journal(folder)
+    events = EventStream(theatre.clock.now_s)
+    journal = Journal(folder, events.journal_line)
     workcell = Workcell(theatre, journal, calibrations=calibrations)
     journal.write(
         Entry.OPENED,
@@ -167,7 +170,7 @@ def _make_engine(
             progress=watcher.progress,
         ),
         journal,
+        events=events,
         listener=watcher.listener,
-        safe_point=watcher.safe_point,
         on_ending=ignore_further_signals,
     )

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import sys
 import termios
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
-from procedures.engine.operator import Question
+from procedures.engine.operator import Question, words
 from ronna_hw.host.control_port import ControlPortClient
 
 
 class ScriptedOperator:
-    """Says yes to every question; what was shown is in the journal."""
+    """Goes on with the first answer to every question; what was asked is in the journal."""
 
-    def confirm(self, question: Question) -> bool:
-        """Say yes."""
-        return bool(question.subject)
+    def ask(self, question: Question) -> str:
+        """The first answer."""
+        return question.answers[0]
 
 
 class SimulatedRoom:
@@ -40,7 +41,7 @@ class SimulatedRoom:
 
 
 class TerminalOperator:
-    """A person at the terminal. Without a terminal every answer is no.
+    """A person at the terminal. Without a terminal nobody answers.
 
     `asking` is held while a question stands, so that nothing else writes over it.
     """
@@ -48,16 +49,23 @@ class TerminalOperator:
     def __init__(self, asking: Callable[[], AbstractContextManager[None]] = nullcontext) -> None:
         self._asking = asking
 
-    def confirm(self, question: Question) -> bool:
-        """Show the value and wait for a typed `yes`; anything else, or no answer in time, is no."""
+    def ask(self, question: Question) -> str:
+        """Show the value and wait for one of the answers, typed whole; anything else is asked again."""
         if not sys.stdin.isatty():
-            return False
+            return question.silence
+        ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         with self._asking():
             # What was typed before the question was seen answers nothing.
             termios.tcflush(sys.stdin, termios.TCIFLUSH)
-            sys.stderr.write(f"{question.subject}\n  {question.value}\nType yes to confirm: ")
-            sys.stderr.flush()
-            return _line_within(question.timeout_s).strip().lower() == "yes"
+            sys.stderr.write(f"{question.subject}\n  {question.value}\n")
+            while True:
+                sys.stderr.write(f"Type {words(question.answers)}: ")
+                sys.stderr.flush()
+                line = _line_within(None if ends_s is None else max(0.0, ends_s - time.monotonic()))
+                if not line:  # out of time, or the terminal is gone
+                    return question.silence
+                if (answer := line.strip().lower()) in question.answers:
+                    return answer
 
 
 class TerminalRoom:
@@ -76,7 +84,7 @@ class TerminalRoom:
             sys.stderr.flush()
 
 
-def _line_within(timeout_s: float) -> str:
+def _line_within(timeout_s: float | None) -> str:
     import select
 
     ready, _, _ = select.select([sys.stdin], [], [], timeout_s)

@@ -1,7 +1,7 @@
-"""Ctrl-C on a terminal: once pauses at the next safe point, twice stops now.
+"""Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all.
 
-Safe points are between steps: the arm rests and every result is recorded. Without a terminal nothing is
-changed: one signal ends the command.
+Safe points are between steps and before each motion. Without a terminal nothing is changed: one signal ends
+the command.
 """
 
 from __future__ import annotations
@@ -10,66 +10,60 @@ import contextlib
 import os
 import signal
 import sys
-import termios
+import threading
 from collections.abc import Iterator
 from types import FrameType
+from typing import TYPE_CHECKING
 
-from procedures.engine.errors import OperatorAborted
-from ronna_hw.command_line.console import on_terminal, tell
+from ronna_hw.command_line.console import on_terminal
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
 
 STANDARD_ERROR = 2
+PAUSING = b"\npausing at the next safe point; Ctrl-C again stops the arm now\n"
+STOPPING = b"\nstopping the arm; Ctrl-C again ends the command\n"
 
 
-class Pause:
-    """Whether the operator has asked for a pause."""
+class Interrupts:
+    """What Ctrl-C asks of an engine."""
 
     def __init__(self) -> None:
-        self._wanted = False
+        self._engine: Engine | None = None
+        self._count = 0
 
-    @property
-    def wanted(self) -> bool:
-        """True between the first Ctrl-C and the rest."""
-        return self._wanted
+    def attach(self, engine: Engine) -> None:
+        """From now on Ctrl-C is about this engine; before, it ends the command."""
+        self._engine = engine
 
-    def clear(self) -> None:
-        """Forget that a pause was asked for: it has been had."""
-        self._wanted = False
-
-    def ask(self) -> None:
-        """Ask once for a pause; the second time raise KeyboardInterrupt."""
-        if self._wanted:
+    def interrupt(self) -> None:
+        """One Ctrl-C more; raises KeyboardInterrupt when it is to end the command."""
+        engine = self._engine
+        if engine is None:
             raise KeyboardInterrupt
-        self._wanted = True
+        self._count = self._count + 1 if engine.checkpoint.wanted else 1
+        if self._count > 2:
+            raise KeyboardInterrupt
+        engine.checkpoint.pause("Ctrl-C")
+        if self._count == 2:
+            threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         # This runs inside a signal handler: the buffered streams may be in the middle of a write.
-        os.write(STANDARD_ERROR, b"\npausing after this step; Ctrl-C again stops now\n")
-
-    def safe_point(self) -> None:
-        """Rest here if a pause was asked for; raises PRO-004 when the operator ends the procedure."""
-        if not self._wanted:
-            return
-        # What was typed before answers nothing; what is typed as soon as the question stands there does.
-        with contextlib.suppress(OSError, ValueError, termios.error):
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
-        tell("Paused; the arm is at rest. Press Enter to continue, or type abort to end the procedure:")
-        answer = sys.stdin.readline()
-        self._wanted = False
-        if not answer or answer.strip().lower() == "abort":
-            raise OperatorAborted("the operator ended the procedure while it was paused")
+        os.write(STANDARD_ERROR, PAUSING if self._count == 1 else STOPPING)
 
 
 @contextlib.contextmanager
-def pause_on_interrupt() -> Iterator[Pause]:
+def pause_on_interrupt() -> Iterator[Interrupts]:
     """Let Ctrl-C ask for a pause while the block runs, where a person sits at a terminal."""
-    pause = Pause()
+    interrupts = Interrupts()
     if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
-        yield pause
+        yield interrupts
         return
 
     def asked(_number: int, _frame: FrameType | None) -> None:
-        pause.ask()
+        interrupts.interrupt()
 
     before = signal.signal(signal.SIGINT, asked)
     try:
-        yield pause
+        yield interrupts
     finally:
         signal.signal(signal.SIGINT, before)

@@ -9,29 +9,25 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
-from procedures.engine.errors import UnknownStep
 from ronna_hw.command_line.console import fail_with, on_terminal
-from ronna_hw.errors import RefusedError, RonnaError
+from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.engine.result import StepResult
     from procedures.engine.step import Outcome, StepKey
 
-HELP = "list | next | run STEP | to STEP | why [STEP] | help | quit"
+HELP = "list | next | run STEP | to STEP | why [STEP] | home | acknowledge NAME | help | quit"
 PROMPT = "step> "
 
 
 def step_through(request: CaseRequest) -> None:
-    """Read commands until `quit` or the end of the input; a refusal is told and the case goes on.
-
-    Any other error of a step is told too and ends the case: its state chart is then in `fault`.
-    """
+    """Read commands until `quit` or the end of the input; what goes wrong is shown, and the case is held."""
     check_request(request)
     folder = new_run_folder(request)
     with (
-        pause_on_interrupt() as pause,
-        opened_case(request, folder, Watcher(listener=_done, safe_point=pause.safe_point)) as engine,
+        pause_on_interrupt() as interrupts,
+        opened_case(request, folder, Watcher(listener=_done, opened=interrupts.attach)) as engine,
     ):
         _say(f"run {folder.name}; {HELP}")
         while (line := _ask()) is not None:
@@ -39,7 +35,7 @@ def step_through(request: CaseRequest) -> None:
             if name in ("quit", "q"):
                 if engine.instrument_in is None:
                     return
-                _say(f"the instrument is in {engine.instrument_in}: run retreat:{engine.instrument_in} first")
+                _say(f"the instrument is in {engine.instrument_in}: home brings it out along its axis")
                 continue
             command = COMMANDS.get(name)
             if command is None:
@@ -48,11 +44,9 @@ def step_through(request: CaseRequest) -> None:
             try:
                 command(engine, argument.strip())
             except RonnaError as error:
-                if engine.machine.ended or not isinstance(error, RefusedError | UnknownStep):
+                if engine.machine.ended:
                     raise
                 fail_with(error)
-            finally:
-                pause.clear()  # the prompt is where it rests
 
 
 def _list(engine: Engine, _argument: str) -> None:
@@ -89,6 +83,16 @@ def _why(engine: Engine, argument: str) -> None:
     _say(f"{key}: " + ("may begin" if not unmet else "refused: " + "; ".join(unmet)))
 
 
+def _home(engine: Engine, _argument: str) -> None:
+    engine.retreat_home()
+    _say("the arm is parked")
+
+
+def _acknowledge(engine: Engine, argument: str) -> None:
+    acknowledged = engine.acknowledge(argument)
+    _say("; ".join(f"{role}: {fault}" for role, fault in acknowledged.items()) or "no device is in fault")
+
+
 def _help(_engine: Engine, _argument: str) -> None:
     _say(HELP)
 
@@ -99,6 +103,8 @@ COMMANDS: dict[str, Callable[[Engine, str], None]] = {
     "run": _run,
     "to": _to,
     "why": _why,
+    "home": _home,
+    "acknowledge": _acknowledge,
     "help": _help,
     "": _help,
 }

@@ -10,6 +10,7 @@ from pydantic import Field
 from procedures.calibration import Baseline, Observation
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
+from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.errors import NoSphere
@@ -45,6 +46,7 @@ class BaselineVisit:
         if self.baseline.arm_variant != arm:
             raise GateFailed("the baseline is from another arm", expected=self.baseline.arm_variant, got=arm)
         context.confirm(
+            Topic.CALIBRATION,
             "The arm will move to the eight poses of the baseline; the ball must stand where it stood",
             f"calibration {head.identifier} of {self.baseline.created:%Y-%m-%d %H:%M} UTC",
         )

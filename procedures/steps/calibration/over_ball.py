@@ -7,6 +7,7 @@ import numpy as np
 from procedures.calibration.errors import PosesOutOfReach
 from procedures.calibration.pose_set import calibration_looks
 from procedures.engine.context import StepContext
+from procedures.engine.operator import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
@@ -33,6 +34,7 @@ def bring_over_ball(context: StepContext, place: BallPlace, purpose: str, poses:
         )
     x, y, z = place.ball_mm
     context.confirm(
+        Topic.CALIBRATION,
         f"The arm will move about the ball: {purpose}. Nobody and nothing else may be within its reach",
         f"ball at {x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT",
     )

@@ -7,12 +7,14 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
+from procedures.engine.operator import Question, Topic
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.conditions import inserted
 from procedures.steps.clinical.positioning import PositionedGuide
 
 POSITION_LIMIT_MM = 0.05  # nominal tip against the commanded one; more means the arm did not arrive
+DONE = "done"  # the one word that ends the hold
 DWELL_S = 0.5  # of theatre time, before the reading
 
 
@@ -33,6 +35,16 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         raise GateFailed(
             "the arm is not where it was sent", limit=f"{POSITION_LIMIT_MM} mm", got=f"{error_mm:.3f} mm"
         )
+    context.choose(
+        Question(
+            Topic.AT_TARGET,
+            f"at {context.trajectory}: the arm holds until the work there is done",
+            f"nominal tip {error_mm:.3f} mm from where it was sent",
+            (DONE,),
+            trajectory=context.trajectory,
+            timeout_s=None,
+        )
+    )
     return Outcome(
         ReachedTarget(tool_pose=FramedPose.of(reached), nominal_error_mm=error_mm),
         summary=f"nominal tip within {error_mm:.4f} mm of the command",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
+from procedures.engine.operator import Topic
 from procedures.engine.result import FramedPose, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.conditions import carries
@@ -37,15 +38,20 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         localized_as=paths.localizations_for((trajectory, *context.trajectories))[0].tool_pose.transform,
     )
     standoff_mm = context.setting.settings.standoff_mm
+    insertion = Insertion(trajectory, target, planned.depth_mm, standoff_mm)
+    surround_guide(context, robot_from_ct)
+    standoff_rad = workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad)
     context.confirm(
-        f"move to {trajectory}", f"tool {mounted}, {standoff_mm:g} mm over the entry, then along the axis"
+        Topic.APPROACH,
+        f"move to {trajectory} with tool {mounted}",
+        f"{workcell.facts(standoff_rad)}; then {insertion.travel_mm:.0f} mm along the axis onto the target, "
+        f"{planned.depth_mm:.0f} mm beyond the entry",
+        trajectory,
     )
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
-    surround_guide(context, robot_from_ct)
     workcell.start()
-    insertion = Insertion(trajectory, target, planned.depth_mm, standoff_mm)
     context.progress(0.0, f"moving over {trajectory}")
-    workcell.go(workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad))
+    workcell.go(standoff_rad)
     context.progress(0.5, f"moving along {trajectory}")
     reached = workcell.insert(insertion)
     return Outcome(

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
+from procedures.engine.operator import Topic
 from procedures.engine.result import FramedPose, StepResult, Values
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.planning.plan import PlannedTrajectory
@@ -95,9 +96,11 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     )
     for predicted in predictions:
         context.confirm(
+            Topic.REGISTRATION,
             f"accept the registration for {predicted.target}",
             f"predicted target error {predicted.rms_mm:.2f} mm rms, "
             f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}",
+            predicted.target,
         )
     worst = max(predictions, key=lambda one: one.rms_mm)
     return Outcome(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
+from procedures.engine.operator import Topic
 from procedures.engine.result import Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -26,12 +27,18 @@ def run(context: StepContext) -> Outcome[Retreated]:
     workcell = context.workcell
     # The surroundings are those of the way in. No record is read before the instrument is out: a damaged
     # file must not keep it inside.
+    if workcell.insertion is not None:
+        way_out = [workcell.facts(workcell.insertion.standoff)]
+        workcell.confirm_motion(
+            Topic.RETREAT, f"retreat from {context.trajectory}", way_out, context.trajectory
+        )
     reached = workcell.withdraw(context.trajectory)
     context.result(PositionedGuide)
     context.result(ReachedTarget)
     if not context.is_last_trajectory():  # any may come first
         return Outcome(Retreated(parked=False, joints_rad=reached.joints_rad, link=None), "outside the entry")
-    reached = workcell.go_home()
+    workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
+    reached = workcell.return_home()
     link = link_health(context)
     workcell.rest()
     return Outcome(Retreated(parked=True, joints_rad=reached.joints_rad, link=link), "parked")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
+from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.clinical.conditions import carries
@@ -29,13 +30,17 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     context.result(CheckedSetUp)
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
-    workcell.go_home()
+    to_home = [workcell.facts(workcell.home_rad)]
+    workcell.confirm_motion(Topic.PARK, "park the arm for the exchange of tools", to_home)
+    workcell.return_home()
     link = link_health(context)
     workcell.rest()
     context.setting.room.change_tool(calibration.tool_number, "the surgical guide")
-    context.confirm("the tool has been exchanged", f"the surgical guide, tool {calibration.tool_number}")
+    guide = f"the surgical guide, tool {calibration.tool_number}"
+    context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", guide)
     mounted = workcell.check_mounted(MountedTool.GUIDE)
     context.confirm(
+        Topic.TOOL_TIP,
         "tip calibration of the guide",
         f"{calibration.identifier}, made {calibration.created:%Y-%m-%d}, "
         f"stated error {calibration.stated_error_mm:.2f} mm",

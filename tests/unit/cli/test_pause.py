@@ -1,38 +1,58 @@
-import io
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from procedures.cli.case.pause import Pause
-from procedures.engine.errors import OperatorAborted
+from procedures.cli.case.pause import Interrupts
 
 
-def test_without_a_wish_a_safe_point_is_passed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("abort\n"))
-    Pause().safe_point()
+class Engine:
+    """What an interrupt needs of an engine; its checkpoint is met when the test says so."""
+
+    def __init__(self) -> None:
+        self.paused: list[str] = []
+        self.stops = 0
+        self.checkpoint = SimpleNamespace(wanted=False, pause=self.pause)
+        self.setting = SimpleNamespace(workcell=SimpleNamespace(stop=self.stop))
+
+    def pause(self, reason: str) -> None:
+        self.paused.append(reason)
+        self.checkpoint.wanted = True
+
+    def stop(self) -> None:
+        self.stops += 1
 
 
-def test_after_one_wish_enter_goes_on_and_the_wish_is_spent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("\nabort\n"))
-    pause = Pause()
-    pause.ask()
-    pause.safe_point()
-    pause.safe_point()
-    assert not pause.wanted
+@pytest.fixture
+def attached() -> tuple[Interrupts, Any]:
+    engine: Any = Engine()
+    interrupts = Interrupts()
+    interrupts.attach(engine)
+    return interrupts, engine
 
 
-@pytest.mark.parametrize("answer", ["abort\n", ""])
-def test_abort_or_the_end_of_the_input_ends_the_procedure(
-    monkeypatch: pytest.MonkeyPatch, answer: str
-) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO(answer))
-    pause = Pause()
-    pause.ask()
-    with pytest.raises(OperatorAborted, match="PRO-004"):
-        pause.safe_point()
-
-
-def test_the_second_wish_stops_now() -> None:
-    pause = Pause()
-    pause.ask()
+def test_before_there_is_an_engine_an_interrupt_ends_the_command() -> None:
     with pytest.raises(KeyboardInterrupt):
-        pause.ask()
+        Interrupts().interrupt()
+
+
+def test_the_first_interrupt_asks_for_a_pause_and_stops_nothing(attached: tuple[Interrupts, Any]) -> None:
+    interrupts, engine = attached
+    interrupts.interrupt()
+    assert (engine.paused, engine.stops) == (["Ctrl-C"], 0)
+
+
+def test_the_third_interrupt_ends_the_command(attached: tuple[Interrupts, Any]) -> None:
+    interrupts, _ = attached
+    interrupts.interrupt()
+    interrupts.interrupt()
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.interrupt()
+
+
+def test_after_a_rest_the_count_begins_again(attached: tuple[Interrupts, Any]) -> None:
+    interrupts, engine = attached
+    for _ in range(4):
+        interrupts.interrupt()
+        engine.checkpoint.wanted = False  # the pause was met
+    assert len(engine.paused) == 4

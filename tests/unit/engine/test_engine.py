@@ -9,6 +9,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import JournalNotWritable, NotConfirmed, StepRefused, WrongResult
 from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
 from ronna_hw.errors import LinkTimeout
@@ -64,7 +65,7 @@ def test_a_step_that_leaves_another_model_fails_and_its_result_does_not_stand(ce
     engine = run_to(cell.engine(plain_order(localization=leaves(Fit))), "image")
     with pytest.raises(WrongResult, match="expected Localization, got Fit"):
         run(engine, "localization:T1")
-    assert engine.machine.state == "fault"
+    assert engine.machine.state == "held"
     assert [path.stem for path in (cell.folder / "records").iterdir()] == ["01-image"]
 
 
@@ -76,7 +77,7 @@ def test_a_refused_step_lists_what_is_unmet_and_is_journalled(cell: RecordingCel
     assert cell.room.announced == []
 
 
-def test_a_step_that_fails_stops_the_arm_and_leaves_the_chart_in_fault(cell: RecordingCell) -> None:
+def test_a_step_that_fails_stops_the_arm_and_leaves_the_case_held(cell: RecordingCell) -> None:
     def fail(_context: StepContext) -> Outcome[StepResult]:
         cell.arm.activate()
         raise LinkTimeout("the tracker is silent")
@@ -86,7 +87,7 @@ def test_a_step_that_fails_stops_the_arm_and_leaves_the_chart_in_fault(cell: Rec
         run(engine, "image")
     assert cell.arm.stops == 1
     assert cell.entries()[-1] == ("failed", "image")
-    assert engine.why_refused(engine.order.find("image")) == ("the case has ended: fault",)
+    assert engine.why_refused(engine.order.find("image")) == ()
 
 
 def test_evidence_that_comes_with_an_error_is_kept_in_the_run_folder(cell: RecordingCell) -> None:
@@ -115,16 +116,16 @@ def test_an_interrupted_step_stops_the_arm_and_is_journalled(cell: RecordingCell
 
 def test_without_a_yes_a_confirmed_value_goes_no_further_and_both_are_recorded(cell: RecordingCell) -> None:
     def ask(context: StepContext) -> Outcome[StepResult]:
-        context.confirm("accept the registration", "0.21 mm rms")
+        context.confirm(Topic.REGISTRATION, "accept the registration", "0.21 mm rms")
         return Outcome(Image())
 
-    cell.operator = RecordingOperator(answer=False)
+    cell.operator = RecordingOperator(Topic.REGISTRATION)
     with pytest.raises(NotConfirmed, match=r"PRO-002.*0\.21 mm rms"):
         run(cell.engine(plain_order(image=ask)), "image")
     confirmation = next(
         line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "confirmation"
     )
-    assert (confirmation["value"], confirmation["answer"]) == ("0.21 mm rms", False)
+    assert (confirmation["value"], confirmation["answer"]) == ("0.21 mm rms", "no")
 
 
 def test_closing_ends_the_sessions_and_the_journal(cell: RecordingCell) -> None:
@@ -158,7 +159,7 @@ def test_a_result_that_cannot_be_journalled_does_not_stand_and_nothing_follows(
     monkeypatch.setattr(cell.journal, "write", refuse)
     with pytest.raises(JournalNotWritable, match="PRO-003"):
         run(engine, "image")
-    assert engine.machine.state == "fault"
+    assert engine.machine.state == "held"
     assert engine.status(engine.order.find("image")) == "next"
 
 

@@ -1,5 +1,6 @@
 import pytest
 from plain_steps import plain_order, plain_steps
+from transitions import MachineError
 
 from procedures.engine.machine import ProcedureMachine, mermaid, state_of
 from procedures.engine.order import order_of
@@ -30,9 +31,36 @@ def test_what_is_repeated_for_each_trajectory_leads_back_in_the_chart() -> None:
     assert "back --> approach : next trajectory" in chart
 
 
-def test_a_failed_step_leads_to_fault_and_nothing_leads_out() -> None:
+def test_a_case_that_is_held_goes_on_with_a_step() -> None:
     machine = ProcedureMachine(plain_order())
     machine.begin("image")
-    machine.fail()
-    assert machine.state == "fault"
+    machine.hold()
+    assert (machine.state, machine.ended) == ("held", False)
+    machine.begin("image")
+    assert machine.state == "operation.image"
+
+
+@pytest.mark.parametrize("rest", ["paused", "suspended"])
+def test_a_rest_goes_back_to_where_the_case_was(rest: str) -> None:
+    machine = ProcedureMachine(plain_order())
+    machine.begin("image")
+    machine.rest(rest)
+    assert machine.state == rest
+    machine.go_on()
+    assert machine.state == "operation.image"
+
+
+def test_in_recovery_no_step_begins_before_it_is_accepted() -> None:
+    machine = ProcedureMachine(plain_order(), recovering=True)
+    with pytest.raises(MachineError):
+        machine.begin("image")
+    machine.accept()
+    assert machine.state == "held"
+
+
+def test_an_aborted_case_has_ended() -> None:
+    machine = ProcedureMachine(plain_order())
+    machine.abort()
     assert machine.ended
+    with pytest.raises(MachineError):
+        machine.begin("image")

@@ -17,6 +17,7 @@ from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
 from procedures.engine.errors import NotConfirmed, StepRefused
+from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepSpec
 from procedures.relocalization.errors import NoSphere, WrongCamera
@@ -97,7 +98,7 @@ def test_where_the_way_home_is_not_clear_what_was_seen_is_kept_and_said(cell: Cl
 def test_nothing_moves_over_the_ball_unless_it_is_confirmed(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
-    cell.operator = RecordingOperator(answer=False)
+    cell.operator = RecordingOperator(Topic.CALIBRATION)
     with pytest.raises(NotConfirmed, match="The arm will move about the ball"):
         over_ball(cell, step)
     assert cell.arm.motions == cell.arm.calls == []
@@ -172,7 +173,7 @@ def test_a_check_looks_from_the_joints_of_the_baseline_and_goes_home(
 def test_a_check_is_confirmed_with_the_calibration_that_is_checked(
     cell: ClinicalCell, baseline: Baseline
 ) -> None:
-    cell.operator = RecordingOperator(answer=False)
+    cell.operator = RecordingOperator(Topic.CALIBRATION)
     with pytest.raises(NotConfirmed, match=f"calibration {baseline.stereo_head.identifier}"):
         visited(cell, baseline)
     assert cell.arm.motions == cell.arm.calls == []

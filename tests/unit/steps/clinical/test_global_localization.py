@@ -19,6 +19,7 @@ from procedures.steps.clinical.global_localization import (
 )
 from procedures.workcell import MountedTool
 from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Stamp, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import DeviceError, LinkTimeout
@@ -37,6 +38,9 @@ class TrackerThatFails:
     latched: bool
     state: Lifecycle = Lifecycle.CONFIGURED
     calls: list[str] = field(default_factory=list)
+
+    def observe(self) -> LastKnown[object]:
+        return LastKnown(self.state, None, None)
 
     def activate(self) -> None:
         self.state = Lifecycle.ACTIVE

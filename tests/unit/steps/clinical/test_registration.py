@@ -20,6 +20,7 @@ from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
 from procedures.engine.errors import GateFailed, NotConfirmed
+from procedures.engine.operator import Topic
 from procedures.steps.clinical.registration import STEP, RegisteredRobot
 
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ def test_guide_head_and_arm_stand_in_the_prediction_of_a_perfect_fit(cell: Clini
 
 @pytest.mark.hazard(36)
 def test_a_registration_that_is_not_accepted_does_not_stand(cell: ClinicalCell) -> None:
-    cell.operator = RecordingOperator(answer=False)
+    cell.operator = RecordingOperator(Topic.REGISTRATION)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         registered(cell)
     assert cell.case.find(RegisteredRobot, FIRST) is None

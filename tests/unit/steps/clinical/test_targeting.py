@@ -1,7 +1,6 @@
 """From the stand-off to the target and back: confirmed first, along one axis, and where it was sent."""
 
 import math
-from dataclasses import replace
 
 import pytest
 from clinical_case import (
@@ -24,7 +23,7 @@ from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
-from procedures.engine.operator import Question
+from procedures.engine.operator import Question, Topic
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -86,11 +85,11 @@ def test_the_insertion_is_known_to_the_workcell_and_in_the_journal(cell: Clinica
 
 @pytest.mark.hazard(36)
 def test_nothing_moves_unless_it_is_confirmed(cell: ClinicalCell) -> None:
-    cell.operator = RecordingOperator(answer=False)
+    cell.operator = RecordingOperator(Topic.APPROACH)
     with pytest.raises(NotConfirmed, match=f"move to {FIRST}"):
         run(begin(cell), f"positioning:{FIRST}")
     assert cell.arm.motions == []
-    assert cell.arm.calls == []
+    assert cell.arm.calls == ["surround"]
 
 
 @pytest.mark.hazard(37)
@@ -194,14 +193,13 @@ def test_a_registration_beside_the_head_moves_the_target_with_it(cell: ClinicalC
 
 @pytest.mark.hazard(3)
 def test_a_tool_that_was_exchanged_while_the_question_stood_moves_nothing(cell: ClinicalCell) -> None:
-    engine = begin(cell)
-
     class Exchanger(RecordingOperator):
-        def confirm(self, question: Question) -> bool:
+        def ask(self, question: Question) -> str:
             cell.arm.mounted = STEREO_HEAD
-            return super().confirm(question)
+            return super().ask(question)
 
-    engine.setting = replace(engine.setting, operator=Exchanger())
+    cell.operator = Exchanger()
+    engine = begin(cell)
     with pytest.raises(WrongTool, match="PRO-009"):
         run(engine, f"positioning:{FIRST}")
     assert cell.arm.motions == []

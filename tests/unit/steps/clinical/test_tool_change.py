@@ -13,6 +13,7 @@ from recording_cell import GUIDE, RecordingOperator
 
 from procedures.engine.case import Stored
 from procedures.engine.errors import NotConfirmed, StepRefused
+from procedures.engine.operator import Topic
 from procedures.steps.clinical.tool_change import STEP, MountedGuide
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
@@ -38,10 +39,10 @@ def test_exchange_and_tip_calibration_are_both_confirmed(cell: ClinicalCell) -> 
     done = exchange(cell).result
     tip = cell.calibrations.tool_tip
     assert (done.tool_number, done.calibration) == (GUIDE, tip.identifier)
-    exchanged, calibrated = cell.operator.asked
+    _parked, exchanged, calibrated = cell.operator.asked
     assert exchanged.value == f"the surgical guide, tool {GUIDE}"
     assert calibrated.value.startswith(f"{tip.identifier}, made ")
-    assert cell.entries("confirmation") == [("confirmation", "")] * 2
+    assert cell.entries("confirmation") == [("confirmation", "")] * 3
     assert cell.workcell.tool is MountedTool.GUIDE
 
 
@@ -57,7 +58,7 @@ def test_another_tool_than_the_guide_is_refused(cell: ClinicalCell, mounted: int
 
 @pytest.mark.hazard(36)
 def test_without_a_yes_the_guide_does_not_count_as_mounted(cell: ClinicalCell) -> None:
-    cell.operator = RecordingOperator(answer=False)
+    cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
     with pytest.raises(NotConfirmed, match="the tool has been exchanged"):
         exchange(cell)
     assert cell.workcell.tool is not MountedTool.GUIDE

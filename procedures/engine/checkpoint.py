@@ -1,0 +1,126 @@
+"""Where a case may rest: between steps and before each motion, and wherever a motion was stopped.
+
+Whoever wants the case to rest says so from any thread: an operator by `pause` or `abort`, a watch by
+`end_step`. The engine's own thread meets the wish at the next checkpoint; `now` also stops the arm.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Protocol
+
+from procedures.engine.errors import GuardUnmet, OperatorAborted
+from procedures.engine.machine import PAUSED, SUSPENDED
+from procedures.engine.operator import Question, Topic
+from ronna_hw.errors import RonnaError
+
+GO_ON, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
+LOOK_AGAIN_S = 0.05  # theatre time between two looks at a guard
+PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the operator is asked
+
+
+class Guard(Protocol):
+    """Something that must hold while the arm works."""
+
+    @property
+    def name(self) -> str:
+        """Such as `disk space` or `line of sight`."""
+        ...
+
+    def unmet(self) -> str | None:
+        """Why the case cannot go on now, in plain words, or None. Quick, and never raises."""
+        ...
+
+
+class Checkpoint:
+    """Meets the wish to pause or abort, and holds the case to its guards; asks before anything goes on."""
+
+    def __init__(
+        self,
+        ask: Callable[[Question], str],
+        rest: Callable[[str, str], AbstractContextManager[None]],
+        sleep: Callable[[float], None],
+        guards: Sequence[Guard] = (),
+    ) -> None:
+        """`rest` is held, with state and reason, while the case rests; `sleep` takes theatre time."""
+        self.guards = list(guards)
+        self._ask = ask
+        self._rest = rest
+        self._sleep = sleep
+        self._wishes = threading.RLock()  # a signal handler may wish while its thread meets a wish
+        self._pause: str | None = None
+        self._abort = False
+        self._seen: RonnaError | None = None  # by a watch
+
+    def pause(self, reason: str = "the operator asked for a pause") -> None:
+        """Rest at the next checkpoint."""
+        with self._wishes:
+            self._pause = reason
+
+    def abort(self) -> None:
+        """End the case at the next checkpoint."""
+        with self._wishes:
+            self._abort = True
+
+    def end_step(self, error: RonnaError) -> None:
+        """A watch of another thread has seen what ends the running step; it stops the arm as well."""
+        with self._wishes:
+            self._seen = self._seen or error
+
+    @property
+    def wanted(self) -> bool:
+        """Whether the case is to rest at the next checkpoint."""
+        with self._wishes:
+            return self._abort or self._pause is not None or self._seen is not None
+
+    def here(self, where: str) -> None:
+        """Rest here if somebody wants it or a guard is unmet.
+
+        Raises PRO-004 when the case is to end, what a watch has seen, and PRO-017 when what a guard watches
+        is not restored and the operator leaves the step.
+        """
+        self._meet_wishes(where)
+        for guard in self.guards:
+            self._meet(guard, where)
+
+    def stopped(self, what: str, redo: str) -> None:
+        """A motion was stopped by somebody else; returns when the operator wants it planned anew.
+
+        Raises PRO-004, PRO-017.
+        """
+        if not self.wanted:
+            self.pause(f"{what} was stopped")
+        self.here(f"{what} was stopped; continuing {redo}")
+
+    def _meet_wishes(self, where: str) -> None:
+        with self._wishes:
+            abort, reason, self._pause = self._abort, self._pause, None
+            seen, self._seen = self._seen, None
+        if abort:
+            raise OperatorAborted("the operator ended the procedure")
+        if seen is not None:
+            raise seen
+        if reason is None:
+            return
+        with self._rest(PAUSED, reason):
+            question = Question(Topic.PAUSE, f"Paused: {reason}", where, (GO_ON, ABORT), timeout_s=None)
+            if self._ask(question) != GO_ON:
+                raise OperatorAborted("the operator ended the procedure while it was paused")
+        self._meet_wishes(where)  # somebody may have wished again meanwhile
+
+    def _meet(self, guard: Guard, where: str) -> None:
+        reason = guard.unmet()
+        if reason is None:
+            return
+        with self._rest(SUSPENDED, f"{guard.name}: {reason}"):
+            waited_s = 0.0
+            while (reason := guard.unmet()) is not None:
+                if waited_s >= PATIENCE_S:
+                    question = Question(Topic.GUARD, f"{guard.name}: {reason}", where, (WAIT, LEAVE))
+                    if self._ask(question) != WAIT:
+                        raise GuardUnmet(f"{guard.name}: {reason}")
+                    waited_s = 0.0
+                self._sleep(LOOK_AGAIN_S)
+                waited_s += LOOK_AGAIN_S

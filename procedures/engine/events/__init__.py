@@ -1,0 +1,39 @@
+"""What happens in a case, as one numbered stream that everybody reads: journal, terminal, console, links."""
+
+from procedures.engine.events.happenings import (
+    Answered,
+    CaseState,
+    DeviceAge,
+    DeviceState,
+    Fault,
+    Finding,
+    Happening,
+    JournalLine,
+    Pose,
+    Progress,
+    Questioned,
+    Refusal,
+    StepState,
+    Waiting,
+)
+from procedures.engine.events.stream import Event, EventStream, Reader
+
+__all__ = [
+    "Answered",
+    "CaseState",
+    "DeviceAge",
+    "DeviceState",
+    "Event",
+    "EventStream",
+    "Fault",
+    "Finding",
+    "Happening",
+    "JournalLine",
+    "Pose",
+    "Progress",
+    "Questioned",
+    "Reader",
+    "Refusal",
+    "StepState",
+    "Waiting",
+]

@@ -1,0 +1,50 @@
+"""Asks the operator, and has every question and its answer in the journal and in the stream of events."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from procedures.engine.events import Answered, EventStream, Questioned
+from procedures.engine.journal import Entry, Journal
+from procedures.engine.operator import Operator, Question
+
+
+class Questions:
+    """The way to ask in a case."""
+
+    def __init__(
+        self, operator: Operator, journal: Journal, now_s: Callable[[], float], events: EventStream
+    ) -> None:
+        """`now_s` is the theatre's time."""
+        self._operator = operator
+        self._journal = journal
+        self._now_s = now_s
+        self._events = events
+        self._count = 0
+
+    def ask(self, question: Question) -> str:
+        """The operator's answer; anything that is none of the question's answers counts as silence."""
+        self._count += 1
+        self._events.publish(
+            Questioned(
+                question=self._count,
+                topic=question.name,
+                subject=question.subject,
+                value=question.value,
+                answers=question.answers,
+                timeout_s=question.timeout_s,
+            )
+        )
+        answer = self._operator.ask(question)
+        if answer not in question.answers:
+            answer = question.silence
+        self._events.publish(Answered(question=self._count, answer=answer))
+        self._journal.write(
+            Entry.CONFIRMATION,
+            self._now_s(),
+            topic=question.name,
+            subject=question.subject,
+            value=question.value,
+            answer=answer,
+        )
+        return answer

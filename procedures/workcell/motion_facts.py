@@ -1,0 +1,38 @@
+"""What a motion will do, in the words of a question: what moves, how far, how fast, how close to what."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ronna_hw.arm.preview import PathPreview
+
+
+@dataclass(frozen=True)
+class MotionFacts:
+    """One motion before it is driven."""
+
+    what: str  # that moves, such as `the guide`
+    travel_mm: float  # straight distance of the tip on a line, of the flange in a joint move
+    largest_turn_rad: float  # of any joint
+    preview: PathPreview
+
+    def __str__(self) -> str:
+        """One line for a person."""
+        closest = self.preview.refused or self.preview.closest
+        near = (
+            f"{closest.first} passes {closest.second} at {closest.distance_mm:.0f} mm"
+            if closest
+            else "nothing near"
+        )
+        return (
+            f"{self.what} moves {self.travel_mm:.0f} mm, joints turn up to "
+            f"{math.degrees(self.largest_turn_rad):.0f} deg, in {self.preview.duration_s:.1f} s "
+            f"at up to {self.preview.largest_speed_mm_s:.0f} mm/s; {near}"
+        )
+
+
+def in_sequence(motions: Sequence[MotionFacts]) -> str:
+    """Several motions in their order, as one question shows them."""
+    return "; then ".join(map(str, motions))

@@ -1,0 +1,75 @@
+"""Around every motion: a checkpoint before it, its intent and its result in the journal.
+
+A motion that somebody else stopped is asked about, and planned anew from where the arm stands. The first
+motion since the arm was started or stopped is confirmed by the operator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from procedures.engine.checkpoint import Checkpoint
+from procedures.engine.errors import NotConfirmed
+from procedures.engine.operator import YES, Question, Topic
+from procedures.workcell.motion_log import MotionLog
+from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.readings import ArmReading
+
+Move = Callable[[list[ArmReading]], None]  # carries a motion out and appends the reading that it ends with
+
+
+class SupervisedMotion:
+    """Carries motions out one after the other."""
+
+    def __init__(self, log: MotionLog) -> None:
+        self._log = log
+        self._checkpoint: Checkpoint | None = None
+        self._ask: Callable[[Question], str] | None = None
+        self._confirmed = False  # the first motion
+
+    def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
+        """From now on every motion meets that checkpoint, and the first one is asked about."""
+        self._checkpoint, self._ask = checkpoint, ask
+
+    def begin_anew(self) -> None:
+        """The arm was started or stopped: the next motion is a first one again."""
+        self._confirmed = False
+
+    def confirm(self, topic: Topic, subject: str, value: str, trajectory: str | None = None) -> None:
+        """Have a motion confirmed; raises PRO-002 unless the answer is yes."""
+        if self._ask is None:
+            return
+        if self._ask(Question(topic, subject, value, trajectory=trajectory)) != YES:
+            raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
+        self._confirmed = True
+
+    def carry_out(
+        self,
+        what: str,
+        to: list[float],
+        move: Move,
+        *,
+        value: Callable[[], str],
+        resume: Callable[[], None],
+        trajectory: str | None = None,
+    ) -> ArmReading:
+        """Carry out a motion to joints in rad or a position in mm; after a stop anew if the operator says so.
+
+        `value` says what it will do, for the question; `resume` takes the arm out of HOLD. Raises PRO-002,
+        PRO-004, what a guard or a watch found, and what the motion raises.
+        """
+        while True:
+            if self._checkpoint is not None:
+                self._checkpoint.here(f"before the motion {what!r}")
+            if self._ask is not None and not self._confirmed:
+                self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", value(), trajectory)
+            resume()
+            try:
+                with self._log.motion(what, to, trajectory) as reached:
+                    move(reached)
+                return reached[-1]
+            except MotionInterrupted:
+                self._confirmed = False
+                if self._checkpoint is None:
+                    raise
+                self._checkpoint.stopped(f"the motion {what!r}", "plans it anew from where the arm stands")

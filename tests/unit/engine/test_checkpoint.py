@@ -1,0 +1,112 @@
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from procedures.engine.checkpoint import Checkpoint
+from procedures.engine.errors import GuardUnmet, OperatorAborted
+from procedures.engine.operator import Question
+from ronna_hw.errors import LinkTimeout
+
+
+class Disk:
+    """A guard that is unmet for so many looks."""
+
+    name = "disk space"
+
+    def __init__(self, unmet: float) -> None:
+        self.unmet_looks = unmet
+
+    def unmet(self) -> str | None:
+        self.unmet_looks -= 1
+        return "1 MB left" if self.unmet_looks >= 0 else None
+
+
+class Rig:
+    def __init__(self, answer: Callable[[Question], str] = lambda question: question.answers[0]) -> None:
+        self.rests: list[tuple[str, str]] = []
+        self.asked: list[Question] = []
+        self.slept_s = 0.0
+        self.answer = answer
+        self.checkpoint = Checkpoint(self.ask, self.rest, self.sleep)
+
+    def ask(self, question: Question) -> str:
+        self.asked.append(question)
+        return self.answer(question)
+
+    @contextmanager
+    def rest(self, state: str, reason: str) -> Iterator[None]:
+        self.rests.append((state, reason))
+        yield
+
+    def sleep(self, seconds: float) -> None:
+        self.slept_s += seconds
+
+
+def test_without_a_wish_nothing_is_asked() -> None:
+    rig = Rig()
+    rig.checkpoint.here("between steps")
+    assert (rig.asked, rig.rests) == ([], [])
+
+
+def test_a_pause_rests_once_until_the_operator_says_continue() -> None:
+    rig = Rig()
+    rig.checkpoint.pause("coffee")
+    rig.checkpoint.here("between steps")
+    rig.checkpoint.here("between steps")
+    assert rig.rests == [("paused", "coffee")]
+    assert [(one.answers, one.timeout_s) for one in rig.asked] == [(("continue", "abort"), None)]
+
+
+def test_anything_but_continue_ends_the_case() -> None:
+    rig = Rig(lambda question: question.silence)
+    rig.checkpoint.pause()
+    with pytest.raises(OperatorAborted, match="PRO-004"):
+        rig.checkpoint.here("between steps")
+
+
+def test_who_aborts_is_not_asked() -> None:
+    rig = Rig()
+    rig.checkpoint.abort()
+    with pytest.raises(OperatorAborted):
+        rig.checkpoint.here("between steps")
+    assert rig.asked == []
+
+
+def test_what_a_watch_has_seen_ends_the_step() -> None:
+    rig = Rig()
+    rig.checkpoint.end_step(LinkTimeout("the head has moved"))
+    with pytest.raises(LinkTimeout, match="the head has moved"):
+        rig.checkpoint.here("before a motion")
+    rig.checkpoint.here("before a motion")
+
+
+def test_a_guard_suspends_until_it_is_met() -> None:
+    rig = Rig()
+    rig.checkpoint.guards.append(Disk(5))
+    rig.checkpoint.here("before a motion")
+    assert rig.rests == [("suspended", "disk space: 1 MB left")]
+    assert 0.1 < rig.slept_s < 1.0
+    assert rig.asked == []
+
+
+def test_a_guard_that_stays_unmet_is_asked_about_and_ends_the_step_when_it_is_left() -> None:
+    rig = Rig(lambda question: question.silence)
+    rig.checkpoint.guards.append(Disk(float("inf")))
+    with pytest.raises(GuardUnmet, match=r"PRO-017: disk space: 1 MB left"):
+        rig.checkpoint.here("before a motion")
+    assert rig.slept_s >= 20.0
+
+
+def test_a_pause_is_met_while_a_guard_waits() -> None:
+    rig = Rig(lambda question: question.silence)
+    rig.checkpoint.guards.append(Disk(float("inf")))
+    rig.checkpoint.pause()
+    with pytest.raises(OperatorAborted):
+        rig.checkpoint.here("before a motion")
+
+
+def test_a_motion_that_somebody_stopped_is_asked_about_without_a_wish() -> None:
+    rig = Rig()
+    rig.checkpoint.stopped("the motion 'go'", "plans it anew")
+    assert [one.value for one in rig.asked] == ["the motion 'go' was stopped; continuing plans it anew"]

@@ -1,0 +1,69 @@
+import pytest
+
+from procedures.engine.events import Answered, CaseState, EventStream, Pose, Questioned, StepState, Waiting
+
+
+def pose(joint_rad: float, arm: str = "master") -> Pose:
+    return Pose(arm=arm, joints_rad=(joint_rad,), age_s=0.0)
+
+
+def question(number: int) -> Questioned:
+    return Questioned(
+        question=number,
+        topic="pause",
+        subject="Paused",
+        value="here",
+        answers=("continue", "abort"),
+        timeout_s=None,
+    )
+
+
+def test_events_are_numbered_from_one_in_the_order_in_which_they_happen() -> None:
+    stream = EventStream()
+    reader = stream.subscribe()
+    for state in ("idle", "paused", "idle"):
+        stream.publish(CaseState(state=state))
+    assert [event.number for event in reader.read(0).events] == [1, 2, 3]
+
+
+def test_a_slow_reader_loses_poses_and_no_fact_and_is_told_how_many() -> None:
+    stream = EventStream()
+    reader = stream.subscribe()
+    for joint in range(100):
+        stream.publish(pose(joint))
+        stream.publish(StepState(step=f"step {joint}", state="begun"))
+    batch = reader.read(0)
+    assert batch.lost == 99
+    assert [event.what for event in batch.events if event.what.kind == "pose"] == [pose(99)]
+    assert sum(event.what.kind == "step" for event in batch.events) == 100
+
+
+def test_poses_of_two_arms_do_not_replace_each_other() -> None:
+    stream = EventStream()
+    reader = stream.subscribe()
+    stream.publish(pose(1.0, "master"))
+    stream.publish(pose(2.0, "assistant"))
+    assert len(reader.read(0).events) == 2
+
+
+def test_a_newcomer_is_shown_what_holds_at_present() -> None:
+    stream = EventStream()
+    stream.publish(CaseState(state="idle"))
+    stream.publish(question(1))
+    stream.publish(Answered(question=1, answer="continue"))
+    stream.publish(question(2))
+    stream.publish(Waiting(guard="disk", reason="full"))
+    stream.publish(Waiting(guard="disk", reason=None))
+    stream.publish(CaseState(state="paused"))
+    assert [event.what for event in stream.subscribe().read(0).events] == [
+        question(2),
+        CaseState(state="paused"),
+    ]
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_reader_is_told_of_the_end(late: bool) -> None:
+    stream = EventStream()
+    reader = None if late else stream.subscribe()
+    stream.end()
+    assert (reader or stream.subscribe()).read().ended
