@@ -214,6 +214,7 @@ class Engine:
     def close(self, outcome: str) -> None:
         """End the sessions and the journal."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
+        self.events.hold_time()
         self.setting.workcell.close()
         try:
             inside = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}

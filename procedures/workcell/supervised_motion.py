@@ -1,7 +1,7 @@
 """Around every motion: a checkpoint before it, its intent and its result in the journal.
 
 A motion that somebody else stopped is asked about, and planned anew from where the arm stands. The first
-motion since the arm was started or stopped is confirmed by the operator.
+motion since the arm was last stopped or its stream ended is confirmed by the operator.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class SupervisedMotion:
         self._checkpoint, self._ask = checkpoint, ask
 
     def begin_anew(self) -> None:
-        """The arm was started or stopped: the next motion is a first one again."""
+        """The arm was stopped or its stream ended: the next motion is a first one again."""
         self._confirmed = False
 
     def confirm(self, topic: Topic, subject: str, value: str, trajectory: str | None = None) -> None:

@@ -190,8 +190,6 @@ class Workcell:
         for device in (self._arm, self.stereo) if cameras else (self._arm,):
             if device.state is Lifecycle.CONFIGURED:
                 device.activate()
-                if device is self._arm:
-                    self._motion.begin_anew()
 
     def ask_before_motion(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
         """Have every motion meet that checkpoint, and the first one confirmed."""
@@ -322,6 +320,7 @@ class Workcell:
         for device in (self._arm, self.stereo):
             if device.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
                 device.deactivate()
+        self._motion.begin_anew()
 
     def stop(self) -> None:
         """Bring the arm to rest as well as the link still allows; never raises."""

@@ -1,4 +1,4 @@
-"""Hazard 36: only a typed yes in time is a yes."""
+"""Hazard 36: only one of the listed words, typed whole and in time, answers a question."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from procedures.cli.case.operators import TerminalOperator
-from procedures.engine.operator import Question
+from procedures.engine.operator import Question, Topic
 
 VALUE = "predicted target error 0.21 mm rms"
 
@@ -26,46 +26,52 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 class Screen(io.StringIO):
-    """Standard error that a person reads: what is to be typed is typed when the question stands there."""
+    """Standard error that a person reads: a line is typed each time that the prompt stands there."""
 
-    def __init__(self, keyboard: int, typed: bytes) -> None:
+    def __init__(self, keyboard: int, *typed: bytes) -> None:
         super().__init__()
-        self._keyboard, self._typed = keyboard, typed
+        self._keyboard, self._typed = keyboard, list(typed)
+
+    @property
+    def prompts(self) -> int:
+        return self.getvalue().count("Type yes or no: ")
 
     def flush(self) -> None:
-        if "Type yes to confirm" in self.getvalue() and self._typed:
-            os.write(self._keyboard, self._typed)
-            self._typed = b""
+        if self.getvalue().endswith("Type yes or no: ") and self._typed:
+            os.write(self._keyboard, self._typed.pop(0))
 
 
-def _ask(timeout_s: float = 5.0) -> bool:
-    return TerminalOperator().confirm(Question("accept the registration", VALUE, timeout_s))
+def ask(timeout_s: float = 5.0) -> str:
+    question = Question(Topic.REGISTRATION, "accept the registration", VALUE, timeout_s=timeout_s)
+    return TerminalOperator().ask(question)
 
 
 @pytest.mark.hazard(36)
 def test_without_an_answer_in_time_the_answer_is_no(keyboard: int) -> None:
-    assert not _ask(timeout_s=0.05)
+    assert ask(timeout_s=0.05) == "no"
 
 
 @pytest.mark.hazard(36)
-@pytest.mark.parametrize("typed", [b"\n", b"y\n", b"ok\n", b"no\n", b"yes please\n"])
-def test_anything_but_a_typed_yes_is_no(keyboard: int, typed: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stderr", Screen(keyboard, typed))
-    assert not _ask()
+@pytest.mark.parametrize("typed", [b"\n", b"y\n", b"ok\n", b"stop\n", b"yes please\n"])
+def test_anything_but_a_listed_word_is_asked_again(
+    keyboard: int, typed: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, typed, b"no\n"))
+    assert ask() == "no"
+    assert screen.prompts == 2
 
 
 @pytest.mark.hazard(36)
 def test_a_typed_yes_is_a_yes_and_the_value_was_shown(keyboard: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    screen = Screen(keyboard, b"yes\n")
-    monkeypatch.setattr("sys.stderr", screen)
-    assert _ask()
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n"))
+    assert ask() == "yes"
     assert VALUE in screen.getvalue()
 
 
 @pytest.mark.hazard(36)
 def test_a_yes_that_was_typed_before_the_question_stood_there_answers_nothing(keyboard: int) -> None:
     os.write(keyboard, b"yes\n")
-    assert not _ask(timeout_s=0.2)
+    assert ask(timeout_s=0.2) == "no"
 
 
 @pytest.mark.hazard(36)
@@ -75,4 +81,4 @@ def test_without_a_terminal_nothing_is_confirmed(monkeypatch: pytest.MonkeyPatch
     os.close(writer)
     with os.fdopen(reader, "r") as stream:
         monkeypatch.setattr("sys.stdin", stream)
-        assert not _ask()
+        assert ask() == "no"

@@ -128,6 +128,11 @@ class EventStream:
         with self._lock:
             self._readers.remove(reader)
 
+    def hold_time(self) -> None:
+        """From here on every event bears the present time: the theatre's clock is about to close."""
+        now_s = self._now_s()
+        self._now_s = lambda: now_s
+
     def end(self) -> None:
         """Nothing more will happen."""
         with self._lock:

@@ -81,7 +81,7 @@ def test_a_predicted_error_beyond_the_margin_is_not_even_offered(cell: ClinicalC
 def test_spheres_that_moved_are_refused_before_anybody_is_asked(cell: ClinicalCell) -> None:
     moved = SPHERES_MM.copy()
     moved[2] += (0.0, 0.0, 3.0)
-    with pytest.raises(GateFailed, match=rf"does not agree with its own error budget at {FIRST}.*sphere .*3"):
+    with pytest.raises(GateFailed, match=rf"disagrees with its own error budget at {FIRST}.*sphere .*3"):
         registered(cell, moved)
     assert cell.operator.asked == []
 
