@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import islice
 from statistics import median
 
 import numpy as np
@@ -15,17 +13,15 @@ from benchmarks import registration_goals
 from benchmarks.contest import cpu_of
 from benchmarks.figures import Figure, compared
 from procedures.registration import MatchStatus, match, register
+from procedures.studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, sites_mm
+from procedures.studies.readings import draw_readings
 
 Array = NDArray[np.float64]
 
 CASES = 60
 COMMON, STRANGERS = 8, 4  # 12 points on either side
-SIGMA_IMAGE_MM, SIGMA_PHYSICAL_MM = 0.05, 0.25
-HEAD_RADIUS_MM = 95.0
-LEAST_DISTANCE_MM = 20.0
-STRAY_ROOM_MM = 160.0
 SEARCH_TRIES = 1000
-SEARCH_TOLERANCE_MM = 1.5
+SEARCH_TOLERANCE_MM = 3.0
 FIT_POINTS = 5
 FIT_REPEATS = 20
 MOST_MS = 2.0
@@ -41,12 +37,15 @@ def _pairing() -> list[Figure]:
     samples: dict[str, list[float]] = {OURS: [], SEARCH: []}
     right = dict.fromkeys(samples, 0)
     generator = np.random.default_rng(12)
-    for image, physical, pairs in islice(_cases(generator), CASES):
+    noise = NoiseReading.PER_AXIS
+    seen = draw_readings(sites_mm(1), COMMON, STRANGERS, noise, CASES, generator)
+    for image, physical, paired in zip(seen.image_mm, seen.physical_mm, seen.pairs.tolist(), strict=True):
+        pairs = {(i, j) for i, j in paired}
         found: dict[str, set[tuple[int, int]]] = {}
 
         def ours(image: Array = image, physical: Array = physical) -> None:
             result = match(
-                image, physical, sigma_image_mm=SIGMA_IMAGE_MM, sigma_physical_mm=SIGMA_PHYSICAL_MM
+                image, physical, sigma_image_mm=IMAGE_SIGMA_MM, sigma_physical_mm=PHYSICAL_SIGMA_MM
             )
             unique = result.status is MatchStatus.UNIQUE
             found[OURS] = {(int(a), int(b)) for a, b in result.pairs} if unique else set()  # noqa: B023
@@ -66,32 +65,6 @@ def _pairing() -> list[Figure]:
             for name in right
         ),
     ]
-
-
-def _cases(generator: np.random.Generator) -> Iterator[tuple[Array, Array, set[tuple[int, int]]]]:
-    while True:
-        common = _on_head(generator, COMMON)
-        turn, shift = Rotation.random(random_state=generator), generator.normal(0.0, 500.0, 3)
-        image = np.vstack([common, generator.uniform(-STRAY_ROOM_MM, STRAY_ROOM_MM, (STRANGERS, 3))])
-        others = generator.uniform(-STRAY_ROOM_MM, STRAY_ROOM_MM, (STRANGERS, 3))
-        physical = turn.apply(np.vstack([common, others])) + shift
-        image = image + generator.normal(0.0, SIGMA_IMAGE_MM, image.shape)
-        physical = physical + generator.normal(0.0, SIGMA_PHYSICAL_MM, physical.shape)
-        order = generator.permutation(len(physical))
-        place = np.argsort(order)
-        yield image, physical[order], {(k, int(place[k])) for k in range(COMMON)}
-
-
-def _on_head(generator: np.random.Generator, count: int) -> Array:
-    """Places on the upper half of a head that are a finger's width apart, as screws are."""
-    points: list[Array] = []
-    while len(points) < count:
-        x, y, z = generator.normal(0.0, 1.0, 3)
-        point = np.array([x, y, abs(z)])
-        point *= HEAD_RADIUS_MM / np.linalg.norm(point)
-        if all(np.linalg.norm(point - other) > LEAST_DISTANCE_MM for other in points):
-            points.append(point)
-    return np.array(points)
 
 
 def _random_search(image: Array, physical: Array, generator: np.random.Generator) -> set[tuple[int, int]]:
@@ -125,7 +98,7 @@ def _fit() -> list[Figure]:
     samples: dict[str, list[float]] = {equal: [], weighted: [], SCIPY: []}
     apart: list[float] = []
     for _ in range(CASES):
-        image = _on_head(generator, FIT_POINTS)
+        image = sites_mm(1)[generator.choice(8, FIT_POINTS, replace=False)]
         turn = Rotation.random(random_state=generator)
         physical = turn.apply(image) + generator.normal(0.0, 0.2, image.shape)
         spread = np.diag([0.01, 0.01, 0.09])

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from procedures.relocalization.camera import distorted
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from ronna_hw.frames import Frame, Transform
 
@@ -66,7 +67,7 @@ class FlangeCamera:
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         b = np.asarray(semi_minor_px, dtype=float) / np.sqrt(self.focal_px.prod())
         out = np.column_stack([x / z, y / z]) * np.reshape(1.0 + b * b, (-1, 1))
-        return self._distorted(out) * self.focal_px + self.principal_px
+        return distorted(out, self.distortion) * self.focal_px + self.principal_px
 
     def slopes(self, points_mm: Array) -> Array:
         """Derivative (n, 2, 3) of `seen` by the point, without distortion: used for weighting only."""
@@ -81,7 +82,7 @@ class FlangeCamera:
         seen = (pixels - self.principal_px) / self.focal_px
         straight = seen
         for _ in range(UNDISTORT_STEPS):
-            straight = straight + (seen - self._distorted(straight))
+            straight = straight + (seen - distorted(straight, self.distortion))
         directions = np.column_stack([straight, np.ones(len(straight))]) @ self.rotation
         return -self.rotation.T @ self.translation_mm, directions
 
@@ -105,18 +106,6 @@ class FlangeCamera:
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation_mm
         return matrix
-
-    def _distorted(self, ideal: Array) -> Array:
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = ideal.T
-        square = x * x + y * y
-        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-        return np.column_stack(
-            [
-                x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-                y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ]
-        )
 
 
 Cameras = tuple[FlangeCamera, FlangeCamera]

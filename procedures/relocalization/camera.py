@@ -38,7 +38,7 @@ class Camera:
         The derivative leaves the distortion's slope out: it only weights a least-squares step.
         """
         x, y, z = self.rotation @ np.asarray(point_mm, dtype=float) + self.translation_mm
-        pixel = self._focal * self._distorted(np.array([x / z, y / z])) + self._principal
+        pixel = self._focal * distorted(np.array([x / z, y / z]), self._distortion) + self._principal
         slope = np.array([[1.0 / z, 0.0, -x / z**2], [0.0, 1.0 / z, -y / z**2]])
         return pixel, (self._focal[:, None] * slope) @ self.rotation
 
@@ -55,7 +55,7 @@ class Camera:
 
     def pixel_of(self, normalised: Array) -> Array:
         """Pixel (2,) of undistorted normalised coordinates."""
-        return np.asarray(self._focal * self._distorted(normalised) + self._principal)
+        return np.asarray(self._focal * distorted(normalised, self._distortion) + self._principal)
 
     def angular_radius_rad(self, sphere: SphereImage) -> float:
         """Half the angle under which the sphere is seen from the centre of projection.
@@ -75,7 +75,7 @@ class Camera:
             raise BadMeasurement("a pixel is two finite numbers", got=str(pixel))
         ideal: Array = observed.copy()
         for _ in range(UNDISTORT_ITERATIONS):
-            step = observed - self._distorted(ideal)
+            step = observed - distorted(ideal, self._distortion)
             ideal = ideal + step
             if np.abs(step).max() < UNDISTORT_END:
                 return ideal
@@ -86,14 +86,17 @@ class Camera:
         ray = self.rotation.T @ np.array([normalised[0], normalised[1], 1.0])
         return np.asarray(ray / np.linalg.norm(ray))
 
-    def _distorted(self, ideal: Array) -> Array:
-        k1, k2, p1, p2, k3 = self._distortion
-        x, y = ideal
-        square = x * x + y * y
-        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-        return np.array(
-            [
-                x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-                y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ]
-        )
+
+def distorted(ideal: Array, coefficients: tuple[float, float, float, float, float]) -> Array:
+    """Normalised coordinates (..., 2) with a lens's distortion, by k1 k2 p1 p2 k3."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = ideal[..., 0], ideal[..., 1]
+    square = x * x + y * y
+    radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+    return np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
+            y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ],
+        axis=-1,
+    )
