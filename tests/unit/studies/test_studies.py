@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,13 @@ from procedures.studies import correspondence as study_module
 from procedures.studies import x_frame
 from procedures.studies.correspondence import CorrespondenceStudy, Method, cell_key
 from procedures.studies.correspondence_tables import bars_beside_thesis, shares, tables
-from procedures.studies.errors import LedgerUnreadable, OtherStudy, SchedulerUnreachable, UnitFailed
+from procedures.studies.errors import (
+    ExtraMissing,
+    LedgerUnreadable,
+    OtherStudy,
+    SchedulerUnreachable,
+    UnitFailed,
+)
 from procedures.studies.heads import NoiseReading, disturbance, sites_mm
 from procedures.studies.ledger import FILE, Ledger
 from procedures.studies.publish import publish
@@ -72,6 +79,12 @@ def test_nobody_at_the_schedulers_address_is_said_so(tmp_path: Path, monkeypatch
     monkeypatch.setattr("procedures.studies.workers.SCHEDULER_LIMIT_S", 0.2)
     with pytest.raises(SchedulerUnreachable, match="STU-003"):
         results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:9")
+
+
+def test_without_dask_a_scheduler_cannot_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ExtraMissing, match="STU-004"):
+        results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
 @pytest.mark.parametrize(
@@ -181,22 +194,17 @@ def test_heads_differ_and_their_sites_are_apart() -> None:
 
 def test_the_x_frame_is_found_by_ours_and_for_a_middle_e_by_the_thesis() -> None:
     study = XFrameStudy(6, seed=1)
-    sums = study.run(study.units()[0])
+    unit = study.units()[0]
+    sums = study.run(unit)
     assert sums["clique + planned count||success"] == 6
     assert sums["thesis|3.0|success"] >= 5
     assert sums.get("thesis|1.0|success", 0.0) < sums["thesis|3.0|success"]
-
-
-def test_the_x_frames_tables_and_plot_stand_beside_the_thesis_ranges() -> None:
-    study = XFrameStudy(4, seed=1)
-    sums = {unit.cell: study.run(unit) for unit in study.units()[:1]}
-    shown, ranges = x_frame.tables(sums)
-    assert (shown.rows[0][1], shown.rows[0][3:]) == ("clique + planned count", (4, 100.0))
-    ((_, best, low, high),) = ranges.rows
-    assert best == 100.0
-    assert 1.0 <= low <= high <= 6.0
+    shown, ranges = x_frame.tables({unit.cell: sums})
+    assert (shown.rows[0][1], shown.rows[0][3:]) == ("clique + planned count", (6, 100.0))
+    ((_, _, low, high),) = ranges.rows
+    assert low is None or 1.0 <= low <= high <= 6.0
     assert "1.8-4.5 mm (phantom)" in ranges.note
-    assert x_frame.plots(sums)["success-against-e.png"].startswith(b"\x89PNG")
+    assert x_frame.plots({unit.cell: sums})["success-against-e.png"].startswith(b"\x89PNG")
 
 
 def test_a_study_is_published_as_text_table_and_data(tmp_path: Path) -> None:
