@@ -6,6 +6,7 @@ ball's centre and its angular radius a the cone is (x . u)^2 = cos^2 a; centre a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -21,7 +22,7 @@ from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
-from sim.kuka.arm.true_arm import TrueArm, in_radians
+from sim.kuka.arm.true_arm import TrueArm
 from sim.theatre.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.theatre.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
 from sim.theatre.scene.named_scenes import named_scene
@@ -91,7 +92,7 @@ class TrueHead:
     def _with_its_arm(self, nominal: np.ndarray) -> tuple[JointVector, np.ndarray]:
         """Joint angles of a nominal flange pose, and where the flange of the true arm then is."""
         truth = self.scene.arm
-        model, home = kr6_r900(truth.variant), in_radians(truth.home_deg)
+        model, home = kr6_r900(truth.variant), [math.radians(angle) for angle in truth.home_deg]
         near = (home[0], home[1], home[2], home[3], home[4], home[5])
         pose = Pose.from_transform(Transform.from_matrix(Frame.ROBOT, Frame.FLANGE, nominal))
         joints = model.solve_branch(pose, model.branch_of(near), near)

@@ -40,7 +40,7 @@ class Clock(Protocol):
         ...
 
     def now_s(self) -> float:
-        """Present theatre time, seconds."""
+        """Current theatre time, seconds."""
         ...
 
     def sleep(self, duration_s: float) -> None:
@@ -104,7 +104,7 @@ class SharedClock:
         return self._paced
 
     def now_ns(self) -> int:
-        """Present theatre time, nanoseconds."""
+        """Current theatre time, nanoseconds."""
         if self._paced:
             return time.monotonic_ns() - layout.EPOCH_NS.read(self._memory)
         return layout.TIME_NS.read(self._memory)

@@ -8,7 +8,7 @@
     +-- LinkTimeout          no reply within its time limit; also a TimeoutError
     +-- DeviceError          the device itself reports a fault
     +-- LimitError           a limit of motion, range or safety was reached
-    +-- StateError           the call is not allowed in the present state
+    +-- StateError           the call is not allowed in the current state
     +-- RefusedError         a guard refused; says which preconditions are unmet
 
 Each concrete error is a subclass in its package's `errors.py` with a stable `code` such as `NDI-004`.
@@ -122,7 +122,7 @@ class LimitError(RonnaError):
 
 
 class StateError(RonnaError):
-    """The call is not allowed in the present lifecycle state."""
+    """The call is not allowed in the current lifecycle state."""
 
 
 class RefusedError(RonnaError):

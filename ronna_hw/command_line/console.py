@@ -108,13 +108,13 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
     try:
         outcome = command.main(args=list(arguments), standalone_mode=False)
     except _USAGE_ERROR as mistake:
-        said = mistake.format_message() if hasattr(mistake, "format_message") else str(mistake)
+        message = mistake.format_message() if hasattr(mistake, "format_message") else str(mistake)
         if isinstance(mistake, _NOTHING_ASKED):
-            tell(said)
+            tell(message)
             return EXIT_USAGE
         context = getattr(mistake, "ctx", None)
         where = context.command_path if context is not None else command.name
-        raise UsageMistake(said.rstrip("."), action=f"See {where} --help.") from mistake
+        raise UsageMistake(message.rstrip("."), action=f"See {where} --help.") from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
 
 

@@ -69,7 +69,7 @@ class RobotArm(Device, Protocol):
         """Straight line of the flange to a pose ROBOT <- FLANGE, or of the tool to a pose ROBOT <- TOOL.
 
         `flange_from_tool` (FLANGE <- TOOL) belongs to the latter. Orientation by slerp; the arm stays in the
-        branch of its present pose. Raises FRM-001 before motion for other frames, otherwise as `move_joints`.
+        branch of its current pose. Raises FRM-001 before motion for other frames, otherwise as `move_joints`.
         """
         ...
 

@@ -1,7 +1,7 @@
-"""Child processes that say READY: started as commands, awaited, and always ended.
+"""Child processes that announce READY: started as commands, awaited, and always ended.
 
 A child prints one line `READY {json}` on standard output when clients may connect, and ends by itself
-when its parent dies. What it says on standard error is kept for the message when it fails.
+when its parent dies. The end of its standard error is kept for the message when it fails.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class ChildProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            # Ctrl-C reaches the whole foreground group: it is for the parent to say what ends, and when.
+            # Ctrl-C reaches the whole foreground group: the parent decides what ends, and when.
             start_new_session=True,
         )
         self._log.debug("started", pid=self.process.pid)
@@ -69,7 +69,7 @@ class ChildProcess:
             self.await_ready(timeout_s)
 
     def await_ready(self, timeout_s: float = READY_TIMEOUT_S) -> dict[str, Any]:
-        """Wait for the READY line; raises PRC-001 with the child's own last words, and ends the child."""
+        """Wait for the READY line; raises PRC-001 with the child's last messages, and ends it."""
         deadline = time.monotonic() + timeout_s
         while True:
             try:
@@ -87,7 +87,7 @@ class ChildProcess:
                 raise ChildNotReady(f"{self.name} ended before it was ready: {words}")
             if line.startswith("READY "):
                 self.ready = json.loads(line.removeprefix("READY "))
-                self._log.info("ready", pid=self.process.pid, said=self.ready)
+                self._log.info("ready", pid=self.process.pid, ready=self.ready)
                 return self.ready
 
     @property

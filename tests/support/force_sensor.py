@@ -31,7 +31,7 @@ class ForceSensor(Device, Protocol):
 class ScaledForceSensor(IdealDevice):
     """Always 1.5 N, times option `scale`."""
 
-    present = True
+    plugged_in = True
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         super().__init__(name, config, clock, known={"scale"})
@@ -39,7 +39,7 @@ class ScaledForceSensor(IdealDevice):
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         self.guard.require("connect", {Lifecycle.DISCONNECTED})
-        if not self.present:
+        if not self.plugged_in:
             raise ConnectError("no reply", action="Switch it on.")
         self.guard.enter(Lifecycle.CONNECTED)
         return Identity("Lab", "F1", "7", "1.0")

@@ -8,14 +8,14 @@ from force_sensor import DECLARED, ScaledForceSensor, install
 from procedures.cli.doctor.report import examine
 
 
-@pytest.mark.parametrize("present", [True, False])
+@pytest.mark.parametrize("plugged_in", [True, False])
 def test_a_device_of_another_kind_is_shown_by_the_doctor(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, present: bool
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, plugged_in: bool
 ) -> None:
     install(monkeypatch)
-    monkeypatch.setattr(ScaledForceSensor, "present", present)
+    monkeypatch.setattr(ScaledForceSensor, "plugged_in", plugged_in)
     path = tmp_path / "theatre.toml"
     path.write_text(f'theatre = "lab"\n{DECLARED}')
     (diagnostic,) = examine(path).devices
-    assert (diagnostic.subject, diagnostic.well) == ("device device.force", present)
-    assert ("F1 7 1.0" in diagnostic.seen) is present
+    assert (diagnostic.subject, diagnostic.well) == ("device device.force", plugged_in)
+    assert ("F1 7 1.0" in diagnostic.seen) is plugged_in

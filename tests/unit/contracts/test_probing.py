@@ -52,7 +52,7 @@ def test_a_driver_without_a_probe_is_identified_and_closed() -> None:
 def test_a_device_that_does_not_answer_is_closed_and_the_cause_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(Sensor, "present", False)
+    monkeypatch.setattr(Sensor, "plugged_in", False)
     diagnostic = probed()
     assert not diagnostic.well
     assert diagnostic.advice.startswith(f"Nothing listens at {ENDPOINT}")

@@ -145,7 +145,7 @@ def test_a_second_interruption_does_not_keep_devices_open(
 def test_a_device_that_is_not_there_is_the_drivers_own_error_and_the_rest_is_closed(
     path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ScaledForceSensor, "present", False)
+    monkeypatch.setattr(ScaledForceSensor, "plugged_in", False)
     with pytest.raises(ConnectError, match="no reply"), open_theatre(path):
         pass
     assert installed == ["close robot.left", "close robot.right", "close device.force"]
