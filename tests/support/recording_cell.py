@@ -23,6 +23,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import HostClock
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
+from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import (
@@ -114,6 +115,7 @@ class RecordingArm(RecordingDevice):
     motions: list[tuple[str, JointVector]] = field(default_factory=list)
     blocked: Callable[[JointVector, JointVector], bool] = lambda _start, _target: False
     failing: RonnaError | None = None
+    interruptions: int = 0  # motions still to be stopped half way, by somebody else
     kinematics: Any = field(default_factory=kr6_r900)
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
@@ -136,6 +138,7 @@ class RecordingArm(RecordingDevice):
             raise self.failing
         if self.blocked(self.joints_rad, target_rad):
             raise NotClear("the way is not clear")
+        self._be_stopped(target_rad)
         self.motions.append(("joints", target_rad))
         self.joints_rad = target_rad
         return self.read_state()
@@ -147,9 +150,27 @@ class RecordingArm(RecordingDevice):
             raise self.failing
         flange = target if flange_from_tool is None else target @ flange_from_tool.inverse()
         branch = self.kinematics.branch_of(self.joints_rad)
-        self.joints_rad = self.kinematics.solve_branch(Pose.from_transform(flange), branch, self.joints_rad)
+        goal = self.kinematics.solve_branch(Pose.from_transform(flange), branch, self.joints_rad)
+        self._be_stopped(goal)
+        self.joints_rad = goal
         self.motions.append(("line", self.joints_rad))
         return self.read_state()
+
+    def _be_stopped(self, goal: JointVector) -> None:
+        if self.interruptions:
+            self.interruptions -= 1
+            self.state = Lifecycle.HOLD
+            A1, A2, A3, A4, A5, A6 = ((now + to) / 2 for now, to in zip(self.joints_rad, goal, strict=True))
+            self.joints_rad = (A1, A2, A3, A4, A5, A6)
+            raise MotionInterrupted("stopped before its end")
+
+    def resume(self) -> None:
+        self.calls.append("resume")
+        self.state = Lifecycle.ACTIVE
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        self.calls.append(f"recovered by {acknowledged_by}")
+        self.state, self.failing = Lifecycle.CONFIGURED, None
 
     def preview(self, target: JointVector | Transform, **_more: Any) -> PathPreview:
         return PathPreview(

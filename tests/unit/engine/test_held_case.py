@@ -1,0 +1,90 @@
+"""A case that is held: a fault is acknowledged by name, the arm leaves the head, steps go on."""
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import NotConfirmed, StepRefused
+from procedures.engine.operator import Topic
+from procedures.workcell import Insertion, MountedTool
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.errors import LinkTimeout
+from ronna_hw.frames import Transform
+
+
+def with_the_guide_inside(cell: RecordingCell, *refusing: Topic) -> Engine:
+    cell.operator = RecordingOperator(*refusing)
+    cell.arm.state, cell.arm.mounted = Lifecycle.ACTIVE, GUIDE
+    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.set_home()
+    engine = cell.engine(plain_order())
+    here = tool_pose(HOME, cell)
+    target = Transform.of(
+        here.target,
+        here.source,
+        translation_mm=here.apply([0.0, 0.0, 110.0]),
+        quaternion_wxyz=here.quaternion_wxyz,
+    )
+    cell.workcell.insert(Insertion("T1", target, depth_mm=50.0, standoff_mm=60.0))
+    cell.operator.asked.clear()
+    return engine
+
+
+@pytest.mark.hazard(32)
+def test_while_a_device_is_in_fault_no_step_begins_and_the_fault_is_named(cell: RecordingCell) -> None:
+    engine = cell.engine(plain_order())
+    cell.arm.state = Lifecycle.FAULT
+    with pytest.raises(StepRefused, match="the arm is in fault"):
+        engine.run_step(engine.order.find("image"))
+
+
+@pytest.mark.hazard(32)
+def test_acknowledging_recovers_the_device_by_name_and_moves_nothing(cell: RecordingCell) -> None:
+    engine = cell.engine(plain_order())
+    cell.arm.state = Lifecycle.FAULT
+    engine.acknowledge("A. Nurse")
+    assert cell.arm.calls == ["recovered by A. Nurse"]
+    assert cell.arm.motions == []
+    assert cell.entries() == [("acknowledged", "")]
+    assert engine.why_refused(engine.order.find("image")) == ()
+
+
+@pytest.mark.hazard(37)
+def test_what_hangs_on_an_arm_that_was_recovered_counts_as_unchecked(cell: RecordingCell) -> None:
+    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    engine = cell.engine(plain_order())
+    cell.arm.state = Lifecycle.FAULT
+    engine.acknowledge("A. Nurse")
+    assert cell.workcell.tool is MountedTool.UNKNOWN
+
+
+@pytest.mark.hazard(24)
+def test_an_instrument_inside_comes_out_along_its_axis_before_the_arm_parks(cell: RecordingCell) -> None:
+    engine = with_the_guide_inside(cell)
+    engine.retreat_home()
+    assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PARK]
+    assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
+    assert cell.arm.joints_rad == HOME
+    assert engine.instrument_in is None
+    assert engine.machine.state == "held"
+
+
+@pytest.mark.hazard(36)
+def test_without_a_yes_to_the_retreat_the_instrument_stays_where_it_is(cell: RecordingCell) -> None:
+    engine = with_the_guide_inside(cell, Topic.RETREAT)
+    with pytest.raises(NotConfirmed):
+        engine.retreat_home()
+    assert engine.instrument_in == "T1"
+    assert [kind for kind, _ in cell.arm.motions] == ["line"]
+
+
+def test_a_retreat_that_fails_is_repeated_from_where_the_arm_stands(cell: RecordingCell) -> None:
+    engine = with_the_guide_inside(cell)
+    cell.arm.failing = LinkTimeout("the controller is silent")
+    with pytest.raises(LinkTimeout):
+        engine.retreat_home()
+    assert engine.instrument_in == "T1"
+    cell.arm.failing = None
+    engine.retreat_home()
+    assert engine.instrument_in is None

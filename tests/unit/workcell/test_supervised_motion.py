@@ -1,0 +1,92 @@
+"""A motion is confirmed where it is the first, and planned anew after a stop only if the operator says so."""
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import HOME, RecordingCell, RecordingOperator
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import NotConfirmed, OperatorAborted
+from procedures.engine.operator import Topic
+from procedures.workcell import MountedTool
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
+
+
+def turned(by_rad: float) -> JointVector:
+    A1, A2, A3, A4, A5, A6 = HOME
+    return (A1 + by_rad, A2, A3, A4, A5, A6)
+
+
+def supervised(cell: RecordingCell, *refusing: Topic) -> Engine:
+    """An engine over a cell at home with the stereo head mounted, whose arm is active."""
+    cell.operator = RecordingOperator(*refusing)
+    cell.arm.state = Lifecycle.ACTIVE
+    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.set_home()
+    return cell.engine(plain_order())
+
+
+def topics(cell: RecordingCell) -> list[Topic]:
+    return [question.topic for question in cell.operator.asked]
+
+
+@pytest.mark.hazard(36)
+def test_the_first_motion_is_asked_about_with_what_will_move_the_second_is_not(
+    cell: RecordingCell,
+) -> None:
+    supervised(cell)
+    cell.workcell.go(turned(0.1))
+    cell.workcell.go(turned(0.2))
+    assert topics(cell) == [Topic.FIRST_MOTION]
+    assert cell.operator.asked[0].value.startswith("the stereo head moves ")
+
+
+@pytest.mark.hazard(36)
+def test_without_a_yes_to_the_first_motion_nothing_moves(cell: RecordingCell) -> None:
+    supervised(cell, Topic.FIRST_MOTION)
+    with pytest.raises(NotConfirmed, match="PRO-002"):
+        cell.workcell.go(turned(0.1))
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(32)
+def test_after_a_stop_the_next_motion_is_a_first_one_again(cell: RecordingCell) -> None:
+    supervised(cell)
+    cell.workcell.go(turned(0.1))
+    cell.workcell.stop()
+    cell.workcell.go(turned(0.2))
+    assert topics(cell) == [Topic.FIRST_MOTION] * 2
+
+
+@pytest.mark.hazard(5)
+def test_a_motion_that_somebody_stopped_goes_on_from_where_the_arm_stands_when_the_operator_says_so(
+    cell: RecordingCell,
+) -> None:
+    engine = supervised(cell)
+    cell.arm.interruptions = 1
+    cell.workcell.go(turned(0.2))
+    assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
+    assert cell.arm.motions == [("joints", turned(0.2))]
+    assert cell.arm.calls == ["resume"]
+    assert engine.machine.state == "idle"
+
+
+def test_a_motion_that_somebody_stopped_moves_no_more_when_the_operator_aborts(cell: RecordingCell) -> None:
+    supervised(cell, Topic.PAUSE)
+    cell.arm.interruptions = 1
+    with pytest.raises(OperatorAborted):
+        cell.workcell.go(turned(0.2))
+    assert cell.arm.motions == []
+    assert cell.arm.state is Lifecycle.HOLD
+
+
+def test_where_the_way_home_is_blocked_the_arm_goes_back_the_way_it_came(
+    cell: RecordingCell,
+) -> None:
+    supervised(cell)
+    way = [turned(0.1), turned(0.2), turned(0.3)]
+    for joints in way:
+        cell.workcell.go(joints)
+    cell.arm.blocked = lambda start, target: abs(start[0] - target[0]) > 0.15
+    cell.workcell.return_home()
+    assert [joints for _, joints in cell.arm.motions[3:]] == [*reversed(way), HOME]
