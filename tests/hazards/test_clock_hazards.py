@@ -15,15 +15,17 @@ WALL_CLOCK = {
     "datetime.now", "datetime.utcnow", "datetime.today", "date.today",
     "datetime.datetime.now", "datetime.datetime.utcnow", "datetime.date.today",
 }  # fmt: skip
-# Where a date is what is wanted: on records, lines of the journal, reports, and against an expiry date.
+# Where a date is wanted: on records, lines of the journal, events, reports, and against an expiry date.
 DATING = {
     "ronna_hw/records.py",
     "ronna_hw/conformance/report.py",
     "sim/theatre/theatre_file.py",
     "sim/phantom",
     "procedures/engine/journal.py",
+    "procedures/engine/events/stream.py",
     "procedures/reporting/report.py",
     "procedures/cli/case/request.py",
+    "procedures/cli/doctor/report.py",
     "procedures/cli/stereo/opening.py",
     "procedures/exchange/sphere_files.py",
     "procedures/steps/clinical/set_up.py",
