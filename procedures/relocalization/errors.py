@@ -1,8 +1,8 @@
-"""Errors between a sphere's image and its position, STE-001 to STE-013; data errors are `ValueError`s."""
+"""Errors between a sphere's image and its position, STE-001 to STE-014; data errors are `ValueError`s."""
 
 from __future__ import annotations
 
-from ronna_hw.errors import EXIT_REFUSED, DataError
+from ronna_hw.errors import EXIT_REFUSED, DataError, RefusedError
 
 
 class BadImage(DataError):
@@ -95,3 +95,10 @@ class NotTrusted(DataError):
 
     code = "STE-013"
     action = "Remove what hides it, clean sphere and lens, check focus and light, or view it from elsewhere."
+
+
+class HeadTurned(RefusedError):
+    """A camera of the stereo head does not sit where its calibration says."""
+
+    code = "STE-014"
+    action = "Do not use these positions: check the stereo head with ronna-stereo check, then calibrate it."

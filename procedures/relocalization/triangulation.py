@@ -28,15 +28,20 @@ STEP_END_MM = 1e-9
 class StereoPoint:
     """Centre of a sphere in the tool frame, mm, with covariance (3, 3) and two checks on itself.
 
-    `ray_gap_mm` is the gap between the two lines of sight; `radius_mm` follows from the outlines at that
-    distance. `reliable` is False when either outline was UNRELIABLE.
+    `ray_gap_mm` is the gap between the two lines of sight; `radii_mm` follow from the left and the right
+    outline at that distance. `reliable` is False when either outline was UNRELIABLE.
     """
 
     position_mm: Array
     covariance_mm2: Array
     ray_gap_mm: float
-    radius_mm: float
+    radii_mm: tuple[float, float]
     reliable: bool
+
+    @property
+    def radius_mm(self) -> float:
+        """Of the sphere, from both outlines."""
+        return sum(self.radii_mm) / 2.0
 
     @property
     def distance_mm(self) -> float:
@@ -93,7 +98,7 @@ def triangulate(
             got=f"{radii[0]:.2f} and {radii[1]:.2f} mm",
         )
     reliable = all(outline.status is SphereStatus.OK for outline in outlines)
-    return StereoPoint(position, covariance, gap, sum(radii) / len(radii), reliable)
+    return StereoPoint(position, covariance, gap, (radii[0], radii[1]), reliable)
 
 
 def check_serial(calibration: CameraCalibration, serial: str) -> None:

@@ -32,6 +32,7 @@ class CentredSphere:
     residuals_mm: tuple[float, ...]
     covariance_mm2: Array  # of the stereo measurement, robot frame
     ray_gap_mm: float
+    radii_mm: tuple[float, float]  # as the left and the right camera see it
     looks: int
     joints_rad: JointVector
     last_look: Look
@@ -75,6 +76,7 @@ class Centring:
             residuals_mm=servo.residuals_mm,
             covariance_mm2=rotation @ seen.point.covariance_mm2 @ rotation.T,
             ray_gap_mm=float(seen.point.ray_gap_mm),
+            radii_mm=seen.point.radii_mm,
             looks=looks,
             joints_rad=joints,
             last_look=seen,

@@ -99,6 +99,7 @@ class SeeingWorkcell(Workcell):
     """A workcell that sees the sphere nearest to the tool centre where it is, without pictures."""
 
     spheres_mm: Array
+    radii_mm = (5.75, 5.75)  # as the left and the right camera see them
 
     def look(self) -> Look:
         head = self.arm.kinematics.flange_pose(self.joints_rad()) @ self.flange_from(MountedTool.STEREO_HEAD)
@@ -106,7 +107,7 @@ class SeeingWorkcell(Workcell):
         nearest = seen_mm[np.linalg.norm(seen_mm, axis=1).argmin()]
         if np.linalg.norm(nearest) > IN_VIEW_MM:
             return Look(NO_PICTURES, None, None, None, NoSphere("no sphere in view"))
-        point = StereoPoint(nearest, np.eye(3) * SIGMA_MM**2, 0.001, 5.75, reliable=True)
+        point = StereoPoint(nearest, np.eye(3) * SIGMA_MM**2, 0.001, self.radii_mm, reliable=True)
         return Look(NO_PICTURES, OUTLINE, OUTLINE, point)
 
 
@@ -309,6 +310,7 @@ def relocalization(points_mm: Array = SPHERES_MM) -> Relocalization:
         covariances_mm2=((np.eye(3) * SIGMA_MM**2).tolist(),) * count,
         residuals_mm=((0.01,),) * count,
         ray_gaps_mm=(0.01,) * count,
+        radii_mm=((5.75, 5.75),) * count,
         looks=(1,) * count,
         joints_rad=(HOME_RAD,) * count,
         coarse_offset_mm=(0.0, 0.0, 0.0),

@@ -20,6 +20,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
 from procedures.engine.result import Matrix3, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.relocalization.head_watch import check_head
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
@@ -33,7 +34,7 @@ from ronna_hw.frames import Frame, Transform
 Array = NDArray[np.float64]
 
 
-class Relocalization(StepResult, kind="relocalization"):
+class Relocalization(StepResult, kind="relocalization", version=2):
     """The spheres in the room, finely, as the stereo head sees them. One entry for each sphere."""
 
     fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
@@ -41,6 +42,9 @@ class Relocalization(StepResult, kind="relocalization"):
     covariances_mm2: tuple[Matrix3, ...] = Field(description="Of the stereo measurement, robot frame.")
     residuals_mm: tuple[tuple[float, ...], ...] = Field(description="Of the servo, look by look.")
     ray_gaps_mm: tuple[float, ...] = Field(description="Between the two lines of sight.")
+    radii_mm: tuple[tuple[float, float], ...] = Field(
+        description="Of its outlines, left and right, at the measured place."
+    )
     looks: tuple[int, ...] = Field(description="Pairs that were taken.")
     joints_rad: tuple[Numbers6, ...] = Field(description="Measured joints at the last look.")
     coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
@@ -52,7 +56,7 @@ class Relocalization(StepResult, kind="relocalization"):
 
 
 def run(context: StepContext) -> Outcome[Relocalization]:
-    """Re-localize all matched spheres; raises PRO-008 for a sphere that is not there, PRO-009."""
+    """Re-localize all matched spheres; raises PRO-008 for a sphere that is not there, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     planned = paths.localizations_for(context.served_trajectories)
     workcell, settings = context.workcell, context.setting.settings
@@ -75,6 +79,9 @@ def run(context: StepContext) -> Outcome[Relocalization]:
         context.keep_picture(name, pair_picture(sphere.last_look))
         offset_mm = sphere.point_mm - coarse.translation_mm
         found.append(sphere)
+    gaps_mm = tuple(sphere.ray_gap_mm for sphere in found)
+    radii_mm = tuple(sphere.radii_mm for sphere in found)
+    check_head(radii_mm, gaps_mm, workcell.calibrations.stereo_head.stated_error_mm)
     coarse_mm = np.array([item.tool_pose.translation_mm for item in planned])
     differences = np.array([sphere.point_mm for sphere in found]) - coarse_mm
     _gate(differences, [sphere.fiducial for sphere in found], settings.coarse_fine_limit_mm)
@@ -84,7 +91,8 @@ def run(context: StepContext) -> Outcome[Relocalization]:
             points_robot_mm=tuple(sphere.point_mm.tolist() for sphere in found),
             covariances_mm2=tuple(sphere.covariance_mm2.tolist() for sphere in found),
             residuals_mm=tuple(sphere.residuals_mm for sphere in found),
-            ray_gaps_mm=tuple(sphere.ray_gap_mm for sphere in found),
+            ray_gaps_mm=gaps_mm,
+            radii_mm=radii_mm,
             looks=tuple(sphere.looks for sphere in found),
             joints_rad=tuple(sphere.joints_rad for sphere in found),
             coarse_offset_mm=differences.mean(axis=0).tolist(),

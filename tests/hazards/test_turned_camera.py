@@ -1,0 +1,68 @@
+"""Hazard 26: a camera that turns in its mount during a case is noticed before its positions are used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import SPHERES_MM, ClinicalCell, checked_paths, checked_plan, correspondence
+from clinical_case import localized_fiducials as fiducials
+
+from benchmarks.head_looks import ENDPOINTS
+from benchmarks.stereo_cell import StereoCell
+from procedures.relocalization.errors import HeadTurned
+from procedures.relocalization.head_watch import check_head
+from procedures.steps.clinical.relocalization import STEP
+from procedures.workcell import MountedTool
+from procedures.workcell.centring import CentredSphere
+from ronna_hw.config import parse_theatre
+from ronna_hw.errors import EXIT_REFUSED
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.theatre_file import theatre_content
+
+SEEDS = range(20)
+TURNED = ("left 0.2", "left -0.2", "right 0.2", "right -0.2")
+RADIUS_MM = 5.75
+STATED_MM = 0.02  # error of the theatre's stereo head records
+
+
+@pytest.mark.hazard(26)
+def test_positions_of_a_head_with_a_turned_camera_are_refused(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+    cell.workcell.radii_mm = (RADIUS_MM * 1.0024, RADIUS_MM * 1.0042)  # 0.2 degrees
+    before = (checked_paths(cell), correspondence(), checked_plan(), fiducials())
+    with pytest.raises(HeadTurned, match=r"STE-014.*larger to one.*ronna-stereo check") as refused:
+        cell.run(*before, STEP)
+    assert refused.value.exit_code == EXIT_REFUSED
+    assert len(SPHERES_MM) == 4
+
+
+@pytest.mark.hazard(26)
+def test_lines_of_sight_that_pass_each_other_at_more_than_the_record_promises_are_refused() -> None:
+    alike = [(RADIUS_MM, RADIUS_MM)] * 3
+    check_head(alike, [0.03, 0.5, 0.04], STATED_MM)  # one bad sphere is not the head's fault
+    with pytest.raises(HeadTurned, match="lines of sight"):
+        check_head(alike, [0.11, 0.12, 0.01], STATED_MM)
+
+
+@pytest.mark.slow
+@pytest.mark.hazard(26)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_fifth_of_a_degree_is_noticed_at_every_head_and_an_intact_head_never_refused(
+    seed: int, tmp_path: Path
+) -> None:
+    scene = named_scene("default", seed=seed)
+    record = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0)).calibration
+    assert record is not None
+    cell = StereoCell(scene, record.stereo_head, tmp_path)
+    start = cell.draw_start(np.random.default_rng(seed), 1.0)
+
+    def check(sphere: CentredSphere) -> None:
+        check_head([sphere.radii_mm], [sphere.ray_gap_mm], record.stereo_head.stated_error_mm)
+
+    check(cell.centre(start))
+    for turned in TURNED:
+        cell.world.set_fault_script(f"at 0 s: camera twist {turned} deg")
+        with pytest.raises(HeadTurned):
+            check(cell.centre(start))
