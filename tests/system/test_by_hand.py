@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import re
 import select
 import subprocess
 import time
@@ -13,7 +14,7 @@ from user_commands import Commands, in_this_process, one_error
 
 from sim.cli import app as ronna_sim
 
-CASE_S = 150.0
+CASE_S = 100.0
 
 
 @pytest.mark.slow
@@ -35,7 +36,7 @@ def test_a_person_confirms_each_value_and_exchanges_the_tool(commands: Commands,
         stderr=secondary,
     )
     os.close(secondary)
-    text, answered, deadline = "", 0, time.monotonic() + CASE_S
+    text, answered, mounted_at, deadline = "", 0, 0, time.monotonic() + CASE_S
     try:
         while process.poll() is None and time.monotonic() < deadline:
             if not select.select([primary], [], [], 0.2)[0]:
@@ -44,11 +45,13 @@ def test_a_person_confirms_each_value_and_exchanges_the_tool(commands: Commands,
                 text += os.read(primary, 65536).decode(errors="replace")
             except OSError:
                 break
-            if text.count("Type yes to confirm") > answered:
-                if "the tool has been exchanged" in text and answered == 1:
-                    assert commands.run("ronna-sim", "mount", "2", "--control", control).returncode == 0
+            asked = re.findall(r"Type (yes or no|done): ", text)
+            if len(asked) > answered:
                 answered += 1
-                os.write(primary, b"yes\n")
+                if text.rfind("Mount the surgical guide") > mounted_at:
+                    mounted_at = len(text)
+                    assert commands.run("ronna-sim", "mount", "2", "--control", control).returncode == 0
+                os.write(primary, asked[-1].split()[0].encode() + b"\n")
         assert process.wait(5) == 0, text[-1500:]
     finally:
         if process.poll() is None:
@@ -57,7 +60,6 @@ def test_a_person_confirms_each_value_and_exchanges_the_tool(commands: Commands,
         os.close(primary)
         theatre.terminate()
         theatre.communicate(timeout=5)
-    assert answered == 4
     assert "predicted error of" in text
 
 

@@ -45,7 +45,7 @@ class Terminal:
 
     def await_text(self, pattern: str) -> None:
         deadline = time.monotonic() + AWAITED_S
-        while not re.search(pattern, self.text):
+        while not re.search(pattern, self.text, re.DOTALL):
             assert time.monotonic() < deadline, self.text[-2000:]
             assert self.process.poll() is None, self.text[-2000:]
             self._read()
@@ -84,19 +84,29 @@ def terminal(commands: Commands, tmp_path: Path) -> Iterator[Terminal]:
 
 
 @pytest.mark.slow
-def test_ctrl_c_once_pauses_between_steps_and_enter_goes_on_to_the_end(terminal: Terminal) -> None:
+def test_ctrl_c_once_pauses_and_only_the_listed_words_go_on(terminal: Terminal) -> None:
     terminal.await_text("✓ ct_import")
     terminal.type(CTRL_C)
-    terminal.await_text("paused, the arm rests")
+    terminal.await_text("Paused: Ctrl-C")
     terminal.type("\n")
+    terminal.await_text("(Type continue or abort: .*){2}")
+    terminal.type("stop\n")
+    terminal.await_text("(Type continue or abort: .*){3}")
+    terminal.type("continue\n")
     assert terminal.rest() == 0
     assert "error mm" in terminal.text
 
 
-def test_ctrl_c_twice_stops_now(terminal: Terminal) -> None:
+def test_ctrl_c_twice_stops_the_arm_and_twice_more_at_the_question_ends_the_command(
+    terminal: Terminal,
+) -> None:
     terminal.await_text("✓ path_check")
     terminal.type(CTRL_C)
-    terminal.await_text("Ctrl-C again stops now")
+    terminal.await_text("Ctrl-C again stops the arm now")
+    terminal.type(CTRL_C)
+    terminal.await_text("Type continue or abort: ")
+    terminal.type(CTRL_C)
+    terminal.await_text("the arm rests; Ctrl-C again ends the command")
     terminal.type(CTRL_C)
     assert terminal.rest() == 130
     assert "Traceback" not in terminal.text
@@ -106,7 +116,7 @@ def test_ctrl_c_twice_stops_now(terminal: Terminal) -> None:
 def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> None:
     terminal.await_text("✓ ct_import")
     terminal.type(CTRL_C)
-    terminal.await_text("paused, the arm rests")
+    terminal.await_text("Type continue or abort: ")
     terminal.type("abort\n")
     assert terminal.rest() == 7
     assert "PRO-004" in terminal.text

@@ -49,7 +49,8 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
         def asking() -> Iterator[None]:
             bar.stop()  # the live line would write over the question
             try:
-                yield
+                with interrupts.asking():
+                    yield
             finally:
                 bar.start()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.operators import ScriptedOperator, SimulatedRoom, TerminalOperator, TerminalRoom
 from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.cli.case.simulated_case import SimulatedCase
+from ronna_hw.command_line.console import on_terminal
 from ronna_hw.command_line.messages import tell
 from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.log_output import keep_log
@@ -76,7 +78,9 @@ def opened_engine(
             watcher.status("opening the theatre")
             simulated.await_theatre()
             file = simulated.theatre.file
-            operator = ScriptedOperator()
+            operator = ScriptedOperator(
+                operator if on_terminal(sys.stdin) and on_terminal(sys.stderr) else None
+            )
             room = stack.enter_context(contextlib.closing(SimulatedRoom(simulated.theatre.control)))
         engine = _make_engine(request, folder, file, procedure, operator, room, watcher)
         outcome = "failed"

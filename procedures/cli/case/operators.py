@@ -8,15 +8,23 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
-from procedures.engine.operator import Question, words
+from procedures.engine.operator import Operator, Question, Topic, words
 from ronna_hw.host.control_port import ControlPortClient
 
 
 class ScriptedOperator:
-    """Goes on with the first answer to every question; what was asked is in the journal."""
+    """Goes on with the first answer to every question; what was asked is in the journal.
+
+    A pause is answered by `person`, if there is one: whoever sits at the terminal has asked for it.
+    """
+
+    def __init__(self, person: Operator | None = None) -> None:
+        self._person = person
 
     def ask(self, question: Question) -> str:
         """The first answer."""
+        if self._person is not None and question.topic is Topic.PAUSE:
+            return self._person.ask(question)
         return question.answers[0]
 
 

@@ -1,7 +1,7 @@
 """Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all.
 
-Safe points are between steps and before each motion. Without a terminal nothing is changed: one signal ends
-the command.
+Safe points are between steps and before each motion. While a question stands the second one ends all.
+Without a terminal nothing is changed: one signal ends the command.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 STANDARD_ERROR = 2
 PAUSING = b"\npausing at the next safe point; Ctrl-C again stops the arm now\n"
 STOPPING = b"\nstopping the arm; Ctrl-C again ends the command\n"
+AT_QUESTION = b"\nthe arm rests; Ctrl-C again ends the command\n"
 
 
 class Interrupts:
@@ -31,16 +32,30 @@ class Interrupts:
     def __init__(self) -> None:
         self._engine: Engine | None = None
         self._count = 0
+        self._at_question: int | None = None  # how often since a question stands
 
     def attach(self, engine: Engine) -> None:
         """From now on Ctrl-C is about this engine; before, it ends the command."""
         self._engine = engine
 
+    @contextlib.contextmanager
+    def asking(self) -> Iterator[None]:
+        """While a question stands nothing moves: Ctrl-C twice ends the command."""
+        self._at_question = 0
+        try:
+            yield
+        finally:
+            self._at_question = None
+
     def interrupt(self) -> None:
         """One Ctrl-C more; raises KeyboardInterrupt when it is to end the command."""
         engine = self._engine
-        if engine is None:
+        if engine is None or self._at_question:
             raise KeyboardInterrupt
+        if self._at_question is not None:
+            self._at_question += 1
+            os.write(STANDARD_ERROR, AT_QUESTION)
+            return
         self._count = self._count + 1 if engine.checkpoint.wanted else 1
         if self._count > 2:
             raise KeyboardInterrupt

@@ -27,7 +27,9 @@ def step_through(request: CaseRequest) -> None:
     folder = new_run_folder(request)
     with (
         pause_on_interrupt() as interrupts,
-        opened_case(request, folder, Watcher(listener=_done, opened=interrupts.attach)) as engine,
+        opened_case(
+            request, folder, Watcher(listener=_done, opened=interrupts.attach, asking=interrupts.asking)
+        ) as engine,
     ):
         _say(f"run {folder.name}; {HELP}")
         while (line := _ask()) is not None:
