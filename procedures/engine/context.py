@@ -65,6 +65,7 @@ class StepContext:
     _ask: Callable[[Question], str]
     _checkpoint: Checkpoint
     _publish: Callable[[Happening], object]
+    _find: Callable[[str], None]
     _read: dict[str, Record] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
@@ -133,6 +134,10 @@ class StepContext:
         self._publish(Progress(step=str(self.key), share=share, text=text))
         self.setting.progress(share, text)
         self._checkpoint.here(f"{self.key}, {text}")
+
+    def find(self, text: str) -> None:
+        """Record something that the operator should know and that stops nothing."""
+        self._find(text)
 
     def confirm(self, topic: Topic, subject: str, value: str, trajectory: str | None = None) -> None:
         """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""

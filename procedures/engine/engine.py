@@ -13,7 +13,7 @@ from procedures.engine.case import Case, Stored
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
-from procedures.engine.events import CaseState, EventStream, Fault, Refusal, StepState
+from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
 from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.machine import RECOVERY, ProcedureMachine
 from procedures.engine.operator import Topic
@@ -192,6 +192,12 @@ class Engine:
                 self.machine.hold()
                 self._show_state()
 
+    def find(self, text: str) -> None:
+        """Record something that the operator should know and that stops nothing."""
+        self._write(Entry.FINDING, text=text)
+        self.events.publish(Finding(text=text))
+        _log.warning("finding", text=self._logged(text))
+
     def accept(self) -> None:
         """The operator accepted what was found after a restart: steps may begin."""
         self.machine.accept()
@@ -277,6 +283,7 @@ class Engine:
             _ask=self.questions.ask,
             _checkpoint=self.checkpoint,
             _publish=self.events.publish,
+            _find=self.find,
         )
 
     def _logged(self, text: str) -> str:

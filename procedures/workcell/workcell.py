@@ -122,15 +122,22 @@ class Workcell:
 
     def check_mounted(self, tool: MountedTool) -> int:
         """The tool's number, read from the controller's inputs. Raises PRO-009 when another is mounted."""
-        expected = (
-            STEREO_HEAD_NUMBER if tool is MountedTool.STEREO_HEAD else self.calibrations.tool_tip.tool_number
-        )
+        expected = self._number_of(tool)
         self._tool = MountedTool.UNKNOWN
-        mounted = self._arm.read_tool_identity().number
+        mounted = self.reported_tool_number()
         if mounted != expected:
             raise WrongTool(f"the {tool} is not mounted", expected=str(expected), got=str(mounted))
         self._tool = tool
         return mounted
+
+    @property
+    def checked_tool_number(self) -> int | None:
+        """The number of the tool that was found mounted; None while that is not known."""
+        return None if self._tool is MountedTool.UNKNOWN else self._number_of(self._tool)
+
+    def reported_tool_number(self) -> int:
+        """The number that the controller's inputs report now; 0 is none."""
+        return self._arm.read_tool_identity().number
 
     def flange_from(self, tool: MountedTool) -> Transform:
         """FLANGE <- TOOL of a tool, from its calibration record. Raises PRO-009 for an unchecked one."""
@@ -330,6 +337,10 @@ class Workcell:
     def close(self) -> None:
         """End all sessions, the arm's first; never raises."""
         self._theatre.close()
+
+    def _number_of(self, tool: MountedTool) -> int:
+        head = tool is MountedTool.STEREO_HEAD
+        return STEREO_HEAD_NUMBER if head else self.calibrations.tool_tip.tool_number
 
     def _go(self, joints_rad: JointVector, reached: list[ArmReading]) -> None:
         arm = self._arm

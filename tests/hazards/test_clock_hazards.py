@@ -22,6 +22,7 @@ DATING = {
     "sim/theatre/theatre_file.py",
     "sim/phantom",
     "procedures/engine/journal.py",
+    "procedures/guards/wall_clock.py",
     "procedures/engine/events/stream.py",
     "procedures/reporting/report.py",
     "procedures/cli/case/request.py",

@@ -143,6 +143,7 @@ def _make_engine(
     from procedures.engine.engine import Engine
     from procedures.engine.events import EventStream
     from procedures.engine.journal import Entry, Journal
+    from procedures.guards import standing_guards
     from procedures.workcell import Workcell
     from ronna_hw.theatre import Theatre
 
@@ -160,7 +161,7 @@ def _make_engine(
         strategy=None if wanted.clinical is None else wanted.clinical.strategy.name,
         seed=request.seed,
     )
-    return Engine(
+    engine = Engine(
         wanted.order,
         Case(folder),
         CaseSetting(
@@ -178,3 +179,5 @@ def _make_engine(
         listener=watcher.listener,
         on_ending=ignore_further_signals,
     )
+    engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
+    return engine

@@ -15,16 +15,23 @@ from ronna_hw.host.control_port import ControlPortClient
 class ScriptedOperator:
     """Goes on with the first answer to every question; what was asked is in the journal.
 
-    A pause is answered by `person`, if there is one: whoever sits at the terminal has asked for it.
+    A pause is answered by `person`, if there is one: whoever sits at the terminal has asked for it. What a
+    guard waits for in vain is left when it is asked for again: nobody is there to restore it.
     """
 
     def __init__(self, person: Operator | None = None) -> None:
         self._person = person
+        self._waited_for: set[tuple[str, str]] = set()  # guard and place
 
     def ask(self, question: Question) -> str:
         """The first answer."""
         if self._person is not None and question.topic is Topic.PAUSE:
             return self._person.ask(question)
+        if question.topic is Topic.GUARD:
+            what = (question.subject.partition(":")[0], question.value)
+            if what in self._waited_for:
+                return question.silence
+            self._waited_for.add(what)
         return question.answers[0]
 
 

@@ -1,0 +1,9 @@
+"""What must hold while the arm works, beside what the devices watch themselves.
+
+Guards are asked at every checkpoint: before each motion and whenever a step says how far it is. What is unmet
+suspends the case with a reason in plain words, until it is met or the operator leaves the step.
+"""
+
+from procedures.guards.standing import standing_guards
+
+__all__ = ["standing_guards"]

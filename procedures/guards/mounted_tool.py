@@ -1,0 +1,31 @@
+"""The tool that was checked still hangs on the arm, as far as the controller's inputs say."""
+
+from __future__ import annotations
+
+from procedures.guards.arm_link import STREAMING
+from procedures.workcell import Workcell
+from ronna_hw.errors import RonnaError
+
+
+class ToolStillMounted:
+    """Asks the controller for the tool's number while the arm's stream runs."""
+
+    name = "mounted tool"
+
+    def __init__(self, workcell: Workcell) -> None:
+        self._workcell = workcell
+
+    def unmet(self) -> str | None:
+        """Which tool is reported instead of the one that was checked."""
+        workcell = self._workcell
+        expected = workcell.checked_tool_number
+        if expected is None or workcell.arm.observe().state not in STREAMING:
+            return None
+        try:
+            mounted = workcell.reported_tool_number()
+        except RonnaError:
+            return None  # what moves the arm meets the same and tells it
+        if mounted == expected:
+            return None
+        found = f"tool {mounted}" if mounted else "no tool"
+        return f"the controller reports {found} instead of the {workcell.tool}: mount that again"
