@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from run_folders import assert_nothing_half_written, await_motion_in, records_of, run_folder
+from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
@@ -33,11 +34,13 @@ class MiniRun:
 
 @pytest.fixture(scope="module")
 def finished(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> MiniRun:
-    out = tmp_path_factory.mktemp("runs")
-    done = shared_commands.run("ronna-procedure", *CASE, "--out", str(out))
-    assert done.returncode == 0, done.stderr
-    assert shared_commands.await_no_survivors() == []
-    return MiniRun(out, done.stdout)
+    def run(out: Path) -> str:
+        done = shared_commands.run("ronna-procedure", *CASE, "--out", str(out))
+        assert done.returncode == 0, done.stderr
+        assert shared_commands.await_no_survivors() == []
+        return done.stdout
+
+    return MiniRun(*made_once(tmp_path_factory, "finished", run))
 
 
 def test_the_case_ends_at_the_target_within_the_limit(finished: MiniRun) -> None:
@@ -96,17 +99,18 @@ def interrupted(
     request: pytest.FixtureRequest, shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     """Folder of a run of the same case that a signal ended when the arm was on its way to the target."""
-    out = tmp_path_factory.mktemp("interrupted")
-    process = shared_commands.start("ronna-procedure", *CASE, "--out", str(out))
-    await_motion_in(out, "positioning:T1")
-    process.send_signal(request.param)
-    _, stderr = process.communicate(timeout=15)
-    assert process.returncode == 130, stderr
-    assert shared_commands.await_no_survivors() == []
-    assert_nothing_half_written(out)
-    folder = run_folder(out)
-    assert folder is not None
-    return folder
+
+    def interrupt(out: Path) -> str:
+        process = shared_commands.start("ronna-procedure", *CASE, "--out", str(out))
+        await_motion_in(out, "positioning:T1")
+        process.send_signal(request.param)
+        _, stderr = process.communicate(timeout=15)
+        assert process.returncode == 130, stderr
+        assert shared_commands.await_no_survivors() == []
+        assert_nothing_half_written(out)
+        return str(run_folder(out))
+
+    return Path(made_once(tmp_path_factory, f"interrupted-{request.param.name}", interrupt)[1])
 
 
 def test_one_signal_while_the_arm_moves_closes_the_run_and_exits_130(interrupted: Path) -> None:
