@@ -16,6 +16,7 @@ from typing import Self, TypeVar, cast
 
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, TheatreFile, read_theatre_file
+from ronna_hw.devices.byte_sink import ByteSink, RecordsBytes
 from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.robot import RobotArm, StopKind
@@ -41,6 +42,7 @@ class Theatre:
         self._clock = clock
         self.arms: Mapping[str, RobotArm] = _Arms(self)
         self._devices: dict[str, Device] = {}
+        self._byte_sink: ByteSink | None = None
         self._closed = False
 
     @classmethod
@@ -90,6 +92,12 @@ class Theatre:
                 f"theatre {self.file.theatre} has no {', '.join(missing)}",
                 got=f"it has {', '.join(known) or 'no device at all'}",
             )
+
+    def record_bytes(self, sink: ByteSink) -> None:
+        """Hand over what passes on all links whose drivers can do so; before anything is connected."""
+        self._byte_sink = sink
+        for device in self._devices.values():
+            _record_bytes(device, sink)
 
     def connect(self, timeout_s: float = 10.0) -> None:
         """Connect and configure every device that is not yet, with `timeout_s` for each call.
@@ -160,7 +168,9 @@ class Theatre:
         self._require_open()
         if name not in self._devices:
             self.require(name)
-            self._devices[name] = make_device(name, self.file.devices[name], self.clock)
+            device = make_device(name, self.file.devices[name], self.clock)
+            _record_bytes(device, self._byte_sink)
+            self._devices[name] = device
         return self._devices[name]
 
 
@@ -190,6 +200,11 @@ def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Itera
     with Theatre.from_file(path) as theatre:
         theatre.connect(timeout_s)
         yield theatre
+
+
+def _record_bytes(device: Device, sink: ByteSink | None) -> None:
+    if isinstance(device, RecordsBytes):
+        device.record_bytes(sink)
 
 
 def _stop(arm: RobotArm) -> None:

@@ -17,6 +17,7 @@ from drivers.basler_stereo.features import known_state
 from drivers.basler_stereo.features.description import fetch_description, parse_description
 from drivers.basler_stereo.features.feature_map import FeatureMap
 from drivers.basler_stereo.features.register_memory import RegisterMemory
+from drivers.basler_stereo.link_bytes import LinkBytes
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.pair_clock import Tie
 from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
@@ -36,8 +37,12 @@ KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
 class Camera:
     """Deadlines are host monotonic time. One thread at a time; the heartbeat has its own."""
 
-    def __init__(self, side: str, address: str, options: BaslerOptions) -> None:
+    def __init__(
+        self, side: str, address: str, options: BaslerOptions, link_bytes: LinkBytes | None = None
+    ) -> None:
+        """`link_bytes` is told what passes on the control channel, and about each image of the stream."""
         self.side = side
+        self._bytes = link_bytes or LinkBytes("", None)
         self._address = address
         self._options = options
         self._control: ControlChannel | None = None
@@ -89,7 +94,7 @@ class Camera:
         When no camera replies, the message names those that broadcast discovery finds.
         """
         try:
-            self._control = ControlChannel(self._address)
+            self._control = ControlChannel(self._address, passed=self._bytes.passed)
         except OSError as error:
             raise NoCamera(f"no route to {self._address}", got=error.strerror) from error
         try:
@@ -194,6 +199,7 @@ class Camera:
         Late frames of earlier triggers are discarded.
         """
         while (frame := self.receiver.take(deadline_s, hopeless)) is not None:
+            self._bytes.note_frame(frame, self.receiver.counters)
             if self._next_block is None or frame.block_id == self._next_block:
                 self._next_block = following(frame.block_id)
                 return frame

@@ -18,6 +18,7 @@ from drivers.basler_stereo.errors import (
     ReceiverEnded,
     WrongSerial,
 )
+from drivers.basler_stereo.link_bytes import LinkBytes
 from drivers.basler_stereo.options import read_options
 from drivers.basler_stereo.pair_device import PairDevice
 from drivers.basler_stereo.pair_grabber import PairGrabber
@@ -27,6 +28,7 @@ from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
+from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, require_person
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
@@ -53,6 +55,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         super().__init__(name, config, clock, self._options)
         self._receiver_process: ReceiverProcess | None = None
         self._grabber: PairGrabber | None = None
+        self._sink: ByteSink | None = None
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
@@ -78,6 +81,9 @@ class BaslerStereoPair(PairDevice[Camera]):
     def block_ids(self) -> tuple[int | None, int | None]:
         """Block ids of the last pair, None for a missing side. They restart with each stream."""
         return self._grabber.block_ids if self._grabber else (None, None)
+
+    def record_bytes(self, sink: ByteSink | None) -> None:
+        self._sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers; takes no control.
@@ -224,7 +230,10 @@ class BaslerStereoPair(PairDevice[Camera]):
             raise lost from error
 
     def _open(self, deadline_s: float) -> tuple[tuple[Camera, Camera], tuple[CameraIdentity, CameraIdentity]]:
-        left, right = (Camera(side, self._addresses[side], self._options) for side in ("left", "right"))
+        left, right = (
+            Camera(side, self._addresses[side], self._options, LinkBytes(f"{self._name}.{side}", self._sink))
+            for side in ("left", "right")
+        )
         try:
             identities = (left.connect(deadline_s), right.connect(deadline_s))
             check_pair(*identities, self._options)

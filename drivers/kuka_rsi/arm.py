@@ -31,6 +31,7 @@ from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
+from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import (
@@ -114,6 +115,9 @@ class KukaRsiArm:
         """The last cycles of the stream, oldest first; they stand still once a fault is latched."""
         link = self._connections.open_link
         return link.recorded_cycles() if link is not None else ()
+
+    def record_bytes(self, sink: ByteSink | None) -> None:
+        self._connections.bytes.sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the EKI channel and check that the controller runs our context for our arm.

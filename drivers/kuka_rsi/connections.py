@@ -5,6 +5,7 @@ from __future__ import annotations
 from drivers.kuka_rsi import stream
 from drivers.kuka_rsi.eki.client import EkiClient, Listener
 from drivers.kuka_rsi.errors import ControllerNotFound, NoTelegram
+from drivers.kuka_rsi.link_bytes import LinkBytes
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.config import DeviceConfig
@@ -24,6 +25,7 @@ class Connections:
         self._context = context
         self.open_eki: EkiClient | None = None
         self.open_link: LinkClient | None = None
+        self.bytes = LinkBytes(name)
         self.verified = False  # the controller says that it runs our context
 
     @property
@@ -47,7 +49,7 @@ class Connections:
         """
         self.close_eki()
         opening = stream.reopen_controller if retry else stream.open_controller
-        found = opening(self._eki_address, self._context, self._options, timeout_s)
+        found = opening(self._eki_address, self._context, self._options, timeout_s, self.bytes.of_eki)
         self.open_eki, identity, self.verified = found
         self.open_eki.listen(listener)
         return identity
@@ -55,7 +57,8 @@ class Connections:
     def start_link(self, timeout_s: float) -> None:
         """Start the real-time process, which takes the RSI port. Raises RSI-001."""
         self.close_link()
-        self.open_link = LinkClient(stream.link_settings(self._rsi, self._context, self._options), timeout_s)
+        settings = stream.link_settings(self._rsi, self._context, self._options)
+        self.open_link = LinkClient(settings, timeout_s, self.bytes.of_rsi)
 
     def close_eki(self) -> None:
         """End the EKI session, if there is one."""

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied, RecordedCycle
 from drivers.kuka_rsi.realtime.link_state import (
@@ -21,7 +22,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     Phase,
     StopOrder,
 )
-from drivers.kuka_rsi.realtime.mailbox import Mailbox
+from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.motion.planning import MotionPlan
@@ -36,20 +37,28 @@ GIVE_OUR_ADDRESS = (
 )
 
 Condition = Callable[[LinkState], bool]
+Kept = Callable[[list[KeptCycle], int], None]  # is handed cycles, and the number of bytes that were lost
 
 
 class LinkClient:
     """One real-time process and its mailbox. All calls may come from any thread."""
 
     def __init__(
-        self, settings: Callable[[int, int], LinkSettings], timeout_s: float = START_TIMEOUT_S
+        self,
+        settings: Callable[[int, int], LinkSettings],
+        timeout_s: float = START_TIMEOUT_S,
+        kept: Kept | None = None,
     ) -> None:
-        """`settings` is called with the descriptors of mailbox and event. Raises RSI-001."""
+        """`settings` is called with the descriptors of mailbox and event. Raises RSI-001.
+
+        `kept` is handed, from a thread of this object, what passed on the link.
+        """
         self._memory_fd = os.memfd_create("kuka_rsi")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         Mailbox.initialise(self._memory_fd)
         self._mailbox = Mailbox(self._memory_fd)
-        self._settings = settings(self._memory_fd, self._event_fd)
+        self._settings = replace(settings(self._memory_fd, self._event_fd), keeps_bytes=kept is not None)
+        self._kept = kept
         self.surroundings = Surroundings()  # by which the next motions are watched
         self._lock = threading.Lock()
         self._changed = threading.Condition()
@@ -175,6 +184,7 @@ class LinkClient:
             self._process.stderr.close()
         if self._pulse.is_alive():
             self._pulse.join()
+        self._hand_over()  # what passed while the process ended
         self._mailbox.close()
         os.close(self._memory_fd)
         os.close(self._event_fd)
@@ -207,12 +217,20 @@ class LinkClient:
         while not self._closing.is_set():
             count += 1
             self._mailbox.beat(count)
+            self._hand_over()
             ready, _, _ = select.select([self._event_fd], [], [], HEARTBEAT_S)
             if ready:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self._event_fd)
                 with self._changed:
                     self._changed.notify_all()
+
+    def _hand_over(self) -> None:
+        if self._kept is None:
+            return
+        cycles, lost = self._mailbox.fetch_kept()
+        if cycles or lost:
+            self._kept(cycles, lost)
 
     def _last_words(self) -> str:
         stream = self._process.stderr

@@ -18,6 +18,7 @@ from drivers.kuka_rsi.errors import (
     Unverified,
 )
 from drivers.kuka_rsi.fault_errors import error_of_fault
+from drivers.kuka_rsi.link_bytes import BytesPassed
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Fault, Phase
@@ -41,7 +42,11 @@ def rest_of(deadline: float) -> float:
 
 
 def open_controller(
-    address: Endpoint, context: RsiContext, options: KukaOptions, timeout_s: float
+    address: Endpoint,
+    context: RsiContext,
+    options: KukaOptions,
+    timeout_s: float,
+    passed: BytesPassed | None = None,
 ) -> tuple[EkiClient, Identity, bool]:
     """Connect by EKI and check that the controller runs our context for our arm; True when it confirms that.
 
@@ -49,7 +54,7 @@ def open_controller(
     does not say and option `accept_unverified` is off.
     """
     deadline = time.monotonic() + timeout_s
-    eki = EkiClient(address.host, address.port, timeout_s)
+    eki = EkiClient(address.host, address.port, timeout_s, passed)
     try:
         state = eki.status(rest_of(deadline))
         unsaid = require_ours(state, context, options.variant)
@@ -74,14 +79,18 @@ def open_controller(
 
 
 def reopen_controller(
-    address: Endpoint, context: RsiContext, options: KukaOptions, timeout_s: float
+    address: Endpoint,
+    context: RsiContext,
+    options: KukaOptions,
+    timeout_s: float,
+    passed: BytesPassed | None = None,
 ) -> tuple[EkiClient, Identity, bool]:
     """As `open_controller`, retried with growing pauses: after a loss the server must first reopen."""
     deadline = time.monotonic() + timeout_s
     pause_s = FIRST_PAUSE_S
     while True:
         try:
-            return open_controller(address, context, options, max(rest_of(deadline), LEAST_TRY_S))
+            return open_controller(address, context, options, max(rest_of(deadline), LEAST_TRY_S), passed)
         except (ControllerNotFound, ControllerLost):
             if rest_of(deadline) <= pause_s:
                 raise

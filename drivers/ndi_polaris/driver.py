@@ -20,6 +20,7 @@ from drivers.ndi_polaris.errors import (
 from drivers.ndi_polaris.line.baud_rate import raise_baud
 from drivers.ndi_polaris.line.command_link import CommandLink
 from drivers.ndi_polaris.line.discovery import find_unit, initialise
+from drivers.ndi_polaris.line.recorded_transport import RecordedTransport
 from drivers.ndi_polaris.line.time_limits import read_time_limits
 from drivers.ndi_polaris.line.transport import Transport, open_transport
 from drivers.ndi_polaris.options import read_options
@@ -36,6 +37,7 @@ from drivers.ndi_polaris.unit.system_status import clear_bump, refuse_standing_t
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
+from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import TrackerFrame, Validity
@@ -80,6 +82,7 @@ class PolarisTracker:
         self._monotonic = monotonic
         self._pause = pause
         self._guard = LifecycleGuard(name)
+        self._sink: ByteSink | None = None
         self._open_link: CommandLink | None = None
         self._identity: Identity | None = None
         self._loaded: tuple[LoadedTool, ...] = ()
@@ -151,6 +154,9 @@ class PolarisTracker:
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)
+
+    def record_bytes(self, sink: ByteSink | None) -> None:
+        self._sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find the unit at whatever baud rate it was left, initialise it and check its identity.
@@ -287,6 +293,8 @@ class PolarisTracker:
 
     def _open(self, deadline_s: float) -> Identity:
         transport = self._open_transport(self._endpoint, max(0.1, deadline_s - self._monotonic()))
+        if self._sink is not None:
+            transport = RecordedTransport(transport, self._name, self._sink)
         link = CommandLink(transport, limits_s=self._options.limits_s(), monotonic=self._monotonic)
         try:
             find_unit(link, deadline_s)

@@ -209,6 +209,23 @@ def export_command(
         tell(str(path))
 
 
+@app.command("bytes")
+def bytes_command(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    link: Annotated[str | None, typer.Option(help="A link, or the device whose links are meant.")] = None,
+    from_s: Annotated[float | None, typer.Option("--from", help="Theatre time to begin with, s.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to", help="Theatre time to end with, s.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+) -> None:
+    """Print what passed on a run's links: time, direction, bytes in hex and as text.
+
+    The text is a hex dump that text2pcap reads: text2pcap -D -t ISO -l 147 - link.pcapng
+    """
+    from procedures.cli.bytes_of_run import print_bytes
+
+    print_bytes(run_folder, link, from_s, to_s, as_json=as_json)
+
+
 @app.command("doctor")
 def doctor_command(
     config: ConfigOption = None,

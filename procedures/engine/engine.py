@@ -6,8 +6,9 @@ Work happens here, never in a transition of the state chart. Whatever ends a ste
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Protocol
 
 from procedures.engine.case import Case, Stored
 from procedures.engine.checkpoint import Checkpoint
@@ -30,6 +31,14 @@ Listener = Callable[[StepKey, Outcome[StepResult]], None]
 _log = logger(part="engine")
 
 
+class Recorder(Protocol):
+    """Writes files of the run beside the engine."""
+
+    def close(self) -> None:
+        """Write what is left and close the files. Bounded in time; never raises."""
+        ...
+
+
 class Engine:
     """One run of a procedure. A step that fails leaves the case held: the arm at rest, every result standing.
 
@@ -46,9 +55,10 @@ class Engine:
         events: EventStream | None = None,
         listener: Listener = lambda _key, _outcome: None,
         on_ending: Callable[[], None] = lambda: None,
+        recorders: Sequence[Recorder] = (),
         recovering: bool = False,
     ) -> None:
-        """`recovering` begins in recovery: nothing may begin before `accept`."""
+        """`recorders` are closed with the run; `recovering` begins in recovery: see `accept`."""
         self.order = order
         self.case = case
         self.setting = setting
@@ -59,6 +69,7 @@ class Engine:
         self._journal = journal
         self._listener = listener
         self._on_ending = on_ending
+        self._recorders = recorders
         self._latest: StepKey | None = None  # the step that was done last
         setting.workcell.ask_before_motion(self.checkpoint, self.questions.ask)
 
@@ -222,6 +233,8 @@ class Engine:
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         self.events.hold_time()
         self.setting.workcell.close()
+        for recorder in self._recorders:  # the journal's last line speaks for every file of the run
+            recorder.close()
         try:
             inside = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}
             self._journal.write(Entry.CLOSED, now_s, outcome=outcome, **inside)

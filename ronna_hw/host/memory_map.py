@@ -115,6 +115,14 @@ class Counters:
             return bytes_.cast("Q")
 
 
+class Bytes:
+    """Plain bytes, for whoever keeps their own order in them."""
+
+    def __init__(self, offset: int, size_bytes: int) -> None:
+        self.offset = offset
+        self.size_bytes = size_bytes
+
+
 class MemoryMap:
     """Begins with a mark that tells whose memory it is. `size_bytes` grows with every place handed out."""
 
@@ -157,6 +165,10 @@ class MemoryMap:
         place = Counters(self.size_bytes, count)
         self._take(place.size_bytes)
         return place
+
+    def plain_bytes(self, size_bytes: int) -> Bytes:
+        """Plain bytes."""
+        return Bytes(self._take(size_bytes), size_bytes)
 
     def _take(self, size_bytes: int) -> int:
         offset = self.size_bytes

@@ -12,6 +12,8 @@ from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
+from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
 from sim.cli import app as ronna_sim
 
 LARGEST_ERROR_MM = 1.5
@@ -81,6 +83,18 @@ def test_the_journal_is_whole_and_has_an_intent_before_every_result(finished: Mi
     steps = [(line["entry"], line["step"]) for line in lines if line["entry"] in ("intent", "result")]
     assert steps[0::2] == [("intent", step) for _, step in steps[1::2]]
     assert (lines[0]["entry"], lines[-1]["entry"]) == ("opened", "closed")
+
+
+def test_the_bytes_of_every_link_are_kept_in_both_directions(finished: MiniRun) -> None:
+    folder = finished.folder / BYTES_FOLDER
+    links = {"tracker", "robot.master.eki", "robot.master.rsi"}
+    cameras = {f"stereo.{side}.{part}" for side in ("left", "right") for part in ("control", "stream")}
+    assert set(links_of(folder)) == links | cameras
+    for link in (*links, "stereo.left.control", "stereo.right.control"):
+        assert {line.direction for line in read_link(folder, link)} >= set(Direction), link
+    images = [line.note for line in read_link(folder, "stereo.left.stream")]
+    assert images
+    assert all(note["missing_packets"] == 0 for note in images)
 
 
 @pytest.mark.hazard(31)

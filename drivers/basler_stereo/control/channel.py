@@ -11,6 +11,7 @@ from contextlib import ExitStack
 
 from drivers.basler_stereo.control import gvcp
 from drivers.basler_stereo.errors import CommandRefused, NoReply
+from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GvcpCommand
 
@@ -29,8 +30,15 @@ class ControlChannel:
     """
 
     def __init__(
-        self, address: str, *, port: int = gev.GVCP_PORT, monotonic: Callable[[], float] = time.monotonic
+        self,
+        address: str,
+        *,
+        port: int = gev.GVCP_PORT,
+        monotonic: Callable[[], float] = time.monotonic,
+        passed: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
     ) -> None:
+        """`passed` is told of every datagram. Raises OSError when there is no way to the address."""
+        self._passed = passed
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.connect((address, port))  # datagrams from other addresses are filtered out
@@ -147,6 +155,7 @@ class ControlChannel:
                 self.port_closed = True
                 time.sleep(max(0.0, min(REFUSED_PAUSE_S, until_s - self._monotonic())))
                 return None
+            self._passed(Direction.RECEIVED, datagram)
             acknowledge = gvcp.decode(datagram)
             if acknowledge is None or acknowledge.request_id != request_id:
                 continue  # a late acknowledge of an earlier command
@@ -161,6 +170,7 @@ class ControlChannel:
         # an error here (network down, closed port) shows as a missing acknowledge, which is reported
         with contextlib.suppress(OSError):
             self._socket.send(datagram)
+            self._passed(Direction.SENT, datagram)
 
     def _next_id(self) -> int:
         with self._id_lock:

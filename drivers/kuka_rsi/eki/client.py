@@ -26,6 +26,7 @@ from drivers.kuka_rsi.errors import (
     ControllerNotFound,
     NoAnswer,
 )
+from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName
 
@@ -65,8 +66,15 @@ class Listener(Protocol):
 class EkiClient:
     """One connection. Calls may come from any thread."""
 
-    def __init__(self, host: str, port: int, timeout_s: float) -> None:
-        """Connect; raises EKI-001 when nothing answers at the address."""
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        timeout_s: float,
+        passed: Callable[[Direction, bytes], None] | None = None,
+    ) -> None:
+        """Connect; raises EKI-001 when nothing answers at the address. `passed` is told of all bytes."""
+        self._passed = passed
         self.where = f"tcp://{host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout=timeout_s)
@@ -170,7 +178,9 @@ class EkiClient:
         telegram = f'<{CMD} Id="{number}" Name="{name}"{attributes}></{CMD}>'
         try:
             with self._sending:
-                self._socket.sendall(telegram.encode("ascii"))
+                self._socket.sendall(sent := telegram.encode("ascii"))
+                if self._passed is not None:
+                    self._passed(Direction.SENT, sent)
         except OSError as error:
             raise self._failure or ControllerLost(f"{self.where}: {error.strerror or error}") from error
         return number
@@ -211,10 +221,14 @@ class EkiClient:
         """The next bytes from the controller; empty when it has closed the connection."""
         while True:
             try:
-                return self._socket.recv(RECEIVE_BYTES)
+                data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
                 if self._listener is not None:
                     self._listener.controller_quiet()
+                continue
+            if self._passed is not None:
+                self._passed(Direction.RECEIVED, data)
+            return data
 
     def _take(self, root: ElementTree.Element) -> None:
         try:

@@ -71,8 +71,11 @@ class LinkLoop:
         self._event_fd = settings.event_fd
         self._granted = (real_time, locked)
         self._controller_host = settings.controller_host
+        self._keeps_bytes = settings.keeps_bytes
         self._received_ns = 0  # when the last telegram was there
         self._last_data = b""  # of the last telegram that was answered
+        self._last_reply = b""
+        self._sent_ns = 0
         self._late_ns = round(LATE_CYCLES * settings.cycle_ms * 1e6)
         self._answered_ns = 0  # when the last telegram that was answered was there
         self._paced_ns = round(PACED_SHARE * settings.cycle_ms * 1e6)
@@ -166,23 +169,25 @@ class LinkLoop:
             self._last_data = data
             orders, telegram = self._mailbox.orders(), telegram_of(found)
             responder.answered(telegram, orders, self._received_ns)
-            self._after_reply(telegram.ipoc, orders)
+            self._after_reply(data, telegram.ipoc, orders)
             return
         orders = self._mailbox.orders()
         try:
             telegram = telegram_of(found) if found is not None else read_strictly(data)
         except BadTelegram:
             responder.rejected += 1
+            self._keep_unanswered(data)
             self._look_around()
             return
         if responder.phase is Phase.ARMED:
             self._meet(address)
         head = responder.answer(telegram, orders, self._received_ns)
         if head is None:
+            self._keep_unanswered(data)
             self._look_around()
             return
         self._send(head + telegram.ipoc + REPLY_TAIL, address)
-        self._after_reply(telegram.ipoc, orders)
+        self._after_reply(data, telegram.ipoc, orders)
 
     def _foreseen(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
         """The match of a regular telegram, and the prepared reply when that is the one to send."""
@@ -206,7 +211,8 @@ class LinkLoop:
             self._sockets.send(reply, address)
         except OSError:
             self.responder.rejected += 1
-        sent_ns = time.monotonic_ns()
+        self._sent_ns = sent_ns = time.monotonic_ns()
+        self._last_reply = reply
         if self._received_ns - self._answered_ns > self._paced_ns:
             time.sleep(GIVEN_AWAY_S)
             if self._receiver.paced():
@@ -217,8 +223,8 @@ class LinkLoop:
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 
-    def _after_reply(self, ipoc: bytes, orders: Orders) -> None:
-        """Record this reply and prepare the next one."""
+    def _after_reply(self, data: bytes, ipoc: bytes, orders: Orders) -> None:
+        """Prepare the next reply and record this one."""
         responder, mailbox = self.responder, self._mailbox
         self._stop_sent = responder.phase is Phase.ENDING
         responder.after_reply(self._new_command(orders.command_number))
@@ -237,8 +243,14 @@ class LinkLoop:
                     responder.choice,
                 )
             )
+        if self._keeps_bytes:
+            mailbox.keep(self._received_ns, self._sent_ns, data, self._last_reply)
         self._look_at_strangers()
         self._publish()
+
+    def _keep_unanswered(self, data: bytes) -> None:
+        if self._keeps_bytes:
+            self._mailbox.keep(self._received_ns, 0, data, b"")
 
     def _look_around(self) -> None:
         self._look_at_strangers()

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import mmap
 import os
+import struct
+from collections.abc import Iterator
 from typing import Annotated, NamedTuple
 
 from drivers.kuka_rsi.realtime.link_state import (
@@ -25,11 +27,14 @@ from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose, Rotation9
 from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.host.byte_ring import ByteRing
 from ronna_hw.host.memory_map import MemoryMap
 
 HISTOGRAM_BINS = 64
 RECORDER_CYCLES = 256
 LONGEST_SURROUNDINGS_BYTES = 24_000
+KEPT_BYTES = 1 << 20  # of telegrams and replies: a third of a second at the pace of lock-step
+LONGEST_KEPT_BYTES = 1 << 15  # a datagram of the longest kind and its reply
 READ_TRIES = 100  # a writer is in the block for about 2 us
 STOP_KIND_BITS = 3
 NO_JOINTS: JointVector = (0.0,) * 6  # of a command that moves nothing
@@ -65,6 +70,17 @@ _TURNAROUNDS = _MAP.counters(HISTOGRAM_BINS)
 _JITTER = _MAP.counters(HISTOGRAM_BINS)
 _RECORDER = _MAP.rows(Record, RECORDER_CYCLES)
 _SURROUNDINGS = _MAP.checked_bytes(LONGEST_SURROUNDINGS_BYTES)
+_KEPT = ByteRing(_MAP.word(), _MAP.plain_bytes(KEPT_BYTES), LONGEST_KEPT_BYTES)
+_KEPT_HEAD = struct.Struct("<qqII")  # received and sent, host monotonic ns; lengths of telegram and reply
+
+
+class KeptCycle(NamedTuple):
+    """A telegram and its reply; the reply is empty when there was none. Host monotonic time."""
+
+    received_ns: int
+    sent_ns: int
+    telegram: bytes
+    reply: bytes
 
 
 class MailboxTorn(RuntimeError):
@@ -80,6 +96,7 @@ class Mailbox:
         self._jitter = _JITTER.view(self._memory)
         self._surroundings = Surroundings()  # the last written or read
         self._surroundings_number = 0
+        self._fetched = 0  # bytes of kept cycles
 
     @staticmethod
     def initialise(fd: int) -> None:
@@ -171,7 +188,17 @@ class Mailbox:
     def record(self, record: Record) -> None:
         _RECORDER.write(self._memory, record, record.cycle % RECORDER_CYCLES)
 
+    def keep(self, received_ns: int, sent_ns: int, telegram: bytes, reply: bytes) -> None:
+        """Keep what passed, until the driver fetches it or it is overwritten."""
+        head = _KEPT_HEAD.pack(received_ns, sent_ns, len(telegram), len(reply))
+        _KEPT.write(self._memory, head + telegram + reply)
+
     # ... and the driver reads.
+
+    def fetch_kept(self) -> tuple[list[KeptCycle], int]:
+        """What was kept since the last call, and how many bytes were overwritten before they were fetched."""
+        content, self._fetched, lost = _KEPT.read(self._memory, self._fetched)
+        return list(_kept_cycles(content)), lost
 
     def read_state(self) -> LinkState:
         """The state of the last cycle; raises MailboxTorn when no whole one can be had."""
@@ -195,6 +222,16 @@ class Mailbox:
         """The recorded cycles, oldest first. Consistent only while nothing is being recorded."""
         kept = (_RECORDER.read(self._memory, k) for k in range(RECORDER_CYCLES))
         return tuple(sorted(record for record in kept if record.cycle))
+
+
+def _kept_cycles(content: bytes) -> Iterator[KeptCycle]:
+    at = 0
+    while at < len(content):
+        received_ns, sent_ns, telegram_bytes, reply_bytes = _KEPT_HEAD.unpack_from(content, at)
+        at += _KEPT_HEAD.size
+        middle, end = at + telegram_bytes, at + telegram_bytes + reply_bytes
+        yield KeptCycle(received_ns, sent_ns, content[at:middle], content[middle:end])
+        at = end
 
 
 def _row_of(command: Command, surroundings_number: int) -> CommandRow:

@@ -31,6 +31,7 @@ class LinkSettings:
     real_time_priority: int
     rehearsal_lead_us: int = 0  # the reply is rehearsed so long before its telegram is due; 0 is never
     controller_host: str = ""  # only telegrams from there open a session; "" for any
+    keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
 
     def to_json(self) -> str:
         """One line."""

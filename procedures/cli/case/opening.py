@@ -145,6 +145,8 @@ def _make_engine(
     from procedures.engine.journal import Entry, Journal
     from procedures.guards import standing_guards
     from procedures.workcell import Workcell
+    from ronna_hw.recording.byte_lines import BYTES_FOLDER
+    from ronna_hw.recording.flight_recorder import FlightRecorder
     from ronna_hw.theatre import Theatre
 
     theatre = Theatre.from_file(file)
@@ -152,6 +154,8 @@ def _make_engine(
     calibrations = wanted.calibrations or theatre.calibrations  # what is missing is known before the journal
     events = EventStream(theatre.clock.now_s)
     journal = Journal(folder, events.journal_line)
+    flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
+    theatre.record_bytes(flight_recorder)
     workcell = Workcell(theatre, journal, calibrations=calibrations)
     journal.write(
         Entry.OPENED,
@@ -178,6 +182,7 @@ def _make_engine(
         events=events,
         listener=watcher.listener,
         on_ending=ignore_further_signals,
+        recorders=(flight_recorder,),
     )
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
     return engine

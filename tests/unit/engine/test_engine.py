@@ -215,3 +215,17 @@ def test_a_record_that_was_edited_during_the_run_is_not_read(cell: RecordingCell
     path.write_text(json.dumps(content))
     with pytest.raises(BadRecord, match="REC-001"):
         run(engine, "localization:T1")
+
+
+def test_what_records_beside_the_engine_is_closed_before_the_journal_says_so(cell: RecordingCell) -> None:
+    lines_then: list[str] = []
+
+    class Beside:
+        def close(self) -> None:
+            lines_then.extend(kind for kind, _ in cell.entries())
+
+    engine = Engine(plain_order(), cell.case, cell.setting(), cell.journal, recorders=(Beside(), Beside()))
+    engine.run_step(engine.order.sequence[0])
+    engine.close("left")
+    assert lines_then == ["intent", "result"] * 2
+    assert cell.entries()[-1][0] == "closed"

@@ -12,6 +12,7 @@ import pytest
 from drivers.basler_stereo.control.channel import ControlChannel, register_write, send_together
 from drivers.basler_stereo.errors import BadDescription, CommandRefused, MalformedReply, NoReply
 from drivers.basler_stereo.features.description import fetch_description
+from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
 
@@ -88,6 +89,20 @@ def test_answers_to_other_requests_and_rubbish_are_not_taken(channel_to):
 
     _, channel = channel_to(answer)
     assert channel.read_register(0x938, soon()) == 9
+
+
+def test_every_datagram_is_told_of_in_both_directions_also_those_that_count_for_nothing():
+    peer, told = Answering(lambda data, _: [b"rubbish", ack(data, b"\0\0\0\x09")]), []
+    channel = ControlChannel("127.0.0.1", port=peer.port, passed=lambda *passed: told.append(passed))
+    channel.read_register(0x938, soon())
+    channel.close()
+    peer.close()
+    (sent,) = peer.seen
+    assert told == [
+        (Direction.SENT, sent),
+        (Direction.RECEIVED, b"rubbish"),
+        (Direction.RECEIVED, ack(sent, b"\0\0\0\x09")),
+    ]
 
 
 def test_silence_ends_at_the_deadline(channel_to):

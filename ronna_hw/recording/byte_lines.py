@@ -1,0 +1,78 @@
+"""One line of JSON for everything that passed on a link, written and read back.
+
+    {"host_time":"2026-11-20T23:58:31.000123+00:00","theatre_time_s":1.250000,"direction":"sent","hex":"4150"}
+
+In place of direction and bytes a line may carry a `note`. A torn last line, as a crash leaves it, is skipped.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from ronna_hw.devices.byte_sink import Direction
+
+BYTES_FOLDER = "bytes"
+FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written in turn
+Facts = Mapping[str, str | float]
+
+
+@dataclass(frozen=True)
+class LinkLine:
+    """Bytes, or a note, of one link."""
+
+    link: str
+    host_time: datetime
+    theatre_time_s: float
+    direction: Direction | None = None
+    data: bytes = b""
+    note: Facts = field(default_factory=dict)
+
+
+def encode_bytes(epoch_ns: int, theatre_time_s: float, direction: Direction, data: bytes) -> str:
+    """The line of bytes that passed at `epoch_ns`."""
+    return f'{_moment(epoch_ns, theatre_time_s)},"direction":"{direction}","hex":"{data.hex()}"}}\n'
+
+
+def encode_note(epoch_ns: int, theatre_time_s: float, facts: Facts) -> str:
+    """The line of a note."""
+    return f'{_moment(epoch_ns, theatre_time_s)},"note":{json.dumps(dict(facts))}}}\n'
+
+
+def links_of(folder: Path) -> tuple[str, ...]:
+    """Names of the links that a folder holds bytes of."""
+    names = {path.name.rsplit(".", 2)[0] for path in folder.glob("*.jsonl")}
+    return tuple(sorted(names))
+
+
+def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
+    """Everything that is kept of a link, oldest first."""
+    files = [folder / name.format(link=link) for name in FILE_NAMES]
+    parts = [lines for path in files if path.exists() and (lines := list(_read(link, path)))]
+    for part in sorted(parts, key=lambda lines: lines[0].host_time):
+        yield from part
+
+
+def _read(link: str, path: Path) -> Iterable[LinkLine]:
+    with path.open(encoding="ascii", errors="replace") as file:
+        for text in file:
+            try:
+                content = json.loads(text)
+                yield LinkLine(
+                    link,
+                    datetime.fromisoformat(content["host_time"]),
+                    float(content["theatre_time_s"]),
+                    Direction(content["direction"]) if "direction" in content else None,
+                    bytes.fromhex(content.get("hex", "")),
+                    content.get("note", {}),
+                )
+            except (ValueError, KeyError, TypeError, AttributeError):
+                continue  # torn
+
+
+def _moment(epoch_ns: int, theatre_time_s: float) -> str:
+    moment = datetime.fromtimestamp(epoch_ns / 1e9, UTC).isoformat(timespec="microseconds")
+    return f'{{"host_time":"{moment}","theatre_time_s":{theatre_time_s:.6f}'

@@ -1,0 +1,139 @@
+"""The flight recorder: the bytes of all links, written by a thread of its own.
+
+Whoever hands bytes over pays for one append to a queue. When the disk does not keep up, bytes are dropped and
+counted, and a note in the link's file says how many; nobody ever waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ronna_hw.devices.byte_sink import Direction, Passed
+from ronna_hw.logs import logger
+from ronna_hw.recording.alternating_files import AlternatingFiles
+from ronna_hw.recording.byte_lines import Facts, encode_bytes, encode_note
+
+# Each of a link's two files: one holds at least the last minute of a robot link's telegrams of 4 ms.
+FILE_BYTES = 32_000_000
+QUEUE_LENGTH = 20_000  # entries that wait for the disk: seconds of all links together
+WRITE_PERIOD_S = 0.05  # host time; what a killed process loses
+CLOSE_LIMIT_S = 2.0  # for what still waits
+
+
+class _Entry(NamedTuple):
+    link: str
+    host_ns: int
+    theatre_time_s: float
+    direction: Direction | None
+    data: bytes
+    facts: Facts
+
+
+class FlightRecorder:
+    """A `ByteSink` that keeps what it is given in a folder, for one run."""
+
+    def __init__(
+        self,
+        folder: Path,
+        now_s: Callable[[], float],
+        *,
+        file_bytes: int = FILE_BYTES,
+        queue_length: int = QUEUE_LENGTH,
+    ) -> None:
+        """`now_s` is theatre time. Raises OSError when the folder cannot be made."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._now_s = now_s
+        self._file_bytes = file_bytes
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._queue: deque[_Entry] = deque()
+        self._queue_length = queue_length
+        self._dropped: dict[str, int] = defaultdict(int)
+        self._lock = threading.Lock()  # of the count of dropped ones
+        self._looked: dict[str, tuple[int, float]] = {}  # by link: host and theatre time of the last look
+        self._last_s = 0.0
+        self._files: dict[str, AlternatingFiles | None] = {}  # None: it cannot be written
+        self._ending = threading.Event()
+        self._writer = threading.Thread(target=self._run, name="flight recorder", daemon=True)
+        self._writer.start()
+
+    def passed(self, link: str, direction: Direction, data: bytes) -> None:
+        """As `ByteSink`."""
+        self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), direction, data, {}))
+
+    def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
+        """As `ByteSink`; theatre time is interpolated between the last call for this link and this one."""
+        now_ns, now_s = time.monotonic_ns(), self._theatre_s()
+        before_ns, before_s = self._looked.get(link, (now_ns, now_s))
+        self._looked[link] = now_ns, now_s
+        rate = (now_s - before_s) / (now_ns - before_ns) if now_ns > before_ns else 0.0
+        for host_ns, direction, data in all_passed:
+            theatre_s = max(before_s, now_s - rate * (now_ns - host_ns))
+            self._put(_Entry(link, host_ns, theatre_s, direction, data, {}))
+
+    def note(self, link: str, **facts: str | float) -> None:
+        """As `ByteSink`."""
+        self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), None, b"", facts))
+
+    def close(self) -> None:
+        """Write what waits and close the files. Bounded in time; never raises."""
+        self._ending.set()
+        if self._writer is not threading.current_thread():
+            self._writer.join(CLOSE_LIMIT_S)
+
+    def _put(self, entry: _Entry) -> None:
+        if len(self._queue) < self._queue_length and not self._ending.is_set():
+            self._queue.append(entry)
+            return
+        with self._lock:
+            self._dropped[entry.link] += 1
+
+    def _theatre_s(self) -> float:
+        with contextlib.suppress(ValueError):  # the clock may end before the last link does
+            self._last_s = self._now_s()
+        return self._last_s
+
+    def _run(self) -> None:
+        while not self._ending.wait(WRITE_PERIOD_S):
+            self._write_waiting()
+        self._write_waiting()
+        for files in self._files.values():
+            if files is not None:
+                files.close()
+
+    def _write_waiting(self) -> None:
+        lines: dict[str, list[str]] = defaultdict(list)
+        for _ in range(len(self._queue)):
+            entry = self._queue.popleft()
+            lines[entry.link].append(self._encode(entry))
+        with self._lock:
+            dropped, self._dropped = self._dropped, defaultdict(int)
+        for link, count in dropped.items():
+            note = _Entry(link, time.monotonic_ns(), self._last_s, None, b"", {"dropped": count})
+            lines[link].append(self._encode(note))
+        for link, new in lines.items():
+            self._write(link, "".join(new).encode("ascii"))
+
+    def _encode(self, entry: _Entry) -> str:
+        epoch_ns = self._epoch_ns + entry.host_ns
+        if entry.direction is None:
+            return encode_note(epoch_ns, entry.theatre_time_s, entry.facts)
+        return encode_bytes(epoch_ns, entry.theatre_time_s, entry.direction, entry.data)
+
+    def _write(self, link: str, lines: bytes) -> None:
+        try:
+            if link not in self._files:
+                self._files[link] = None
+                self._files[link] = AlternatingFiles(self._folder, link, self._file_bytes)
+            files = self._files[link]
+            if files is not None:
+                files.write(lines)
+        except OSError as error:
+            self._files[link] = None
+            logger(part="flight recorder").warning("bytes are no longer kept", link=link, cause=error)

@@ -1,0 +1,31 @@
+"""A byte sink that remembers."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+from ronna_hw.devices.byte_sink import Direction, Passed
+
+
+class RecordedBytes:
+    """What drivers handed over, by link."""
+
+    def __init__(self) -> None:
+        self.by_link: dict[str, list[tuple[Direction, bytes]]] = defaultdict(list)
+        self.notes: list[tuple[str, dict[str, str | float]]] = []
+
+    def passed(self, link: str, direction: Direction, data: bytes) -> None:
+        self.by_link[link].append((direction, data))
+
+    def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
+        self.by_link[link] += [(one.direction, one.data) for one in all_passed]
+
+    def note(self, link: str, **facts: str | float) -> None:
+        self.notes.append((link, facts))
+
+    def sent(self, link: str) -> bytes:
+        return b"".join(data for direction, data in self.by_link[link] if direction is Direction.SENT)
+
+    def received(self, link: str) -> bytes:
+        return b"".join(data for direction, data in self.by_link[link] if direction is Direction.RECEIVED)

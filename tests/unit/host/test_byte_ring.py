@@ -1,0 +1,41 @@
+"""The ring between real-time process and driver: nothing is mixed up, and what is missed is counted."""
+
+import pytest
+
+from ronna_hw.host.byte_ring import ByteRing
+from ronna_hw.host.memory_map import MemoryMap
+
+CAPACITY, LONGEST = 64, 16
+
+
+@pytest.fixture
+def ring() -> tuple[ByteRing, bytearray]:
+    layout = MemoryMap(b"TESTRING")
+    made = ByteRing(layout.word(), layout.plain_bytes(CAPACITY), LONGEST)
+    return made, bytearray(layout.size_bytes)
+
+
+def test_what_is_written_is_read_once_and_in_order_across_the_end(ring: tuple[ByteRing, bytearray]) -> None:
+    entries, memory = ring
+    at, heard = 0, b""
+    told = b"".join(b"%03d;" % number for number in range(100))
+    for number in range(100):
+        entries.write(memory, b"%03d;" % number)
+        if number % 7 == 0:
+            content, at, lost = entries.read(memory, at)
+            assert lost == 0
+            heard += content
+    heard += entries.read(memory, at).content
+    assert heard == told
+
+
+def test_a_reader_that_was_overtaken_goes_on_with_the_newest_and_knows_what_it_missed(
+    ring: tuple[ByteRing, bytearray],
+) -> None:
+    entries, memory = ring
+    for _ in range(20):
+        entries.write(memory, bytes(10))
+    part = entries.read(memory, 0)
+    assert (part.content, part.lost) == (b"", 200)
+    entries.write(memory, b"after")
+    assert entries.read(memory, part.end).content == b"after"

@@ -1,0 +1,209 @@
+"""The flight recorder: what passed is there, bounded, and whoever hands it over never waits or fails."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from user_commands import in_this_process
+
+from procedures.cli.procedure import app as ronna_procedure
+from ronna_hw.devices.byte_sink import Direction, Passed
+from ronna_hw.recording.byte_lines import BYTES_FOLDER, LinkLine, links_of, read_link
+from ronna_hw.recording.flight_recorder import FlightRecorder
+
+SENT, RECEIVED = Direction.SENT, Direction.RECEIVED
+PCAP_HEAD, PACKET_HEAD = 24, struct.Struct("<IIII")
+
+Make = Callable[..., FlightRecorder]
+
+
+class Theatre:
+    """Its time, by hand."""
+
+    def __init__(self) -> None:
+        self.moment_s = 0.0
+
+    def now_s(self) -> float:
+        if self.moment_s < 0.0:
+            raise ValueError("the clock has ended")
+        return self.moment_s
+
+
+@pytest.fixture
+def theatre() -> Theatre:
+    return Theatre()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / BYTES_FOLDER
+
+
+@pytest.fixture
+def make(folder: Path, theatre: Theatre) -> Iterator[Make]:
+    made: list[FlightRecorder] = []
+
+    def recorder(**limits: int) -> FlightRecorder:
+        made.append(FlightRecorder(folder, theatre.now_s, **limits))
+        return made[-1]
+
+    yield recorder
+    for one in made:
+        one.close()
+
+
+def _kept(folder: Path, link: str) -> list[LinkLine]:
+    return list(read_link(folder, link))
+
+
+def test_what_passed_is_read_back_with_its_direction_and_time(
+    make: Make, folder: Path, theatre: Theatre
+) -> None:
+    recorder = make()
+    recorder.passed("tracker", SENT, b"BX 1801\r")
+    theatre.moment_s = 2.5
+    recorder.passed("tracker", RECEIVED, bytes(range(256)))
+    recorder.note("tracker", baud=115200)
+    recorder.passed("robot.master.eki", SENT, b"<Cmd/>")
+    recorder.close()
+    assert links_of(folder) == ("robot.master.eki", "tracker")
+    first, second, note = _kept(folder, "tracker")
+    assert (first.direction, first.data, first.theatre_time_s) == (SENT, b"BX 1801\r", 0.0)
+    assert (second.direction, second.data, second.theatre_time_s) == (RECEIVED, bytes(range(256)), 2.5)
+    assert (note.direction, note.note) == (None, {"baud": 115200})
+    assert first.host_time < second.host_time < note.host_time
+
+
+def test_what_another_process_saw_gets_the_theatre_time_between_two_calls(
+    make: Make, folder: Path, theatre: Theatre
+) -> None:
+    recorder = make()
+    recorder.passed_earlier("rsi", [])
+    began_ns = time.monotonic_ns()
+    theatre.moment_s = 10.0
+    recorder.passed_earlier("rsi", [Passed(began_ns, RECEIVED, b"a"), Passed(began_ns + 1000, SENT, b"b")])
+    recorder.close()
+    first, second = _kept(folder, "rsi")
+    assert 0.0 <= first.theatre_time_s <= second.theatre_time_s <= 10.0
+    assert first.host_time < second.host_time
+
+
+def test_a_link_keeps_its_newest_bytes_in_two_files_of_bounded_size(make: Make, folder: Path) -> None:
+    limit = 5000
+    recorder = make(file_bytes=limit)
+    for number in range(40):
+        for _ in range(10):
+            recorder.passed("tracker", SENT, b"%04d" % number)
+        recorder._write_waiting()
+    recorder.close()
+    assert len(list(folder.iterdir())) == 2
+    assert all(path.stat().st_size <= limit for path in folder.iterdir())
+    numbers = [int(line.data) for line in _kept(folder, "tracker")]
+    assert numbers == sorted(numbers)
+    assert numbers[-1] == 39
+    assert len(numbers) > 0.5 * limit / 110  # at least one file's worth
+
+
+def test_what_does_not_fit_into_the_queue_is_dropped_counted_and_noted(make: Make, folder: Path) -> None:
+    recorder = make(queue_length=0)
+    for _ in range(7):
+        recorder.passed("tracker", SENT, b"x")
+    recorder.close()
+    assert sum(int(line.note["dropped"]) for line in _kept(folder, "tracker")) == 7
+
+
+def test_a_file_that_cannot_be_written_costs_its_own_bytes_and_nothing_else(make: Make, folder: Path) -> None:
+    recorder = make()
+    (folder / "tracker.a.jsonl").mkdir()
+    (folder / "tracker.b.jsonl").mkdir()
+    recorder.passed("tracker", SENT, b"lost")
+    recorder.passed("eki", SENT, b"kept")
+    recorder.close()
+    assert [line.data for line in _kept(folder, "eki")] == [b"kept"]
+
+
+def test_the_recorder_outlives_the_clock_of_its_theatre(make: Make, folder: Path, theatre: Theatre) -> None:
+    theatre.moment_s = 3.0
+    recorder = make()
+    recorder.passed("tracker", SENT, b"before")
+    theatre.moment_s = -1.0
+    recorder.passed("tracker", SENT, b"after")
+    recorder.close()
+    assert [line.theatre_time_s for line in _kept(folder, "tracker")] == [3.0, 3.0]
+
+
+def test_a_later_process_of_the_run_goes_on_behind_a_torn_line(make: Make, folder: Path) -> None:
+    first = make()
+    first.passed("tracker", SENT, b"one")
+    first.passed("tracker", SENT, b"two")
+    first.close()
+    file = folder / "tracker.a.jsonl"
+    os.truncate(file, file.stat().st_size - 5)
+    second = make()
+    second.passed("tracker", SENT, b"three")
+    second.close()
+    assert [line.data for line in _kept(folder, "tracker")] == [b"one", b"three"]
+
+
+@pytest.fixture
+def run(make: Make, folder: Path, theatre: Theatre) -> Path:
+    """A run whose links carried something at 1, 2 and 3 s."""
+    recorder = make()
+    for second, link in ((1.0, "tracker"), (2.0, "stereo.left.control"), (3.0, "tracker")):
+        theatre.moment_s = second
+        recorder.passed(link, SENT, b"%d abcdef0123456789 deadbeef \x00\xff" % second)
+    recorder.close()
+    return folder.parent
+
+
+@pytest.mark.parametrize(
+    ("window", "seconds"),
+    [
+        ((), [1.0, 2.0, 3.0]),
+        (("--link", "tracker"), [1.0, 3.0]),
+        (("--link", "stereo"), [2.0]),
+        (("--from", "1.5", "--to", "2.5"), [2.0]),
+    ],
+)
+def test_a_window_is_cut_out_by_link_and_theatre_time(
+    run: Path, window: tuple[str, ...], seconds: list[float]
+) -> None:
+    import json
+
+    printed = in_this_process(ronna_procedure, "bytes", run, "--json", *window)
+    assert printed.returncode == 0, printed.stderr
+    assert [json.loads(line)["theatre_time_s"] for line in printed.stdout.splitlines()] == seconds
+
+
+def test_a_link_that_the_run_does_not_have_is_refused_with_those_it_has(run: Path) -> None:
+    refused = in_this_process(ronna_procedure, "bytes", run, "--link", "lidar")
+    assert refused.returncode == 2
+    assert "stereo.left.control, tracker" in refused.stderr
+
+
+@pytest.mark.skipif(shutil.which("text2pcap") is None, reason="text2pcap is not installed")
+def test_text2pcap_reads_the_printed_text_byte_for_byte(run: Path, tmp_path: Path) -> None:
+    dump, capture = tmp_path / "dump.txt", tmp_path / "links.pcap"
+    dump.write_text(in_this_process(ronna_procedure, "bytes", run).stdout)
+    arguments = ("-a", "-D", "-t", "ISO", "-l", "147", "-F", "pcap")
+    subprocess.run(["text2pcap", *arguments, dump, capture], check=True, capture_output=True)
+    assert _packets(capture.read_bytes()) == [
+        b"%d abcdef0123456789 deadbeef \x00\xff" % second for second in (1, 2, 3)
+    ]
+
+
+def _packets(capture: bytes) -> list[bytes]:
+    packets, at = [], PCAP_HEAD
+    while at < len(capture):
+        _, _, length, _ = PACKET_HEAD.unpack_from(capture, at)
+        at += PACKET_HEAD.size
+        packets.append(capture[at : at + length])
+        at += length
+    return packets
