@@ -21,8 +21,8 @@ from procedures.planning.visits import Visit, VisitKind
 from procedures.relocalization import StereoPoint
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import CentredSphere, Centring
+from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
 from procedures.workcell.stereo_look import Look
-from procedures.workcell.workcell import STEREO_HEAD_NUMBER
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
@@ -123,6 +123,7 @@ class CellStereo:
             (Photographer(world, truth), truth.serial, Settings(exposure_us=EXPOSURE_US, gain_raw=GAIN_RAW))
             for truth in (world.scene.left, world.scene.right)
         ]
+        self._exposure_us: float = EXPOSURE_US
         self.pairs = 0
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
@@ -133,8 +134,14 @@ class CellStereo:
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
         """Set both cameras alike."""
+        self._exposure_us = exposure_us
         for _, _, settings in self._cameras:
             settings.exposure_us, settings.gain_raw = round(exposure_us), gain_raw
+
+    def scale_exposure(self, share: float, timeout_s: float = 2.0) -> None:
+        """Expose by that share of what was set."""
+        for _, _, settings in self._cameras:
+            settings.exposure_us = round(share * self._exposure_us)
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Draw a pair."""

@@ -137,6 +137,16 @@ class BaslerStereoPair(PairDevice[Camera]):
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         """Set both cameras to the same values; raises GEV-011."""
         self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        self._expose(exposure_us, gain_raw, timeout_s)
+        self._exposure = (exposure_us, gain_raw)
+
+    def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
+        """Expose by that share of the time that was configured or set last; raises GEV-011."""
+        self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        exposure_us, gain_raw = self._exposure
+        self._expose(share * exposure_us, gain_raw, timeout_s)
+
+    def _expose(self, exposure_us: float, gain_raw: int | None, timeout_s: float) -> None:
         deadline_s = time.monotonic() + timeout_s
 
         def change() -> None:
@@ -144,7 +154,6 @@ class BaslerStereoPair(PairDevice[Camera]):
                 camera.set_exposure(exposure_us, gain_raw, deadline_s)
 
         self._watched(change, deadline_s)
-        self._exposure = (exposure_us, gain_raw)
         self._streams.exposure_us = exposure_us
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:

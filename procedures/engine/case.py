@@ -14,7 +14,7 @@ from typing import Generic, TypeVar, cast
 
 from procedures.engine.errors import StepRefused
 from procedures.engine.result import StepResult
-from procedures.engine.step import StepKey
+from procedures.engine.step import LeftOut, StepKey
 from ronna_hw.records import BadRecord, Record, read_record, write_record
 
 RECORDS_FOLDER = "records"
@@ -38,6 +38,7 @@ class Case:
         self.folder = folder
         self._standing: dict[StepKey, Stored[StepResult]] = {}
         self._superseded: list[Record] = []
+        self._doubts: dict[str, str] = {}  # identifier of a record -> the fault that came after it
         self._written = 0
         (folder / RECORDS_FOLDER).mkdir(parents=True, exist_ok=True)
 
@@ -101,6 +102,30 @@ class Case:
         if read_record(path).sha256 != stored.record.sha256:
             raise BadRecord(f"{path.name} is not the record that this run wrote")
         return stored
+
+    def doubt(self, key: StepKey, fault: str) -> None:
+        """From now on somebody must say whether that step's standing result is kept."""
+        if key in self._standing:
+            self._doubts[self._standing[key].record.identifier] = fault
+
+    def doubt_of(self, record: Record) -> str | None:
+        """The fault that came after a record, or after one that it was made from."""
+        names = (record.identifier, *record.parents)
+        return next((self._doubts[name] for name in names if name in self._doubts), None)
+
+    def trust(self, record: Record) -> None:
+        """A record is kept in spite of the fault."""
+        for name in (record.identifier, *record.parents):
+            self._doubts.pop(name, None)
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """The trajectories that the standing results leave out."""
+        return tuple(
+            LeftOut(trajectory, reason, key)
+            for key, stored in self._standing.items()
+            for trajectory, reason in stored.result.leaves_out().items()
+        )
 
     @property
     def standing(self) -> tuple[Stored[StepResult], ...]:

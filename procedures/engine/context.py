@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -60,6 +60,7 @@ class StepContext:
     key: StepKey
     spec: StepSpec[StepResult]
     trajectories: tuple[str, ...]
+    left_out: Mapping[str, str]  # trajectories that other steps left out, and why
     setting: CaseSetting
     _case: Case
     _ask: Callable[[Question], str]
@@ -82,7 +83,7 @@ class StepContext:
 
     def is_last_trajectory(self) -> bool:
         """Whether this step has been done for every other trajectory; then those results are read."""
-        others = [StepKey(self.key.name, name) for name in self.trajectories if name != self.trajectory]
+        others = [StepKey(self.key.name, name) for name in self.remaining if name != self.trajectory]
         if not all(map(self._case.stands, others)):
             return False
         for other in others:
@@ -96,6 +97,19 @@ class StepContext:
         return tuple(self._read.values())
 
     @property
+    def done_before(self) -> bool:
+        """Whether this step has a result that stands."""
+        return self._case.stands(self.key)
+
+    def doubt(self, model: type[R]) -> str | None:
+        """The fault after which somebody must say whether that result is kept; None when there was none."""
+        return self._case.doubt_of(self._case.get(model, self.key.trajectory).record)
+
+    def keep(self, model: type[R]) -> None:
+        """Somebody said that the result is kept."""
+        self._case.trust(self._case.get(model, self.key.trajectory).record)
+
+    @property
     def trajectory(self) -> str:
         """The trajectory this step is done for. Raises PRO-016 when it is done for none."""
         if self.key.trajectory is None:
@@ -104,8 +118,13 @@ class StepContext:
 
     @property
     def served_trajectories(self) -> tuple[str, ...]:
-        """The trajectories that this step's result is for: its own, or all of the case."""
-        return self.trajectories if self.key.trajectory is None else (self.key.trajectory,)
+        """The trajectories that this step's result is for: its own, or all that remain in the case."""
+        return self.remaining if self.key.trajectory is None else (self.key.trajectory,)
+
+    @property
+    def remaining(self) -> tuple[str, ...]:
+        """The trajectories of the case without those that were left out."""
+        return tuple(name for name in self.trajectories if name not in self.left_out)
 
     @property
     def workcell(self) -> Workcell:

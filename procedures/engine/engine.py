@@ -21,13 +21,14 @@ from procedures.engine.operator import Topic
 from procedures.engine.order import CaseOrder
 from procedures.engine.questions import Questions
 from procedures.engine.result import StepResult
-from procedures.engine.step import Outcome, StepKey
+from procedures.engine.step import Outcome, Scope, StepKey
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
 from ronna_hw.records import Record
 
 Listener = Callable[[StepKey, Outcome[StepResult]], None]
+ARM = "arm"  # role of the device that carries the tools
 _log = logger(part="engine")
 
 
@@ -76,7 +77,15 @@ class Engine:
     @property
     def upcoming(self) -> StepKey | None:
         """The step that comes next, or None when every result stands."""
-        return next((key for key in self.order.sequence if not self.case.stands(key)), None)
+        return next((key for key in self.order.sequence if not self._settled(key)), None)
+
+    def left_out(self, key: StepKey) -> str | None:
+        """Why a step is not done because its trajectory was left out before it; None when it was not."""
+        return self.order.left_out_at(key, self.case.left_out).get(key.trajectory or "")
+
+    def _settled(self, key: StepKey) -> bool:
+        """Whether nothing remains to be done of a step: its result stands, or its trajectory is left out."""
+        return self.case.stands(key) or self.left_out(key) is not None
 
     @property
     def instrument_in(self) -> str | None:
@@ -85,9 +94,11 @@ class Engine:
         return None if insertion is None else insertion.trajectory
 
     def status(self, key: StepKey) -> str:
-        """`done`, `next`, `superseded`, or nothing."""
+        """`done`, `left out`, `next`, `superseded`, or nothing."""
         if self.case.stands(key):
             return "done"
+        if self.left_out(key) is not None:
+            return "left out"
         if key == self.upcoming:
             return "next"
         return "superseded" if self.case.was_superseded(key) else ""
@@ -100,8 +111,10 @@ class Engine:
             return ("what was found after the restart has not been accepted",)
         if faults := self.faults:
             return tuple(f"the {role} is in fault: {fault}" for role, fault in faults.items())
+        if (reason := self.left_out(key)) is not None:
+            return (f"{key.trajectory} was left out: {reason}",)
         spec = self.order.spec(key)
-        unmet = self.order.unmet(key, self._latest, self.case.stands)
+        unmet = self.order.unmet(key, self._latest, self._settled)
         missing = tuple(
             f"no result of {model.kind}" + (f" for {key.trajectory}" if key.trajectory else "")
             for model in spec.reads
@@ -176,8 +189,16 @@ class Engine:
         for role, fault in faults.items():
             self.setting.workcell.recover(role, by)
             self._write(Entry.ACKNOWLEDGED, device=role, fault=fault, by=by)
+            if role == ARM:
+                self._doubt_localizations(fault)
             _log.info("fault acknowledged", device=role)
         return faults
+
+    def _doubt_localizations(self, fault: str) -> None:
+        """Where the head is was measured before the arm was in fault: somebody may have been at it since."""
+        for key in self.order.sequence:
+            if self.order.spec(key).scope is Scope.LOCALIZATION:
+                self.case.doubt(key, fault)
 
     def retreat_home(self) -> None:
         """Leave the head and park: an instrument out along its axis, then home on a way that is clear.
@@ -291,6 +312,7 @@ class Engine:
             key=key,
             spec=self.order.spec(key),
             trajectories=self.order.trajectories,
+            left_out={one.trajectory: one.reason for one in self.case.left_out if one.by != key},
             setting=self.setting,
             _case=self.case,
             _ask=self.questions.ask,

@@ -20,7 +20,13 @@ class Topic(StrEnum):
     PATIENT = "patient"  # that this is the patient and the plan
     RESUME = "resume"  # what was found again after a restart
     FIRST_MOTION = "first_motion"  # since the devices were connected or a stop
+    SPHERE_COUNT = "sphere_count"  # the CT shows another number than were implanted
+    REACH = "reach"  # the arm cannot reach a trajectory
+    SPHERE = "sphere"  # the stereo head cannot measure one
+    MOVED_SPHERE = "moved_sphere"  # one alone explains why the fit disagrees
+    MARGIN = "margin"  # the predicted error exceeds the plan's
     REGISTRATION = "registration"
+    REGISTRATION_KEPT = "registration_kept"  # after the arm was in fault
     TOOL_CHANGE = "tool_change"
     TOOL_TIP = "tool_tip"
     APPROACH = "approach"  # to the stand-off over an entry, and on along the axis

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
 from procedures.engine.errors import UnknownStep
 from procedures.engine.result import StepResult
-from procedures.engine.step import Scope, StepKey, StepSpec
+from procedures.engine.step import LeftOut, Scope, StepKey, StepSpec
 
 Steps = Sequence[StepSpec[StepResult]]
 
@@ -37,6 +37,11 @@ class CaseOrder:
         earlier = self.sequence[: self.sequence.index(key)]
         own = (None, key.trajectory)
         return tuple(one for one in earlier if key.trajectory is None or one.trajectory in own)
+
+    def left_out_at(self, key: StepKey, decisions: Iterable[LeftOut]) -> dict[str, str]:
+        """The trajectories that were left out before that step, and why."""
+        place = self.sequence.index
+        return {one.trajectory: one.reason for one in decisions if place(one.by) < place(key)}
 
     def continuation(self, key: StepKey | None) -> StepKey | None:
         """The one step that may follow `key`, where nothing else may come between."""

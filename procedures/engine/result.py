@@ -6,6 +6,7 @@ typed; that they asked makes it a parent of their own result.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -32,6 +33,10 @@ class StepResult(Values):
     def __init_subclass__(cls, *, kind: str, version: int = 1) -> None:
         super().__init_subclass__()
         cls.kind, cls.version = kind, version
+
+    def leaves_out(self) -> Mapping[str, str]:
+        """Trajectories that this result leaves out of the case, and why; no later step is done for them."""
+        return {}
 
 
 class FramedPose(Values):

@@ -43,6 +43,15 @@ class StepKey:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """A trajectory that a result leaves out of the case."""
+
+    trajectory: str
+    reason: str
+    by: StepKey  # the step whose standing result says so; repeated, it may take the trajectory in again
+
+
+@dataclass(frozen=True)
 class Outcome(Generic[R_co]):
     """What came of a step: its result, and one line for the operator."""
 

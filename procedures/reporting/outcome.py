@@ -51,6 +51,7 @@ class FinishedRun(RunOutcome):
     ct: CtOutcome | None
     registration: RegistrationOutcome
     targets: tuple[TargetOutcome, ...]
+    left_out: dict[str, str] = Field(default={}, description="Trajectories that were left out, and why.")
     mean_application_error_mm: float | None
     max_application_error_mm: float | None
     late_cycles: int = Field(description="Late or lost, over all sessions of the robot link.")

@@ -10,17 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization import ServoState, recorded_point, search_pose
-from procedures.relocalization.errors import SphereNotInView
+from procedures.relocalization.errors import NoContrast, NotTrusted, Saturated, SphereNotInView
 from procedures.strategies.orientation import back_along_axis
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.stereo_look import Look
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 
 if TYPE_CHECKING:
     from procedures.workcell.workcell import Workcell
 
 Array = NDArray[np.float64]
+
+SHORTER, LONGER = 0.25, 4.0  # shares of the configured exposure that are tried
+OF_LIGHT = (NoContrast, NotTrusted)  # what another exposure may help against, beside saturation
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,21 @@ class Centring:
     standoff_mm: float
 
     def onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
-        """Centre one sphere that is expected at a pose ROBOT <- TOOL. Raises PRO-008 when it is not there."""
+        """Centre one sphere that is expected at a pose ROBOT <- TOOL.
+
+        Raises PRO-008 when it is not there, STE-011 when nothing but light is seen, STE-007 and STE-008 when
+        the servo does not end; the arm then rests where it looked last, see `back_off`.
+        """
+        try:
+            return self._onto(fiducial, expected, near)
+        finally:
+            self.workcell.expose(1.0)
+
+    def back_off(self) -> None:
+        """Back along the tool axis from where the arm looked last."""
+        self.workcell.line_to(self._standoff(self.workcell.tool_pose()))
+
+    def _onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         workcell = self.workcell
         workcell.go(workcell.joints_at(self._standoff(expected), near))
         workcell.line_to(expected)
@@ -83,24 +101,48 @@ class Centring:
         )
 
     def _first_look(self, expected: Transform) -> tuple[Look, int]:
-        """Look in the servo's area, then on the whole sensors, then around in a spiral."""
+        """Look in the servo's area, on the whole sensors, around in a spiral, then in other light."""
         workcell = self.workcell
         workcell.read_around_tool(self.area_px)
-        seen, looks = workcell.look(), 1
+        try:
+            seen, looks = workcell.look(), 1
+        except Saturated as error:  # a search would not help
+            return self._in_other_light(1, (SHORTER,), error)
         if seen.point is not None:
             return seen, looks
         workcell.read_whole_sensors()
         seen, looks = workcell.look(), looks + 1
-        telling = seen  # the look with the best reason for a refusal: nearest to the place, or with a sphere
+        # the look with the best reason for a refusal: nearest to the place, or with a sphere
+        telling, pose = seen, expected
         try:
             while seen.point is None:
-                self._settle(search_pose(expected, looks - 2))
+                around = search_pose(expected, looks - 2)
+                self._settle(around)
                 seen, looks = workcell.look(), looks + 1
                 if telling.left is None and seen.left is not None:
-                    telling = seen
+                    telling, pose = seen, around
         except SphereNotInView as error:
-            raise SphereNotFound(f"{error.what}: {telling.reason}", limit=error.limit) from error
+            refusal = SphereNotFound(f"{error.what}: {telling.reason}", limit=error.limit)
+            if not isinstance(telling.problem, OF_LIGHT):
+                raise refusal from error
+            self._settle(pose)
+            return self._in_other_light(looks, (LONGER, SHORTER), refusal)
         return seen, looks
+
+    def _in_other_light(
+        self, looks: int, exposures: Sequence[float], refusal: RonnaError
+    ) -> tuple[Look, int]:
+        """Look again with other exposures; raises the refusal when none shows the sphere."""
+        workcell = self.workcell
+        for share in exposures:
+            workcell.expose(share)
+            try:
+                seen, looks = workcell.look(), looks + 1
+            except Saturated:
+                continue
+            if seen.point is not None:
+                return seen, looks
+        raise refusal
 
     def _settle(self, pose: Transform) -> None:
         """Take a pose with every joint arriving from the side from which it arrives at the target."""

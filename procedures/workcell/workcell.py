@@ -9,17 +9,17 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from enum import StrEnum
 from typing import Protocol, TypeVar
 
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import JournalNotWritable, StepRefused
 from procedures.engine.journal import Journal
 from procedures.engine.operator import Question, Topic
-from procedures.workcell.errors import InstrumentInside, WrongTool
+from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.motion_facts import MotionFacts, in_sequence
 from procedures.workcell.motion_log import MotionLog
+from procedures.workcell.mounted_tool import MountedTool, ToolMount
 from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_sensor
 from procedures.workcell.supervised_motion import Move, SupervisedMotion
 from ronna_hw.arm.clearance.surroundings import Surroundings
@@ -31,24 +31,16 @@ from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Transform
 from ronna_hw.theatre import Theatre
 
 D = TypeVar("D")
 MASTER = "master"  # the arm that carries stereo head and guide
-STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
 APPROACH_RAD = math.radians(0.2)
 TRAIL = 200  # joint angles that are kept to find the way back; a case visits fewer between two homes
+AT_HOME_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any way
 AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way into the head
-
-
-class MountedTool(StrEnum):
-    """What hangs on the arm, as far as it has been checked."""
-
-    UNKNOWN = "unchecked tool"
-    STEREO_HEAD = "stereo head"
-    GUIDE = "guide"
 
 
 class ArmView(Protocol):
@@ -81,9 +73,10 @@ class Workcell:
         self._theatre = theatre
         self._motion = SupervisedMotion(MotionLog(journal, theatre.clock))
         self._trail: deque[JointVector] = deque(maxlen=TRAIL)  # where the arm was since it left home
-        self._tool = MountedTool.UNKNOWN
+        self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self._insertion: Insertion | None = None
         self._home_rad: JointVector | None = None
+        self._exposure_share = 1.0  # of the configured one
 
     @property
     def arm(self) -> ArmView:
@@ -118,22 +111,34 @@ class Workcell:
     @property
     def tool(self) -> MountedTool:
         """What was found mounted when it was last checked."""
-        return self._tool
+        return self._mount.tool
 
     def check_mounted(self, tool: MountedTool) -> int:
         """The tool's number, read from the controller's inputs. Raises PRO-009 when another is mounted."""
-        expected = self._number_of(tool)
-        self._tool = MountedTool.UNKNOWN
-        mounted = self.reported_tool_number()
-        if mounted != expected:
-            raise WrongTool(f"the {tool} is not mounted", expected=str(expected), got=str(mounted))
-        self._tool = tool
-        return mounted
+        return self._mount.check(tool)
+
+    def identify_mounted(self) -> MountedTool:
+        """Whichever tool the controller's inputs report; unchecked when it is none of ours or is not said."""
+        return self._mount.identify()
+
+    @property
+    def streaming(self) -> bool:
+        """Whether the arm's correction stream runs; while it does not, nothing of ours can move the arm."""
+        return self._arm.observe().state in (Lifecycle.ACTIVE, Lifecycle.HOLD)
+
+    @property
+    def at_home(self) -> bool:
+        """Whether the measured joints are those of home."""
+        if self._home_rad is None:
+            return False
+        return all(
+            abs(now - home) < AT_HOME_RAD for now, home in zip(self.joints_rad(), self._home_rad, strict=True)
+        )
 
     @property
     def checked_tool_number(self) -> int | None:
         """The number of the tool that was found mounted; None while that is not known."""
-        return None if self._tool is MountedTool.UNKNOWN else self._number_of(self._tool)
+        return self._mount.checked_number
 
     def reported_tool_number(self) -> int:
         """The number that the controller's inputs report now; 0 is none."""
@@ -141,16 +146,12 @@ class Workcell:
 
     def flange_from(self, tool: MountedTool) -> Transform:
         """FLANGE <- TOOL of a tool, from its calibration record. Raises PRO-009 for an unchecked one."""
-        if tool is MountedTool.UNKNOWN:
-            raise WrongTool("the mounted tool has not been checked", expected="a checked tool", got=tool)
-        records = self.calibrations
-        record = records.tool_tip if tool is MountedTool.GUIDE else records.stereo_head
-        return record.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+        return self._mount.flange_from(tool)
 
     @property
     def flange_from_tool(self) -> Transform:
         """FLANGE <- TOOL of the mounted tool."""
-        return self.flange_from(self._tool)
+        return self.flange_from(self.tool)
 
     # Where it is
 
@@ -220,7 +221,7 @@ class Workcell:
             preview = arm.preview(goal)
             travel_mm = math.dist(arm.kinematics.flange_pose(goal).translation_mm, flange.translation_mm)
             turns_rad = [abs(to - now) for to, now in zip(goal, here_rad, strict=True)]
-        return MotionFacts(f"the {self._tool}", travel_mm, max(turns_rad), preview)
+        return MotionFacts(f"the {self.tool}", travel_mm, max(turns_rad), preview)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
@@ -297,7 +298,7 @@ class Workcell:
         if device is self._arm:
             self._motion.begin_anew()
             if self._insertion is None:  # an instrument that is inside is the guide
-                self._tool = MountedTool.UNKNOWN
+                self._mount.tool = MountedTool.UNKNOWN
 
     # Looking
 
@@ -310,6 +311,12 @@ class Workcell:
         head = self.calibrations.stereo_head
         left, right = (area_around_tool(side, size_px) for side in (head.left, head.right))
         self.stereo.set_areas(left, right)
+
+    def expose(self, share: float) -> None:
+        """Expose both sensors by that share of the configured time."""
+        if share != self._exposure_share:
+            self.stereo.scale_exposure(share)
+            self._exposure_share = share
 
     def read_whole_sensors(self) -> None:
         """Read all of both sensors."""
@@ -337,10 +344,6 @@ class Workcell:
     def close(self) -> None:
         """End all sessions, the arm's first; never raises."""
         self._theatre.close()
-
-    def _number_of(self, tool: MountedTool) -> int:
-        head = tool is MountedTool.STEREO_HEAD
-        return STEREO_HEAD_NUMBER if head else self.calibrations.tool_tip.tool_number
 
     def _go(self, joints_rad: JointVector, reached: list[ArmReading]) -> None:
         arm = self._arm

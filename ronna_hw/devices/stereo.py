@@ -30,6 +30,10 @@ class StereoPair(Device, Protocol):
         """Set exposure and gain of both cameras; values outside their limits raise LimitError."""
         ...
 
+    def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
+        """Expose both cameras by that share of the time that was configured or set; 1.0 brings it back."""
+        ...
+
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Trigger both cameras once and return the pair of that trigger. Allowed in ACTIVE."""
         ...

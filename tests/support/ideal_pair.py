@@ -77,6 +77,10 @@ class IdealPair(IdealDevice):
         if not 0.0 < exposure_us <= LONGEST_EXPOSURE_US:
             raise LimitError("no such exposure")
 
+    def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
+        if share <= 0.0:
+            raise LimitError("no such exposure")
+
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         self.guard.require("grab_pair", {Lifecycle.ACTIVE})
         self.count += 1

@@ -25,6 +25,8 @@ from drivers.basler_stereo.options import BaslerOptions
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
+from procedures.engine.operator import words
+from procedures.steps.branches import BRANCHES
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.calibration.ball_place import BallPlace
@@ -60,7 +62,7 @@ def tables() -> dict[str, str]:
         "robot-options.md": model_tables({"Options": KukaOptions}),
         "robot-parameters.md": robot_parameters(),
         "scene-file.md": model_tables({"scene": Scene}),
-        "state-chart.md": f"```mermaid\n{mermaid(CLINICAL_STEPS)}```\n",
+        "state-chart.md": f"```mermaid\n{mermaid(CLINICAL_STEPS)}```\n\n{_branches()}",
         "stereo-options.md": model_tables({"Options": BaslerOptions}),
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
@@ -91,6 +93,25 @@ def _error_codes() -> str:
         [
             (error.code, (error.__doc__ or "").strip().splitlines()[0], error.action, error.exit_code)
             for error in errors_with_a_code()
+        ],
+    )
+
+
+def _branches() -> str:
+    """The decision points and failure branches."""
+    return table(
+        ("what happens", "in", "noticed by", "then", "ends in", "question", "code"),
+        [
+            (
+                one.event,
+                ", ".join(one.steps) or "any step",
+                one.detected_by,
+                one.action,
+                one.ending,
+                f"`{one.topic}`: {words(one.answers)}" if one.topic and one.answers else "",
+                ", ".join(error.code for error in one.errors),
+            )
+            for one in BRANCHES
         ],
     )
 

@@ -112,6 +112,13 @@ class PylonStereoPair(PairDevice[PylonCamera]):
             camera.set_exposure(exposure_us, gain_raw)
         self._exposure = (exposure_us, gain_raw)
 
+    def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
+        """Expose by that share of the time that was configured or set last; raises GEV-011."""
+        self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        exposure_us, gain_raw = self._exposure
+        for camera in self._pair:
+            camera.set_exposure(share * exposure_us, gain_raw)
+
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Trigger both cameras once and return the pair of that trigger.
 

@@ -64,7 +64,8 @@ def _write_line(key: StepKey, outcome: Outcome[StepResult]) -> None:
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
     """Print the table of target errors, or the whole object as JSON."""
     if as_json:
-        print_json(outcome.model_dump(mode="json"))
+        nothing = set() if outcome.left_out else {"left_out"}
+        print_json(outcome.model_dump(mode="json", exclude=nothing))
         return
     mean_mm, largest_mm = outcome.mean_application_error_mm, outcome.max_application_error_mm
     known = mean_mm is not None
@@ -82,6 +83,8 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
             for target in outcome.targets
         ],
     )
+    for name, reason in outcome.left_out.items():
+        sys.stdout.write(f"without {name}: {reason}\n")
     if known:
         sys.stdout.write(
             f"mean {mean_mm:.3f} mm, largest {largest_mm:.3f} mm; "

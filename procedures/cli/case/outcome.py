@@ -55,7 +55,9 @@ def _finished(
     from procedures.steps.clinical.retreat import Retreated
     from procedures.steps.clinical.tool_change import MountedGuide
 
-    case, names = engine.case, engine.order.trajectories
+    case = engine.case
+    left_out = {one.trajectory: one.reason for one in case.left_out}
+    names = [name for name in engine.order.trajectories if name not in left_out]
     registered = {name: case.get(RegisteredRobot, name).result for name in names}
     links = [
         case.get(MountedGuide).result.link,
@@ -81,6 +83,7 @@ def _finished(
             )
             for name in names
         ),
+        left_out=left_out,
         mean_application_error_mm=sum(errors_mm.values()) / len(errors_mm) if errors_mm else None,
         max_application_error_mm=max(errors_mm.values(), default=None),
         late_cycles=sum(link.late_cycles + link.lost_cycles for link in links),

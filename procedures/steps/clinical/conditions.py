@@ -9,11 +9,13 @@ from procedures.workcell import MountedTool
 
 
 def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
-    """The arm carries that tool, as far as it was last checked, and no instrument is beyond the entry."""
+    """The arm carries that tool, and no instrument is beyond the entry. What is unchecked is read again."""
 
     def unmet(context: StepContext) -> tuple[str, ...]:
         reasons = []
         workcell = context.workcell
+        if workcell.tool is MountedTool.UNKNOWN:
+            workcell.identify_mounted()
         if workcell.tool is not tool:
             reasons.append(f"the arm carries the {workcell.tool}, not the {tool}")
         if workcell.insertion is not None:

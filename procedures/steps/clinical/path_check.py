@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from pydantic import Field
@@ -15,6 +15,7 @@ from procedures.planning.free_angle import TurnedPaths, choose_free_angles
 from procedures.planning.motions import PreviewedMotion, previews_of
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
+from procedures.steps.branches import LEAVE_OUT, UNREACHABLE
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -60,6 +61,12 @@ class CheckedPaths(StepResult, kind="path_check"):
     motions: tuple[MotionPreview, ...] = Field(description="Every motion of the case.")
     localizations: dict[str, tuple[LocalizationPose, ...]] = Field(description="By trajectory.")
     targets: dict[str, TargetPose] = Field(description="By trajectory.")
+    left_out: dict[str, str] = Field(
+        default={}, description="Trajectories that cannot be reached, and why; they are not targeted."
+    )
+
+    def leaves_out(self) -> Mapping[str, str]:
+        return self.left_out
 
     def localizations_for(self, trajectories: Sequence[str]) -> tuple[LocalizationPose, ...]:
         """The localizations that serve these trajectories: a strategy that localizes once has one set."""
@@ -92,11 +99,14 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     trajectories = [one.trajectory for one in plan.plan.trajectories]
     centres = localization.centres_mm[matched]
     context.progress(0.0, "checking every path")
-    turned = choose_free_angles(
-        setting, trajectories, centres, StereoSight.of(workcell.calibrations.stereo_head)
-    )
+    sight = StereoSight.of(workcell.calibrations.stereo_head)
+    turned = choose_free_angles(setting, trajectories, centres, sight)
+    left_out: dict[str, str] = {}
+    while not turned.check.passed:
+        left_out |= _agreed(context, turned.check, trajectories)
+        trajectories = [one for one in trajectories if one.identifier not in left_out]
+        turned = choose_free_angles(setting, trajectories, centres, sight)
     check = turned.check
-    check.require()
     motions = previews_of(setting, scene, check, turned.trajectories)
     return Outcome(
         CheckedPaths(
@@ -110,9 +120,31 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             motions=tuple(MotionPreview.of(motion) for motion in motions),
             localizations=_localizations(check, matched),
             targets=_targets(check, setting),
+            left_out=left_out,
         ),
-        summary=f"{len(check.reached)} poses in one branch" + _closest(motions) + _turns(turned),
+        summary=f"{len(check.reached)} poses in one branch"
+        + _closest(motions)
+        + _turns(turned)
+        + "".join(f"; without {name}" for name in left_out),
     )
+
+
+def _agreed(context: StepContext, check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
+    """What cannot be reached and is left out, and why; PLAN-007 when not agreed to, or none remains."""
+    reasons: dict[str, str] = {}
+    for unmet in check.unmet:
+        reasons.setdefault(unmet.pose.partition("/")[0], f"{unmet.pose}: {unmet.reason}")
+    others = [one.identifier for one in trajectories if one.identifier not in reasons]
+    known = len(others) + len(reasons) == len(trajectories)
+    for name, reason in reasons.items():
+        question = UNREACHABLE.question(
+            f"{name} cannot be reached at any angle about its axis",
+            f"{reason}; without it remain {', '.join(others)}",
+            name,
+        )
+        if not others or not known or context.choose(question) != LEAVE_OUT:
+            check.require()
+    return reasons
 
 
 def _closest(motions: Sequence[PreviewedMotion]) -> str:

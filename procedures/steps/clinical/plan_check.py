@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -9,20 +12,24 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.volume import Volume
-from procedures.planning.check import check_plan
+from procedures.planning.check import PlanCheck, check_plan
+from procedures.planning.errors import WrongMarkerCount
 from procedures.planning.head_shape import HeadEllipsoid, head_shape
 from procedures.planning.plan import Plan, PlannedTrajectory
 from procedures.planning.plan_file import read_plan
+from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
 
 
 class CheckedPlan(StepResult, kind="plan_check"):
     """The plan as it was checked, and the head it is for."""
 
     plan: Plan = Field(description="The plan file's content.")
-    implanted: int = Field(description="How many spheres the plan says are on the head.")
+    implanted: int = Field(
+        description="How many spheres are to be matched, by the plan or as the operator agreed."
+    )
     head: HeadEllipsoid = Field(description="The head as the CT shows it.")
     warnings: tuple[str, ...] = Field(description="What the check noticed and let pass.")
 
@@ -45,18 +52,44 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
         )
     volume = volume_of(context)
     check = check_plan(plan, volume, fiducials_mm=localization.centres_mm)
+    check, spheres = _counted(context, check, localization.markers)
     check.require()
-    summary = f"{len(plan.trajectories)} trajectories, {plan.implanted} spheres implanted"
+    summary = f"{len(plan.trajectories)} trajectories, {spheres} spheres implanted"
     context.setting.workspace.drop(Volume)  # the largest input is not needed after this
     return Outcome(
         CheckedPlan(
             plan=plan,
-            implanted=plan.implanted,
+            implanted=spheres,
             head=head_shape(volume),
             warnings=tuple(check.warnings),
         ),
         summary="; ".join((summary, *check.warnings)),
     )
+
+
+def _counted(
+    context: StepContext, check: PlanCheck, candidates: Sequence[LocalizedMarker]
+) -> tuple[PlanCheck, int]:
+    """The check without a wrong count of spheres that the operator agreed to, and how many are to be matched.
+
+    Of too many, tracker and matching tell which are on the head; with too few it goes on without the missing.
+    """
+    planned, found = check.plan.implanted, len(candidates)
+    others = tuple(one for one in check.findings if not isinstance(one, WrongMarkerCount))
+    if others or check.passed or found < FEWEST_SPHERES:
+        return check, planned
+    question = SPHERE_COUNT.question(
+        f"the CT shows {found} spheres, {planned} were implanted",
+        "; ".join(
+            f"{number}: at ({', '.join(f'{value:.1f}' for value in one.centre_mm)}) mm, "
+            f"radius {one.radius_mm:.2f} mm, quality {one.quality:.2f}"
+            for number, one in enumerate(candidates, start=1)
+        ),
+    )
+    if context.choose(question) != GO_ON:
+        return check, planned
+    said = f"the CT shows {found} spheres, {planned} were implanted: the operator went on"
+    return replace(check, findings=(), warnings=(*check.warnings, said)), min(planned, found)
 
 
 STEP = StepSpec(

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.operator import Topic
+from procedures.engine.errors import GateFailed
+from procedures.engine.operator import YES, Topic
 from procedures.engine.result import FramedPose, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.planning.errors import NotReachable
+from procedures.steps.branches import KEPT_REGISTRATION
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.head_surroundings import READS, surround_guide
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -15,6 +21,9 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import Insertion, MountedTool
+from ronna_hw.arm.errors import BranchUnavailable, NotClear, OutOfJointRange, Singular, Unreachable
+
+REFUSED_BEFORE = (Unreachable, Singular, OutOfJointRange, BranchUnavailable, NotClear)  # anything moves
 
 
 class PositionedGuide(StepResult, kind="positioning"):
@@ -29,7 +38,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     workcell, trajectory = context.workcell, context.trajectory
     context.result(MountedGuide)
     mounted = workcell.check_mounted(MountedTool.GUIDE)
-    robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform
+    robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     planned = context.result(CheckedPlan).trajectory(trajectory)
     target = context.clinical.strategy.target_pose(
@@ -40,7 +49,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     standoff_mm = context.setting.settings.standoff_mm
     insertion = Insertion(trajectory, target, planned.depth_mm, standoff_mm)
     surround_guide(context, robot_from_ct)
-    standoff_rad = workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad)
+    with _named(trajectory):
+        standoff_rad = workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad)
     context.confirm(
         Topic.APPROACH,
         f"move to {trajectory} with tool {mounted}",
@@ -51,13 +61,43 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
     workcell.start()
     context.progress(0.0, f"moving over {trajectory}")
-    workcell.go(standoff_rad)
-    context.progress(0.5, f"moving along {trajectory}")
-    reached = workcell.insert(insertion)
+    with _named(trajectory):
+        workcell.go(standoff_rad)
+        context.progress(0.5, f"moving along {trajectory}")
+        reached = workcell.insert(insertion)
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(target), joints_rad=reached.joints_rad),
         summary="the guide is on its axis",
     )
+
+
+@contextmanager
+def _named(trajectory: str) -> Iterator[None]:
+    """What is refused before anything moves is raised as PLAN-007, with the name of the trajectory."""
+    try:
+        yield
+    except REFUSED_BEFORE as problem:
+        raise NotReachable(f"{trajectory} cannot be reached: {problem.summary}") from problem
+
+
+def _kept_registration(context: StepContext) -> RegisteredRobot:
+    """The registration; one from before a fault of the arm only when the operator keeps it, else PRO-007."""
+    registered = context.result(RegisteredRobot)
+    fault = context.doubt(RegisteredRobot)
+    if fault is not None:
+        question = KEPT_REGISTRATION.question(
+            f"keep the registration for {context.trajectory}: neither head, cart nor tracker was moved",
+            f"it was made before the arm was in fault: {fault}",
+            context.trajectory,
+        )
+        if context.choose(question) != YES:
+            raise GateFailed(
+                f"the registration for {context.trajectory} is older than a fault of the arm",
+                got=fault,
+                action="Localize again, from the tracker on.",
+            )
+        context.keep(RegisteredRobot)
+    return registered
 
 
 STEP = StepSpec(

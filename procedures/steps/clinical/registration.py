@@ -6,6 +6,8 @@ The residual of the fit is never shown as accuracy; the operator accepts the pre
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,12 +26,14 @@ from procedures.registration import (
     register,
     verify_two_way,
 )
+from procedures.registration.error_theory import FreGate
+from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration_gate import arm_covariance_mm2, moved_spheres, residual_gate
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.relocalization import LeftOutSphere, Relocalization
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
 
@@ -58,6 +62,15 @@ class RegisteredRobot(StepResult, kind="registration"):
     leave_one_out_mm: tuple[float | None, ...] = Field(description="Of each sphere, fitted without it.")
     predictions: tuple[Prediction, ...] = Field(description="One for each target it is for.")
     two_way: TwoWayTable = Field(description="CT to room and room to CT.")
+    left_out_spheres: tuple[LeftOutSphere, ...] = Field(
+        default=(), description="Measured, and not fitted to: they disagree with all others."
+    )
+    left_out: dict[str, str] = Field(
+        default={}, description="Trajectories it is not good enough for, and why; they are not targeted."
+    )
+
+    def leaves_out(self) -> Mapping[str, str]:
+        return self.left_out
 
     def prediction(self, target: str) -> Prediction:
         """The prediction at a target; raises KeyError."""
@@ -67,41 +80,64 @@ class RegisteredRobot(StepResult, kind="registration"):
         raise KeyError(target)
 
 
+@dataclass(frozen=True)
+class _Pairs:
+    """What is fitted, by sphere: index and place in the CT, place in the room, covariance of both."""
+
+    fiducials: tuple[int, ...]
+    image_mm: Array
+    physical_mm: Array
+    measured_mm2: Array
+
+    @classmethod
+    def of(cls, context: StepContext) -> _Pairs:
+        localization, fine = context.result(LocalizedFiducials), context.result(Relocalization)
+        rotation = context.result(Correspondence).robot_from_ct.transform.rotation_matrix
+        fiducials = list(fine.fiducials)
+        ct = np.array([localization.markers[index].covariance_mm2 for index in fiducials])
+        return cls(
+            fiducials=fine.fiducials,
+            image_mm=localization.centres_mm[fiducials],
+            physical_mm=fine.points_mm,
+            measured_mm2=rotation @ ct @ rotation.T + np.array(fine.covariances_mm2),
+        )
+
+    def without(self, place: int) -> _Pairs:
+        kept = np.arange(len(self.fiducials)) != place
+        return _Pairs(
+            fiducials=tuple(np.array(self.fiducials)[kept].tolist()),
+            image_mm=self.image_mm[kept],
+            physical_mm=self.physical_mm[kept],
+            measured_mm2=self.measured_mm2[kept],
+        )
+
+    def gate(self, arm_mm: float) -> FreGate:
+        return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm)
+
+
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
     """Fit with the covariances of CT, stereo head and arm; gate the residual; predict; have it accepted."""
-    localization = context.result(LocalizedFiducials)
-    fine = context.result(Relocalization)
-    coarse = context.result(Correspondence).robot_from_ct.transform
     plan = context.result(CheckedPlan)
-    fiducials = list(fine.fiducials)
-    image = localization.centres_mm[fiducials]
-    physical = fine.points_mm
-    ct = np.array([localization.markers[index].covariance_mm2 for index in fiducials])
     arm_mm = context.setting.settings.arm_error_mm
-    rotation = coarse.rotation_matrix
-    measured = rotation @ ct @ rotation.T + np.array(fine.covariances_mm2)
-    fit = register(image, physical, covariance_mm2=measured + arm_covariance_mm2(arm_mm))
-    fit.require_sound()
-    gate = residual_gate(image, physical, measured, arm_mm)
-    names = " and ".join(context.served_trajectories)
-    if not gate.passed:
-        raise GateFailed(
-            f"the fit disagrees with its own error budget at {names}",
-            limit=f"{gate.limit_mm:.3f} mm",
-            got=f"{gate.fre_mm:.3f} mm",
-            action=_advice([fiducials[one] for one in moved_spheres(image, physical, measured, arm_mm)]),
-        )
-    predictions = tuple(
-        _within_margin(context, fit, plan.trajectory(name)) for name in context.served_trajectories
+    pairs, left_out_spheres = _agreeing(context, _Pairs.of(context), arm_mm)
+    fit = register(
+        pairs.image_mm,
+        pairs.physical_mm,
+        covariance_mm2=pairs.measured_mm2 + arm_covariance_mm2(arm_mm),
     )
+    fit.require_sound()
+    trajectories = [plan.trajectory(name) for name in context.served_trajectories]
+    predictions = tuple(predict_tip_error(context, fit, one.id, one.target_mm) for one in trajectories)
+    left_out = _beyond_margin(context, trajectories, predictions)
     for predicted in predictions:
-        context.confirm(
-            Topic.REGISTRATION,
-            f"accept the registration for {predicted.target}",
-            f"predicted target error {predicted.rms_mm:.2f} mm rms, "
-            f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}",
-            predicted.target,
-        )
+        if predicted.target not in left_out:
+            context.confirm(
+                Topic.REGISTRATION,
+                f"accept the registration for {predicted.target}",
+                f"predicted target error {predicted.rms_mm:.2f} mm rms, "
+                f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}",
+                predicted.target,
+            )
     worst = max(predictions, key=lambda one: one.rms_mm)
     return Outcome(
         RegisteredRobot(
@@ -111,21 +147,70 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             residuals_mm=fit.residuals_mm.tolist(),
             leave_one_out_mm=tuple(fit.leave_one_out_mm),
             predictions=predictions,
-            two_way=_two_way(context, fit),
+            two_way=_two_way(context, fit, pairs),
+            left_out_spheres=left_out_spheres,
+            left_out=left_out,
         ),
-        summary=f"predicted target error {worst.rms_mm:.2f} mm rms",
+        summary=f"predicted target error {worst.rms_mm:.2f} mm rms"
+        + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out_spheres)
+        + "".join(f"; without {name}" for name in left_out),
     )
 
 
-def _within_margin(context: StepContext, fit: Registration, trajectory: PlannedTrajectory) -> Prediction:
-    predicted = predict_tip_error(context, fit, trajectory.id, trajectory.target_mm)
-    if predicted.rms_mm > trajectory.margin_mm:
-        raise GateFailed(
+def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
+    """The pairs as they are, or without the one sphere that alone explains why they disagree, if agreed to.
+
+    Raises PRO-007 when no sphere does, or more than one would: which one has moved is then anybody's guess.
+    """
+    gate = pairs.gate(arm_mm)
+    if gate.passed:
+        return pairs, ()
+    moved = moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm)
+    names = " and ".join(context.served_trajectories)
+    refusal = GateFailed(
+        f"the fit disagrees with its own error budget at {names}",
+        limit=f"{gate.limit_mm:.3f} mm",
+        got=f"{gate.fre_mm:.3f} mm",
+        action=_advice([pairs.fiducials[one] for one in moved]),
+    )
+    if len(moved) != 1:
+        raise refusal
+    (place,) = moved
+    fiducial, rest = pairs.fiducials[place], pairs.without(place)
+    question = MOVED_SPHERE.question(
+        f"sphere {fiducial + 1} disagrees with all others at {names}: it has moved, or is another one",
+        f"residual {gate.fre_mm:.2f} mm with it, {rest.gate(arm_mm).fre_mm:.2f} mm with the other "
+        f"{len(rest.fiducials)}, limit {gate.limit_mm:.2f} mm",
+        context.key.trajectory,
+    )
+    if context.choose(question) != LEAVE_OUT:
+        raise refusal
+    return rest, (LeftOutSphere(fiducial=fiducial, reason=refusal.summary),)
+
+
+def _beyond_margin(
+    context: StepContext, trajectories: list[PlannedTrajectory], predictions: tuple[Prediction, ...]
+) -> dict[str, str]:
+    """Which trajectories are left out, and why; PRO-007 when not agreed to, or when none remains."""
+    left_out: dict[str, str] = {}
+    for trajectory, predicted in zip(trajectories, predictions, strict=True):
+        if predicted.rms_mm <= trajectory.margin_mm:
+            continue
+        refusal = GateFailed(
             f"the predicted error at {trajectory.id} exceeds the plan's margin",
             limit=f"{trajectory.margin_mm:g} mm",
             got=f"{predicted.rms_mm:.2f} mm",
         )
-    return predicted
+        others = [name for name in context.remaining if name not in (trajectory.id, *left_out)]
+        if not others:
+            raise refusal
+        question = BEYOND_MARGIN.question(
+            refusal.what, f"{refusal.summary}; without it remain {', '.join(others)}", trajectory.id
+        )
+        if context.choose(question) != LEAVE_OUT:
+            raise refusal
+        left_out[trajectory.id] = refusal.summary
+    return left_out
 
 
 def predict_tip_error(
@@ -158,11 +243,10 @@ def _advice(moved: list[int]) -> str:
     return f"Without sphere {which} the others agree: it has moved; localize again or leave it out."
 
 
-def _two_way(context: StepContext, fit: Registration) -> TwoWayTable:
+def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
     """Every sphere of the CT beside what tracker and stereo head measured of it, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)
-    fine = context.result(Relocalization)
     return verify_two_way(
         localization.centres_mm,
         context.result(GlobalLocalization).points_mm,
@@ -170,7 +254,8 @@ def _two_way(context: StepContext, fit: Registration) -> TwoWayTable:
         correspondence.robot_from_ct.transform.rigid,
         fine=fit,
         stereo=[
-            RoomPoint(index, point) for index, point in zip(fine.fiducials, fine.points_robot_mm, strict=True)
+            RoomPoint(index, point)
+            for index, point in zip(pairs.fiducials, pairs.physical_mm.tolist(), strict=True)
         ],
         ct_disagreement_mm=localization.disagreement_mm,
     )

@@ -11,6 +11,7 @@ the target, so that backlash is the same in all of them and cancels.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +19,34 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
-from procedures.engine.result import Matrix3, Numbers6, StepResult
+from procedures.engine.result import Matrix3, Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.relocalization.head_watch import check_head
+from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
-from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_picture import pair_picture
 from ronna_hw.calibration import Numbers3
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
+
+
+class LeftOutSphere(Values):
+    """A sphere that a registration does without, as the operator agreed."""
+
+    fiducial: int = Field(description="Index of the sphere in the CT.")
+    reason: str = Field(description="Why.")
+
+
+class _Measured(NamedTuple):
+    planned: LocalizationPose
+    sphere: CentredSphere
 
 
 class Relocalization(StepResult, kind="relocalization", version=2):
@@ -48,6 +63,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     looks: tuple[int, ...] = Field(description="Pairs that were taken.")
     joints_rad: tuple[Numbers6, ...] = Field(description="Measured joints at the last look.")
     coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
+    left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
 
     @property
     def points_mm(self) -> Array:
@@ -56,9 +72,9 @@ class Relocalization(StepResult, kind="relocalization", version=2):
 
 
 def run(context: StepContext) -> Outcome[Relocalization]:
-    """Re-localize all matched spheres; raises PRO-008 for a sphere that is not there, PRO-009, STE-014."""
+    """Re-localize all matched spheres; raises PRO-008 for one not there and not left out, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
-    planned = paths.localizations_for(context.served_trajectories)
+    planned = paths.localizations_for((*context.served_trajectories, *context.trajectories))
     workcell, settings = context.workcell, context.setting.settings
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
@@ -70,36 +86,59 @@ def run(context: StepContext) -> Outcome[Relocalization]:
         standoff_mm=settings.standoff_mm,
     )
     offset_mm = np.zeros(3)
-    found: list[CentredSphere] = []
+    found: list[_Measured] = []
+    left_out: list[LeftOutSphere] = []
     for number, item in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
         coarse = item.tool_pose.transform
-        sphere = centring.onto(item.fiducial, _shifted(coarse, offset_mm), item.approach_rad)
+        try:
+            sphere = centring.onto(item.fiducial, _shifted(coarse, offset_mm), item.approach_rad)
+        except SPHERE_FAILED.errors as problem:
+            left_out.append(_agreed(context, item.fiducial, problem, len(planned) - len(left_out) - 1))
+            centring.back_off()
+            continue
         name = f"stereo-{context.key.trajectory or 'all'}-{item.fiducial + 1}.png"
         context.keep_picture(name, pair_picture(sphere.last_look))
         offset_mm = sphere.point_mm - coarse.translation_mm
-        found.append(sphere)
-    gaps_mm = tuple(sphere.ray_gap_mm for sphere in found)
-    radii_mm = tuple(sphere.radii_mm for sphere in found)
+        found.append(_Measured(item, sphere))
+    spheres = [one.sphere for one in found]
+    gaps_mm = tuple(sphere.ray_gap_mm for sphere in spheres)
+    radii_mm = tuple(sphere.radii_mm for sphere in spheres)
     check_head(radii_mm, gaps_mm, workcell.calibrations.stereo_head.stated_error_mm)
-    coarse_mm = np.array([item.tool_pose.translation_mm for item in planned])
-    differences = np.array([sphere.point_mm for sphere in found]) - coarse_mm
-    _gate(differences, [sphere.fiducial for sphere in found], settings.coarse_fine_limit_mm)
+    coarse_mm = np.array([one.planned.tool_pose.translation_mm for one in found])
+    differences = np.array([sphere.point_mm for sphere in spheres]) - coarse_mm
+    _gate(differences, [sphere.fiducial for sphere in spheres], settings.coarse_fine_limit_mm)
     return Outcome(
         Relocalization(
-            fiducials=tuple(sphere.fiducial for sphere in found),
-            points_robot_mm=tuple(sphere.point_mm.tolist() for sphere in found),
-            covariances_mm2=tuple(sphere.covariance_mm2.tolist() for sphere in found),
-            residuals_mm=tuple(sphere.residuals_mm for sphere in found),
+            fiducials=tuple(sphere.fiducial for sphere in spheres),
+            points_robot_mm=tuple(sphere.point_mm.tolist() for sphere in spheres),
+            covariances_mm2=tuple(sphere.covariance_mm2.tolist() for sphere in spheres),
+            residuals_mm=tuple(sphere.residuals_mm for sphere in spheres),
             ray_gaps_mm=gaps_mm,
             radii_mm=radii_mm,
-            looks=tuple(sphere.looks for sphere in found),
-            joints_rad=tuple(sphere.joints_rad for sphere in found),
+            looks=tuple(sphere.looks for sphere in spheres),
+            joints_rad=tuple(sphere.joints_rad for sphere in spheres),
             coarse_offset_mm=differences.mean(axis=0).tolist(),
+            left_out=tuple(left_out),
         ),
-        summary=f"{len(found)} spheres, last residuals at most "
-        f"{max(sphere.residuals_mm[-1] for sphere in found):.3f} mm",
+        summary=f"{len(spheres)} spheres, last residuals at most "
+        f"{max(sphere.residuals_mm[-1] for sphere in spheres):.3f} mm"
+        + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out),
     )
+
+
+def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:
+    """The operator agrees to do without a sphere; raises `problem` when not, or when too few remain."""
+    if remain < FEWEST_SPHERES:
+        raise problem
+    question = SPHERE_FAILED.question(
+        f"sphere {fiducial + 1} cannot be measured",
+        f"{problem.summary}; {remain} spheres remain without it",
+        context.key.trajectory,
+    )
+    if context.choose(question) != LEAVE_OUT:
+        raise problem
+    return LeftOutSphere(fiducial=fiducial, reason=problem.summary)
 
 
 def _shifted(pose: Transform, offset_mm: Array) -> Transform:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.operator import Topic
+from procedures.engine.operator import YES, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.link_health import LinkHealth, link_health
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
+from procedures.workcell.errors import WrongTool
 
 
 class MountedGuide(StepResult, kind="tool_change"):
@@ -28,17 +30,11 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     """Park, stop RSI, have the tool changed, then let the controller's inputs say what hangs there."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
-    workcell.check_mounted(MountedTool.STEREO_HEAD)
-    surround_stereo_head(context)
-    to_home = [workcell.facts(workcell.home_rad)]
-    workcell.confirm_motion(Topic.PARK, "park the arm for the exchange of tools", to_home)
-    workcell.return_home()
+    if workcell.tool is MountedTool.STEREO_HEAD:
+        _park(context)
     link = link_health(context)
     workcell.rest()
-    context.setting.room.change_tool(calibration.tool_number, "the surgical guide")
-    guide = f"the surgical guide, tool {calibration.tool_number}"
-    context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", guide)
-    mounted = workcell.check_mounted(MountedTool.GUIDE)
+    mounted = _mounted_guide(context)
     context.confirm(
         Topic.TOOL_TIP,
         "tip calibration of the guide",
@@ -51,6 +47,44 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     )
 
 
+def _park(context: StepContext) -> None:
+    workcell = context.workcell
+    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    surround_stereo_head(context)
+    workcell.start()
+    to_home = [workcell.facts(workcell.home_rad)]
+    workcell.confirm_motion(Topic.PARK, "park the arm for the exchange of tools", to_home)
+    workcell.return_home()
+
+
+def _mounted_guide(context: StepContext) -> int:
+    """Have the guide mounted until it is; its number. Raises PRO-002, or PRO-009 when it is not mounted."""
+    workcell, number = context.workcell, context.workcell.calibrations.tool_tip.tool_number
+    guide = f"the surgical guide, tool {number}"
+    context.setting.room.change_tool(number, "the surgical guide")
+    context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", guide)
+    for mounting in range(1, MOUNTINGS + 1):
+        try:
+            return workcell.check_mounted(MountedTool.GUIDE)
+        except WrongTool as problem:
+            if mounting == MOUNTINGS:
+                raise
+            context.setting.room.change_tool(number, "the surgical guide")
+            again = WRONG_TOOL.question("another tool is mounted: mount again", f"{guide}; {problem.summary}")
+            if context.choose(again) != YES:
+                raise
+    raise AssertionError("the last mounting has returned or raised")
+
+
+def _exchangeable(context: StepContext) -> tuple[str, ...]:
+    """The arm carries the stereo head; or an exchange was begun, and the arm is parked and cannot move."""
+    workcell = context.workcell
+    unmet = carries(MountedTool.STEREO_HEAD)(context)
+    if not unmet or workcell.insertion is not None or context.done_before:
+        return unmet
+    return () if not workcell.streaming and workcell.at_home else unmet
+
+
 STEP = StepSpec(
     MountedGuide,
     "Exchange the stereo head for the guide",
@@ -58,5 +92,5 @@ STEP = StepSpec(
     run,
     reads=(CheckedSetUp, Correspondence, *READS),
     moves=True,
-    preconditions=carries(MountedTool.STEREO_HEAD),
+    preconditions=_exchangeable,
 )

@@ -1,0 +1,203 @@
+"""The decision points and failure branches of a case: what may happen, what notices it, and how it ends.
+
+This table is the only one: steps take their questions from it, the page of the state chart shows it, and a
+test reaches every row. No branch moves the arm again unasked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from procedures.engine.checkpoint import LEAVE, WAIT
+from procedures.engine.errors import GateFailed, GuardUnmet, OperatorAborted
+from procedures.engine.operator import NO, YES, Question, Topic
+from procedures.planning.errors import NotReachable, WrongMarkerCount
+from procedures.registration.errors import NoUniqueMatch
+from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
+from procedures.workcell.errors import SphereNotFound, WrongTool
+from ronna_hw.errors import RonnaError
+
+GO_ON, LEAVE_OUT, HOLD = "go on", "leave it out", "hold"
+FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
+MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
+
+
+class Ending(StrEnum):
+    """How a branch ends."""
+
+    HOLD = "hold"  # the step fails with an error: arm at rest, every result stands
+    ASK = "ask"  # the operator decides; what is not agreed to is held
+    ABORT = "abort"  # the case ends
+    RECORDED = "recorded"  # no motion depends on it: it goes on, and the record says so
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One row. `errors` are what it holds with, or holds with when the answer is no."""
+
+    event: str
+    detected_by: str
+    steps: tuple[str, ...]  # in which it can happen; none for any
+    action: str
+    ending: Ending
+    errors: tuple[type[RonnaError], ...] = ()
+    topic: Topic | None = None
+    answers: tuple[str, ...] = ()
+
+    def question(self, subject: str, value: str, trajectory: str | None = None) -> Question:
+        """What the operator is asked. Raises ValueError for a branch that asks nothing."""
+        if self.topic is None:
+            raise ValueError(f"nothing is asked when: {self.event}")
+        return Question(self.topic, subject, value, self.answers, trajectory)
+
+
+SPHERE_COUNT = Branch(
+    "the CT shows more or fewer spheres than were implanted",
+    "count of the spheres found against the plan",
+    ("plan_check",),
+    f"all candidates are shown; fewer only while {FEWEST_SPHERES} remain",
+    Ending.ASK,
+    (WrongMarkerCount,),
+    Topic.SPHERE_COUNT,
+    (GO_ON, HOLD),
+)
+CT_DISAGREEMENT = Branch(
+    "the two estimates of a sphere in the CT differ by more than 0.06 mm",
+    "distance of the two centres",
+    ("fiducial_localization",),
+    "the sphere is flagged and weighs less: its covariance grows by what the estimates differ",
+    Ending.RECORDED,
+)
+SIGHT_LOST = Branch(
+    "the tracker loses sight of the reference frame",
+    "frames without it, partial, disturbed or stale",
+    ("global_localization",),
+    "nothing moves; the step is repeated when sight is free",
+    Ending.HOLD,
+    (GateFailed,),
+)
+GUARD_UNMET = Branch(
+    "what a guard watches is not as it must be: line of sight, reference, age of data",
+    "the guards at every checkpoint",
+    (),
+    "the case is suspended and waits; then the operator waits on or leaves the step",
+    Ending.ASK,
+    (GuardUnmet,),
+    Topic.GUARD,
+    (WAIT, LEAVE),
+)
+AMBIGUOUS = Branch(
+    "the spheres of CT and room match in several ways, or in none",
+    "log-likelihood over the runner-up below ln 10,000",
+    ("correspondence",),
+    "both pairings are shown; none is used",
+    Ending.HOLD,
+    (NoUniqueMatch,),
+)
+SPHERE_FAILED = Branch(
+    "the stereo head cannot measure a sphere: not in the field, hidden, too dark, no end of the servo",
+    "three rings of 5 mm, other exposures, 15 steps of the servo",
+    ("relocalization",),
+    f"left out while {FEWEST_SPHERES} remain and the operator agrees; the head backs off along its axis",
+    Ending.ASK,
+    (SphereNotFound, ServoDiverges, ServoExhausted, Saturated),
+    Topic.SPHERE,
+    (LEAVE_OUT, HOLD),
+)
+WRONG_SPHERE = Branch(
+    "a sphere is not where the tracker saw it",
+    "fine against coarse position, 3 mm",
+    ("relocalization",),
+    "another sphere, or the patient moved: localize with the tracker again",
+    Ending.HOLD,
+    (GateFailed,),
+)
+MOVED_SPHERE = Branch(
+    "the fit disagrees with its own error budget, and one sphere alone explains it",
+    "chi-square gate, then leaving out one at a time",
+    ("registration",),
+    "the sphere is named; the registration is made without it when the operator agrees",
+    Ending.ASK,
+    (GateFailed,),
+    Topic.MOVED_SPHERE,
+    (LEAVE_OUT, HOLD),
+)
+FIT_DISAGREES = Branch(
+    "the fit disagrees with its own error budget, and no one sphere explains it",
+    "chi-square gate, then leaving out one at a time",
+    ("registration",),
+    "localize again",
+    Ending.HOLD,
+    (GateFailed,),
+)
+BEYOND_MARGIN = Branch(
+    "the predicted error at a target exceeds the plan's margin",
+    "propagation of all errors to the target",
+    ("registration",),
+    "the trajectory is refused; the others go on without it when the operator agrees",
+    Ending.ASK,
+    (GateFailed,),
+    Topic.MARGIN,
+    (LEAVE_OUT, HOLD),
+)
+UNREACHABLE = Branch(
+    "a trajectory cannot be reached: out of range, singular, not clear at any free angle",
+    "every pose and motion, at up to 90 degrees about the axis",
+    ("path_check",),
+    "the nearest free angle that works is taken and said; else the others go on without it "
+    "when the operator agrees",
+    Ending.ASK,
+    (NotReachable,),
+    Topic.REACH,
+    (LEAVE_OUT, HOLD),
+)
+NOT_CLEAR_NOW = Branch(
+    "with the fine registration the way to a target is not clear or out of range",
+    "the same checks, right before the motion",
+    ("positioning",),
+    "nothing moves; the trajectory is named",
+    Ending.HOLD,
+    (NotReachable,),
+)
+ARM_FAULT = Branch(
+    "the arm is in fault: late packets, protective stop, following error, controller",
+    "driver and monitor, every cycle",
+    (),
+    "safe stop; nothing begins before it is acknowledged",
+    Ending.HOLD,
+)
+KEPT_REGISTRATION = Branch(
+    "a registration was made before the arm was in fault",
+    "faults that were acknowledged",
+    ("positioning",),
+    "it is kept only when the operator says so",
+    Ending.ASK,
+    (GateFailed,),
+    Topic.REGISTRATION_KEPT,
+    (YES, NO),
+)
+WRONG_TOOL = Branch(
+    "another tool than the guide is mounted after the exchange",
+    "the controller's inputs",
+    ("tool_change",),
+    f"it is mounted again and read again, {MOUNTINGS} times at most; nothing moves",
+    Ending.ASK,
+    (WrongTool,),
+    Topic.TOOL_CHANGE,
+    (YES, NO),
+)
+ABORTED = Branch(
+    "the operator ends the case",
+    "any checkpoint, any question of a rest",
+    (),
+    "the arm stops; the way out is along the tool axis, then home, when the operator says so",
+    Ending.ABORT,
+    (OperatorAborted,),
+)
+
+BRANCHES = (
+    *(SPHERE_COUNT, CT_DISAGREEMENT, SIGHT_LOST, GUARD_UNMET, AMBIGUOUS, SPHERE_FAILED, WRONG_SPHERE),
+    *(MOVED_SPHERE, FIT_DISAGREES, BEYOND_MARGIN, UNREACHABLE, NOT_CLEAR_NOW, ARM_FAULT),
+    *(KEPT_REGISTRATION, WRONG_TOOL, ABORTED),
+)

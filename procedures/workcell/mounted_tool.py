@@ -1,0 +1,67 @@
+"""What hangs on the arm, as far as the controller's inputs were last read."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from enum import StrEnum
+
+from procedures.workcell.errors import WrongTool
+from ronna_hw.config import Calibrations
+from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Frame, Transform
+
+STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
+
+
+class MountedTool(StrEnum):
+    """What hangs on the arm, as far as it has been checked."""
+
+    UNKNOWN = "unchecked tool"
+    STEREO_HEAD = "stereo head"
+    GUIDE = "guide"
+
+
+class ToolMount:
+    """The mount of one arm. `tool` is what was found there last."""
+
+    def __init__(self, read_number: Callable[[], int], calibrations: Calibrations) -> None:
+        self.tool = MountedTool.UNKNOWN
+        self._read_number = read_number
+        self._calibrations = calibrations
+
+    @property
+    def checked_number(self) -> int | None:
+        """The number of the tool that was found last; None while that is not known."""
+        return None if self.tool is MountedTool.UNKNOWN else self._number(self.tool)
+
+    def check(self, tool: MountedTool) -> int:
+        """The tool's number; raises PRO-009 when another is mounted."""
+        expected = self._number(tool)
+        self.tool = MountedTool.UNKNOWN
+        mounted = self._read_number()
+        if mounted != expected:
+            raise WrongTool(f"the {tool} is not mounted", expected=str(expected), got=str(mounted))
+        self.tool = tool
+        return mounted
+
+    def identify(self) -> MountedTool:
+        """Whichever tool is mounted; unchecked when it is none of ours or cannot be read."""
+        self.tool = MountedTool.UNKNOWN
+        with contextlib.suppress(RonnaError):
+            mounted = self._read_number()
+            known = (MountedTool.STEREO_HEAD, MountedTool.GUIDE)
+            self.tool = next((tool for tool in known if self._number(tool) == mounted), MountedTool.UNKNOWN)
+        return self.tool
+
+    def flange_from(self, tool: MountedTool) -> Transform:
+        """FLANGE <- TOOL of a tool, from its calibration record. Raises PRO-009 for an unchecked one."""
+        if tool is MountedTool.UNKNOWN:
+            raise WrongTool("the mounted tool has not been checked", expected="a checked tool", got=tool)
+        records = self._calibrations
+        record = records.tool_tip if tool is MountedTool.GUIDE else records.stereo_head
+        return record.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+
+    def _number(self, tool: MountedTool) -> int:
+        guide = tool is not MountedTool.STEREO_HEAD
+        return self._calibrations.tool_tip.tool_number if guide else STEREO_HEAD_NUMBER
