@@ -96,7 +96,8 @@ class Checkpoint:
 
     def _meet_wishes(self, where: str) -> None:
         with self._wishes:
-            abort, reason, self._pause = self._abort, self._pause, None
+            abort, self._abort = self._abort, False  # met once: the way home is still to come
+            reason, self._pause = self._pause, None
             seen, self._seen = self._seen, None
         if abort:
             raise OperatorAborted("the operator ended the procedure")

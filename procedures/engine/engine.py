@@ -220,7 +220,7 @@ class Engine:
             workcell.stop()
             raise
         finally:
-            if self.machine.state != RECOVERY:
+            if self.machine.state != RECOVERY and not self.machine.ended:
                 self.machine.hold()
                 self._show_state()
 

@@ -20,6 +20,10 @@ class Localization(StepResult, kind="localization"):
 
 class Fit(StepResult, kind="fit"):
     number: int = 0
+    not_for: tuple[str, ...] = ()
+
+    def leaves_out(self) -> dict[str, str]:
+        return dict.fromkeys(self.not_for, "the error is too large")
 
 
 class ToolOn(StepResult, kind="tool_on"):

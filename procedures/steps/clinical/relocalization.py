@@ -72,7 +72,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
 
 
 def run(context: StepContext) -> Outcome[Relocalization]:
-    """Re-localize all matched spheres; raises PRO-008 for one not there and not left out, PRO-009, STE-014."""
+    """Re-localize all matched spheres; raises PRO-008 for one that is not there, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     planned = paths.localizations_for((*context.served_trajectories, *context.trajectories))
     workcell, settings = context.workcell, context.setting.settings

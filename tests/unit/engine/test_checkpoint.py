@@ -65,6 +65,7 @@ def test_anything_but_continue_ends_the_case() -> None:
         rig.checkpoint.here("between steps")
 
 
+@pytest.mark.branch("ABORTED")
 def test_who_aborts_is_not_asked() -> None:
     rig = Rig()
     rig.checkpoint.abort()
@@ -90,6 +91,7 @@ def test_a_guard_suspends_until_it_is_met() -> None:
     assert rig.asked == []
 
 
+@pytest.mark.branch("GUARD_UNMET")
 def test_a_guard_that_stays_unmet_is_asked_about_and_ends_the_step_when_it_is_left() -> None:
     rig = Rig(lambda question: question.silence)
     rig.checkpoint.guards.append(Disk(float("inf")))

@@ -5,7 +5,7 @@ from plain_steps import plain_order
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import NotConfirmed, StepRefused
+from procedures.engine.errors import NotConfirmed, OperatorAborted, StepRefused
 from procedures.engine.operator import Topic
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -32,6 +32,7 @@ def with_the_guide_inside(cell: RecordingCell, *refusing: Topic) -> Engine:
 
 
 @pytest.mark.hazard(32)
+@pytest.mark.branch("ARM_FAULT")
 def test_while_a_device_is_in_fault_no_step_begins_and_the_fault_is_named(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
@@ -88,3 +89,15 @@ def test_a_retreat_that_fails_is_repeated_from_where_the_arm_stands(cell: Record
     cell.arm.failing = None
     engine.retreat_home()
     assert engine.instrument_in is None
+
+
+@pytest.mark.branch("ABORTED")
+def test_after_an_abort_the_instrument_still_comes_out_along_its_axis(cell: RecordingCell) -> None:
+    engine = with_the_guide_inside(cell)
+    engine.checkpoint.abort()
+    with pytest.raises(OperatorAborted):
+        engine.run_step(engine.order.find("image"))
+    engine.retreat_home()
+    assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
+    assert engine.instrument_in is None
+    assert engine.machine.state == "aborted"

@@ -55,8 +55,19 @@ def test_its_parents_are_spheres_room_and_plan(cell: ClinicalCell) -> None:
         (SQUARE_MM, SQUARE_MM, MatchStatus.AMBIGUOUS),
     ],
 )
+@pytest.mark.branch("AMBIGUOUS")
 def test_anything_but_a_unique_answer_stops_with_its_reason(
     cell: ClinicalCell, room_mm: Array, ct_mm: Array, status: MatchStatus
 ) -> None:
     with pytest.raises(NoUniqueMatch, match=f"the correspondence is {status}: "):
         match_with(cell, room_mm, ct_mm)
+    assert cell.operator.asked == []
+
+
+@pytest.mark.hazard(10)
+@pytest.mark.branch("AMBIGUOUS")
+def test_of_two_pairings_both_are_shown(cell: ClinicalCell) -> None:
+    with pytest.raises(NoUniqueMatch) as caught:
+        match_with(cell, SQUARE_MM, SQUARE_MM)
+    assert caught.value.got is not None
+    assert caught.value.got.count("image-physical") == 2

@@ -110,6 +110,7 @@ def test_a_line_that_loses_too_much_ends_the_step() -> None:
         (frame(Validity.PARTIAL, Validity.PARTIAL), "Shade the tracker"),
     ],
 )
+@pytest.mark.branch("SIGHT_LOST")
 def test_the_advice_follows_why_the_tool_was_not_seen(seen: TrackerFrame, action: str) -> None:
     with pytest.raises(GateFailed, match=f"in 0 of 3 frames.*{action}"):
         average_pose([seen] * 3, "M")

@@ -3,6 +3,7 @@
 import pytest
 from clinical_case import (
     FIRST,
+    LAST,
     ROBOT_FROM_CT,
     TRAJECTORIES,
     ClinicalCell,
@@ -14,10 +15,14 @@ from clinical_case import (
     localized_fiducials,
     shifted,
 )
+from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
+from procedures.engine.engine import Engine
+from procedures.engine.operator import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical.path_check import STEP, CheckedPaths
+from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Transform
 
@@ -61,3 +66,41 @@ def test_a_head_out_of_reach_is_refused_with_every_pose_that_fails(cell: Clinica
     with pytest.raises(NotReachable, match=r"PLAN-007.*T1/fiducial 0.*T2/target"):
         check(cell, shifted(ROBOT_FROM_CT, (900.0, 0.0, 0.0)))
     assert not any(stored.record.kind == STEP.name for stored in cell.case.standing)
+
+
+def plan_with_one_out_of_reach() -> CheckedPlan:
+    """The last trajectory leads up out of the table: no angle about its axis helps."""
+    checked = checked_plan()
+    *others, last = checked.plan.trajectories
+    left, posterior, superior = last.entry_mm
+    upwards = last.model_copy(update={"entry_mm": (left, posterior + 900.0, superior)})
+    plan = checked.plan.model_copy(update={"trajectories": (*others, upwards)})
+    return checked.model_copy(update={"plan": plan})
+
+
+def check_the_others(cell: ClinicalCell) -> Engine:
+    engine = cell.begin(
+        *(correspondence(), localized_fiducials(), plan_with_one_out_of_reach(), checked_set_up(cell)), STEP
+    )
+    engine.run_to()
+    return engine
+
+
+@pytest.mark.hazard(23)
+@pytest.mark.branch("UNREACHABLE")
+def test_a_trajectory_out_of_reach_is_left_out_when_the_operator_agrees(cell: ClinicalCell) -> None:
+    check_the_others(cell)
+    paths = cell.case.get(CheckedPaths).result
+    (question,) = cell.operator.asked
+    assert question.name == f"reach:{LAST}"
+    assert f"{LAST}/" in question.value
+    assert tuple(paths.targets) == (FIRST,)
+    assert list(paths.left_out) == [LAST]
+
+
+@pytest.mark.hazard(23)
+@pytest.mark.branch("UNREACHABLE")
+def test_without_consent_a_trajectory_out_of_reach_is_refused(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.REACH)
+    with pytest.raises(NotReachable, match=f"{LAST}/"):
+        check_the_others(cell)

@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 import tomli_w
 from clinical_case import CENTRES_CT_MM, SCENE, SERIES, ClinicalCell, imported_ct, localized_fiducials, plan
+from numpy.typing import NDArray
+from recording_cell import RecordingOperator
 
 from procedures.engine.errors import GateFailed
+from procedures.engine.operator import Topic
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
 from procedures.planning.plan import Plan
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
 
+Array = NDArray[np.float64]
+
+STRANGER_MM = CENTRES_CT_MM.mean(axis=0) + np.array([0.0, 0.0, 40.0])
 SHAPE, VOXEL_MM = (56, 64, 52), 4.0
 SOFT_HU, AIR_HU = 40, -1000
 
@@ -30,12 +36,12 @@ def checked(
     cell: ClinicalCell,
     planned: Plan | None = None,
     *,
-    spheres: int = len(CENTRES_CT_MM),
+    spheres_mm: Array = CENTRES_CT_MM,
     series: str = SERIES,
 ) -> CheckedPlan:
     """The result of the step on the head of the scene."""
     cell.plan.write_text(tomli_w.dumps((planned or plan()).model_dump(mode="json", by_alias=True)))
-    engine = cell.begin(imported_ct(), localized_fiducials(CENTRES_CT_MM[:spheres]), STEP)
+    engine = cell.begin(imported_ct(), localized_fiducials(spheres_mm), STEP)
     engine.setting.workspace.keep(head_volume(series))
     engine.run_to()
     assert engine.setting.workspace.find(Volume) is None, "the largest input is still in memory"
@@ -56,9 +62,36 @@ def test_the_plan_of_another_series_is_refused(cell: ClinicalCell) -> None:
         checked(cell, series="1.2.3.4")
 
 
-def test_another_number_of_spheres_than_were_implanted_is_refused(cell: ClinicalCell) -> None:
+@pytest.mark.hazard(9)
+@pytest.mark.branch("SPHERE_COUNT")
+def test_with_another_number_of_spheres_all_are_shown_and_it_goes_on_when_the_operator_says_so(
+    cell: ClinicalCell,
+) -> None:
+    done = checked(cell, spheres_mm=np.vstack([CENTRES_CT_MM, STRANGER_MM]))
+    (question,) = cell.operator.asked
+    assert question.subject == "the CT shows 5 spheres, 4 were implanted"
+    assert question.value.count("radius 5.75 mm") == 5
+    assert done.implanted == 4
+    assert done.warnings[-1] == "the CT shows 5 spheres, 4 were implanted: the operator went on"
+
+
+def test_of_more_implanted_spheres_those_that_the_ct_shows_are_matched_when_the_operator_says_so(
+    cell: ClinicalCell,
+) -> None:
+    assert checked(cell, plan().model_copy(update={"implanted": 5})).implanted == 4
+
+
+@pytest.mark.branch("SPHERE_COUNT")
+def test_another_number_of_spheres_is_refused_when_the_operator_does_not_go_on(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.SPHERE_COUNT)
     with pytest.raises(WrongMarkerCount):
-        checked(cell, spheres=3)
+        checked(cell, spheres_mm=np.vstack([CENTRES_CT_MM, STRANGER_MM]))
+
+
+def test_too_few_spheres_are_refused_unasked(cell: ClinicalCell) -> None:
+    with pytest.raises(WrongMarkerCount):
+        checked(cell, spheres_mm=CENTRES_CT_MM[:3])
+    assert cell.operator.asked == []
 
 
 def test_a_trajectory_whose_ends_are_exchanged_is_refused(cell: ClinicalCell) -> None:

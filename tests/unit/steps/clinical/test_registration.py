@@ -70,19 +70,67 @@ def test_a_registration_that_is_not_accepted_does_not_stand(cell: ClinicalCell) 
     assert cell.case.find(RegisteredRobot, FIRST) is None
 
 
+def moved(*spheres: int) -> Array:
+    places = SPHERES_MM.copy()
+    places[list(spheres)] += (0.0, 0.0, 3.0)
+    return places
+
+
 @pytest.mark.hazard(28)
-def test_a_predicted_error_beyond_the_margin_is_not_even_offered(cell: ClinicalCell) -> None:
+@pytest.mark.branch("BEYOND_MARGIN")
+def test_a_trajectory_beyond_the_margin_is_refused_and_the_others_go_on_when_the_operator_agrees(
+    cell: ClinicalCell,
+) -> None:
+    done = registered(cell, margin_mm=0.05).result
+    (question,) = cell.operator.asked  # the registration is not even offered
+    assert question.name == f"margin:{FIRST}"
+    assert "limit 0.05 mm" in question.value
+    assert list(done.left_out) == [FIRST]
+
+
+@pytest.mark.hazard(28)
+@pytest.mark.branch("BEYOND_MARGIN")
+def test_without_consent_a_predicted_error_beyond_the_margin_is_refused(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.MARGIN)
     with pytest.raises(GateFailed, match=rf"predicted error at {FIRST} exceeds.*limit 0\.05 mm"):
         registered(cell, margin_mm=0.05)
-    assert cell.operator.asked == []
+
+
+def test_the_last_trajectory_is_never_left_out(cell: ClinicalCell) -> None:
+    cell.strategy = OnceForAll()
+    with pytest.raises(GateFailed, match=rf"predicted error at {TRAJECTORIES[-1]} exceeds"):
+        registered(cell, margin_mm=0.05)
 
 
 @pytest.mark.hazard(11)
-def test_spheres_that_moved_are_refused_before_anybody_is_asked(cell: ClinicalCell) -> None:
-    moved = SPHERES_MM.copy()
-    moved[2] += (0.0, 0.0, 3.0)
-    with pytest.raises(GateFailed, match=rf"disagrees with its own error budget at {FIRST}.*sphere .*3"):
-        registered(cell, moved)
+@pytest.mark.branch("MOVED_SPHERE")
+def test_a_sphere_that_alone_explains_the_disagreement_is_left_out_when_the_operator_agrees(
+    cell: ClinicalCell,
+) -> None:
+    done = registered(cell, moved(2)).result
+    question, _accepted = cell.operator.asked
+    assert question.subject.startswith("sphere 3 disagrees with all others")
+    assert [one.fiducial for one in done.left_out_spheres] == [2]
+    assert done.pairs == 3
+    assert done.fre_mm == pytest.approx(0.0, abs=1e-6)
+    assert done.robot_from_ct.translation_mm == pytest.approx(ROBOT_FROM_CT.translation_mm, abs=1e-6)
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.branch("MOVED_SPHERE")
+def test_without_consent_a_registration_with_a_sphere_that_moved_is_refused(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.MOVED_SPHERE)
+    with pytest.raises(GateFailed, match=rf"disagrees with its own error budget at {FIRST}.*sphere 3"):
+        registered(cell, moved(2))
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.branch("FIT_DISAGREES")
+def test_when_no_one_sphere_explains_the_disagreement_nobody_is_asked(cell: ClinicalCell) -> None:
+    places = SPHERES_MM.copy()
+    places[[0, 2]] += ((0.0, 0.0, 6.0), (6.0, 0.0, 0.0))
+    with pytest.raises(GateFailed, match=r"disagrees with its own error budget.*localize again"):
+        registered(cell, places)
     assert cell.operator.asked == []
 
 

@@ -20,15 +20,23 @@ from clinical_case import (
     localized_fiducials,
     shifted,
 )
+from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
 from procedures.engine.errors import GateFailed, StepRefused
 from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.engine.operator import Question, Topic
 from procedures.engine.result import StepResult
 from procedures.steps.clinical.relocalization import STEP, Relocalization
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import SphereNotFound
+from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import APPROACH_RAD
+
+
+def asked(cell: ClinicalCell) -> list[Question]:
+    return [question for question in cell.operator.asked if question.topic is Topic.SPHERE]
+
 
 COARSE_OFF_MM = (4.0, -3.0, 2.0)
 
@@ -81,6 +89,7 @@ def test_a_picture_of_every_sphere_is_kept(cell: ClinicalCell) -> None:
 
 
 @pytest.mark.hazard(11)
+@pytest.mark.branch("WRONG_SPHERE")
 def test_a_sphere_that_is_not_where_the_tracker_saw_it_is_refused_by_its_number_in_the_ct(
     cell: ClinicalCell,
 ) -> None:
@@ -89,10 +98,69 @@ def test_a_sphere_that_is_not_where_the_tracker_saw_it_is_refused_by_its_number_
         relocalize(cell, fiducials=(3, 2, 1, 0))
 
 
-def test_a_sphere_that_is_not_there_ends_the_step(cell: ClinicalCell) -> None:
+@pytest.mark.hazard(27)
+@pytest.mark.branch("SPHERE_FAILED")
+def test_a_sphere_that_is_not_there_ends_the_step_when_too_few_remain(cell: ClinicalCell) -> None:
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
     with pytest.raises(SphereNotFound, match="PRO-008"):
         relocalize(cell)
+    assert asked(cell) == []
+
+
+@pytest.mark.hazard(27)
+@pytest.mark.branch("SPHERE_FAILED")
+def test_with_enough_others_a_sphere_is_left_out_when_the_operator_agrees(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
+    cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
+    done = relocalize(cell).result
+    (question,) = asked(cell)
+    assert question.subject == "sphere 2 cannot be measured"
+    assert "3 spheres remain" in question.value
+    assert done.fiducials == (0, 2, 3)
+    assert [one.fiducial for one in done.left_out] == [1]
+    assert "no sphere in 36 looks" in done.left_out[0].reason
+
+
+def test_after_a_sphere_that_is_left_out_the_head_backs_off_along_its_axis(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
+    cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
+    relocalize(cell)
+    kinds = [line["what"] for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "motion"]
+    searched = "".join(kind[0] for kind in kinds).index("s" * 37)  # where it should be, and around
+    assert kinds[searched + 37 :][:2] == ["line", "go"]
+
+
+@pytest.mark.branch("SPHERE_FAILED")
+def test_without_the_operators_consent_no_sphere_is_left_out(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
+    cell.operator = RecordingOperator(Topic.SPHERE)
+    cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
+    with pytest.raises(SphereNotFound):
+        relocalize(cell)
+
+
+@pytest.mark.branch("SPHERE_FAILED")
+def test_a_servo_that_does_not_end_is_asked_about_like_a_sphere_that_is_not_there(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
+    see = cell.workcell.look
+
+    def look_at_a_drifting_sphere() -> Look:
+        if np.linalg.norm(cell.workcell.tool_pose().translation_mm - SPHERES_MM[0]) < 20.0:
+            cell.workcell.spheres_mm[0] += (0.0, 0.0, 1.0)
+        return see()
+
+    cell.workcell.look = look_at_a_drifting_sphere  # type: ignore[method-assign]
+    done = relocalize(cell).result
+    assert done.left_out[0].reason.startswith("the residual has not decreased")
+    assert done.fiducials == (1, 2, 3)
 
 
 @pytest.mark.hazard(3)

@@ -1,6 +1,7 @@
 """From the stand-off to the target and back: confirmed first, along one axis, and where it was sent."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from clinical_case import (
@@ -13,6 +14,7 @@ from clinical_case import (
     OnceForAll,
     checked_paths,
     checked_plan,
+    given,
     localized_fiducials,
     mounted_guide,
     plan,
@@ -24,6 +26,8 @@ from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 from procedures.engine.engine import Engine
 from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
 from procedures.engine.operator import Question, Topic
+from procedures.engine.step import Scope
+from procedures.planning.errors import NotReachable
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -223,3 +227,45 @@ def test_with_the_guide_mounted_nothing_is_repeated_that_would_need_the_stereo_h
     engine = cell.begin(ct_import.STEP)
     with pytest.raises(StepRefused, match="the spheres could not be localized again"):
         run(engine, "ct_import")
+
+
+@pytest.mark.hazard(23)
+@pytest.mark.branch("NOT_CLEAR_NOW")
+def test_a_target_that_is_not_clear_is_refused_by_the_name_of_its_trajectory(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+    cell.arm.blocked = lambda _start, _target: True
+    with pytest.raises(NotReachable, match=f"{FIRST} cannot be reached: the way is not clear"):
+        run(engine, f"positioning:{FIRST}")
+    assert cell.arm.motions == []
+    assert engine.machine.state == "held"
+
+
+def after_a_fault(cell: ClinicalCell) -> Engine:
+    cell.strategy = OnceForAll()
+    cell.carrying(MountedTool.GUIDE)
+    engine = cell.begin(
+        replace(given(registered_robot()), scope=Scope.LOCALIZATION),
+        *(mounted_guide(), checked_paths(cell), checked_plan(), localized_fiducials()),
+        *(positioning.STEP, at_target.STEP, retreat.STEP),
+    )
+    engine.run_to(engine.order.sequence[4])
+    cell.arm.state = Lifecycle.FAULT
+    engine.acknowledge("A. Nurse")
+    return engine
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.branch("KEPT_REGISTRATION")
+def test_a_registration_from_before_a_fault_is_asked_about_once(cell: ClinicalCell) -> None:
+    run(after_a_fault(cell), *(f"{name}:{FIRST}" for name in ("positioning", "at_target", "retreat")))
+    kept = [one.name for one in cell.operator.asked if one.topic is Topic.REGISTRATION_KEPT]
+    assert kept == [f"registration_kept:{FIRST}"]
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.branch("KEPT_REGISTRATION")
+def test_a_registration_from_before_a_fault_moves_nothing_unless_it_is_kept(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.REGISTRATION_KEPT)
+    with pytest.raises(GateFailed, match="older than a fault of the arm"):
+        run(after_a_fault(cell), f"positioning:{FIRST}")
+    assert cell.arm.motions == []

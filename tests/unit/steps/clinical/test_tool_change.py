@@ -48,6 +48,7 @@ def test_exchange_and_tip_calibration_are_both_confirmed(cell: ClinicalCell) -> 
 
 @pytest.mark.hazard(37)
 @pytest.mark.parametrize("mounted", [0, 1, 3])
+@pytest.mark.branch("WRONG_TOOL")
 def test_another_tool_than_the_guide_is_refused(cell: ClinicalCell, mounted: int) -> None:
     cell.room.mounts = mounted
     with pytest.raises(WrongTool, match=f"PRO-009.*expected {GUIDE}, got {mounted}"):
@@ -70,3 +71,51 @@ def test_what_has_been_exchanged_is_not_exchanged_again(cell: ClinicalCell) -> N
     again = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
     with pytest.raises(StepRefused, match="the arm carries the guide, not the stereo head"):
         again.run_step(again.order.find(STEP.name))
+
+
+@pytest.mark.hazard(37)
+@pytest.mark.branch("WRONG_TOOL")
+def test_a_wrong_tool_is_mounted_again_and_read_again_without_a_motion(cell: ClinicalCell) -> None:
+    hang = cell.room.change_tool
+
+    def hang_it_right_the_second_time(number: int, description: str) -> None:
+        cell.room.mounts = 0 if not cell.room.changed else None
+        hang(number, description)
+
+    cell.room.change_tool = hang_it_right_the_second_time  # type: ignore[method-assign]
+    assert exchange(cell).result.tool_number == GUIDE
+    _parked, _exchanged, again, _tip = cell.operator.asked
+    assert again.topic is Topic.TOOL_CHANGE
+    assert "got 0" in again.value
+    assert len(cell.arm.motions) == 1  # the way home, before
+
+
+@pytest.mark.branch("WRONG_TOOL")
+def test_a_tool_that_stays_wrong_holds_the_case_after_three_mountings(cell: ClinicalCell) -> None:
+    cell.room.mounts = 3
+    with pytest.raises(WrongTool):
+        exchange(cell)
+    assert len(cell.room.changed) == 3
+
+
+def test_an_exchange_that_failed_is_repeated_where_the_arm_stands(cell: ClinicalCell) -> None:
+    cell.room.mounts = 0
+    cell.carrying(MountedTool.STEREO_HEAD).workcell.start(cameras=True)
+    engine = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
+    with pytest.raises(WrongTool):
+        engine.run_to()
+    moved = len(cell.arm.motions)
+    cell.room.mounts = None
+    engine.run_to()
+    assert cell.workcell.tool is MountedTool.GUIDE
+    assert len(cell.arm.motions) == moved
+
+
+def test_after_a_fault_of_the_arm_its_tool_is_read_again_before_the_next_step(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD).workcell.start()
+    engine = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
+    engine.run_to(engine.order.sequence[3])
+    cell.arm.state = Lifecycle.FAULT
+    engine.acknowledge("A. Nurse")
+    engine.run_to()
+    assert cell.workcell.tool is MountedTool.GUIDE

@@ -1,0 +1,62 @@
+"""A trajectory that a result leaves out is not done any further; the others are, to the end."""
+
+import pytest
+from plain_steps import Back, Fit, plain_order
+from recording_cell import RecordingCell
+
+from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
+from procedures.engine.errors import StepRefused
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome
+
+
+def fitted(cell: RecordingCell, *left_out: str, lasts: list[str] | None = None) -> Engine:
+    """Three trajectories; fits leave out some. `lasts` collects which took themselves for the last."""
+
+    def fit(context: StepContext) -> Outcome[StepResult]:
+        return Outcome(Fit(not_for=(context.trajectory,) if context.trajectory in left_out else ()))
+
+    def back(context: StepContext) -> Outcome[StepResult]:
+        if lasts is not None and context.is_last_trajectory():
+            lasts.append(context.trajectory)
+        return Outcome(Back())
+
+    return cell.engine(plain_order("T1", "T2", "T3", fit=fit, back=back))
+
+
+def test_nothing_more_is_done_for_a_trajectory_that_was_left_out(cell: RecordingCell) -> None:
+    engine = fitted(cell, "T2")
+    engine.run_to()
+    done = [step for _, step in cell.entries("result")]
+    assert "fit:T2" in done
+    assert not {"approach:T2", "held:T2", "back:T2"} & set(done)
+    assert done[-1] == "back:T3"
+    assert engine.machine.state == "finished"
+
+
+def test_the_steps_of_a_trajectory_that_was_left_out_say_so(cell: RecordingCell) -> None:
+    engine = fitted(cell, "T2")
+    engine.run_to(engine.order.find("tool_on"))
+    approach = engine.order.find("approach:T2")
+    assert engine.status(approach) == "left out"
+    with pytest.raises(StepRefused, match="T2 was left out: the error is too large"):
+        engine.run_step(approach)
+
+
+@pytest.mark.parametrize(("left_out", "last"), [("T3", "T2"), ("T1", "T3")])
+def test_the_last_of_the_others_is_the_last_of_the_case(
+    cell: RecordingCell, left_out: str, last: str
+) -> None:
+    lasts: list[str] = []
+    fitted(cell, left_out, lasts=lasts).run_to()
+    assert lasts == [last]
+
+
+def test_the_step_that_left_it_out_takes_it_in_again(cell: RecordingCell) -> None:
+    engine = fitted(cell, "T1")
+    engine.run_to(engine.order.find("fit:T3"))
+    again = fitted(cell)
+    again.run_step(again.order.find("fit:T1"))
+    assert again.status(again.order.find("approach:T1")) == ""
+    assert again.case.left_out == ()
