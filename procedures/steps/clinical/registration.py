@@ -42,6 +42,13 @@ Array = NDArray[np.float64]
 LIMIT_OVER_RMS = 1.61  # 95 % radius of an isotropic 3-D normal error over its rms: sqrt(chi2_95(3) / 3)
 
 
+class ErrorShare(Values):
+    """What one source contributes to a predicted error; the squares of all shares add up to its square."""
+
+    source: str = Field(description="Such as `CT` or `guide tip`.")
+    rms_mm: float = Field(description="Root mean square at the target.")
+
+
 class Prediction(Values):
     """Error to expect at the tip of the guide at one target."""
 
@@ -50,6 +57,7 @@ class Prediction(Values):
     limit_mm: float = Field(description="Radius that holds the error with the stated confidence.")
     confidence: float = Field(description="Of that radius, 0 to 1.")
     formula: str = Field(description="What it was predicted with.")
+    budget: tuple[ErrorShare, ...] = Field(default=(), description="What it is made of.")
 
 
 class RegisteredRobot(StepResult, kind="registration"):
@@ -87,7 +95,12 @@ class _Pairs:
     fiducials: tuple[int, ...]
     image_mm: Array
     physical_mm: Array
-    measured_mm2: Array
+    ct_mm2: Array  # in the frame of the room, as all covariances here
+    stereo_mm2: Array
+
+    @property
+    def measured_mm2(self) -> Array:
+        return self.ct_mm2 + self.stereo_mm2
 
     @classmethod
     def of(cls, context: StepContext) -> _Pairs:
@@ -99,7 +112,8 @@ class _Pairs:
             fiducials=fine.fiducials,
             image_mm=localization.centres_mm[fiducials],
             physical_mm=fine.points_mm,
-            measured_mm2=rotation @ ct @ rotation.T + np.array(fine.covariances_mm2),
+            ct_mm2=rotation @ ct @ rotation.T,
+            stereo_mm2=np.array(fine.covariances_mm2),
         )
 
     def without(self, place: int) -> _Pairs:
@@ -108,7 +122,8 @@ class _Pairs:
             fiducials=tuple(np.array(self.fiducials)[kept].tolist()),
             image_mm=self.image_mm[kept],
             physical_mm=self.physical_mm[kept],
-            measured_mm2=self.measured_mm2[kept],
+            ct_mm2=self.ct_mm2[kept],
+            stereo_mm2=self.stereo_mm2[kept],
         )
 
     def gate(self, arm_mm: float) -> FreGate:
@@ -127,7 +142,8 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     )
     fit.require_sound()
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
-    predictions = tuple(predict_tip_error(context, fit, one.id, one.target_mm) for one in trajectories)
+    parts = {"CT": pairs.ct_mm2, "stereo measurement": pairs.stereo_mm2}
+    predictions = tuple(predict_tip_error(context, fit, parts, one.id, one.target_mm) for one in trajectories)
     left_out = _beyond_margin(context, trajectories, predictions)
     for predicted in predictions:
         if predicted.target not in left_out:
@@ -214,24 +230,35 @@ def _beyond_margin(
 
 
 def predict_tip_error(
-    context: StepContext, fit: Registration, target: str, target_mm: ArrayLike
+    context: StepContext, fit: Registration, parts: Mapping[str, Array], target: str, target_mm: ArrayLike
 ) -> Prediction:
     """Error of the tip at a target (3,) mm in the CT: the fit's, the guide's, the stereo head's, the arm's.
 
-    The fit does not know of guide, head and arm at the target: their stated errors come on top.
+    The fit does not know of guide, head and arm at the target: their stated errors come on top. `parts` are
+    the covariances (n, 3, 3) mm2 of the fit's pairs beside the arm's, by what they come from.
     """
-    predicted = fit.predict_tre(np.reshape(np.asarray(target_mm, dtype=float), (1, 3)))
+    point = np.reshape(np.asarray(target_mm, dtype=float), (1, 3))
+    predicted = fit.predict_tre(point)
     calibrations = context.workcell.calibrations
     tip_mm = calibrations.tool_tip.stated_error_mm
     head_mm = calibrations.stereo_head.stated_error_mm
-    arm_mm2 = float(np.trace(arm_covariance_mm2(context.setting.settings.arm_error_mm)))
+    arm = arm_covariance_mm2(context.setting.settings.arm_error_mm)
+    arm_mm2 = float(np.trace(arm))
     rest_mm = math.sqrt(tip_mm**2 + head_mm**2 + arm_mm2)
+    shares_mm = {
+        **{source: float(fit.predict_share_mm(point, part)[0]) for source, part in parts.items()},
+        "arm at the spheres": float(fit.predict_share_mm(point, arm)[0]),
+        "arm at the target": math.sqrt(arm_mm2),
+        "stereo head calibration": head_mm,
+        "guide tip calibration": tip_mm,
+    }
     return Prediction(
         target=target,
         rms_mm=math.hypot(predicted.rms_mm[0], rest_mm),
         limit_mm=math.hypot(predicted.limit_mm[0], LIMIT_OVER_RMS * rest_mm),
         confidence=predicted.confidence,
         formula=f"{predicted.formula}; guide, stereo head and arm added in quadrature",
+        budget=tuple(ErrorShare(source=source, rms_mm=rms_mm) for source, rms_mm in shares_mm.items()),
     )
 
 

@@ -62,6 +62,17 @@ def test_guide_head_and_arm_stand_in_the_prediction_of_a_perfect_fit(cell: Clini
     assert predicted.limit_mm > predicted.rms_mm
 
 
+def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: ClinicalCell) -> None:
+    predicted = registered(cell).result.prediction(FIRST)
+    shares_mm = {share.source: share.rms_mm for share in predicted.budget}
+    assert list(shares_mm) == [
+        *("CT", "stereo measurement", "arm at the spheres"),
+        *("arm at the target", "stereo head calibration", "guide tip calibration"),
+    ]
+    assert np.linalg.norm(list(shares_mm.values())) == pytest.approx(predicted.rms_mm)
+    assert shares_mm["CT"] == pytest.approx(shares_mm["stereo measurement"])  # the cell gives both one sigma
+
+
 @pytest.mark.hazard(36)
 def test_a_registration_that_is_not_accepted_does_not_stand(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.REGISTRATION)
