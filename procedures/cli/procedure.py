@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -181,12 +182,29 @@ def steps_command(as_json: JsonOption = False) -> None:
 @app.command("graph")
 def graph_command() -> None:
     """Print the state chart of the procedure as mermaid text."""
-    import sys
-
     from procedures.engine.machine import mermaid
     from procedures.steps.catalogue import CLINICAL_STEPS
 
     sys.stdout.write(mermaid(CLINICAL_STEPS))
+
+
+@app.command("report")
+def report_command(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, however it ended.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to [RUN].")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make the report of a run anew from its folder: report.html, and its pictures and data in report/."""
+    from procedures.cli.case.leaving_report import make_report
+    from ronna_hw.command_line.console import print_json
+
+    path = make_report(run_folder, out)
+    if as_json:
+        print_json({"report": str(path)})
+    else:
+        sys.stdout.write(f"{path}\n")
 
 
 @app.command("export")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from procedures.engine.result import Values
 
@@ -16,6 +16,26 @@ class CtOutcome(Values):
     missed: int
     false: int
     rms_error_mm: float | None
+
+
+class TargetTruth(BaseModel):
+    """Where the tip truly was at one target, as the theatre's verifier says."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    id: str
+    application_error_mm: float
+    lateral_mm: float | None = Field(default=None, description="Part across the planned axis.")
+    axial_mm: float | None = Field(default=None, description="Part along it.")
+
+
+class Truth(BaseModel):
+    """What a simulated theatre's verifier says about a run; nothing on real devices."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    ct: CtOutcome | None = None
+    targets: tuple[TargetTruth, ...] = ()
 
 
 class RegistrationOutcome(Values):
@@ -72,3 +92,4 @@ class UnfinishedRun(RunOutcome):
 
     outcome: Literal["interrupted", "failed"]
     error: RunError | None
+    report: str | None = None

@@ -1,22 +1,34 @@
-"""`report.html`: one self-contained file that shows what a run did and how well.
+"""`report.html`: one self-contained file that shows what a run did, how it ended, and how well it went.
 
-Everything in it comes from the run's folder: records, journal, kept pictures, and the outcome.
+Everything in it comes from the run's folder, however much of it there is; only the truth of a simulated
+theatre is asked of its verifier and handed in.
 """
 
 from __future__ import annotations
 
 import base64
 from datetime import UTC, datetime
-from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from procedures.engine.case import PICTURES_FOLDER
 from procedures.engine.journal import Entry
-from procedures.engine.run_folder import RunFolder, read_run
-from procedures.reporting.figures import cycle_histogram, target_errors
-from procedures.reporting.outcome import FinishedRun
+from procedures.reporting import numbers
+from procedures.reporting.ending import ending_of
+from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
+from procedures.reporting.happenings import happenings, questions
+from procedures.reporting.link_figure import link_figure, summed_histograms
+from procedures.reporting.outcome import RunError, Truth
+from procedures.reporting.run_reading import RunReading, read_for_report
+from procedures.reporting.second_reading import as_text, second_reading
+from procedures.reporting.sessions import sessions
+from procedures.reporting.target_figure import target_figure
+from procedures.reporting.target_table import TargetRow, target_rows
+from procedures.reporting.timeline import timeline
+from procedures.reporting.timeline_figure import timeline_figure
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.link_health import LinkHealth
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
@@ -27,61 +39,145 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from ronna_hw.records import write_whole
 
 REPORT_FILE = "report.html"
-STEREO_PICTURES_SHOWN = 5
-TEMPLATE = "report.html.j2"
+NUMBERS_FILE = "numbers.txt"
+TEMPLATE = "page.html.j2"
 
 
-def write_report(folder: Path, outcome: FinishedRun) -> Path:
-    """Write the report of a run folder; returns its path."""
-    import jinja2
+def write_report(
+    run: Path, *, truth: Truth | None = None, error: RunError | None = None, out: Path | None = None
+) -> Path:
+    """Write the report of a run folder into it, or into `out`; returns its path.
 
-    run = read_run(folder)
-    template = resources.files("procedures.reporting").joinpath(TEMPLATE).read_text(encoding="utf-8")
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    registrations = run.standing(RegisteredRobot)
-    links = _links(run)
-    banner = run.opened.get("banner", "")
-    text = environment.from_string(template).render(
-        outcome=outcome,
-        banner=banner,
-        theatre=run.opened.get("theatre", ""),
-        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        localization=run.find(LocalizedFiducials),
-        series=run.find(ImportedCt),
-        plan=run.find(CheckedPlan),
-        registrations=registrations,
-        relocalizations=run.standing(Relocalization),
-        set_up=run.find(CheckedSetUp),
-        links=links,
-        confirmations=run.lines(Entry.CONFIRMATION),
-        journal=[line for line in run.journal if line["entry"] not in (Entry.MOTION, Entry.MOVED)],
-        motions=len(run.lines(Entry.MOTION)),
-        records=run.records,
-        superseded=run.superseded,
-        errors_figure=_inline(target_errors(outcome.targets, bool(banner))) if outcome.targets else "",
-        link_figure=_inline(cycle_histogram(links)) if links else "",
-        ct_pictures=[_inline(path.read_bytes()) for path in _pictures(folder, "ct-")],
-        stereo_pictures=[
-            (path.stem, _inline(path.read_bytes()))
-            for path in _pictures(folder, "stereo-")[:STEREO_PICTURES_SHOWN]
-        ],
-        raw=outcome.model_dump_json(indent=1),
-    )
-    path = folder / REPORT_FILE
-    write_whole(path, text.encode())
+    `truth` is what the theatre's verifier says, by default what was kept of it in the folder; `error` what
+    the command line met. Raises OSError when it
+    cannot be written, and nothing that the run's content can cause.
+    """
+    out = run if out is None else out
+    reading = read_for_report(run)
+    files = ReportFiles(out)
+    truth = kept_truth(run) if truth is None else truth
+    rows = target_rows(reading, truth or Truth())
+    if truth is not None:
+        keep_truth(out, truth)
+    page = {
+        "run": run.name,
+        "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        "opened": reading.run.opened,
+        "began": _moment(reading, 0),
+        "ended": _moment(reading, -1),
+        "ending": ending_of(reading.run.journal, error),
+        "computer": next((line for line in reading.log if line.get("event") == "opened"), {}),
+        "rows": rows,
+        "truth": truth,
+        "series": reading.find(ImportedCt),
+        "plan": reading.find(CheckedPlan),
+        "localization": reading.find(LocalizedFiducials),
+        "tracked": reading.find(GlobalLocalization),
+        "relocalizations": reading.standing(Relocalization),
+        "registrations": reading.standing(RegisteredRobot),
+        "set_up": reading.find(CheckedSetUp),
+        "tools": reading.standing(MountedGuide),
+        "links": (links := _links(reading)),
+        "sessions": sessions(reading.log),
+        "questions": questions(reading.run.journal),
+        "happenings": happenings(reading.run.journal),
+        "motions": len(reading.run.lines(Entry.MOTION)),
+        "lines": len(reading.run.journal),
+        "records": reading.run.records,
+        "superseded": reading.run.superseded,
+        "ct_pictures": _pictures(run, "ct-"),
+        "stereo_pictures": _pictures(run, "stereo-"),
+        **_figures(reading, files, rows, links),
+        **_read_twice(reading, files, rows, out),
+        "files": files.written,
+        "findings": _findings(reading),
+        "problems": reading.problems,
+    }
+    path = out / REPORT_FILE
+    write_whole(path, _rendered(page).encode())
     return path
 
 
-def _links(run: RunFolder) -> list[LinkHealth]:
+def _findings(reading: RunReading) -> list[str]:
+    """What CT, plan and drivers said the operator should know, and stopped nothing."""
+    series, plan, set_up = reading.find(ImportedCt), reading.find(CheckedPlan), reading.find(CheckedSetUp)
+    return [
+        *(f"CT: {one}" for one in (series.warnings if series else ())),
+        *(f"Plan: {one}" for one in (plan.warnings if plan else ())),
+        *(set_up.notices if set_up else ()),
+    ]
+
+
+def _figures(
+    reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: tuple[LinkHealth, ...]
+) -> dict[str, Any]:
+    """The pictures, each also as a file with its data beside it; empty where there is nothing to draw."""
+    made = {"target_picture": "", "timeline_picture": "", "link_picture": ""}
+    if rows:
+        made["target_picture"] = target_figure(rows, bool(reading.run.opened.get("banner")))
+        files.text("targets.svg", made["target_picture"])
+        files.targets(rows)
+    if spans := timeline(reading.run.journal):
+        made["timeline_picture"] = timeline_figure(spans)
+        files.text("timeline.svg", made["timeline_picture"])
+        files.timeline(spans)
+    if links and (bins := summed_histograms(links)):
+        made["link_picture"] = link_figure(bins)
+        files.text("robot_link.svg", made["link_picture"])
+        files.link(bins)
+    return made
+
+
+def _read_twice(
+    reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], out: Path
+) -> dict[str, Any]:
+    """The numbers of the targets by a second way, and whether both ways agree."""
+    if not rows:
+        return {"second_text": "", "agree": True}
+    try:
+        again = second_reading(reading.folder, out / REPORT_FOLDER / TRUTH_FILE)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        reading.note(f"The numbers of the targets could not be read a second time: {error}")
+        return {"second_text": "", "agree": False}
+    files.text(NUMBERS_FILE, text := as_text(again))
+    return {"second_text": text, "agree": again == tuple(row.cells for row in rows)}
+
+
+def _links(reading: RunReading) -> tuple[LinkHealth, ...]:
     """Health of the robot link, session by session."""
-    retreats = [stored.result.link for stored in run.standing(Retreated)]
-    changes = [stored.result.link for stored in run.standing(MountedGuide)]
-    return [*changes, *(link for link in retreats if link is not None)]
+    changes = [stored.result.link for stored in reading.standing(MountedGuide)]
+    retreats = [stored.result.link for stored in reading.standing(Retreated)]
+    return (*changes, *(link for link in retreats if link is not None))
 
 
-def _pictures(folder: Path, prefix: str) -> list[Path]:
-    return sorted((folder / PICTURES_FOLDER).glob(f"{prefix}*.png"))
+def _moment(reading: RunReading, place: int) -> str:
+    """Host time of the first or the last line of the journal."""
+    lines = reading.run.journal
+    return str(lines[place].get("host_time", ""))[:19].replace("T", " ") if lines else ""
 
 
-def _inline(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode()
+def _pictures(run: Path, prefix: str) -> list[tuple[str, str]]:
+    """Name and picture, as it stands inside a page."""
+    return [
+        (
+            path.stem.removeprefix(prefix),
+            "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode(),
+        )
+        for path in sorted((run / PICTURES_FOLDER).glob(f"{prefix}*.png"))
+    ]
+
+
+def _rendered(page: dict[str, Any]) -> str:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("procedures.reporting", "template"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(
+        mm=numbers.millimetres, tenths=numbers.tenths, um=numbers.micrometres, s=numbers.seconds
+    )
+    return environment.get_template(TEMPLATE).render(page)

@@ -6,12 +6,15 @@ import re
 from pathlib import Path
 
 import pytest
+from clinical_case import registered_robot
 
 from procedures.cli.case.display import show_outcome
-from procedures.engine.case import RECORDS_FOLDER
+from procedures.engine.case import Case
 from procedures.engine.journal import Entry, Journal
-from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
+from procedures.engine.step import StepKey
+from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, TargetTruth, Truth
 from procedures.reporting.report import write_report
+from procedures.steps.clinical.registration import Prediction
 from ronna_hw.command_line import tables
 
 EXTREMES_MM = (0.0004, 0.0006, 9.9996, 12345.6789, 99999.9994)
@@ -45,15 +48,23 @@ def test_every_number_of_the_table_is_whole_off_a_terminal(capsys: pytest.Captur
 
 @pytest.mark.hazard(6)
 def test_every_number_of_the_report_is_whole(tmp_path: Path) -> None:
-    (tmp_path / RECORDS_FOLDER).mkdir()
-    journal = Journal(tmp_path)
-    journal.write(Entry.OPENED, 0.0, theatre="bench", banner="SIMULATED THEATRE")
+    case, journal = Case(tmp_path), Journal(tmp_path)
+    predicted = tuple(
+        Prediction(target=f"T{k}", rms_mm=value, limit_mm=value, confidence=0.95, formula="")
+        for k, value in enumerate(EXTREMES_MM)
+    )
+    stored = case.store(
+        StepKey("registration"), registered_robot().model_copy(update={"predictions": predicted}), ()
+    )
+    names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
+    journal.write(Entry.RESULT, 0.0, step="registration", **names)
     journal.close()
-    text = write_report(tmp_path, OUTCOME).read_text(encoding="utf-8")
+    errors = tuple(TargetTruth(id=f"T{k}", application_error_mm=value) for k, value in enumerate(EXTREMES_MM))
+    text = write_report(tmp_path, truth=Truth(targets=errors)).read_text(encoding="utf-8")
     for k, shown in enumerate(SHOWN):
-        row = f"<tr><td>T{k}</td><td>123456.7</td><td>{shown}</td><td>{shown}</td></tr>"
-        assert row in text
-    assert '<span class="big">12345.679 mm</span>' in text
+        assert f"<tr><td>T{k}</td><td>–</td><td>{shown}</td><td>{shown}</td><td>{shown}</td>" in text
+        assert re.search(rf"T{k} +– +{shown} +{shown} +{shown}\n", text)
+    assert '<span class="big">22471.136 mm</span>' in text
 
 
 @pytest.mark.hazard(6)

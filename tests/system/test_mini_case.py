@@ -132,6 +132,12 @@ def test_one_signal_while_the_arm_moves_closes_the_run_and_exits_130(interrupted
     assert [line["entry"] for line in lines[-2:]] == ["interrupted", "closed"]
 
 
+def test_an_interrupted_run_has_a_report_that_says_so(interrupted: Path) -> None:
+    text = (interrupted / "report.html").read_text()
+    assert "It was interrupted during positioning:T1." in text
+    assert "predicted limit mm" in text
+
+
 def test_the_same_seed_gives_the_same_results_bit_for_bit(finished: MiniRun, interrupted: Path) -> None:
     again, results = ({r.kind: r.payload for r in records_of(run)} for run in (interrupted, finished.folder))
     assert {kind for kind, result in again.items() if result == results[kind]} == MEASURED

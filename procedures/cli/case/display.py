@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.leaving_report import leave_report
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
@@ -103,13 +104,10 @@ def follow_case(request: CaseRequest, *, as_json: bool, verbose: bool) -> None:
             outcome = run_case(request, folder, watcher)
     except BaseException as problem:
         forget_if_empty(folder)
+        ended = unfinished(request, folder, problem)
+        report = leave_report(folder, ended.error)
         if as_json:
-            print_json(unfinished(request, folder, problem).model_dump(mode="json"))
+            print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))
         raise
-    try:
-        from procedures.reporting.report import write_report
-
-        report = write_report(folder, outcome)
-        outcome = outcome.model_copy(update={"report": str(report)})
-    finally:  # the errors at the targets are known, whatever became of the report
-        show_outcome(outcome, as_json=as_json)
+    report = leave_report(folder)
+    show_outcome(outcome.model_copy(update={"report": report and str(report)}), as_json=as_json)

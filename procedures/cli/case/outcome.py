@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from procedures.cli.case.leaving_report import error_of
 from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.request import CaseRequest
-from procedures.engine.errors import CommandRefused
-from ronna_hw.command_line.errors import as_ronna_error
-from ronna_hw.host.child_process import command
+from procedures.cli.case.truth import truth_of
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
-    from procedures.reporting.outcome import FinishedRun, UnfinishedRun
-
-VERIFY_TIMEOUT_S = 60.0  # host time; it reads a few small files
+    from procedures.reporting.outcome import FinishedRun, Truth, UnfinishedRun
 
 
 def run_case(request: CaseRequest, folder: Path, watcher: Watcher) -> FinishedRun:
@@ -27,26 +22,29 @@ def run_case(request: CaseRequest, folder: Path, watcher: Watcher) -> FinishedRu
     with opened_case(request, folder, watcher) as engine:
         engine.run_to()
         theatre_time_s = engine.setting.clock.now_s()  # the clock ends with its theatre
-    truth = _truth(folder) if request.config is None else {"ct": None, "targets": []}
+    from procedures.reporting.files import keep_truth
+    from procedures.reporting.outcome import Truth
+
+    truth = truth_of(folder) if request.config is None else Truth()
+    keep_truth(folder, truth)
     return _finished(request, engine, truth, theatre_time_s, time.monotonic() - began_s)
 
 
 def unfinished(request: CaseRequest, folder: Path, problem: BaseException) -> UnfinishedRun:
     """A run that `problem` ended."""
-    from procedures.reporting.outcome import RunError, UnfinishedRun
+    from procedures.reporting.outcome import UnfinishedRun
 
-    error = as_ronna_error(problem) if isinstance(problem, Exception) else None
     return UnfinishedRun(
         run=folder.name,
         outcome="interrupted" if isinstance(problem, KeyboardInterrupt) else "failed",
         seed=request.seed,
         strategy=request.strategy,
-        error=None if error is None else RunError(code=error.code, what=error.what),
+        error=error_of(problem),
     )
 
 
 def _finished(
-    request: CaseRequest, engine: Engine, truth: dict[str, Any], theatre_time_s: float, wall_s: float
+    request: CaseRequest, engine: Engine, truth: Truth, theatre_time_s: float, wall_s: float
 ) -> FinishedRun:
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
     from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -64,13 +62,13 @@ def _finished(
         *(link for name in names if (link := case.get(Retreated, name).result.link) is not None),
     ]
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
-    errors_mm = {row["id"]: row["application_error_mm"] for row in truth["targets"]}
+    errors_mm = {one.id: one.application_error_mm for one in truth.targets}
     return FinishedRun(
         run=engine.case.folder.name,
         seed=request.seed,
         strategy=request.strategy,
         markers=len(case.get(LocalizedFiducials).result.markers),
-        ct=truth["ct"],
+        ct=truth.ct,
         registration=RegistrationOutcome(
             n=registered[names[0]].pairs, fre_mm=tuple(one.fre_mm for one in registered.values())
         ),
@@ -90,18 +88,3 @@ def _finished(
         sim_s=round(theatre_time_s, 3),
         wall_s=round(wall_s, 3),
     )
-
-
-def _truth(folder: Path) -> dict[str, Any]:
-    """Have the theatre's verifier compare the run with the truth."""
-    answer = subprocess.run(
-        command("sim.cli", "verify", str(folder), "--json"),
-        capture_output=True,
-        text=True,
-        timeout=VERIFY_TIMEOUT_S,
-        check=False,
-    )
-    if answer.returncode != 0:
-        raise CommandRefused("ronna-sim verify", answer.stderr, answer.returncode)
-    content: dict[str, Any] = json.loads(answer.stdout)
-    return content

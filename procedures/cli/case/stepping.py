@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
@@ -26,6 +27,7 @@ def step_through(request: CaseRequest) -> None:
     check_request(request)
     folder = new_run_folder(request)
     with (
+        leaving_report(folder),
         pause_on_interrupt() as interrupts,
         opened_case(
             request, folder, Watcher(listener=_done, opened=interrupts.attach, asking=interrupts.asking)

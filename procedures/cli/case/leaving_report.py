@@ -1,0 +1,68 @@
+"""Every run leaves a report, however it ended; what ended it is never hidden by that."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.truth import truth_if_any
+from ronna_hw.command_line.errors import PathProblem, as_ronna_error
+from ronna_hw.command_line.messages import on_terminal, tell
+from ronna_hw.log_output import LOG_FILE
+
+if TYPE_CHECKING:
+    from procedures.reporting.outcome import RunError
+
+RUN_PARTS = ("journal.jsonl", "records", "request.json", LOG_FILE)  # one of them makes a folder a run
+
+
+def error_of(problem: BaseException) -> RunError | None:
+    """What ended a run, as its report and its JSON have it; None for an interruption."""
+    from procedures.reporting.outcome import RunError
+
+    if not isinstance(problem, Exception):
+        return None
+    error = as_ronna_error(problem)
+    return RunError(code=error.code, what=error.what)
+
+
+def leave_report(folder: Path, error: RunError | None = None, *, with_truth: bool = False) -> Path | None:
+    """Write the report of a run that has ended; None when there is no folder or it cannot be written.
+
+    Without the truth, which takes the verifier a second, an exit is not held up.
+    """
+    if not folder.is_dir():
+        return None
+    try:
+        from procedures.reporting.report import write_report
+
+        path = write_report(folder, truth=truth_if_any(folder) if with_truth else None, error=error)
+    except Exception as problem:  # the run's own ending is what matters
+        tell(f"the report could not be written: {problem}")
+        return None
+    if on_terminal(sys.stderr):
+        tell(f"report {path}")
+    return path
+
+
+@contextlib.contextmanager
+def leaving_report(folder: Path) -> Iterator[None]:
+    """Leave a report of the run in `folder` at the end of the block, whatever ends it."""
+    try:
+        yield
+    except BaseException as problem:
+        leave_report(folder, error_of(problem))
+        raise
+    leave_report(folder, with_truth=True)
+
+
+def make_report(run: Path, out: Path | None = None) -> Path:
+    """The report of any run folder, made anew. Raises CLI-005 for what is no run, OSError."""
+    if not any((run / part).exists() for part in RUN_PARTS):
+        raise PathProblem(f"{run} is not the folder of a run", expected="a folder with journal.jsonl")
+    from procedures.reporting.report import write_report
+
+    return write_report(run, truth=truth_if_any(run), out=out)

@@ -1,0 +1,42 @@
+"""The truth about a simulated run, asked of the theatre's verifier: a command of its own."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.engine.errors import CommandRefused
+from ronna_hw.host.child_process import command
+
+if TYPE_CHECKING:
+    from procedures.reporting.outcome import Truth
+
+VERIFY_TIMEOUT_S = 60.0  # host time; it reads a few small files
+THEATRE_FOLDER = "theatre"  # of a run that brought its theatre along
+
+
+def truth_of(folder: Path) -> Truth:
+    """What the verifier says about a run folder; raises PRO-013 with its words."""
+    from procedures.reporting.outcome import Truth
+
+    answer = subprocess.run(
+        command("sim.cli", "verify", str(folder), "--json"),
+        capture_output=True,
+        text=True,
+        timeout=VERIFY_TIMEOUT_S,
+        check=False,
+    )
+    if answer.returncode != 0:
+        raise CommandRefused("ronna-sim verify", answer.stderr, answer.returncode)
+    return Truth.model_validate_json(answer.stdout)
+
+
+def truth_if_any(folder: Path) -> Truth | None:
+    """As `truth_of`; None where there was no simulated theatre, or nothing yet to compare."""
+    if not (folder / THEATRE_FOLDER).is_dir():
+        return None
+    try:
+        return truth_of(folder)
+    except (CommandRefused, subprocess.TimeoutExpired):
+        return None

@@ -1,0 +1,65 @@
+"""How a run ended, as its journal tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from procedures.engine.journal import Entry, Line
+from procedures.reporting.outcome import RunError
+
+ENDS_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED, Entry.REFUSED)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """`word` is one of done, failed, refused, aborted, interrupted, left, killed, not begun."""
+
+    word: str
+    sentence: str
+    code: str = ""
+    instrument_in: str | None = None  # the trajectory in which it still was
+
+
+def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
+    """The ending that the journal tells; `error` is what the command line met, where it is known."""
+    opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
+    closed = next((line for line in reversed(journal) if line["entry"] == Entry.CLOSED), None)
+    last = next((line for line in reversed(journal) if line["entry"] in ENDS_A_STEP), None)
+    if opened is None:
+        return _with_error("not begun", "The run ended before its theatre was open.", error)
+    if closed is None:
+        running = next((line for line in reversed(journal) if line["entry"] == Entry.INTENT), None)
+        where = f" during {running['step']}" if running is not None and running is not last else ""
+        return Ending("killed", f"The program ended{where} without closing the run, or it still runs.")
+    inside = closed.get("instrument_in")
+    instrument_in = inside if isinstance(inside, str) else None
+    outcome = closed.get("outcome")
+    if outcome == "done":
+        return Ending("done", "Every step was done.", instrument_in=instrument_in)
+    step = "" if last is None else str(last.get("step", ""))
+    if outcome == "left":
+        after = f" after {step}" if step else " before its first step"
+        return Ending("left", f"The operator left the case{after}.", instrument_in=instrument_in)
+    if outcome == "interrupted":
+        return Ending("interrupted", f"It was interrupted{_during(step)}.", instrument_in=instrument_in)
+    if last is not None and last["entry"] == Entry.INTERRUPTED:
+        return Ending("aborted", f"The operator ended it{_during(step)}.", instrument_in=instrument_in)
+    if last is not None and last["entry"] == Entry.REFUSED:
+        unmet = last.get("unmet")
+        reasons = "; ".join(map(str, unmet)) if isinstance(unmet, list) else ""
+        return Ending("refused", f"{step} was refused: {reasons}.", instrument_in=instrument_in)
+    if last is not None and last["entry"] == Entry.FAILED:
+        code = str(last.get("code", ""))
+        return Ending("failed", f"{step} failed. {last.get('what', '')}", code, instrument_in)
+    return _with_error("failed", "It failed between two steps.", error, instrument_in)
+
+
+def _during(step: str) -> str:
+    return f" during {step}" if step else ""
+
+
+def _with_error(word: str, sentence: str, error: RunError | None, instrument_in: str | None = None) -> Ending:
+    if error is None:
+        return Ending(word, sentence, instrument_in=instrument_in)
+    return Ending(word, f"{sentence} {error.what}", error.code, instrument_in)

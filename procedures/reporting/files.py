@@ -1,0 +1,87 @@
+"""The files beside a report: its pictures, and their data as tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from procedures.reporting.outcome import Truth
+from procedures.reporting.target_table import TargetRow
+from procedures.reporting.timeline import Span
+from ronna_hw.records import write_whole
+
+REPORT_FOLDER = "report"
+TRUTH_FILE = "truth.json"  # what the theatre's verifier said, for whoever reads the run again
+LINK_COLUMNS = ("from_us", "to_us", "turnaround_cycles", "jitter_cycles")
+
+
+def keep_truth(run: Path, truth: Truth) -> Path:
+    """Keep in a run's folder what the theatre's verifier said."""
+    (run / REPORT_FOLDER).mkdir(exist_ok=True)
+    path = run / REPORT_FOLDER / TRUTH_FILE
+    write_whole(path, (truth.model_dump_json(indent=1) + "\n").encode())
+    return path
+
+
+def kept_truth(run: Path) -> Truth | None:
+    """What `keep_truth` left; None without it, or where it cannot be read."""
+    try:
+        return Truth.model_validate_json((run / REPORT_FOLDER / TRUTH_FILE).read_bytes())
+    except (OSError, ValidationError):
+        return None
+
+
+class ReportFiles:
+    """Writes into `OUT/report`, made if missing."""
+
+    def __init__(self, out: Path) -> None:
+        self._folder = out / REPORT_FOLDER
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self.written: list[str] = []
+
+    def text(self, name: str, text: str) -> Path:
+        """Write one file whole; returns its path."""
+        path = self._folder / name
+        write_whole(path, text.encode())
+        self.written.append(name)
+        return path
+
+    def targets(self, rows: Sequence[TargetRow]) -> None:
+        """Error, prediction and its budget at each target, a column for each source."""
+        sources = list(dict.fromkeys(share.source for row in rows for share in row.predicted.budget))
+        head = ("target", "depth_mm", "predicted_rms_mm", "predicted_limit_mm", "confidence")
+        truth = ("error_mm", "lateral_mm", "axial_mm")
+        lines: list[tuple[object, ...]] = []
+        for row in rows:
+            told = row.predicted
+            shares = {share.source: share.rms_mm for share in told.budget}
+            lines.append(
+                (
+                    *(row.target, row.depth_mm, told.rms_mm, told.limit_mm, told.confidence),
+                    *(row.error_mm, row.lateral_mm, row.axial_mm),
+                    *(shares.get(source) for source in sources),
+                )
+            )
+        names = [f"{source.replace(' ', '_')}_rms_mm" for source in sources]
+        self.text("targets.csv", _csv((*head, *truth, *names), lines))
+
+    def timeline(self, spans: Sequence[Span]) -> None:
+        """Every step, motion and rest with its theatre time."""
+        self.text("timeline.csv", _csv([one.name for one in fields(Span)], map(astuple, spans)))
+
+    def link(self, bins: Iterable[tuple[float, float, int, int]]) -> None:
+        """Both histograms of the robot's link."""
+        self.text("robot_link.csv", _csv(LINK_COLUMNS, bins))
+
+
+def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,72 @@
+"""The numbers of the targets read a second time, by a way of its own: plain text from plain JSON.
+
+It shares neither models nor formatter with the report's table, so that a number that one of them gets wrong
+shows in the difference. Rows are (target, depth, predicted, largest at its confidence, error) as text.
+"""
+
+from __future__ import annotations
+
+import json
+from decimal import ROUND_HALF_EVEN, Decimal
+from pathlib import Path
+from typing import Any
+
+HEADINGS = ("target", "depth mm", "predicted mm rms", "predicted limit mm", "error mm")
+NOTHING = "–"  # what is not known
+
+Row = tuple[str, ...]
+
+
+def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
+    """The rows as the record files and the file of the truth have them, where there is one.
+
+    Raises OSError, ValueError, KeyError, TypeError for files that are not as a run leaves them.
+    """
+    journal = [json.loads(line) for line in (run / "journal.jsonl").read_bytes().splitlines(keepends=False)]
+    results = [line for line in journal if line["entry"] == "result"]
+    gone = {name for line in results for name in line.get("supersedes", ())}
+    standing = [line["record"] for line in results if line["record"] not in gone]
+    records = [json.loads((run / "records" / f"{name}.json").read_text()) for name in standing]
+    depth_mm = _depths(records)
+    errors_mm: dict[str, float] = {}
+    if truth_file.exists():
+        truth = json.loads(truth_file.read_text())
+        errors_mm = {one["id"]: one["application_error_mm"] for one in truth["targets"]}
+    return tuple(
+        (
+            one["target"],
+            _rounded(depth_mm.get(one["target"]), "0.1"),
+            _rounded(one["rms_mm"], "0.001"),
+            _rounded(one["limit_mm"], "0.001"),
+            _rounded(errors_mm.get(one["target"]), "0.001"),
+        )
+        for record in records
+        if record["kind"] == "registration"
+        for one in record["payload"]["predictions"]
+    )
+
+
+def as_text(rows: tuple[Row, ...]) -> str:
+    """The rows under their headings, in columns."""
+    table = [HEADINGS, *rows]
+    widths = [max(len(row[column]) for row in table) for column in range(len(HEADINGS))]
+    return "".join(
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) + "\n" for row in table
+    )
+
+
+def _depths(records: list[dict[str, Any]]) -> dict[str, float]:
+    for record in records:
+        if record["kind"] == "plan_check":
+            return {
+                one["id"]: sum((a - b) ** 2 for a, b in zip(one["entry_mm"], one["target_mm"], strict=True))
+                ** 0.5
+                for one in record["payload"]["plan"]["trajectories"]
+            }
+    return {}
+
+
+def _rounded(value: float | None, step: str) -> str:
+    if value is None:
+        return NOTHING
+    return str(Decimal(value).quantize(Decimal(step), rounding=ROUND_HALF_EVEN))

@@ -1,0 +1,33 @@
+"""What the drivers said of their links at the end of each session, as the log has it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+SESSION_ENDS = "active"  # the state that a device left
+FRAME = ("timestamp", "level", "event", "device", "before")
+
+
+def sessions(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
+    """Device, and its counters in words, for every session that was ended."""
+    ended = [line for line in log if line.get("before") == SESSION_ENDS and "device" in line]
+    return tuple(
+        (str(line["device"]), ", ".join(f"{name} {count}" for name, count in _counters(line, "")))
+        for line in ended
+    )
+
+
+def _counters(value: Mapping[str, Any], where: str) -> Iterator[tuple[str, int | float]]:
+    for key, one in value.items():
+        name = f"{where} {key}".strip().replace("_", " ")
+        if key in FRAME or isinstance(one, bool):
+            continue
+        if isinstance(one, int | float):
+            yield name, one
+        elif isinstance(one, Mapping):
+            yield from _counters(one, "" if not where and key in ("frames", "link") else name)
+        elif isinstance(one, list):
+            for number, item in enumerate(one, 1):
+                if isinstance(item, Mapping):
+                    yield from _counters(item, f"{name} {number}")

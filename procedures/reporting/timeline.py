@@ -1,0 +1,70 @@
+"""Steps, motions and rests of a run as spans of theatre time, from its journal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from procedures.engine.journal import Entry, Line
+
+BETWEEN_STEPS = "between steps"
+STEP_ENDS = {Entry.RESULT: "done", Entry.FAILED: "failed", Entry.INTERRUPTED: "interrupted"}
+
+
+@dataclass(frozen=True)
+class Span:
+    """Something that took theatre time; `row` is the step in which it lies."""
+
+    kind: Literal["step", "motion", "rest"]
+    name: str
+    row: str
+    begin_s: float
+    end_s: float
+    ended: str  # done, failed, interrupted, an error code, or `not ended`
+    host_time: str  # when it began
+
+
+def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
+    """The spans in the order in which they began; what nothing ended lasts until the last line."""
+    spans: list[Span] = []
+    open_now: dict[str, int] = {}  # what is going on, by its key: place in `spans`
+    row = BETWEEN_STEPS
+    for line in journal:
+        entry, time_s = line["entry"], _number(line, "theatre_time_s")
+        host_time = str(line.get("host_time", ""))
+        if entry == Entry.INTENT:
+            row = str(line.get("step", ""))
+            open_now["step"] = len(spans)
+            spans.append(Span("step", row, row, time_s, time_s, "", host_time))
+        elif entry in STEP_ENDS:
+            _end(spans, open_now, "step", time_s, STEP_ENDS[Entry(str(entry))])
+            row = BETWEEN_STEPS
+        elif entry == Entry.HOME:
+            row = BETWEEN_STEPS
+        elif entry == Entry.MOTION:
+            open_now[f"motion {line.get('number')}"] = len(spans)
+            spans.append(Span("motion", str(line.get("what", "")), row, time_s, time_s, "", host_time))
+        elif entry == Entry.MOVED:
+            _end(spans, open_now, f"motion {line.get('number')}", time_s, str(line.get("error", "done")))
+        elif entry == Entry.RESTED:
+            open_now["rest"] = len(spans)
+            name = f"{line.get('state', 'rest')}: {line.get('reason', '')}"
+            spans.append(Span("rest", name, row, time_s, time_s, "", host_time))
+        elif entry == Entry.RESUMED:
+            _end(spans, open_now, "rest", time_s, "done")
+    last_s = _number(journal[-1], "theatre_time_s") if journal else 0.0
+    for key in tuple(open_now):
+        _end(spans, open_now, key, last_s, "not ended")
+    return tuple(spans)
+
+
+def _end(spans: list[Span], open_now: dict[str, int], key: str, time_s: float, ended: str) -> None:
+    place = open_now.pop(key, None)
+    if place is not None:
+        spans[place] = replace(spans[place], end_s=max(time_s, spans[place].begin_s), ended=ended)
+
+
+def _number(line: Line, key: str) -> float:
+    value = line.get(key)
+    return float(value) if isinstance(value, int | float) else 0.0

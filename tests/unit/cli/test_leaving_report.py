@@ -1,0 +1,46 @@
+"""Every run leaves a report; what ended the run is what the caller hears of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from user_commands import in_this_process
+
+from procedures.cli.case.leaving_report import leaving_report, make_report
+from procedures.cli.procedure import app
+from procedures.engine.errors import GateFailed
+from procedures.reporting import report
+from ronna_hw.command_line.errors import PathProblem
+
+
+@pytest.mark.parametrize("problem", [GateFailed("too far off"), KeyboardInterrupt()])
+def test_whatever_ends_a_run_it_leaves_a_report_and_is_raised(tmp_path: Path, problem: BaseException) -> None:
+    with pytest.raises(type(problem)) as met, leaving_report(tmp_path):
+        raise problem
+    assert met.value is problem
+    text = (tmp_path / "report.html").read_text()
+    assert ("PRO-007" in text) == isinstance(problem, GateFailed)
+
+
+def test_a_report_that_cannot_be_written_hides_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object, **__: object) -> Path:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(report, "write_report", full)
+    with pytest.raises(GateFailed), leaving_report(tmp_path):
+        raise GateFailed("too far off")
+    assert "the report could not be written: [Errno 28]" in capsys.readouterr().err
+
+
+def test_the_command_makes_the_report_of_a_run_that_was_killed_at_once(tmp_path: Path) -> None:
+    (tmp_path / "log.jsonl").touch()
+    done = in_this_process(app, "report", tmp_path)
+    assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'report.html'}\n")
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PathProblem, match="is not the folder of a run"):
+        make_report(tmp_path)

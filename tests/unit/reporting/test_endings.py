@@ -1,0 +1,107 @@
+"""How a run ended is said in its report, whatever became of it."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import pytest
+from clinical_case import ClinicalCell
+from plain_steps import Work, plain_order
+
+from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
+from procedures.engine.errors import GateFailed, OperatorAborted, StepRefused
+from procedures.engine.journal import JOURNAL_FILE, Entry
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome
+from procedures.reporting.ending import ending_of
+from procedures.reporting.outcome import RunError
+from procedures.reporting.report import write_report
+from procedures.reporting.run_reading import read_for_report
+
+
+def raising(problem: BaseException) -> Work:
+    def work(_context: StepContext) -> Outcome[StepResult]:
+        raise problem
+
+    return work
+
+
+def ended(cell: ClinicalCell, outcome: str, problem: BaseException | None = None) -> tuple[str, str]:
+    """Word and code of the ending of a case whose step `fit` raises that, or which runs to its end."""
+    works = {} if problem is None else {"fit": raising(problem)}
+    engine = cell.engine(plain_order(**works))
+    with contextlib.nullcontext() if problem is None else pytest.raises(type(problem)):
+        engine.run_to()
+    engine.close(outcome)
+    ending = ending_of(read_for_report(cell.folder).run.journal)
+    assert ending.sentence in write_report(cell.folder).read_text()
+    return ending.word, ending.code
+
+
+def test_a_case_that_was_done(cell: ClinicalCell) -> None:
+    assert ended(cell, "done") == ("done", "")
+
+
+def test_a_step_that_failed_is_named_with_its_code(cell: ClinicalCell) -> None:
+    assert ended(cell, "failed", GateFailed("too far off")) == ("failed", "PRO-007")
+
+
+def test_a_case_that_the_operator_ended_was_aborted(cell: ClinicalCell) -> None:
+    assert ended(cell, "failed", OperatorAborted("enough")) == ("aborted", "")
+
+
+def test_a_case_that_a_signal_ended_was_interrupted(cell: ClinicalCell) -> None:
+    assert ended(cell, "interrupted", KeyboardInterrupt()) == ("interrupted", "")
+
+
+def test_a_case_whose_last_step_may_not_begin_was_refused(cell: ClinicalCell) -> None:
+    engine: Engine = cell.engine(plain_order())
+    with pytest.raises(StepRefused):
+        engine.run_step(engine.order.find("fit:T1"))
+    engine.close("failed")
+    text = write_report(cell.folder).read_text()
+    assert "Refused.</strong> fit:T1 was refused: image is not done" in text
+
+
+def test_a_case_that_was_left_says_after_which_step(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_step(engine.order.find("image"))
+    engine.close("left")
+    assert "The operator left the case after image." in write_report(cell.folder).read_text()
+
+
+def test_a_run_that_was_killed_says_during_which_step(cell: ClinicalCell) -> None:
+    cell.journal.write(Entry.INTENT, 1.0, step="image", moves=False)
+    text = write_report(cell.folder).read_text()
+    assert "Killed.</strong> The program ended during image without closing the run" in text
+
+
+def test_a_run_that_ended_before_its_theatre_was_open_says_why(tmp_path: Path) -> None:
+    text = write_report(tmp_path, error=RunError(code="PRC-001", what="no theatre")).read_text()
+    assert "before its theatre was open. no theatre (PRC-001)" in text
+    assert "There is no journal" in text
+
+
+def test_what_stands_before_a_broken_line_is_shown_and_the_break_is_said(registered: Path) -> None:
+    path = registered / JOURNAL_FILE
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines[:-3], *lines[-2:]]))
+    text = write_report(registered).read_text()
+    assert "PRO-011" in text
+    assert "01-ct_import" in text
+
+
+def test_a_torn_last_line_is_said(registered: Path) -> None:
+    path = registered / JOURNAL_FILE
+    path.write_bytes(path.read_bytes()[:-5])
+    assert "The last line of the journal is torn" in write_report(registered).read_text()
+
+
+def test_a_changed_record_is_left_out_and_named(registered: Path) -> None:
+    (changed,) = (registered / "records").glob("*-registration-T1.json")
+    changed.write_text(changed.read_text().replace('"confidence": 0.95', '"confidence": 0.99'))
+    text = write_report(registered).read_text()
+    assert "What cannot be relied on" in text
+    assert f"{changed.stem}: REC-001" in text

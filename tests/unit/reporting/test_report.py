@@ -1,0 +1,101 @@
+"""The report shows the numbers of the records, whole, twice, and calls no fit an accuracy."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import FIRST, TRAJECTORIES
+
+from procedures.reporting import target_table
+from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.reporting.report import write_report
+from procedures.reporting.run_reading import read_for_report
+from procedures.reporting.timeline import timeline
+from procedures.steps.clinical.registration import RegisteredRobot
+
+TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
+
+
+def test_the_page_needs_nothing_but_itself(registered: Path) -> None:
+    text = write_report(registered, truth=TRUTH).read_text()
+    assert re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?(?!data:)""", text) == []
+    assert "@import" not in text
+
+
+@pytest.mark.hazard(28)
+def test_the_words_of_a_fit_are_nowhere_on_the_page(registered: Path) -> None:
+    text = write_report(registered, truth=TRUTH).read_text().lower()
+    assert not re.search(r"\bfre\b|residual", text)
+    assert "says nothing about the error at a target" in text
+
+
+def test_prediction_error_and_budget_of_each_target_stand_there(registered: Path) -> None:
+    text = write_report(registered, truth=TRUTH).read_text()
+    for stored in read_for_report(registered).standing(RegisteredRobot):
+        (predicted,) = stored.result.predictions
+        for value in (predicted.rms_mm, predicted.limit_mm, *(share.rms_mm for share in predicted.budget)):
+            assert f"<td>{value:.3f}</td>" in text or f"<td>{value:.3f} mm at 95 %</td>" in text
+    assert "<td>0.432</td><td>0.400</td><td>-0.100</td>" in text
+
+
+@pytest.mark.hazard(6)
+def test_the_numbers_are_read_twice_and_both_ways_agree(registered: Path) -> None:
+    text = write_report(registered, truth=TRUTH).read_text()
+    again = (registered / "report" / "numbers.txt").read_text()
+    assert again in text
+    assert [line.split()[0] for line in again.splitlines()[1:]] == list(TRAJECTORIES)
+    assert "come out differently" not in text
+
+
+@pytest.mark.hazard(6)
+def test_a_formatter_that_drops_a_digit_is_noticed(registered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        target_table, "millimetres", lambda value: "–" if value is None else f"{value:.3f}"[1:]
+    )
+    assert "come out differently" in write_report(registered, truth=TRUTH).read_text()
+
+
+@pytest.mark.hazard(6)
+def test_no_cell_that_holds_a_number_may_break_inside_it(registered: Path) -> None:
+    style = write_report(registered).read_text().partition("</style>")[0]
+    cells = re.search(r"\nth, td \{([^}]*)\}", style)
+    assert cells is not None
+    assert "overflow-wrap: normal" in cells[1]
+    assert "text-overflow" not in style
+    assert "overflow: hidden" not in style
+
+
+def test_every_picture_has_its_data_beside_it(registered: Path) -> None:
+    write_report(registered, truth=TRUTH)
+    folder = registered / "report"
+    pictures = {path.stem for path in folder.glob("*.svg")}
+    assert pictures == {"targets", "timeline"}
+    assert {path.stem for path in folder.glob("*.csv")} == pictures
+    rows = list(csv.DictReader((folder / "targets.csv").read_text().splitlines()))
+    assert [row["target"] for row in rows] == list(TRAJECTORIES)
+    shares = [float(value) for name, value in rows[0].items() if name.endswith("_rms_mm")][1:]
+    assert np.linalg.norm(shares) == pytest.approx(float(rows[0]["predicted_rms_mm"]))
+    spans = timeline(read_for_report(registered).run.journal)
+    assert len((folder / "timeline.csv").read_text().splitlines()) == 1 + len(spans)
+
+
+def test_made_anew_it_says_the_same_from_the_folder_alone(registered: Path, tmp_path: Path) -> None:
+    first = write_report(registered, truth=TRUTH).read_text()
+    again = write_report(registered, out=tmp_path / "elsewhere").read_text()
+    made = r"Report made [^<]*"
+    assert re.sub(made, "", again) == re.sub(made, "", first)
+    assert (
+        json.loads((tmp_path / "elsewhere" / "report" / "truth.json").read_text())["targets"][0]["id"]
+        == FIRST
+    )
+
+
+def test_questions_stand_there_with_the_value_that_was_shown_and_the_answer(registered: Path) -> None:
+    text = write_report(registered).read_text()
+    shown = r'</td><td class="free">predicted target error .* at 95%</td><td>yes</td>'
+    assert re.search(f"accept the registration for {FIRST}{shown}", text)
