@@ -69,6 +69,8 @@ def _happenings(journal: Sequence[Line]) -> Iterator[Happening]:
             yield Happening(time_s, "fault", where, str(line.get("what", line.get("code", ""))))
         elif entry == Entry.RESTED:
             yield Happening(time_s, str(line.get("state", entry)), where, str(line.get("reason", "")))
+        elif entry == Entry.FINDING:
+            yield Happening(time_s, entry, where, str(line.get("text", "")))
         elif entry == Entry.INTERRUPTED:
             yield Happening(time_s, entry, where, "the step was ended; the arm was stopped")
         else:  # also of kinds that this module does not know

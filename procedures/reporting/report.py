@@ -91,6 +91,7 @@ def write_report(
         **_read_twice(reading, files, rows, out),
         "files": files.written,
         "findings": _findings(reading),
+        "left_out": _left_out(reading),
         "problems": reading.problems,
     }
     path = out / REPORT_FILE
@@ -106,6 +107,21 @@ def _findings(reading: RunReading) -> list[str]:
         *(f"Plan: {one}" for one in (plan.warnings if plan else ())),
         *(set_up.notices if set_up else ()),
     ]
+
+
+def _left_out(reading: RunReading) -> list[str]:
+    """Spheres and trajectories that were left out with the operator's consent, and why."""
+    told = []
+    for record in reading.run.records:
+        if record.identifier in reading.run.superseded:
+            continue
+        where = f" ({record.trajectory})" if record.trajectory else ""
+        for value in (record.payload.get("left_out"), record.payload.get("left_out_spheres")):
+            if isinstance(value, dict):  # trajectories
+                told += [f"{name} was left out: {reason}" for name, reason in value.items()]
+            for one in value if isinstance(value, list) else ():
+                told.append(f"Sphere {one['fiducial'] + 1} was left out{where}: {one['reason']}")
+    return told
 
 
 def _figures(

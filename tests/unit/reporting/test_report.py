@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import FIRST, TRAJECTORIES
+from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, registered_robot
 
 from procedures.reporting import target_table
 from procedures.reporting.outcome import TargetTruth, Truth
@@ -17,6 +17,7 @@ from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.timeline import timeline
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.relocalization import LeftOutSphere
 
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
 
@@ -99,3 +100,11 @@ def test_questions_stand_there_with_the_value_that_was_shown_and_the_answer(regi
     text = write_report(registered).read_text()
     shown = r'</td><td class="free">predicted target error .* at 95%</td><td>yes</td>'
     assert re.search(f"accept the registration for {FIRST}{shown}", text)
+
+
+def test_what_was_left_out_is_said_with_its_reason(cell: ClinicalCell) -> None:
+    spheres = (LeftOutSphere(fiducial=2, reason="no rim"),)
+    done = registered_robot().model_copy(update={"left_out": {"T2": "too deep"}, "left_out_spheres": spheres})
+    cell.begin(done).run_to()
+    text = write_report(cell.folder).read_text()
+    assert "<li>T2 was left out: too deep</li><li>Sphere 3 was left out: no rim</li>" in text
