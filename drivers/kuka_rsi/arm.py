@@ -47,6 +47,11 @@ from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
 CLOSING_STOP_S = 1.0  # host time that close() gives the arm to come to rest
 RUNS_S = 0.2  # since the real-time process last looked around: then it is worth talking to
+UNVERIFIED = (
+    "the controller does not say which program it runs: each axis in turn goes out and back by less than "
+    "0.05 mm at the flange to show it, with a person beside the arm"
+)
+IN_T1 = "the controller is in T1: somebody with the pendant stands beside the arm"
 
 _STOP_ORDERS = {
     StopKind.HOLD: StopOrder.HOLD,
@@ -77,6 +82,8 @@ class KukaRsiArm:
         self._follower = MotionFollower(name, self._connections, self._watch, cycle_s)
         self._readings = ArmReadings(self._connections, clock, options.silence_limit_s)
         self._t1_confirmed_by = ""
+        self._asked: tuple[str, ...] = ()  # of a person, by `to_confirm`
+        self._micro_move_confirmed_by = ""
 
     # Lifecycle
 
@@ -135,6 +142,23 @@ class KukaRsiArm:
         self._connections.start_link(timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
+    @property
+    def to_confirm(self) -> str | None:
+        eki = self._connections.open_eki
+        said = None if eki is None else eki.latest
+        asked = []
+        if eki is not None and not self._connections.verified:
+            asked.append(UNVERIFIED)
+        if said is not None and said.mode is OperationMode.T1:
+            asked.append(IN_T1)
+        self._asked = tuple(asked)
+        return "; ".join(asked) or None
+
+    def confirm_start(self, confirmed_by: str) -> None:
+        person = require_person(confirmed_by)
+        self._micro_move_confirmed_by = person if UNVERIFIED in self._asked else ""
+        self._t1_confirmed_by = person if IN_T1 in self._asked else ""
+
     def allow_t1(self, confirmed_by: str) -> None:
         """Let the next `activate` start in T1: somebody with the pendant stands beside the arm.
 
@@ -146,12 +170,16 @@ class KukaRsiArm:
         """Start the RSI program and answer its telegrams; returns when corrections act.
 
         Raises EKI-006 when the controller does not report which context it runs (see
-        `activate_unverified`), EKI-007 when it is not ready, EKI-008 when it refuses, RSI-002 when no
+        `confirm_start`), EKI-007 when it is not ready, EKI-008 when it refuses, RSI-002 when no
         telegram comes, RSI-015 when RSI and EKI disagree about the axes. What goes wrong after the start is
         latched: `recover` leaves it.
         """
         self._guard.require("activate", (Lifecycle.CONFIGURED,))
+        person, self._micro_move_confirmed_by = self._micro_move_confirmed_by, ""
         if not self._connections.verified:
+            if person:
+                self.activate_unverified(person, timeout_s)
+                return
             raise Unverified(f"{self._name}: the controller does not report which context it runs")
         self._start(timeout_s)
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)

@@ -254,8 +254,8 @@ class Unverified(ConnectError):
 
     code = "EKI-006"
     action = (
-        "Load the EKI program of this driver, which reports it; or set option accept_unverified and call "
-        "activate_unverified(confirmed_by), which tests it by a micro-move."
+        "Load the EKI program of this driver, which reports it; or set option accept_unverified and confirm "
+        "the start (a case asks; else activate_unverified(confirmed_by)): a micro-move tests it then."
     )
 
 

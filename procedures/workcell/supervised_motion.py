@@ -43,6 +43,17 @@ class SupervisedMotion:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
         self._confirmed = True
 
+    def confirm_start(self, words: str) -> bool:
+        """Have confirmed what a driver asks before the arm starts; False when there is nobody to ask.
+
+        Raises PRO-002 unless the answer is yes.
+        """
+        if self._ask is None:
+            return False
+        self.confirm(Topic.UNVERIFIED, "start the arm", words)
+        self._confirmed = False  # this was no motion of ours
+        return True
+
     def carry_out(
         self,
         what: str,

@@ -20,6 +20,7 @@ from procedures.workcell.insertion import Insertion
 from procedures.workcell.motion_facts import MotionFacts, in_sequence
 from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
+from procedures.workcell.starting import start
 from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_sensor
 from procedures.workcell.supervised_motion import Move, SupervisedMotion
 from ronna_hw.arm.clearance.surroundings import Surroundings
@@ -194,10 +195,8 @@ class Workcell:
         self._arm.surround(surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
-        """Start the correction stream, and the cameras, where they are not running."""
-        for device in (self._arm, self.stereo) if cameras else (self._arm,):
-            if device.state is Lifecycle.CONFIGURED:
-                device.activate()
+        """Start the correction stream, and the cameras, where they are not running. Raises PRO-002."""
+        start((self._arm, self.stereo) if cameras else (self._arm,), self._motion)
 
     def ask_before_motion(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
         """Have every motion meet that checkpoint, and the first one confirmed."""

@@ -3,11 +3,12 @@
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Identity, Lifecycle, LifecycleGuard
 from ronna_hw.devices.new_frames import new_frames
-from ronna_hw.devices.robot import RobotArm, StopKind
+from ronna_hw.devices.robot import ConfirmedStart, RobotArm, StopKind
 from ronna_hw.devices.stereo import StereoPair
 from ronna_hw.devices.tracker import OpticalTracker
 
 __all__ = [
+    "ConfirmedStart",
     "Device",
     "Identity",
     "LastKnown",

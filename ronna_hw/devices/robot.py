@@ -26,6 +26,26 @@ class StopKind(StrEnum):
 
 
 @runtime_checkable
+class ConfirmedStart(Protocol):
+    """What an arm offers besides `RobotArm` when it may need a person's word before `activate`."""
+
+    @property
+    def to_confirm(self) -> str | None:
+        """What a person must confirm before the next `activate`, as a question shows it; None for nothing.
+
+        Only looks at what the controller said last; allowed in every state.
+        """
+        ...
+
+    def confirm_start(self, confirmed_by: str) -> None:
+        """Somebody confirmed what `to_confirm` said last: the next `activate`, and only that, goes ahead.
+
+        Raises DEV-006 without a name. Moves nothing.
+        """
+        ...
+
+
+@runtime_checkable
 class RobotArm(Device, Protocol):
     """`activate` starts the correction stream (the arm may move); `deactivate` ends it."""
 

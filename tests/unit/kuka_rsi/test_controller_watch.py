@@ -18,7 +18,7 @@ from drivers.kuka_rsi.errors import (
 )
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.devices import Lifecycle
+from ronna_hw.devices import ConfirmedStart, Lifecycle
 from ronna_hw.errors import RonnaError
 
 THERE = radians6(10, -85, 85, 5, 65, -10)
@@ -128,6 +128,44 @@ def test_an_unverified_controller_is_activated_only_by_a_micro_move_that_a_perso
     assert all(0.002 < angle <= 0.02 for angle in largest)  # each axis, and none by more
     assert silent_controller.replies[-1][1] == (0.0,) * 6  # and back
     arm.move_joints(THERE)
+
+
+@pytest.mark.hazard(20)
+def test_a_confirmed_start_of_an_unverified_controller_is_a_micro_move_and_holds_for_one_start(
+    silent_controller: Any, make_arm: Any
+) -> None:
+    arm = _configured(make_arm)
+    assert isinstance(arm, ConfirmedStart)
+    assert "does not say which program it runs" in str(arm.to_confirm)
+    arm.confirm_start("Ana")
+    arm.activate()
+    assert all(any(reply[1][axis] for reply in silent_controller.replies) for axis in range(6))
+    arm.deactivate()
+    with pytest.raises(Unverified):
+        arm.activate()
+
+
+@pytest.mark.hazard(20)
+def test_a_start_that_was_confirmed_for_nothing_lets_nothing_pass(controller: Any, make_arm: Any) -> None:
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    assert arm.to_confirm is None
+    arm.confirm_start("Ana")
+    controller.tell(Mode="T1")
+    with pytest.raises(ControllerNotReady, match="T1"):
+        arm.activate()
+
+
+def test_in_T1_a_start_is_confirmed_by_who_stands_beside_the_arm(controller: Any, make_arm: Any) -> None:
+    controller.facts["Mode"] = "T1"
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    assert arm.to_confirm == "the controller is in T1: somebody with the pendant stands beside the arm"
+    arm.confirm_start("Ana")
+    arm.activate()
+    assert arm.state is Lifecycle.ACTIVE
 
 
 @pytest.mark.hazard(20)

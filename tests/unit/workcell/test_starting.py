@@ -1,0 +1,64 @@
+"""What an arm wants confirmed before it starts is asked in its words; without a yes it stays off."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingArm, RecordingCell, RecordingOperator
+
+from procedures.engine.errors import NotConfirmed
+from procedures.engine.operator import Topic
+from ronna_hw.devices.lifecycle import Lifecycle
+
+WORDS = "the controller does not say which program it runs"
+
+
+@dataclass
+class ArmThatAsks(RecordingArm):
+    to_confirm: str | None = WORDS
+
+    def confirm_start(self, confirmed_by: str) -> None:
+        self.calls.append("confirmed")
+
+
+def cell_with(folder: Path, operator: RecordingOperator, *, words: str | None = WORDS) -> RecordingCell:
+    """A cell before its arm is started, its engine asking."""
+    cell = RecordingCell(folder, operator=operator)
+    cell.arm = ArmThatAsks("arm", state=Lifecycle.CONFIGURED, to_confirm=words)
+    cell.opened._devices["robot.master"] = cell.arm
+    cell.engine(plain_order())
+    return cell
+
+
+@pytest.mark.hazard(20)
+def test_an_arm_is_started_once_the_operator_confirmed_what_its_driver_says(tmp_path: Path) -> None:
+    cell = cell_with(tmp_path, RecordingOperator())
+    cell.workcell.start()
+    assert [(one.topic, one.value) for one in cell.operator.asked] == [(Topic.UNVERIFIED, WORDS)]
+    assert cell.arm.calls == ["confirmed", "activate"]
+
+
+@pytest.mark.hazard(20)
+def test_without_a_yes_the_arm_stays_off(tmp_path: Path) -> None:
+    cell = cell_with(tmp_path, RecordingOperator(Topic.UNVERIFIED))
+    with pytest.raises(NotConfirmed, match="start the arm"):
+        cell.workcell.start()
+    assert cell.arm.calls == []
+
+
+@pytest.mark.hazard(36)
+def test_the_first_motion_is_still_asked_about(tmp_path: Path) -> None:
+    cell = cell_with(tmp_path, RecordingOperator())
+    cell.workcell.set_home()
+    cell.workcell.identify_mounted()
+    cell.workcell.start()
+    cell.workcell.go_home()
+    assert [one.topic for one in cell.operator.asked] == [Topic.UNVERIFIED, Topic.FIRST_MOTION]
+
+
+def test_an_arm_that_asks_nothing_is_started_unasked(tmp_path: Path) -> None:
+    cell = cell_with(tmp_path, RecordingOperator(), words=None)
+    cell.workcell.start()
+    assert cell.operator.asked == []
+    assert cell.arm.calls == ["activate"]
