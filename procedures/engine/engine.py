@@ -155,6 +155,8 @@ class Engine:
             self._fail(key, problem)
             raise
         self._latest = key
+        for trajectory, reason in stored.result.leaves_out().items():
+            self.find(f"{trajectory} is left out: {reason}")
         _log.info("step done", step=self._logged(str(key)), summary=self._logged(outcome.summary))
         self.events.publish(
             StepState(step=str(key), state="done", summary=outcome.summary, record=stored.record.identifier)

@@ -7,6 +7,7 @@ from recording_cell import RecordingCell
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import StepRefused
+from procedures.engine.events import Finding
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
 
@@ -33,6 +34,15 @@ def test_nothing_more_is_done_for_a_trajectory_that_was_left_out(cell: Recording
     assert not {"approach:T2", "held:T2", "back:T2"} & set(done)
     assert done[-1] == "back:T3"
     assert engine.machine.state == "finished"
+
+
+def test_that_a_trajectory_is_left_out_is_a_finding(cell: RecordingCell) -> None:
+    engine = fitted(cell, "T2")
+    reader = engine.events.subscribe()
+    engine.run_to(engine.order.find("tool_on"))
+    findings = [one.what for one in reader.read(0.0).events if isinstance(one.what, Finding)]
+    assert [one.text for one in findings] == ["T2 is left out: the error is too large"]
+    assert cell.entries("finding") == [("finding", "")]
 
 
 def test_the_steps_of_a_trajectory_that_was_left_out_say_so(cell: RecordingCell) -> None:
