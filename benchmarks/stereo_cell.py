@@ -27,6 +27,7 @@ from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.clock import HostClock
+from ronna_hw.config import parse_theatre
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, Stamp, StereoReading, Validity
 from ronna_hw.frames import Frame, Transform
@@ -252,8 +253,9 @@ def _workcell_of(
 ) -> Workcell:
     """The procedure's workcell over these devices, its journal in the folder."""
     (folder / JOURNAL_FILE).unlink(missing_ok=True)
+    file = parse_theatre({"theatre": "stereo cell"})  # its devices are given, without endpoints
     theatre = SimpleNamespace(
-        arms={"master": arm}, stereo=stereo, clock=HostClock(), require=lambda *_names: None
+        arms={"master": arm}, stereo=stereo, clock=HostClock(), require=lambda *_names: None, file=file
     )
     calibrations: Any = SimpleNamespace(stereo_head=calibration)
     workcell = Workcell(cast("Any", theatre), Journal(folder), calibrations=calibrations)

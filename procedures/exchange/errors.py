@@ -24,3 +24,10 @@ class NothingToExport(DataError):
 
     code = "EXC-003"
     action = "Give the folder of a run that reached a registration, such as runs/<run id>."
+
+
+class FieldNotAllowed(DataError):
+    """An object for the export holds an attribute that is not on the list of what may leave."""
+
+    code = "EXC-004"
+    action = "This is a fault of the program: nothing of that object was written."

@@ -15,6 +15,13 @@ from numpy.typing import ArrayLike
 from procedures.engine.case import Stored
 from procedures.engine.result import StepResult
 from procedures.engine.run_folder import RunFolder, read_run
+from procedures.exchange.allowed_fields import (
+    REGISTRATION_FIELDS,
+    SPHERE_FIELDS,
+    label_of,
+    only_allowed,
+    picked,
+)
 from procedures.exchange.dicom_object import Origin, write
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.plain_files import (
@@ -44,9 +51,9 @@ class Located(Protocol):
 
 
 def export_run(run: Path, out: Path) -> list[Path]:
-    """Write everything that a run found into `out`; returns the files.
+    """Write what a run found, as far as it may leave the folder, into `out`; returns the files.
 
-    Raises EXC-002, EXC-003, PRO-011, REC-001, REC-003.
+    Raises EXC-002, EXC-003, EXC-004, PRO-011, REC-001, REC-003.
     """
     folder = read_run(run)
     imported, found = _only(folder, ImportedCt), _only(folder, LocalizedFiducials)
@@ -57,12 +64,13 @@ def export_run(run: Path, out: Path) -> list[Path]:
         datetime.fromisoformat(found.record.created),
         found.record.sha256,
     )
-    fits = {stored.record.trajectory or ALL: stored for stored in folder.standing(RegisteredRobot)}
+    fits = _labelled(folder.standing(RegisteredRobot))
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
+    markers = [picked(one.model_dump(mode="json"), SPHERE_FIELDS) for one in found.result.markers]
     texts = {
         "spheres.csv": table(spheres),
-        "spheres.json": document([one.model_dump(mode="json") for one in found.result.markers], origin),
+        "spheres.json": document(markers, origin),
         "spheres.mrk.json": slicer_markups(spheres),
         "registrations.csv": registration_table(fit.result for fit in fits.values()),
         "registrations.json": _summary(fits),
@@ -74,7 +82,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     written = [out / name for name in texts]
-    written.append(write(spatial_fiducials(spheres, origin), out / "spheres.dcm"))
+    written.append(write(only_allowed(spatial_fiducials(spheres, origin)), out / "spheres.dcm"))
     for trajectory, fit in fits.items():
         made = spatial_registration(
             fit.result.robot_from_ct.transform,
@@ -83,7 +91,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
             description=f"trajectory {trajectory}",
             fiducial_uids=[fiducial_uid(origin, one) for one in spheres],
         )
-        written.append(write(made, out / f"registration-{trajectory}.dcm"))
+        written.append(write(only_allowed(made), out / f"registration-{trajectory}.dcm"))
     return written
 
 
@@ -97,11 +105,28 @@ def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
     return tuple(made)
 
 
+def _labelled(stored: Sequence[Stored[RegisteredRobot]]) -> dict[str, Stored[RegisteredRobot]]:
+    """The registrations by the label under which they leave, and so are the targets in them."""
+    names = dict.fromkeys(one.target for fit in stored for one in fit.result.predictions)
+    labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
+    labelled = {}
+    for fit in stored:
+        predictions = tuple(
+            one.model_copy(update={"target": labels[one.target]}) for one in fit.result.predictions
+        )
+        result = fit.result.model_copy(update={"predictions": predictions})
+        name = fit.record.trajectory
+        labelled[ALL if name is None else labels.get(name, label_of(name, len(labels)))] = Stored(
+            fit.record, result
+        )
+    return labelled
+
+
 def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
     document = [
         {
             "trajectory": predicted.target,
-            **fit.result.model_dump(mode="json", include={"robot_from_ct", "pairs", "fre_mm"}),
+            **picked(fit.result.model_dump(mode="json"), REGISTRATION_FIELDS),
             "predicted_tre_mm": predicted.rms_mm,
             "predicted_tre_limit_mm": predicted.limit_mm,
             "confidence": predicted.confidence,

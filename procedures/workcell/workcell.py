@@ -34,6 +34,7 @@ from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
 from ronna_hw.frames import Transform
 from ronna_hw.theatre import Theatre
+from ronna_hw.theatre_kind import require_one_kind
 
 D = TypeVar("D")
 MASTER = "master"  # the arm that carries stereo head and guide
@@ -65,10 +66,11 @@ class Workcell:
     ) -> None:
         """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file.
 
-        Raises PRO-003 when the journal is closed, DEV-007 when the theatre lacks a device or calibrations.
+        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004 for a mixture.
         """
         if journal.closed:
             raise JournalNotWritable("the journal is closed: nothing may move without it")
+        require_one_kind(theatre.file)
         theatre.require("tracker", "stereo", f"robot.{MASTER}")
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre

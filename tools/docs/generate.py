@@ -26,6 +26,7 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
 from procedures.engine.operator import words
+from procedures.exchange import allowed_fields
 from procedures.steps.branches import BRANCHES
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
@@ -50,6 +51,7 @@ def tables() -> dict[str, str]:
     return {
         "camera-checklist.md": checklist(stereo.SUITE, "gige-vision"),
         "error-codes.md": _error_codes(),
+        "export.md": _exported_fields(),
         "faults.md": table(
             ("fault", "", "effect"),
             [(f"`{k.usage}`", "once" if k.momentary else "lasts", k.meaning) for k in FAULT_KINDS],
@@ -95,6 +97,22 @@ def _error_codes() -> str:
             for error in errors_with_a_code()
         ],
     )
+
+
+def _exported_fields() -> str:
+    """What may leave a run folder."""
+    rows = [
+        (f"`{name}`", where, meaning)
+        for where, fields in (
+            ("spheres", allowed_fields.SPHERE_FIELDS),
+            ("registrations", allowed_fields.REGISTRATION_FIELDS),
+            ("both", allowed_fields.DOCUMENT_FIELDS),
+        )
+        for name, meaning in fields.items()
+    ]
+    rows += [(f"`{name}`", "DICOM objects", "") for name in allowed_fields.FILLED_ATTRIBUTES]
+    rows += [(f"`{name}`", "DICOM objects", "always empty") for name in allowed_fields.EMPTY_ATTRIBUTES]
+    return table(("field", "in", ""), rows)
 
 
 def _branches() -> str:

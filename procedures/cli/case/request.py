@@ -41,10 +41,11 @@ def check_request(request: CaseRequest) -> None:
     """Raise what can be known to be wrong before a run folder is made."""
     from procedures.strategies.catalogue import strategy_named
     from ronna_hw.config import read_theatre_file
+    from ronna_hw.theatre_kind import require_one_kind
 
     strategy_named(request.strategy)
     if request.config is not None:
-        read_theatre_file(request.config)
+        require_one_kind(read_theatre_file(request.config))
         for part in ("ct", "plan.toml"):
             path = (request.case or Path()) / part
             if not path.exists():

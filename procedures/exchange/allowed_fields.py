@@ -1,0 +1,85 @@
+"""What may leave a run folder by `export`, field by field; what is not listed here is not written.
+
+No field holds a person's name, number, date of birth, place or device. The series and its frame of reference
+are named by their DICOM UIDs: without them no other program could lay the result over the CT.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from pydicom.dataset import Dataset
+
+from procedures.exchange.errors import FieldNotAllowed
+
+# Names of trajectories are free text of the plan, and may be a patient's: only those that are plain labels,
+# such as T1 or L12, leave; another trajectory goes by its number.
+PLAIN_LABEL = re.compile(r"[A-Za-z]{1,3}\d{1,3}")
+
+SPHERE_FIELDS = {
+    "centre_mm": "centre in LPS",
+    "covariance_mm2": "of the centre",
+    "radius_mm": "as measured",
+    "quality": "0 to 1",
+    "agreement_mm": "between the two estimates of the centre",
+    "flags": "fixed words of the localizer",
+}
+REGISTRATION_FIELDS = {
+    "trajectory": "its label, or its number",
+    "robot_from_ct": "pose robot <- CT",
+    "pairs": "spheres that were fitted",
+    "fre_mm": "of the fit; says nothing of the accuracy",
+    "predicted_tre_mm": "predicted error at the target, rms",
+    "predicted_tre_limit_mm": "radius at the confidence",
+    "confidence": "of that radius",
+    "record": "SHA-256 of the record",
+}
+DOCUMENT_FIELDS = {
+    "series_instance_uid": "the CT series",
+    "frame_of_reference_uid": "its coordinate system",
+    "coordinate_system": "LPS",
+    "unit": "mm",
+    "spheres": "one entry for each sphere",
+    "registrations": "one entry for each target",
+    "name": "of a sphere: M1, M2, ...",
+}
+# Of the DICOM objects, by the standard's keywords; those that must be there and stay empty come first.
+EMPTY_ATTRIBUTES = (
+    *("PatientName", "PatientID", "PatientBirthDate", "PatientSex", "StudyDate", "StudyTime"),
+    *("AccessionNumber", "ReferringPhysicianName", "StudyID", "Laterality", "ContentCreatorName"),
+    "PositionReferenceIndicator",
+)
+FILLED_ATTRIBUTES = (
+    *("SpecificCharacterSet", "SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID"),
+    *("SeriesNumber", "InstanceNumber", "Modality", "Manufacturer", "ManufacturerModelName"),
+    *("DeviceSerialNumber", "SoftwareVersions", "ContentDate", "ContentTime", "ContentLabel"),
+    *("ContentDescription", "FrameOfReferenceUID", "FiducialSetSequence", "FiducialSequence"),
+    *("FiducialIdentifier", "FiducialDescription", "FiducialUID", "ShapeType", "NumberOfContourPoints"),
+    *("ContourData", "ContourUncertaintyRadius", "RegistrationSequence", "MatrixRegistrationSequence"),
+    *("RegistrationTypeCodeSequence", "CodeValue", "CodingSchemeDesignator", "CodeMeaning"),
+    *("MatrixSequence", "FrameOfReferenceTransformationMatrixType"),
+    *("FrameOfReferenceTransformationMatrix", "UsedFiducialsSequence", "ReferencedSOPClassUID"),
+    "ReferencedSOPInstanceUID",
+)
+
+
+def picked(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:
+    """The fields of that list, in its order; whatever else is there stays behind."""
+    return {name: content[name] for name in allowed if name in content}
+
+
+def label_of(trajectory: str, number: int) -> str:
+    """The trajectory's name if it is a plain label, otherwise its number, from 1."""
+    return trajectory if PLAIN_LABEL.fullmatch(trajectory) else f"trajectory{number}"
+
+
+def only_allowed(made: Dataset) -> Dataset:
+    """The same object; raises EXC-004 for an attribute that is not listed, or must be empty and is not."""
+    for element in made.iterall():
+        if element.keyword in EMPTY_ATTRIBUTES and element.is_empty:
+            continue
+        if element.keyword not in FILLED_ATTRIBUTES:
+            raise FieldNotAllowed(f"{element.keyword or element.tag} may not leave the run folder")
+    return made

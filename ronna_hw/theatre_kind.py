@@ -1,0 +1,66 @@
+"""Simulated or real: a theatre is one or the other, and a simulated one says so.
+
+What tells is the address. A simulated device is on this computer: at a pseudo-terminal, a loopback address or
+in shared memory; a real one is at a line or an address of a network. The clock of a simulated theatre is in
+shared memory.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+
+from ronna_hw.config import TheatreFile
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.errors import RefusedError
+
+PSEUDO_TERMINALS = "/dev/pts/"
+LOCAL_NAME = "localhost"
+
+
+class MixedTheatre(RefusedError):
+    """The theatre file mixes simulated and real devices, or does not say that it is a simulated one."""
+
+    code = "CFG-004"
+    action = (
+        "Use the theatre file of one theatre: ronna-sim theatre writes a simulated one, you the real one."
+    )
+
+
+def on_this_computer(endpoint: Endpoint) -> bool | None:
+    """Whether only a program of this computer can be at an address; None where the address does not tell."""
+    if endpoint.scheme == "shm":
+        return True
+    if endpoint.scheme == "serial":
+        return endpoint.path.startswith(PSEUDO_TERMINALS)
+    if endpoint.scheme == "host":
+        return None
+    try:
+        address = ipaddress.ip_address(endpoint.host)
+    except ValueError:
+        return endpoint.host == LOCAL_NAME
+    return None if address.is_unspecified else address.is_loopback
+
+
+def require_one_kind(theatre: TheatreFile) -> None:
+    """Raise CFG-004 for a theatre of simulated and real devices, and for a simulated one without a banner."""
+    simulated: list[str] = []
+    real: list[str] = []
+    for name, device in theatre.devices.items():
+        for address in (*device.endpoints.values(), *([device.endpoint] if device.endpoint else [])):
+            here = on_this_computer(parse_endpoint(address))
+            if here is not None:
+                (simulated if here else real).append(f"{name} at {address}")
+    clock = theatre.clock.endpoint
+    if parse_endpoint(clock).scheme == "shm":
+        simulated.insert(0, f"the clock at {clock}")
+    if simulated and real:
+        raise MixedTheatre(
+            "the theatre file mixes simulated and real devices",
+            expected="one kind",
+            got=f"simulated: {', '.join(simulated)}; real: {', '.join(real)}",
+        )
+    if simulated and not theatre.banner:
+        raise MixedTheatre(
+            "every device is on this computer, as simulated ones are, and the theatre file has no banner",
+            action="Give it a banner that says so; if they are real, give their addresses in the network.",
+        )

@@ -1,0 +1,143 @@
+"""Hazard 35: names that are sown into series and plan are in nothing that an export writes."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import registered_robot
+from painted_ct import write_series
+from pydicom import dcmread
+from recording_cell import RecordingCell
+from spoiled_slices import every, setting
+
+from procedures.engine.case import Case
+from procedures.engine.journal import Entry, Journal
+from procedures.engine.order import order_of
+from procedures.engine.result import StepResult
+from procedures.engine.step import StepKey
+from procedures.exchange import allowed_fields
+from procedures.exchange.allowed_fields import only_allowed
+from procedures.exchange.dicom_object import name_patient
+from procedures.exchange.errors import FieldNotAllowed
+from procedures.exchange.run_export import export_run
+from procedures.steps.clinical import ct_import
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+
+SOWN = ("Sown^Patient", "SOWN-ID", "19610203", "Sown Hospital", "Sown^Physician", "Sown Station", "SownLeft")
+WORDS = (
+    *("PatientName", "PatientID", "PatientBirthDate", "InstitutionName", "ReferringPhysicianName"),
+    "StationName",
+)
+NAMED_AFTER_THE_PATIENT = SOWN[-1]
+
+
+def imported_from_a_sown_series(folder: Path) -> ImportedCt:
+    """What the import leaves of a series whose headers are full of patient data."""
+    cell = RecordingCell(folder)
+    named = every(setting(**dict(zip(WORDS, SOWN, strict=False))))
+    write_series(cell.series, np.full((12, 32, 32), -1000, dtype=np.int16), edit=named)
+    cell.engine(order_of([ct_import.STEP], ())).run_to()
+    return cell.case.get(ImportedCt).result
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run with a sown series and a trajectory that is named after its patient."""
+    marker = LocalizedMarker(
+        centre_mm=(1.0, 2.0, 3.0),
+        covariance_mm2=(np.eye(3) * 1e-4).tolist(),
+        radius_mm=5.75,
+        quality=1.0,
+        agreement_mm=0.01,
+        flags=(),
+    )
+    imported = imported_from_a_sown_series(tmp_path / "import")
+    spheres = LocalizedFiducials(
+        series_instance_uid=imported.series_instance_uid,
+        diameter_mm=11.5,
+        markers=(marker,),
+        candidates_refused=0,
+    )
+    done = registered_robot()
+    (first, *_) = done.predictions
+    fit = done.model_copy(
+        update={"predictions": (first.model_copy(update={"target": NAMED_AFTER_THE_PATIENT}),)}
+    )
+    folder = tmp_path / "run"
+    case, journal = Case(folder), Journal(folder)
+    results: tuple[tuple[StepKey, StepResult], ...] = (
+        (StepKey("ct_import"), imported),
+        (StepKey("fiducial_localization"), spheres),
+        (StepKey("registration", NAMED_AFTER_THE_PATIENT), fit),
+    )
+    for key, result in results:
+        record = case.store(key, result, ()).record
+        journal.write(
+            Entry.RESULT, 0.0, step=str(key), record=record.identifier, sha256=record.sha256, supersedes=[]
+        )
+    journal.close()
+    return folder
+
+
+@pytest.mark.hazard(35)
+def test_no_sown_name_is_in_any_exported_file_or_in_its_name(run: Path, tmp_path: Path) -> None:
+    written = export_run(run, tmp_path / "export")
+    assert {path for path in (tmp_path / "export").rglob("*") if path.is_file()} == set(written)
+    for path in written:
+        content = path.read_bytes()
+        for name in SOWN:
+            assert name.encode() not in content, path.name
+            assert name not in path.name
+    assert (tmp_path / "export" / "registration-trajectory1.dcm") in written
+
+
+def keys_of(content: object) -> Iterator[str]:
+    if isinstance(content, dict):
+        for key, value in content.items():
+            yield key
+            if key != "robot_from_ct":
+                yield from keys_of(value)
+    elif isinstance(content, list):
+        for value in content:
+            yield from keys_of(value)
+
+
+@pytest.mark.hazard(35)
+def test_every_exported_field_is_on_the_list(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "export"
+    export_run(run, out)
+    listed = {
+        *allowed_fields.SPHERE_FIELDS,
+        *allowed_fields.REGISTRATION_FIELDS,
+        *allowed_fields.DOCUMENT_FIELDS,
+    }
+    for name in ("spheres.json", "registrations.json"):
+        assert set(keys_of(json.loads((out / name).read_text()))) <= listed
+    with (out / "registrations.csv").open() as file:
+        columns = {name for name in next(csv.reader(file)) if not name.startswith("m")}
+    assert columns <= listed
+    attributes = {*allowed_fields.EMPTY_ATTRIBUTES, *allowed_fields.FILLED_ATTRIBUTES}
+    for path in out.glob("*.dcm"):
+        elements = list(dcmread(path).iterall())
+        assert {one.keyword for one in elements} <= attributes
+        assert all(one.is_empty for one in elements if one.keyword in allowed_fields.EMPTY_ATTRIBUTES)
+
+
+@pytest.mark.hazard(35)
+@pytest.mark.parametrize("attribute", ["PatientName", "InstitutionName"])
+def test_an_object_with_anything_else_in_it_is_not_written(run: Path, tmp_path: Path, attribute: str) -> None:
+    export_run(run, tmp_path / "export")
+    made = dcmread(tmp_path / "export" / "spheres.dcm")
+    only_allowed(made)
+    if attribute == "PatientName":
+        name_patient(made, "Sown^Patient", "", "", "")
+    else:
+        setattr(made, attribute, "Sown Hospital")
+    with pytest.raises(FieldNotAllowed, match=f"EXC-004.*{attribute}"):
+        only_allowed(made)
