@@ -66,7 +66,7 @@ class Workcell:
     ) -> None:
         """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file.
 
-        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004 for a mixture.
+        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004.
         """
         if journal.closed:
             raise JournalNotWritable("the journal is closed: nothing may move without it")
