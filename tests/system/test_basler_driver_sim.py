@@ -65,6 +65,20 @@ def test_a_longer_exposure_is_brighter(pair):
     assert pair.grab_pair(5.0).left.pixels.mean() > 1.5 * dim
 
 
+def test_a_share_of_the_exposure_is_one_of_what_was_set_and_one_brings_it_back(pair):
+    pair.set_areas(AREA, AREA)
+    pair.set_exposure(500.0, 36)
+    pair.activate(5.0)
+
+    def brightness(share):
+        pair.scale_exposure(share)
+        return pair.grab_pair(5.0).left.pixels.mean()
+
+    dim, bright, again = brightness(1.0), brightness(4.0), brightness(1.0)
+    assert bright > 1.5 * dim
+    assert again == pytest.approx(dim, rel=0.1)
+
+
 def test_after_a_client_was_killed_the_next_one_waits_for_the_cameras():
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as cameras:
         endpoints = dict(cameras.ready["endpoints"])

@@ -144,6 +144,26 @@ def test_black_images_end_in_a_refusal_that_says_so(cell: StereoCell) -> None:
         cell.centre(start)
 
 
+@pytest.mark.branch("SPHERE_FAILED")
+def test_saturated_images_are_taken_again_at_a_shorter_exposure_and_the_configured_one_comes_back(
+    cell: StereoCell,
+) -> None:
+    start = start_of(cell, 2.0)
+    cell.stereo.set_exposure(60_000, 300)
+    assert cell.centre(start).residuals_mm[-1] <= END_MM
+    with pytest.raises(Saturated):
+        cell.look_from(start)
+
+
+@pytest.mark.branch("SPHERE_FAILED")
+def test_after_a_search_in_the_dark_the_sphere_is_found_at_a_longer_exposure(cell: StereoCell) -> None:
+    start = start_of(cell, 2.0)
+    cell.stereo.set_exposure(40, 36)
+    found = cell.centre(start)
+    assert found.looks > 2 + SEARCH_LOOKS
+    assert found.residuals_mm[-1] <= END_MM
+
+
 @pytest.mark.hazard(27)
 def test_images_saturated_at_a_shorter_exposure_too_stop_without_a_search(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
