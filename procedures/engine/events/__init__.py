@@ -1,5 +1,6 @@
 """What happens in a case, as one numbered stream that everybody reads: journal, terminal, console, links."""
 
+from procedures.engine.events.event import Event
 from procedures.engine.events.happenings import (
     Answered,
     CaseState,
@@ -16,10 +17,11 @@ from procedures.engine.events.happenings import (
     StepState,
     Waiting,
 )
-from procedures.engine.events.stream import Event, EventStream, Reader
+from procedures.engine.events.stream import Batch, EventStream, Reader
 
 __all__ = [
     "Answered",
+    "Batch",
     "CaseState",
     "DeviceAge",
     "DeviceState",

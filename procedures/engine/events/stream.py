@@ -13,31 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
-
-from procedures.engine.events.happenings import (
-    VERSION,
-    Answered,
-    CaseState,
-    DeviceState,
-    Happening,
-    JournalLine,
-    Questioned,
-    StepState,
-    Waiting,
-)
-
-
-class Event(BaseModel):
-    """One happening with its number and its time."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    version: int = VERSION
-    number: int = Field(description="Counts all events of a run from 1.")
-    host_time: AwareDatetime
-    theatre_time_s: float
-    what: Happening
+from procedures.engine.events.event import Event
+from procedures.engine.events.happenings import Happening, JournalLine
+from procedures.engine.events.present import Present
 
 
 @dataclass(frozen=True)
@@ -59,6 +37,11 @@ class Reader:
         self._lost = 0
         self._ended = False
 
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Wait for something to happen, or for the end of the stream."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: bool(self._facts or self._signals or self._ended), timeout_s)
+
     def read(self, timeout_s: float | None = None) -> Batch:
         """Wait for something to happen, or for the end of the stream, and return all of it."""
         with self._arrived:
@@ -72,9 +55,8 @@ class Reader:
         """Take an event in. For the stream alone."""
         with self._arrived:
             if event.what.signal:
-                key = f"{event.what.kind} {event.what.about}"
-                self._lost += key in self._signals
-                self._signals[key] = event
+                self._lost += event.subject in self._signals
+                self._signals[event.subject] = event
             else:
                 self._facts.append(event)
             self._arrived.notify_all()
@@ -95,7 +77,7 @@ class EventStream:
         self._lock = threading.Lock()
         self._count = 0
         self._readers: list[Reader] = []
-        self._present: dict[str, Event] = {}
+        self._present = Present()
         self._ended = False
 
     def publish(self, what: Happening) -> Event:
@@ -105,7 +87,7 @@ class EventStream:
             event = Event(
                 number=self._count, host_time=datetime.now(UTC), theatre_time_s=self._now_s(), what=what
             )
-            self._keep(event)
+            self._present.take_in(event)
             for reader in self._readers:
                 reader.deliver(event)
         return event
@@ -117,7 +99,7 @@ class EventStream:
     def subscribe(self) -> Reader:
         """A new reader: first a snapshot of what holds at present, then every change."""
         with self._lock:
-            reader = Reader(sorted(self._present.values(), key=lambda event: event.number))
+            reader = Reader(self._present.events)
             self._readers.append(reader)
             if self._ended:
                 reader.end()
@@ -139,26 +121,3 @@ class EventStream:
             self._ended = True
             for reader in self._readers:
                 reader.end()
-
-    def _keep(self, event: Event) -> None:
-        """The latest of everything that has a present value: what a newcomer is shown."""
-        what = event.what
-        match what:
-            case Answered(question=number):
-                self._present.pop(f"question {number}", None)
-            case Questioned(question=number):
-                self._present[f"question {number}"] = event
-            case StepState(step=step):
-                self._present[f"step {step}"] = event
-            case DeviceState(device=device):
-                self._present[f"device {device}"] = event
-            case Waiting(guard=guard, reason=None):
-                self._present.pop(f"waiting {guard}", None)
-            case Waiting(guard=guard):
-                self._present[f"waiting {guard}"] = event
-            case CaseState():
-                self._present["case"] = event
-            case _ if what.signal:
-                self._present[f"{what.kind} {what.about}"] = event
-            case _:
-                pass

@@ -1,0 +1,70 @@
+"""Looks at the devices a few times a second and publishes what it sees; asks none of them anything."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Self
+
+from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.readings import ArmReading, Stamp
+
+PERIOD_S = 0.2  # host time between two looks: as often as a person can follow
+
+
+class DeviceWatch:
+    """State and fault of every device when they change, the age of its newest reading, where arms stand.
+
+    It looks in a thread of its own for the length of a `with` block, once more at its end.
+    """
+
+    def __init__(
+        self,
+        devices: Mapping[str, Device],
+        events: EventStream,
+        now_s: Callable[[], float],
+        period_s: float = PERIOD_S,
+    ) -> None:
+        """`devices` by role; `now_s` is the theatre's time, `period_s` the host's."""
+        self._devices = devices
+        self._events = events
+        self._now_s = now_s
+        self._period_s = period_s
+        self._states: dict[str, DeviceState] = {}
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
+
+    def look(self) -> None:
+        """Publish what is new about every device."""
+        for role, device in self._devices.items():
+            seen = device.observe()
+            state = DeviceState(
+                device=role, state=str(seen.state), fault=None if seen.fault is None else str(seen.fault)
+            )
+            if self._states.get(role) != state:
+                self._states[role] = state
+                self._events.publish(state)
+            stamp = getattr(seen.reading, "stamp", None)
+            if not isinstance(stamp, Stamp):
+                continue
+            age_s = max(0.0, self._now_s() - stamp.theatre_time_s)
+            self._events.publish(DeviceAge(device=role, age_s=age_s))
+            if isinstance(seen.reading, ArmReading):
+                self._events.publish(Pose(arm=role, joints_rad=seen.reading.joints_rad, age_s=age_s))
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ending.set()
+        self._thread.join()
+        self.look()
+
+    def _look_on(self) -> None:
+        while not self._ending.wait(self._period_s):
+            self.look()

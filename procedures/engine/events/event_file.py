@@ -1,0 +1,127 @@
+"""`RUN/events.jsonl`: the stream of events on disk, one event per line, for whoever follows from outside.
+
+Evidence is the journal's business; this file is a convenience and never stops anything. Every fact is in it,
+signals at a bounded rate and size. Its writer holds a lock on it, so that a follower can tell a run that is
+quiet from one that was killed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import threading
+import time
+from pathlib import Path
+
+from procedures.engine.events.event import Event
+from procedures.engine.events.stream import EventStream
+from ronna_hw.logs import logger
+
+EVENTS_FILE = "events.jsonl"
+SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a person can follow
+SIGNALS_BYTES = 8 << 20  # of signals in one session; some ten hours of an arm, a tracker and a stereo head
+WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands
+
+_log = logger(part="events")
+
+
+class EventFile:
+    """Writes the events of a session to the file of its run, in a thread of its own."""
+
+    def __init__(
+        self, folder: Path, events: EventStream, *, signals_bytes: int = SIGNALS_BYTES
+    ) -> None:
+        """Never raises: a file that cannot be written is logged, and the case goes on without it."""
+        self._path = folder / EVENTS_FILE
+        self._reader = events.subscribe()
+        self._signals_left = signals_bytes
+        self._written_s: dict[str, float] = {}  # monotonic, of signals by subject
+        self._held: dict[str, Event] = {}  # signals that came too soon
+        self._waiting: list[bytes] = []
+        self._complained = False
+        self._file = self._open()
+        self._thread = threading.Thread(target=self._write_all, name="event file", daemon=True)
+        self._thread.start()
+
+    def join(self, timeout_s: float = 2.0) -> None:
+        """Wait until everything up to the end of the stream is written."""
+        self._thread.join(timeout_s)
+
+    def _open(self) -> int | None:
+        try:
+            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            content = self._path.read_bytes()  # of a session that was killed the last line may be torn
+            os.ftruncate(file, content.rfind(b"\n") + 1)
+        except OSError as error:
+            self._complain(error)
+            return None
+        return file
+
+    def _write_all(self) -> None:
+        ended = False
+        while not ended:
+            self._reader.wait(self._until_due_s())
+            batch = self._reader.read(0.0)
+            ended = batch.ended
+            for event in batch.events:
+                if event.what.signal:
+                    self._held[event.subject] = event
+                else:
+                    self._waiting.append(_line(event))
+            self._release_signals(all_of_them=ended)
+            self._write()
+        if self._file is not None:
+            os.close(self._file)
+
+    def _until_due_s(self) -> float | None:
+        if not self._held:
+            return None
+        now_s = time.monotonic()
+        return max(0.0, min(self._due_s(subject) for subject in self._held) - now_s)
+
+    def _due_s(self, subject: str) -> float:
+        return self._written_s.get(subject, -SIGNAL_PERIOD_S) + SIGNAL_PERIOD_S
+
+    def _release_signals(self, *, all_of_them: bool) -> None:
+        now_s = time.monotonic()
+        for subject in [one for one in self._held if all_of_them or self._due_s(one) <= now_s]:
+            line = _line(self._held.pop(subject))
+            self._written_s[subject] = now_s
+            if self._signals_left >= len(line):
+                self._signals_left -= len(line)
+                self._waiting.append(line)
+
+    def _write(self) -> None:
+        """Write whole lines or nothing; what did not go in waits for the next time."""
+        if self._file is None or not self._waiting:
+            self._waiting.clear()
+            return
+        content = b"".join(self._waiting)
+        try:
+            size = os.fstat(self._file).st_size
+            try:
+                written = os.write(self._file, content)
+            except OSError as error:
+                written, problem = 0, error
+            else:
+                problem = OSError("the disk is full")
+            if written == len(content):
+                self._waiting.clear()
+                return
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, size)
+        except OSError as error:
+            problem = error
+        self._complain(problem)
+        del self._waiting[:-WAITING_LINES]
+
+    def _complain(self, problem: OSError) -> None:
+        if not self._complained:
+            self._complained = True
+            _log.warning("events cannot be written", cause=problem)
+
+
+def _line(event: Event) -> bytes:
+    return event.model_dump_json().encode() + b"\n"
