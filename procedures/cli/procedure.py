@@ -227,6 +227,20 @@ def export_command(
         tell(str(path))
 
 
+@app.command("watch")
+def watch_command(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    as_json: Annotated[bool, typer.Option("--json", help="One event per line, as JSON.")] = False,
+) -> None:
+    """Follow a run from another terminal: how things stand, then what happens, until it has ended.
+
+    Reads RUN/events.jsonl and changes nothing; any number may watch.
+    """
+    from procedures.cli.case.watching import watch
+
+    watch(run_folder, as_json=as_json)
+
+
 @app.command("bytes")
 def bytes_command(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=StepResult)
 D = TypeVar("D")
-ShowProgress = Callable[[float, str], None]  # share done 0..1, what is being done
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,6 @@ class CaseSetting:
     settings: ProcedureSettings
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
-    progress: ShowProgress = lambda _share, _text: None
     workspace: Workspace = field(default_factory=Workspace)
 
 
@@ -151,7 +149,6 @@ class StepContext:
     def progress(self, share: float, text: str) -> None:
         """Say how far the step is, 0..1, and what it is doing; rests here when the operator wants a pause."""
         self._publish(Progress(step=str(self.key), share=share, text=text))
-        self.setting.progress(share, text)
         self._checkpoint.here(f"{self.key}, {text}")
 
     def find(self, text: str) -> None:

@@ -27,7 +27,6 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
 from ronna_hw.records import Record
 
-Listener = Callable[[StepKey, Outcome[StepResult]], None]
 ARM = "arm"  # role of the device that carries the tools
 _log = logger(part="engine")
 
@@ -54,7 +53,6 @@ class Engine:
         journal: Journal,
         *,
         events: EventStream | None = None,
-        listener: Listener = lambda _key, _outcome: None,
         on_ending: Callable[[], None] = lambda: None,
         recorders: Sequence[Recorder] = (),
         recovering: bool = False,
@@ -68,7 +66,6 @@ class Engine:
         self.questions = Questions(setting.operator, journal, setting.clock.now_s, self.events)
         self.checkpoint = Checkpoint(self.questions.ask, self._resting, setting.clock.sleep)
         self._journal = journal
-        self._listener = listener
         self._on_ending = on_ending
         self._recorders = recorders
         self._latest: StepKey | None = None  # the step that was done last
@@ -164,7 +161,6 @@ class Engine:
         if self.upcoming is None:
             self.machine.finish()
             self._show_state()
-        self._listener(key, outcome)
         return stored.record
 
     def run_to(self, last: StepKey | None = None) -> None:

@@ -94,3 +94,10 @@ class GuardUnmet(RefusedError):
 
     code = "PRO-017"
     action = "Restore what it names, then repeat the step."
+
+
+class EventsUnreadable(RonnaError):
+    """A run's file of events holds something else, or another version wrote it."""
+
+    code = "PRO-018"
+    action = "Follow it with the version that runs it; its evidence is the journal, not this file."

@@ -4,62 +4,68 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.event_follower import EventFollower, Show
 from procedures.cli.case.leaving_report import leave_report
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, new_run_folder
-from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table
+from procedures.engine.events import Event, StepState
+from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, tell
 
 if TYPE_CHECKING:
-    from procedures.engine.result import StepResult
-    from procedures.engine.step import Outcome, StepKey
+    from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
 
 
 @contextlib.contextmanager
 def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
-    """Follow a run: a live line on a terminal, one line per step with `verbose` elsewhere."""
-    if quiet or not on_terminal(sys.stderr):
-        yield Watcher(listener=_write_line) if verbose else Watcher()
-        return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    """Follow a run by its events: live on a terminal, one line per step with `verbose` elsewhere."""
+    with contextlib.ExitStack() as stack:
+        if quiet or not on_terminal(sys.stderr):
+            yield Watcher(opened=lambda engine: _write_lines_of(engine, stack)) if verbose else Watcher()
+            return
+        from procedures.cli.case.live_display import LiveDisplay
 
-    console = message_console()
-    bar = Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-    )
-    with pause_on_interrupt() as interrupts, bar:
-        task = bar.add_task("starting", total=1.0)
+        display = LiveDisplay(message_console())
+        interrupts = stack.enter_context(pause_on_interrupt())
+        stack.enter_context(display.shown())
+        followers: list[EventFollower] = []
 
-        def progress(share: float, text: str) -> None:
-            bar.update(task, completed=share, description=text)
-
-        def listener(key: StepKey, outcome: Outcome[StepResult]) -> None:
-            console.print(f"[green]✓[/green] {key!s:<26} {outcome.summary}", highlight=False)
+        def opened(engine: Engine) -> None:
+            interrupts.attach(engine)
+            followers.append(_follow(engine, display.show, stack))
 
         @contextlib.contextmanager
         def asking() -> Iterator[None]:
-            bar.stop()  # the live line would write over the question
-            try:
-                with interrupts.asking():
-                    yield
-            finally:
-                bar.start()
+            with contextlib.ExitStack() as silence:
+                for follower in followers:
+                    silence.enter_context(follower.quiet())
+                silence.enter_context(display.hidden())  # it would write over the question
+                silence.enter_context(interrupts.asking())
+                yield
 
-        yield Watcher(progress, listener, lambda text: progress(0.0, text), interrupts.attach, asking)
+        yield Watcher(display.status, opened, asking)
 
 
-def _write_line(key: StepKey, outcome: Outcome[StepResult]) -> None:
-    sys.stderr.write(f"{key}: {outcome.summary}\n")
+def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:
+    follower = EventFollower(engine.events, show)
+    stack.callback(follower.join)
+    follower.start()
+    return follower
+
+
+def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
+    _follow(engine, _write_lines, stack)
+
+
+def _write_lines(events: Sequence[Event]) -> None:
+    for event in events:
+        if isinstance(event.what, StepState) and event.what.state == "done":
+            tell(f"{event.what.step}: {event.what.summary}")
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:

@@ -22,8 +22,8 @@ from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.log_output import keep_log
 
 if TYPE_CHECKING:
-    from procedures.engine.context import ClinicalInput, ShowProgress
-    from procedures.engine.engine import Engine, Listener
+    from procedures.engine.context import ClinicalInput
+    from procedures.engine.engine import Engine
     from procedures.engine.operator import Operator, Room
     from procedures.engine.order import CaseOrder
     from ronna_hw.config import Calibrations
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 class Watcher:
     """Who follows a run while it runs."""
 
-    progress: ShowProgress = lambda _share, _text: None
-    listener: Listener = lambda _key, _outcome: None
     status: Callable[[str], None] = lambda _text: None
     opened: Callable[[Engine], None] = lambda _engine: None  # before its first step
     asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
@@ -64,6 +62,8 @@ def opened_engine(
     `procedure` is called with the theatre, before its devices are connected; a simulated patient is made in
     the folder `phantom`.
     """
+    from procedures.engine.device_watch import DeviceWatch
+
     with contextlib.ExitStack() as stack:
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
         file = request.config
@@ -82,11 +82,12 @@ def opened_engine(
                 operator if on_terminal(sys.stdin) and on_terminal(sys.stderr) else None
             )
             room = stack.enter_context(contextlib.closing(SimulatedRoom(simulated.theatre.control)))
-        engine = _make_engine(request, folder, file, procedure, operator, room, watcher)
+        engine = _make_engine(request, folder, file, procedure, operator, room, stack)
         outcome = "failed"
         watcher.opened(engine)
         try:
-            yield engine
+            with DeviceWatch(engine.setting.workcell.devices, engine.events, engine.setting.clock.now_s):
+                yield engine
             outcome = "done" if engine.upcoming is None else "left"
         except BaseException as problem:
             ignore_further_signals()
@@ -136,12 +137,13 @@ def _make_engine(
     procedure: Callable[[Theatre], Procedure],
     operator: Operator,
     room: Room,
-    watcher: Watcher,
+    stack: contextlib.ExitStack,
 ) -> Engine:
     from procedures.engine.case import Case
     from procedures.engine.context import CaseSetting
     from procedures.engine.engine import Engine
     from procedures.engine.events import EventStream
+    from procedures.engine.events.event_file import EventFile
     from procedures.engine.journal import Entry, Journal
     from procedures.guards import standing_guards
     from procedures.workcell import Workcell
@@ -153,6 +155,8 @@ def _make_engine(
     wanted = procedure(theatre)
     calibrations = wanted.calibrations or theatre.calibrations  # what is missing is known before the journal
     events = EventStream(theatre.clock.now_s)
+    stack.callback(EventFile(folder, events).join)
+    stack.callback(events.end)
     journal = Journal(folder, events.journal_line)
     flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
     theatre.record_bytes(flight_recorder)
@@ -176,11 +180,9 @@ def _make_engine(
             settings=theatre.file.procedure,
             surroundings=theatre.file.cell,
             clinical=wanted.clinical,
-            progress=watcher.progress,
         ),
         journal,
         events=events,
-        listener=watcher.listener,
         on_ending=ignore_further_signals,
         recorders=(flight_recorder,),
     )

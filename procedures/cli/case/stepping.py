@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
+from procedures.engine.events import Event, StepState
 from ronna_hw.command_line.console import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
-    from procedures.engine.result import StepResult
-    from procedures.engine.step import Outcome, StepKey
 
 HELP = "list | next | run STEP | to STEP | why [STEP] | home | acknowledge NAME | help | quit"
 PROMPT = "step> "
@@ -29,10 +29,10 @@ def step_through(request: CaseRequest) -> None:
     with (
         leaving_report(folder),
         pause_on_interrupt() as interrupts,
-        opened_case(
-            request, folder, Watcher(listener=_done, opened=interrupts.attach, asking=interrupts.asking)
-        ) as engine,
+        opened_case(request, folder, Watcher(opened=interrupts.attach, asking=interrupts.asking)) as engine,
     ):
+        follower = EventFollower(engine.events, _tell_done)
+        follower.start()
         _say(f"run {folder.name}; {HELP}")
         while (line := _ask()) is not None:
             name, _, argument = line.strip().partition(" ")
@@ -51,6 +51,7 @@ def step_through(request: CaseRequest) -> None:
                 if engine.machine.ended:
                     raise
                 fail_with(error)
+            follower.catch_up()
 
 
 def _list(engine: Engine, _argument: str) -> None:
@@ -114,8 +115,10 @@ COMMANDS: dict[str, Callable[[Engine, str], None]] = {
 }
 
 
-def _done(key: StepKey, outcome: Outcome[StepResult]) -> None:
-    _say(f"done {key}: {outcome.summary}")
+def _tell_done(events: Sequence[Event]) -> None:
+    for event in events:
+        if isinstance(event.what, StepState) and event.what.state == "done":
+            _say(f"done {event.what.step}: {event.what.summary}")
 
 
 def _say(text: str) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.opening import Procedure, Watcher, opened_engine
 from procedures.cli.case.request import TheatreRequest, forget_if_empty
+from procedures.engine.events import Event, Progress
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -46,7 +48,12 @@ def run_steps(
         calibrations = _valid_now(theatre.calibrations) if expired_too else None
         return Procedure(order_of(steps, ()), calibrations=calibrations)
 
-    watcher = Watcher(progress=lambda share, _text: progress(share))
+    def advance(events: Sequence[Event]) -> None:
+        for event in events:
+            if isinstance(event.what, Progress):
+                progress(event.what.share)
+
+    watcher = Watcher(opened=lambda engine: EventFollower(engine.events, advance).start())
     try:
         with opened_engine(request, folder, procedure, watcher) as engine:
             engine.run_to()

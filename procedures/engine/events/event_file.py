@@ -29,9 +29,7 @@ _log = logger(part="events")
 class EventFile:
     """Writes the events of a session to the file of its run, in a thread of its own."""
 
-    def __init__(
-        self, folder: Path, events: EventStream, *, signals_bytes: int = SIGNALS_BYTES
-    ) -> None:
+    def __init__(self, folder: Path, events: EventStream, *, signals_bytes: int = SIGNALS_BYTES) -> None:
         """Never raises: a file that cannot be written is logged, and the case goes on without it."""
         self._path = folder / EVENTS_FILE
         self._reader = events.subscribe()

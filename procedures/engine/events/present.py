@@ -21,28 +21,37 @@ class Present:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """In the order of their numbers."""
-        return tuple(sorted(self._events.values(), key=lambda event: event.number))
+        """In the order in which they happened."""
+        return tuple(self._events.values())
 
     def take_in(self, event: Event) -> None:
         """Let an event replace what it makes past."""
-        what = event.what
-        match what:
+        match event.what:
             case Answered(question=number):
                 self._events.pop(f"question {number}", None)
-            case Questioned(question=number):
-                self._events[f"question {number}"] = event
-            case StepState(step=step):
-                self._events[f"step {step}"] = event
-            case DeviceState(device=device):
-                self._events[f"device {device}"] = event
             case Waiting(guard=guard, reason=None):
                 self._events.pop(f"waiting {guard}", None)
-            case Waiting(guard=guard):
-                self._events[f"waiting {guard}"] = event
-            case CaseState():
-                self._events["case"] = event
-            case _ if what.signal:
-                self._events[event.subject] = event
+            case _ if (key := _key(event)) is not None:
+                self._events.pop(key, None)
+                self._events[key] = event
             case _:
                 pass
+
+
+def _key(event: Event) -> str | None:
+    """Of events with the same key only the latest holds; None for one that nothing holds of."""
+    match event.what:
+        case Questioned(question=number):
+            return f"question {number}"
+        case StepState(step=step):
+            return f"step {step}"
+        case DeviceState(device=device):
+            return f"device {device}"
+        case Waiting(guard=guard):
+            return f"waiting {guard}"
+        case CaseState():
+            return "case"
+        case what if what.signal:
+            return event.subject
+        case _:
+            return None

@@ -1,0 +1,129 @@
+"""A case as a person follows it: what came of each step, and below it how things stand now."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from procedures.engine.events import (
+    CaseState,
+    DeviceAge,
+    DeviceState,
+    Event,
+    Fault,
+    Finding,
+    JournalLine,
+    Progress,
+    Questioned,
+    Refusal,
+    StepState,
+    Waiting,
+)
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+LAST_LINES = 3  # of the journal
+LAST_ERRORS = 2
+MARKS = {"done": ("✓", "green"), "superseded": ("~", "yellow")}
+FAILED = ("✗", "red")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line for what a person wants to read afterwards."""
+
+    mark: str
+    style: str
+    text: str
+
+
+def entry_of(event: Event) -> Entry | None:
+    """What came of a step, and findings; None for the rest."""
+    match event.what:
+        case StepState(state="begun"):
+            return None
+        case StepState(step=step, state="superseded", record=record):
+            return Entry(*MARKS["superseded"], f"{record} is superseded by a new {step}")
+        case StepState(step=step, state=state, summary=summary):
+            return Entry(*MARKS.get(state, FAILED), f"{step:<26} {summary}")
+        case Finding(text=text):
+            return Entry("!", "yellow", text)
+        case _:
+            return None
+
+
+class CaseView:
+    """How things stand now: state, step and progress, devices, journal, errors."""
+
+    def __init__(self) -> None:
+        self.state = "starting"
+        self.share = 0.0
+        self.doing = ""
+        self._reason = ""
+        self._devices: dict[str, DeviceState] = {}
+        self._ages_s: dict[str, float] = {}
+        self._waiting: dict[str, str] = {}
+        self._journal: deque[str] = deque(maxlen=LAST_LINES)
+        self._errors: deque[str] = deque(maxlen=LAST_ERRORS)
+
+    def take_in(self, event: Event) -> None:
+        """Let an event change what is shown."""
+        match event.what:
+            case CaseState(state=state, reason=reason):
+                self.state, self._reason = state, reason
+            case StepState(step=step, state="begun"):
+                self.doing, self.share = step, 0.0
+            case Progress(step=step, share=share, text=text):
+                self.doing, self.share = f"{step}: {text}", share
+            case DeviceState(device=device) as state:
+                self._devices[device] = state
+            case DeviceAge(device=device, age_s=age_s):
+                self._ages_s[device] = age_s
+            case Waiting(guard=guard, reason=None):
+                self._waiting.pop(guard, None)
+            case Waiting(guard=guard, reason=str(reason)):
+                self._waiting[guard] = reason
+            case JournalLine(line=line):
+                self._journal.append(_short(line))
+            case Fault(code=code, what=what):
+                self._errors.append(what if what.startswith(code) else f"{code}: {what}")
+            case Refusal(step=step, unmet=unmet):
+                self._errors.append(f"{step} refused: {'; '.join(unmet)}")
+            case Questioned(subject=subject):
+                self._reason = f"asks: {subject}"
+            case _:
+                pass
+
+    @property
+    def devices(self) -> str:
+        """State and age of each device."""
+        return "   ".join(map(self._device, self._devices.values()))
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Style and text of each line below the progress."""
+        shown = [("", f"{self.state}{f' ({self._reason})' if self._reason else ''}")]
+        if self._devices:
+            shown.append(("", self.devices))
+        shown += [("yellow", f"waits for {guard}: {reason}") for guard, reason in self._waiting.items()]
+        shown += [("dim", text) for text in self._journal]
+        shown += [("red", text) for text in self._errors]
+        return shown
+
+    def __rich__(self) -> RenderableType:
+        from rich.text import Text
+
+        rows = (Text(f"  {text}", style, no_wrap=True, overflow="ellipsis") for style, text in self.lines())
+        return Text("\n").join(rows)
+
+    def _device(self, seen: DeviceState) -> str:
+        age_s = self._ages_s.get(seen.device)
+        age = "" if age_s is None else f" {age_s:.1f} s"
+        return f"{seen.device} {seen.state}{age}" + (f" [{seen.fault}]" if seen.fault else "")
+
+
+def _short(line: Mapping[str, object]) -> str:
+    about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
+    return f"{line.get('sequence')} {line.get('entry')} {about}"

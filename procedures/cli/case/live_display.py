@@ -1,0 +1,57 @@
+"""The live picture of a case on a terminal: what is done scrolls by, how things stand is below."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from procedures.cli.case.case_view import CaseView, entry_of
+from procedures.engine.events import Event
+
+
+class LiveDisplay:
+    """Shows events; `shown` holds it on the terminal, `hidden` takes it away while something else writes."""
+
+    def __init__(self, console: Console) -> None:
+        self.view = CaseView()
+        self._console = console
+        self._bar = Progress(
+            SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn()
+        )
+        self._task = self._bar.add_task("starting", total=1.0)
+        self._live = Live(Group(self._bar, self.view), console=console, transient=True)
+
+    def status(self, text: str) -> None:
+        """What is being done before there is a case."""
+        self._bar.update(self._task, description=text)
+
+    def show(self, events: Sequence[Event]) -> None:
+        """Take these events in."""
+        for event in events:
+            self.view.take_in(event)
+            if (entry := entry_of(event)) is not None:
+                self._console.print(Text.assemble((entry.mark, entry.style), f" {entry.text}"))
+        self._bar.update(self._task, completed=self.view.share, description=self.view.doing or "starting")
+
+    @contextlib.contextmanager
+    def shown(self) -> Iterator[None]:
+        """For the length of the block."""
+        with self._live:
+            yield
+
+    @contextlib.contextmanager
+    def hidden(self) -> Iterator[None]:
+        """For the length of the block, if it is shown."""
+        if not self._live.is_started:
+            yield
+            return
+        self._live.stop()
+        try:
+            yield
+        finally:
+            self._live.start()

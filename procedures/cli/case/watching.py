@@ -1,0 +1,56 @@
+"""`ronna-procedure watch`: follows a run from another terminal by its events; changes nothing."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from procedures.cli.case.case_view import entry_of
+from procedures.engine.events import CaseState, Event, Fault, Questioned, Refusal
+from procedures.engine.events.followed_run import FollowedRun
+from ronna_hw.command_line.console import message_console, on_terminal, tell
+
+
+def watch(run: Path, *, as_json: bool) -> None:
+    """Show what holds, then what happens, until the run has ended. Raises CLI-005, PRO-018."""
+    followed = FollowedRun(run)
+    if as_json:
+        _write(followed, lambda event: event.model_dump_json())
+    elif on_terminal(sys.stderr):
+        from procedures.cli.case.live_display import LiveDisplay
+
+        display = LiveDisplay(message_console())
+        with display.shown():
+            for events in followed.batches():
+                display.show(events)
+        for _style, line in display.view.lines():
+            tell(line)
+    else:
+        _write(followed, _line)
+    if not followed.closed:
+        tell("the run was ended without being closed")
+
+
+def _write(followed: FollowedRun, line_of: Callable[[Event], str | None]) -> None:
+    for events in followed.batches():
+        for event in events:
+            if (line := line_of(event)) is not None:
+                sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+
+
+def _line(event: Event) -> str | None:
+    if (entry := entry_of(event)) is not None:
+        return f"{entry.mark} {entry.text}"
+    match event.what:
+        case CaseState(state=state, reason=reason):
+            return f"{state}{f' ({reason})' if reason else ''}"
+        case Questioned(subject=subject, value=value):
+            return f"? {subject}: {value}"
+        case Fault(what=what):
+            return f"✗ {what}"
+        case Refusal(step=step, unmet=unmet):
+            return f"✗ {step} refused: {'; '.join(unmet)}"
+        case _:
+            return None

@@ -1,0 +1,82 @@
+"""A run followed from outside by its file of events: what holds now, then what changes, to its end."""
+
+from __future__ import annotations
+
+import fcntl
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from procedures.engine.errors import EventsUnreadable
+from procedures.engine.events.event import Event
+from procedures.engine.events.event_file import EVENTS_FILE
+from procedures.engine.events.happenings import VERSION, JournalLine
+from procedures.engine.events.present import Present
+from ronna_hw.command_line.errors import PathProblem
+
+LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
+CLOSED = "closed"  # the journal's last entry
+
+
+class FollowedRun:
+    """Reads only; any number may follow the same run."""
+
+    def __init__(self, folder: Path, sleep: Callable[[float], None] = time.sleep) -> None:
+        """Raises CLI-005 for a folder that is no run or has no events."""
+        self._path = folder / EVENTS_FILE
+        if not folder.is_dir():
+            raise PathProblem(f"there is no run {folder}", expected="the folder of a run")
+        if not self._path.is_file():
+            raise PathProblem(f"{folder} has no {EVENTS_FILE}", expected="the folder of a run that has begun")
+        self._sleep = sleep
+        self._offset = self._lines = 0
+        self.closed = False  # whether the run came to its own end
+
+    def batches(self) -> Iterator[Sequence[Event]]:
+        """First what holds at present, then what happens. Raises PRO-018."""
+        present = Present()
+        over = self._nobody_writes()
+        for event in self._read():
+            present.take_in(event)
+        yield present.events
+        while not over:
+            self._sleep(LOOK_AGAIN_S)
+            over = self._nobody_writes()  # before the last look
+            if events := self._read():
+                yield events
+
+    def _read(self) -> list[Event]:
+        """What was written since; a line that is not complete yet waits."""
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            content = file.read()
+        content = content[: content.rfind(b"\n") + 1]
+        self._offset += len(content)
+        return [self._event(line) for line in content.splitlines()]
+
+    def _event(self, line: bytes) -> Event:
+        self._lines += 1
+        try:
+            event = Event.model_validate_json(line)
+        except ValidationError as error:
+            raise EventsUnreadable(f"line {self._lines} of {self._path} is not an event") from error
+        if event.version != VERSION:
+            raise EventsUnreadable(
+                f"line {self._lines} of {self._path} is of another version",
+                expected=f"version {VERSION}",
+                got=f"version {event.version}",
+            )
+        if isinstance(event.what, JournalLine):
+            self.closed = event.what.line.get("entry") == CLOSED
+        return event
+
+    def _nobody_writes(self) -> bool:
+        """Whether the run's own program has let go of the file, however it ended."""
+        with self._path.open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return False
+        return True

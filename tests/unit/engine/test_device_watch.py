@@ -1,0 +1,54 @@
+"""What is published about the devices while they are only looked at."""
+
+from types import SimpleNamespace
+from typing import Any
+
+from recording_cell import HOME, RecordingArm
+
+from procedures.engine.device_watch import DeviceWatch
+from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
+from ronna_hw.devices.last_known import LastKnown
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.errors import RonnaError
+
+
+class Gone(RonnaError):
+    """The device is gone."""
+
+    code = "TST-001"
+
+
+def watched(device: Any) -> tuple[DeviceWatch, Any]:
+    stream = EventStream()
+    return DeviceWatch({"arm": device}, stream, lambda: 5.0), stream.subscribe()
+
+
+def test_a_state_is_published_when_it_changes_and_an_age_and_a_pose_at_every_look() -> None:
+    watch, reader = watched(RecordingArm("arm"))
+    watch.look()
+    assert [event.what for event in reader.read(0).events] == [
+        DeviceState(device="arm", state="disconnected"),
+        DeviceAge(device="arm", age_s=5.0),
+        Pose(arm="arm", joints_rad=HOME, age_s=5.0),
+    ]
+    watch.look()
+    assert [event.what.kind for event in reader.read(0).events] == ["age", "pose"]
+
+
+def test_a_fault_is_published_with_its_words_and_once() -> None:
+    seen = LastKnown[object](Lifecycle.FAULT, Gone("the cable is out"), None)
+    watch, reader = watched(SimpleNamespace(observe=lambda: seen))
+    watch.look()
+    watch.look()
+    (only,) = reader.read(0).events
+    assert only.what.state == "fault"
+    assert "the cable is out" in only.what.fault
+
+
+def test_the_last_look_is_made_when_the_watch_ends() -> None:
+    device = RecordingArm("arm")
+    watch, reader = watched(device)
+    with watch:
+        device.state = Lifecycle.HOLD
+    states = [event.what.state for event in reader.read(0).events if event.what.kind == "device"]
+    assert states[-1] == "hold"

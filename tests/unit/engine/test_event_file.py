@@ -1,0 +1,133 @@
+"""The stream on disk, and whoever follows it from outside."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from procedures.engine.errors import EventsUnreadable
+from procedures.engine.events import CaseState, Event, EventStream, JournalLine, Pose, StepState
+from procedures.engine.events.event_file import EVENTS_FILE, EventFile
+from procedures.engine.events.followed_run import FollowedRun
+from ronna_hw.command_line.errors import PathProblem
+
+
+def pose(joint_rad: float) -> Pose:
+    return Pose(arm="master", joints_rad=(joint_rad,), age_s=0.0)
+
+
+def written(folder: Path) -> list[Event]:
+    return [Event.model_validate_json(line) for line in (folder / EVENTS_FILE).read_bytes().splitlines()]
+
+
+def ended(stream: EventStream, file: EventFile) -> None:
+    stream.end()
+    file.join()
+
+
+def test_every_fact_is_in_the_file_and_of_a_burst_of_poses_the_first_and_the_last(tmp_path: Path) -> None:
+    stream = EventStream()
+    file = EventFile(tmp_path, stream)
+    stream.publish(pose(-1.0))
+    for number in range(300):
+        stream.publish(CaseState(state=str(number)))
+        stream.publish(pose(float(number)))
+    ended(stream, file)
+    happened = [event.what for event in written(tmp_path)]
+    assert [what.state for what in happened if isinstance(what, CaseState)] == [str(n) for n in range(300)]
+    poses = [what for what in happened if isinstance(what, Pose)]
+    assert len(poses) <= 2
+    assert poses[-1] == pose(299.0)
+
+
+def test_signals_are_bounded_and_facts_are_not(tmp_path: Path) -> None:
+    stream = EventStream()
+    file = EventFile(tmp_path, stream, signals_bytes=0)
+    stream.publish(pose(0.0))
+    stream.publish(CaseState(state="idle"))
+    ended(stream, file)
+    assert [event.what.kind for event in written(tmp_path)] == ["case"]
+
+
+def test_a_file_that_cannot_be_written_holds_nothing_up(tmp_path: Path) -> None:
+    (tmp_path / EVENTS_FILE).mkdir()
+    stream = EventStream()
+    file = EventFile(tmp_path, stream)
+    stream.publish(CaseState(state="idle"))
+    ended(stream, file)
+
+
+def test_a_line_that_a_kill_has_torn_is_cut_off_before_the_next_session_writes(tmp_path: Path) -> None:
+    (tmp_path / EVENTS_FILE).write_bytes(b'{"version":1,"numb')
+    stream = EventStream()
+    file = EventFile(tmp_path, stream)
+    stream.publish(CaseState(state="recovery"))
+    ended(stream, file)
+    assert [event.what for event in written(tmp_path)] == [CaseState(state="recovery")]
+
+
+def followed(run: FollowedRun) -> list[list[str]]:
+    return [[_state(event) for event in events] for events in run.batches()]
+
+
+def _state(event: Event) -> str:
+    assert isinstance(event.what, CaseState | StepState)
+    return event.what.state
+
+
+def test_a_follower_gets_what_holds_and_then_what_changes_until_the_run_has_ended(tmp_path: Path) -> None:
+    stream = EventStream()
+    file = EventFile(tmp_path, stream)
+    stream.publish(CaseState(state="idle"))
+    stream.publish(CaseState(state="paused"))
+    _await_lines(tmp_path, 2)
+
+    def meanwhile(_wait_s: float) -> None:
+        stream.publish(CaseState(state="finished"))
+        ended(stream, file)
+
+    assert followed(FollowedRun(tmp_path, meanwhile)) == [["paused"], ["finished"]]
+
+
+def _await_lines(folder: Path, count: int) -> None:
+    while (folder / EVENTS_FILE).read_bytes().count(b"\n") < count:
+        os.sched_yield()
+
+
+@pytest.mark.parametrize(("entry", "closed"), [("closed", True), ("motion", False)])
+def test_a_follower_knows_whether_the_run_came_to_its_own_end(
+    tmp_path: Path, entry: str, closed: bool
+) -> None:
+    stream = EventStream()
+    file = EventFile(tmp_path, stream)
+    stream.publish(JournalLine(line={"entry": entry}))
+    ended(stream, file)
+    run = FollowedRun(tmp_path)
+    assert list(map(len, run.batches())) == [0]
+    assert run.closed is closed
+
+
+def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
+    for folder in (tmp_path / "nowhere", tmp_path):
+        with pytest.raises(PathProblem):
+            FollowedRun(folder)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"nonsense",
+        b"\xff\xfe",
+        b'{"version":2,"number":1,"host_time":"2026-01-01T00:00:00Z","theatre_time_s":0.0,'
+        b'"what":{"kind":"case","state":"idle"}}',
+    ],
+)
+def test_what_is_no_event_of_this_version_is_refused_with_its_line(tmp_path: Path, line: bytes) -> None:
+    (tmp_path / EVENTS_FILE).write_bytes(line + b"\n")
+    with pytest.raises(EventsUnreadable, match="line 1"):
+        _all(FollowedRun(tmp_path))
+
+
+def _all(run: FollowedRun) -> list[Sequence[Event]]:
+    return list(run.batches())
