@@ -30,8 +30,8 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     """Park, stop RSI, have the tool changed, then let the controller's inputs say what hangs there."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
-    if workcell.tool is MountedTool.STEREO_HEAD:
-        _park(context)
+    if workcell.identify_mounted() is MountedTool.STEREO_HEAD or workcell.streaming or not workcell.at_home:
+        _park(context)  # else an exchange was begun, and not ended
     link = link_health(context)
     workcell.rest()
     mounted = _mounted_guide(context)

@@ -111,6 +111,19 @@ def test_an_exchange_that_failed_is_repeated_where_the_arm_stands(cell: Clinical
     assert len(cell.arm.motions) == moved
 
 
+def test_an_exchange_that_was_not_confirmed_goes_on_with_the_guide_that_hangs_there(
+    cell: ClinicalCell,
+) -> None:
+    cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
+    cell.carrying(MountedTool.STEREO_HEAD).workcell.start(cameras=True)
+    engine = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
+    with pytest.raises(NotConfirmed):
+        engine.run_to()
+    cell.operator.refusing = ()
+    engine.run_to()
+    assert cell.workcell.tool is MountedTool.GUIDE
+
+
 def test_after_a_fault_of_the_arm_its_tool_is_read_again_before_the_next_step(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.STEREO_HEAD).workcell.start()
     engine = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
