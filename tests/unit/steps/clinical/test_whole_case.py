@@ -1,4 +1,6 @@
-"""From the path check to the last retreat, with a strategy that localizes once for all trajectories."""
+"""From the path check to the last retreat: localized once for all trajectories, and without one of them."""
+
+from pathlib import Path
 
 import pytest
 from clinical_case import (
@@ -19,14 +21,16 @@ from procedures.engine.step import StepSpec
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.strategy import Strategy
 from ronna_hw.devices.lifecycle import Lifecycle
 
 GIVEN = (imported_ct(), localized_fiducials(), checked_plan(), global_localization())  # CT and tracker
 
 
-def steps() -> tuple[StepSpec[StepResult] | StepResult, ...]:
+def steps(*instead: StepResult) -> tuple[StepSpec[StepResult] | StepResult, ...]:
     """The clinical case, with given results in place of what CT and tracker show."""
-    stand_ins = {one.kind: one for one in GIVEN}
+    stand_ins = {one.kind: one for one in (*GIVEN, *instead)}
     return tuple(stand_ins.get(step.name, step) for step in CLINICAL_STEPS)
 
 
@@ -63,3 +67,22 @@ def test_its_one_registration_is_the_parent_of_every_positioning(once: ClinicalC
 def test_at_the_end_the_arm_is_parked_with_its_stream_ended(once: ClinicalCell) -> None:
     assert once.arm.joints_rad == HOME_RAD
     assert once.arm.state is once.stereo.state is Lifecycle.CONFIGURED
+
+
+@pytest.mark.hazard(23)
+@pytest.mark.branch("UNREACHABLE")
+@pytest.mark.parametrize("strategy", [OnceForAll(), OrientationCorrection()], ids=lambda one: one.name)
+def test_without_a_trajectory_that_cannot_be_reached_the_others_are_done_to_the_end(
+    tmp_path: Path, strategy: Strategy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+    first, *others = plan().trajectories
+    left, posterior, superior = first.entry_mm
+    from_below = first.model_copy(update={"entry_mm": (left, posterior + 900.0, superior)})
+    changed = plan().model_copy(update={"trajectories": (from_below, *others)})
+    cell = ClinicalCell(tmp_path, strategy=strategy)
+    engine = cell.begin(*steps(checked_plan().model_copy(update={"plan": changed})))
+    engine.run_to()
+    assert engine.machine.state == "finished"
+    assert {key.trajectory for key in engine.order.sequence if engine.status(key) == "left out"} == {first.id}
+    assert cell.arm.joints_rad == HOME_RAD
