@@ -9,6 +9,7 @@ from sim.basler.optics.film import drawn_stains
 from sim.basler.optics.foreground import CLEAR, Disturbance, Glare, Occluder
 from sim.theatre.faults import Fault, FaultBoard
 from sim.theatre.noise import noise
+from sim.theatre.room_shift import STILL, ShiftedRoom
 from sim.theatre.scene.model import CameraTruth
 from sim.theatre.world import World
 
@@ -23,11 +24,12 @@ class Disturbances:
     world: World
     board: FaultBoard
     camera: CameraTruth
+    room: ShiftedRoom
 
     @classmethod
     def of(cls, world: World, camera: CameraTruth) -> Disturbances:
         """The disturbances of one camera."""
-        return cls(world, FaultBoard(world, "camera"), camera)
+        return cls(world, FaultBoard(world, "camera"), camera, ShiftedRoom(world))
 
     @property
     def side(self) -> str:
@@ -36,8 +38,9 @@ class Disturbances:
 
     def now(self) -> Disturbance:
         """What acts at this moment; `CLEAR` at the price of one question while there is no fault at all."""
+        shift_mm = self.room.now().head_mm
         if self.board.empty:
-            return CLEAR
+            return CLEAR if shift_mm == STILL else Disturbance(head_shift_mm=shift_mm)
         seed = self.world.scene.seed
         return Disturbance(
             stains=tuple(
@@ -50,6 +53,7 @@ class Disturbances:
             glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._mine("glare")),
             twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._mine("twist"))
             + sum(self._crept_rad(fault) for fault in self._mine("creep")),
+            head_shift_mm=shift_mm,
         )
 
     def _mine(self, kind: str) -> list[Fault]:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sim.basler.optics.sphere import Sphere
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
+from sim.theatre.room_shift import STILL, Vector
 from sim.theatre.scene.model import CameraTruth
 from sim.theatre.world import World
 
@@ -40,18 +41,20 @@ class View:
         """True while the stereo head, not the guide, hangs on the arm."""
         return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
 
-    def spheres(self, robot_from_tool: Pose | None, twist_rad: float = 0.0) -> tuple[Sphere, ...]:
+    def spheres(
+        self, robot_from_tool: Pose | None, twist_rad: float = 0.0, head_shift_mm: Vector = STILL
+    ) -> tuple[Sphere, ...]:
         """Spheres in front of the camera for a pose that `pose` returned, camera frame.
 
         `twist_rad` turns the camera in its mount, about an axis through its centre of projection across the
-        plane of both cameras: the tool's x axis.
+        plane of both cameras: the tool's x axis. `head_shift_mm` moves all spheres, robot frame.
         """
         if not self.head_mounted:
             return ()  # the head hangs on its stand and looks at nothing
         if robot_from_tool is None:
             return self._bench(self._twisted(twist_rad)) if self._world.scene.name == "bench" else ()
         camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)
-        centres = apply(camera_from_robot, self._centres_mm)
+        centres = apply(camera_from_robot, self._centres_mm + head_shift_mm)
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
         return tuple(
             Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)

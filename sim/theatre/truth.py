@@ -11,6 +11,7 @@ from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadTruth
 from sim.theatre.rigid import matrix_of
+from sim.theatre.room_shift import STILL, ShiftedRoom
 from sim.theatre.world import World
 
 TRUTH_FILE = "truth.jsonl"
@@ -26,6 +27,7 @@ class TipSample(Strict):
     arm_at_rest: bool
     tip_mm: Numbers3
     axis: Numbers3  # direction of the guide, unit vector
+    head_shift_mm: Numbers3 = STILL  # by which the head lay beside its place in the scene, robot frame
 
 
 def sample_tip(world: World, target: str) -> TipSample:
@@ -40,6 +42,7 @@ def sample_tip(world: World, target: str) -> TipSample:
         arm_at_rest=arm.at_rest,
         tip_mm=_three(tip[:3, 3]),
         axis=_three(tip[:3, 2]),
+        head_shift_mm=ShiftedRoom(world).now().head_mm,
     )
 
 

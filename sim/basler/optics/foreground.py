@@ -53,6 +53,7 @@ class Disturbance:
     occluders: tuple[Occluder, ...] = ()
     glares: tuple[Glare, ...] = ()
     twist_rad: float = field(default=0.0)  # of the camera in its mount, out of the plane of both cameras
+    head_shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of all spheres, robot frame
 
     def stains_of(self, number: int) -> tuple[Stain, ...]:
         """The stains of a sphere."""

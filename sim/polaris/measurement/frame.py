@@ -1,6 +1,6 @@
 """One frame: every enabled tool and every stray, measured marker by marker.
 
-The noise of a frame is a function of the scene's seed and of the frames since the start of tracking, so
+The noise of a frame is a function of the scene's seed, the session and the frames since it started, so
 asking again for the same frame, or not asking for others, changes nothing.
 """
 
@@ -22,6 +22,7 @@ from sim.polaris.scene.true_scene import TrueScene
 from sim.polaris.tools.ports import Port
 from sim.theatre.faults import FaultBoard
 from sim.theatre.noise import noise
+from sim.theatre.room_shift import ShiftedRoom
 from sim.theatre.world import World
 
 Vectors = NDArray[np.float64]
@@ -62,14 +63,26 @@ class Measurer:
         self._visibility = MarkerVisibility(
             self._scene, optics, self._seed, volumes[0], truth.line_separation_mm
         )
-        self._disturbances = Disturbances(FaultBoard(world, DEVICE))
+        self._disturbances = Disturbances(FaultBoard(world, DEVICE), ShiftedRoom(world))
         self._usual_reflections = truth.reflections
         self._first_volume = volumes[0]
         self._faces: dict[int, int] = {}  # by handle: the face tracked in the previous frame
+        self._sessions = 0  # of tracking
+        self._noise_key = DEVICE
 
     def hangs_on_mount(self, port: Port) -> bool:
         """True when the tool of this port is the reference frame M on the mount."""
         return port.definition is not None and self._scene.hangs_on_mount(port.definition)
+
+    def begin_session(self) -> None:
+        """Tracking starts: every session after the first has noise of its own.
+
+        A watch that reads the tracker between the steps of a case then changes none of its numbers, and does
+        not see the noise of an earlier session again.
+        """
+        self._sessions += 1
+        if self._sessions > 1:
+            self._noise_key = f"{DEVICE}, session {self._sessions}"
 
     def forget_tools(self) -> None:
         """Drop what is cached: tools were loaded, freed or enabled."""
@@ -90,7 +103,7 @@ class Measurer:
             return Frame(number, tuple((port, None) for port in ports), (), status)
         disturbance = self._disturbances.now()
         arranged = self._visibility.now(ports, disturbance)
-        generator = noise(self._seed, DEVICE, since_start, TOOL_LANE)
+        generator = noise(self._seed, self._noise_key, since_start, TOOL_LANE)
         tools: list[tuple[Port, Tracked | None]] = []
         unclaimed: list[tuple[float, float, float]] = []  # markers of tools that were not found
         for port in ports:
@@ -141,17 +154,19 @@ class Measurer:
         glints += SUNLIGHT_REFLECTIONS if disturbance.sunlight else 0
         if glints:
             places = reflecting_places(self._seed, glints, self._first_volume)
-            points += _triples(reflections(places, noise(self._seed, DEVICE, since_start, REFLECTION_LANE)))
+            points += _triples(
+                reflections(places, noise(self._seed, self._noise_key, since_start, REFLECTION_LANE))
+            )
         points = points[:MAXIMUM_STRAYS]
         # Strays have no identity: their order changes with every frame.
-        order = noise(self._seed, DEVICE, since_start, ORDER_LANE).permutation(len(points)).tolist()
+        order = noise(self._seed, self._noise_key, since_start, ORDER_LANE).permutation(len(points)).tolist()
         return tuple(Stray(points[k], volume.holds(*points[k])) for k in order)
 
     def _points(self, group: Group, since_start: int, lane: int) -> list[tuple[float, float, float]]:
         """One measurement of the visible markers of a group."""
         if not group.seen:
             return []
-        generator = noise(self._seed, DEVICE, since_start, lane)
+        generator = noise(self._seed, self._noise_key, since_start, lane)
         return _triples(
             group.sight.measured(generator.standard_normal(group.sight.mean_mm.shape))[group.seen]
         )

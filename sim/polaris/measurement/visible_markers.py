@@ -83,7 +83,7 @@ class MarkerVisibility:
 
         groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]
         points = np.vstack([group.markers_mm for group in groups])
-        seen = visible(eyes_mm(), points, scene.bodies(arm, mounted)) & in_field(points)
+        seen = visible(eyes_mm(), points, scene.bodies(arm, mounted, disturbance.room)) & in_field(points)
         ends = np.cumsum([len(group.markers_mm) for group in groups]).tolist()
         for group, end in zip(groups, ends, strict=True):
             seen[:, [end - len(group.markers_mm) + row for row in group.covered]] = False
@@ -113,7 +113,9 @@ class MarkerVisibility:
         covered = tuple(
             row for row, number in enumerate(scene.fiducial_numbers) if number in disturbance.hidden_fiducials
         )
-        return TrueTool(frozenset(), np.vstack([scene.fiducials_mm, scene.strays_mm, more]), covered)
+        return TrueTool(
+            frozenset(), np.vstack([scene.fiducials_at(disturbance.room), scene.strays_mm, more]), covered
+        )
 
     def _group(self, tool: TrueTool, seen: Flags, disturbance: Disturbance) -> Group:
         sight = self._optics.sight(tool.markers_mm)

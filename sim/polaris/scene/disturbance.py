@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sim.theatre.faults import Fault, FaultBoard
+from sim.theatre.room_shift import NOTHING_MOVED, RoomShift, ShiftedRoom
 
 Vector = tuple[float, float, float]
 
@@ -24,21 +25,23 @@ class Disturbance:
     reflections: int = 0
     line_separation_mm: float = 0.0
     sunlight: bool = False
+    room: RoomShift = NOTHING_MOVED
 
 
 NONE = Disturbance()
 
 
 class Disturbances:
-    """Collects the effects from the tracker's fault board."""
+    """Collects the effects from the tracker's fault board and from the room's."""
 
-    def __init__(self, board: FaultBoard) -> None:
+    def __init__(self, board: FaultBoard, room: ShiftedRoom) -> None:
         self._board = board
+        self._room = room
 
     def now(self) -> Disturbance:
         """The effects at this moment; `NONE` after one look-up while there is no fault."""
-        board = self._board
-        if board.empty:
+        board, room = self._board, self._room.now()
+        if board.empty and room is NOTHING_MOVED:
             return NONE
         found = Disturbance(
             hidden_fiducials=frozenset(int(fault.argument) for fault in board.active("occlude_marker")),
@@ -58,6 +61,7 @@ class Disturbances:
             reflections=sum(int(fault.argument) for fault in board.active("reflections")),
             line_separation_mm=max((float(f.argument) for f in board.active("phantoms")), default=0.0),
             sunlight=bool(board.active("sunlight")),
+            room=room,
         )
         return NONE if found == NONE else found
 

@@ -12,7 +12,8 @@ from sim.polaris.scene.arm_capsules import arm_capsules
 from sim.polaris.scene.disturbance import Disturbance
 from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
 from sim.polaris.tools.definition import ToolDefinition
-from sim.theatre.rigid import apply, inverse, matrix_of, rotation_from_vector
+from sim.theatre.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
+from sim.theatre.room_shift import NOTHING_MOVED, RoomShift
 from sim.theatre.scene.model import TrackerTool
 from sim.theatre.world import ArmState, World
 
@@ -45,9 +46,8 @@ class TrueScene:
         fiducials = scene.head.fiducials if scene.tracker.fiducials_visible else ()
         self.fiducial_numbers = tuple(fiducial.number for fiducial in fiducials)
         centres = np.array([fiducial.centre_ct_mm for fiducial in fiducials], dtype=float).reshape(-1, 3)
-        self.fiducials_mm: Vectors = apply(
-            self._tracker_from_robot @ matrix_of(scene.head.robot_from_ct), centres
-        )
+        self._centres_mm = apply(matrix_of(scene.head.robot_from_ct), centres)  # robot frame
+        self.fiducials_mm: Vectors = self.fiducials_at(NOTHING_MOVED)
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
     def arm(self) -> ArmState | None:
@@ -59,12 +59,18 @@ class TrueScene:
         """Number of the mounted tool."""
         return self._world.mounted_tool()
 
-    def bodies(self, arm: ArmState | None, mounted_tool: int) -> tuple[Body, ...]:
-        """Opaque bodies: the head, where there is one, and the arm."""
+    def fiducials_at(self, room: RoomShift) -> Vectors:
+        """The fiducials where the room's faults have moved them."""
+        return apply(self._tracker_from(room), self._centres_mm + room.head_mm)
+
+    def bodies(
+        self, arm: ArmState | None, mounted_tool: int, room: RoomShift = NOTHING_MOVED
+    ) -> tuple[Body, ...]:
+        """Opaque bodies: the head, where there is one, which hides the same wherever it is moved; the arm."""
         head = self._head if self.fiducial_numbers else ()
         if arm is None:
             return head
-        return (*head, *arm_capsules(self._world.scene, arm, mounted_tool, self._tracker_from_robot))
+        return (*head, *arm_capsules(self._world.scene, arm, mounted_tool, self._tracker_from(room)))
 
     def hangs_on_mount(self, definition: ToolDefinition) -> bool:
         """True for the reference frame M, as long as there is an arm that carries it."""
@@ -86,9 +92,17 @@ class TrueScene:
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
         """The reference frame M on the mount, whether loaded or not."""
         tool = self.frame_on_mount
-        pose = self._tracker_from_robot @ arm.robot_from_flange @ self._tool_from_marker
+        pose = self._tracker_from(disturbance.room) @ arm.robot_from_flange @ self._tool_from_marker
         names = frozenset({tool.name, tool.part_number})
         return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)
+
+    def _tracker_from(self, room: RoomShift) -> Matrix:
+        """TRACKER <- ROBOT with the tracker where the room's faults have moved it."""
+        if room is NOTHING_MOVED:
+            return self._tracker_from_robot
+        moved = self._tracker_from_robot.copy()
+        moved[:3, 3] -= moved[:3, :3] @ room.tracker_mm
+        return moved
 
 
 def _disturbed(

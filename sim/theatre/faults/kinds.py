@@ -29,7 +29,7 @@ class FaultKind:
     """
 
     name: str
-    device: str  # "tracker", "robot" or "camera"
+    device: str  # "tracker", "robot", "camera" or "room"
     phrase: str
     meaning: str  # one sentence for the reference page
     momentary: bool

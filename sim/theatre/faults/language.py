@@ -24,6 +24,7 @@ from sim.theatre.faults.camera import CAMERA_FAULTS
 from sim.theatre.faults.fault import Fault
 from sim.theatre.faults.kinds import TERMINALS, FaultKind, either
 from sim.theatre.faults.robot import ROBOT_FAULTS
+from sim.theatre.faults.room import ROOM_FAULTS
 from sim.theatre.faults.tracker import TRACKER_FAULTS
 from sim.theatre.scene.model import Scene
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from lark import Lark
     from lark.exceptions import UnexpectedInput
 
-FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS)
+FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS, *ROOM_FAULTS)
 NOW = "now"
 CYCLES_OF = "robot"  # the device whose cycles a script can name
 TRIGGERS = ("at", "when", NOW)

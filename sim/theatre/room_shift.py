@@ -1,0 +1,49 @@
+"""How far what stands in the room is moved now, by the faults of device `room`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sim.theatre.faults import Fault, FaultBoard
+from sim.theatre.faults.room import CART, DEVICE, HEAD, SHIFT, TRACKER
+from sim.theatre.world import World
+
+Vector = tuple[float, float, float]
+STILL: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class RoomShift:
+    """Ways of head and tracker as the robot sees them, whose frame is that of its base."""
+
+    head_mm: Vector = STILL
+    tracker_mm: Vector = STILL
+
+
+NOTHING_MOVED = RoomShift()
+
+
+class ShiftedRoom:
+    """Asks the fault board of the room; cheap while it has no fault."""
+
+    def __init__(self, world: World) -> None:
+        self._board = FaultBoard(world, DEVICE)
+
+    def now(self) -> RoomShift:
+        """What is moved at this moment."""
+        if self._board.empty:
+            return NOTHING_MOVED
+        faults = self._board.active(SHIFT.name)
+        cart = _sum(faults, CART)
+        return RoomShift(_apart(_sum(faults, HEAD), cart), _apart(_sum(faults, TRACKER), cart))
+
+
+def _sum(faults: tuple[Fault, ...], what: str) -> Vector:
+    ways = [[float(number) for number in fault.arguments[1:]] for fault in faults if fault.argument == what]
+    x, y, z = (sum(column) for column in zip(*ways, strict=True)) if ways else STILL
+    return (x, y, z)
+
+
+def _apart(one: Vector, other: Vector) -> Vector:
+    x, y, z = (a - b for a, b in zip(one, other, strict=True))
+    return (x, y, z)
