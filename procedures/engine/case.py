@@ -71,10 +71,14 @@ class Case:
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
         """Let a result stand in place of those that it supersedes."""
+        self.void(key)
+        self._standing[key] = stored
+
+    def void(self, key: StepKey) -> None:
+        """Let neither the result of that step stand, nor what descends from it."""
         gone = self.superseded_by(key)
         self._superseded += gone
         self._standing = {kept: one for kept, one in self._standing.items() if one.record not in gone}
-        self._standing[key] = stored
 
     def stands(self, key: StepKey) -> bool:
         """Whether that step has a result that has not been superseded."""

@@ -18,6 +18,7 @@ from procedures.engine.workspace import Workspace
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings
+from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record, write_whole
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ class StepContext:
     _checkpoint: Checkpoint
     _publish: Callable[[Happening], object]
     _find: Callable[[str], None]
+    _void: Callable[[StepKey, RonnaError], None]
     _read: dict[str, Record] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
@@ -154,6 +156,14 @@ class StepContext:
     def find(self, text: str) -> None:
         """Record something that the operator should know and that stops nothing."""
         self._find(text)
+
+    def identifier(self, model: type[R]) -> str:
+        """Of the record of a result that stands."""
+        return self._case.get(model, self.key.trajectory).record.identifier
+
+    def void(self, model: type[R], reason: RonnaError) -> None:
+        """A result no longer holds: it is superseded, and all that descends from it, without a new one."""
+        self._void(StepKey(model.kind), reason)
 
     def confirm(self, topic: Topic, subject: str, value: str, trajectory: str | None = None) -> None:
         """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""

@@ -39,6 +39,7 @@ class Entry(StrEnum):
     MOVED = "moved"  # what came of it
     FAILED = "failed"
     INTERRUPTED = "interrupted"
+    VOIDED = "voided"  # results that no longer hold: something has moved
     FINDING = "finding"  # something the operator should know that stops nothing
     RESTED = "rested"  # paused, or suspended by a guard; with the reason
     RESUMED = "resumed"  # goes on after a rest

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import SPHERES_MM, ClinicalCell, checked_paths, checked_plan, correspondence
+from clinical_case import SPHERES_MM, ClinicalCell, checked_paths, checked_plan, coarse
 from clinical_case import localized_fiducials as fiducials
 
 from benchmarks.head_looks import ENDPOINTS
@@ -31,7 +31,7 @@ STATED_MM = 0.02  # error of the theatre's stereo head records
 def test_positions_of_a_head_with_a_turned_camera_are_refused(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
     cell.workcell.radii_mm = (RADIUS_MM * 1.0024, RADIUS_MM * 1.0042)  # 0.2 degrees
-    before = (checked_paths(cell), correspondence(), checked_plan(), fiducials())
+    before = (checked_paths(cell), *coarse(), checked_plan(), fiducials())
     with pytest.raises(HeadTurned, match=r"STE-014.*larger to one.*ronna-stereo check") as refused:
         cell.run(*before, STEP)
     assert refused.value.exit_code == EXIT_REFUSED

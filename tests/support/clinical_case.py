@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from recording_cell import GUIDE, STAMP, STEREO_HEAD, RecordingCell, theatre_of
+from recording_cell import GUIDE, STAMP, STEREO_HEAD, RecordingCell, RecordingDevice, theatre_of
 
 from procedures.engine.case import Stored
 from procedures.engine.engine import Engine
@@ -41,7 +41,14 @@ from procedures.workcell.stereo_look import Look
 from ronna_hw.calibration import Numbers3
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector, StereoReading, Validity
+from ronna_hw.devices.readings import (
+    JointVector,
+    StereoReading,
+    StrayReading,
+    ToolReading,
+    TrackerFrame,
+    Validity,
+)
 from ronna_hw.frames import Frame, Transform
 from sim.theatre.scene.named_scenes import named_scene
 
@@ -112,6 +119,28 @@ class SeeingWorkcell(Workcell):
 
 
 @dataclass
+class SeeingTracker(RecordingDevice):
+    """A tracker at the robot's origin that sees the frame on the arm and every sphere where they are."""
+
+    cell: ClinicalCell | None = None
+    spheres_mm: Array = field(default_factory=SPHERES_MM.copy)
+    frame_shift_mm: Numbers3 = (0.0, 0.0, 0.0)
+
+    def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
+        assert self.cell is not None
+        records = self.cell.calibrations
+        tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+        marker = records.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+        flange = self.cell.arm.kinematics.flange_pose(self.cell.arm.joints_rad)
+        pose = shifted(flange @ tool @ marker, self.frame_shift_mm)
+        w, qx, qy, qz = pose.quaternion_wxyz.tolist()
+        x, y, z = pose.translation_mm.tolist()
+        reading = ToolReading(records.tracker_frame.tool, Validity.OK, (w, qx, qy, qz), (x, y, z), 0.1)
+        strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in self.spheres_mm.tolist())
+        return TrackerFrame(STAMP, Validity.OK, (reading,), strays)
+
+
+@dataclass
 class ClinicalCell(RecordingCell):
     """The recording cell over the scene, with the spheres where they are."""
 
@@ -120,6 +149,7 @@ class ClinicalCell(RecordingCell):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.arm.joints_rad = HOME_RAD
+        self.tracker = self.opened.replace_tracker(SeeingTracker("tracker", cell=self))
 
     def make_workcell(self, calibrations: Calibrations | None = None) -> SeeingWorkcell:
         workcell = SeeingWorkcell(self.opened, self.journal, calibrations=calibrations)
@@ -128,7 +158,7 @@ class ClinicalCell(RecordingCell):
 
     def carrying(self, tool: MountedTool) -> ClinicalCell:
         """After the set-up, with that tool mounted and checked."""
-        self.arm.state = self.stereo.state = Lifecycle.CONFIGURED
+        self.arm.state = self.stereo.state = self.tracker.state = Lifecycle.CONFIGURED
         self.arm.mounted = GUIDE if tool is MountedTool.GUIDE else STEREO_HEAD
         self.workcell.check_mounted(tool)
         self.workcell.set_home()
@@ -244,6 +274,11 @@ def correspondence(robot_from_ct: Transform = ROBOT_FROM_CT) -> Correspondence:
         margin_nats=None,
         two_way=NO_TABLE,
     )
+
+
+def coarse() -> tuple[StepResult, ...]:
+    """What is known of the head before the stereo head has looked."""
+    return (global_localization(), correspondence())
 
 
 def checked_paths(

@@ -227,6 +227,11 @@ class RecordingTheatre(Theatre):
     def _device(self, name: str, interface: Callable[..., Any]) -> Any:
         return self._devices[name]
 
+    def replace_tracker(self, tracker: Any) -> Any:
+        """Put another tracker in its place, and return it."""
+        self._devices["tracker"] = tracker
+        return tracker
+
     def stop(self) -> None:
         arm = cast("RecordingArm", self._devices["robot.master"])
         if arm.state is Lifecycle.ACTIVE:

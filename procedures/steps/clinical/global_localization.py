@@ -112,9 +112,9 @@ def _checked_spread_mm(strays: StrayAverage) -> float:
 
 
 def fresh_frames(
-    tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None]
+    tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
 ) -> tuple[list[TrackerFrame], int]:
-    """FRAMES measurements, each another one, and how many readings were lost on the way.
+    """So many measurements, each another one, and how many readings were lost on the way.
 
     A lost or garbled reply costs one reading: the driver has recovered by the next. Raises PRO-007 when the
     tracker gives too few in time, and the driver's own error when the line is too bad.
@@ -122,21 +122,21 @@ def fresh_frames(
     limit_s = clock.now_s() + READING_LIMIT_S
     frames: list[TrackerFrame] = []
     lost = 0
-    while len(frames) < FRAMES:
+    while len(frames) < count:
         try:
             frame = tracker.read_frame()
         except (LinkTimeout, ProtocolError):
             lost += 1
             if lost > MOST_LOST_READINGS or tracker.state is not Lifecycle.ACTIVE:
                 raise
-            limit_s += READING_LIMIT_S / FRAMES
+            limit_s += READING_LIMIT_S / count
             continue
         if frame.validity is not Validity.STALE:
             frames.append(frame)
-            progress(len(frames) / FRAMES)
+            progress(len(frames) / count)
         elif clock.now_s() > limit_s:
             raise GateFailed(
-                "the tracker gives no new measurements", expected=f"{FRAMES}", got=f"{len(frames)}"
+                "the tracker gives no new measurements", expected=f"{count}", got=f"{len(frames)}"
             )
         else:
             clock.sleep(FRAME_S / 2)
@@ -145,14 +145,7 @@ def fresh_frames(
 
 def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it."""
-    from scipy.spatial.transform import RigidTransform, Rotation
-
-    readings = [frame.tool(tool) for frame in frames]
-    poses = [
-        reading.transform(Frame.TRACKER, Frame.MARKER)
-        for reading in readings
-        if reading.validity is Validity.OK
-    ]
+    poses = _poses(frames, tool)
     if len(poses) < LEAST_FRAMES_WITH_TOOL:
         why, action = _why_unseen(frames, tool)
         raise GateFailed(
@@ -160,6 +153,27 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
             limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
             action=f"{action}, then repeat the step.",
         )
+    return _mean(poses)
+
+
+def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
+    """As `average_pose`, but None when fewer than `least` frames show it."""
+    poses = _poses(frames, tool)
+    return _mean(poses) if len(poses) >= least else None
+
+
+def _poses(frames: list[TrackerFrame], tool: str) -> list[Transform]:
+    readings = [frame.tool(tool) for frame in frames]
+    return [
+        reading.transform(Frame.TRACKER, Frame.MARKER)
+        for reading in readings
+        if reading.validity is Validity.OK
+    ]
+
+
+def _mean(poses: list[Transform]) -> Transform:
+    from scipy.spatial.transform import RigidTransform, Rotation
+
     rotation = Rotation.from_matrix(np.array([pose.rotation_matrix for pose in poses])).mean()
     translation = np.mean([pose.translation_mm for pose in poses], axis=0)
     return Transform(Frame.TRACKER, Frame.MARKER, RigidTransform.from_components(translation, rotation))

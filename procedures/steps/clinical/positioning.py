@@ -19,6 +19,7 @@ from procedures.steps.clinical.head_surroundings import READS, surround_guide
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.room_check import ROOM_READS, check_room
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.arm.errors import BranchUnavailable, NotClear, OutOfJointRange, Singular, Unreachable
@@ -59,12 +60,15 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         trajectory,
     )
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
+    check_room(context, f"before {trajectory}")
     workcell.start()
     context.progress(0.0, f"moving over {trajectory}")
     with _named(trajectory):
         workcell.go(standoff_rad)
+        check_room(context, f"over {trajectory}")
         context.progress(0.5, f"moving along {trajectory}")
         reached = workcell.insert(insertion)
+    check_room(context, f"at {trajectory}")
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(target), joints_rad=reached.joints_rad),
         summary="the guide is on its axis",
@@ -106,7 +110,7 @@ STEP = StepSpec(
     Phase.OPERATION,
     run,
     scope=Scope.TRAJECTORY,
-    reads=(RegisteredRobot, MountedGuide, CheckedPaths, *READS),
+    reads=(RegisteredRobot, MountedGuide, CheckedPaths, *ROOM_READS, *READS),
     moves=True,
     preconditions=carries(MountedTool.GUIDE),
 )

@@ -24,9 +24,9 @@ from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.relocalization.head_watch import check_head
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
 from procedures.steps.clinical.conditions import carries
-from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
+from procedures.steps.clinical.room_check import ROOM_READS, check_room
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_picture import pair_picture
@@ -78,6 +78,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     workcell, settings = context.workcell, context.setting.settings
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
+    check_room(context, "before the spheres are localized again")
     workcell.start(cameras=True)
     centring = Centring(
         workcell,
@@ -108,6 +109,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     coarse_mm = np.array([one.planned.tool_pose.translation_mm for one in found])
     differences = np.array([sphere.point_mm for sphere in spheres]) - coarse_mm
     _gate(differences, [sphere.fiducial for sphere in spheres], settings.coarse_fine_limit_mm)
+    check_room(context, "after the spheres were localized again")
     return Outcome(
         Relocalization(
             fiducials=tuple(sphere.fiducial for sphere in spheres),
@@ -171,7 +173,7 @@ STEP = StepSpec(
     Phase.OPERATION,
     run,
     scope=Scope.LOCALIZATION,
-    reads=(CheckedPaths, Correspondence, *READS),
+    reads=(CheckedPaths, *ROOM_READS, *READS),
     moves=True,
     preconditions=carries(MountedTool.STEREO_HEAD),
 )

@@ -12,6 +12,7 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.conditions import inserted
 from procedures.steps.clinical.link_health import LinkHealth, link_health
 from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.room_check import ROOM_READS, check_room
 
 
 class Retreated(StepResult, kind="retreat"):
@@ -36,6 +37,7 @@ def run(context: StepContext) -> Outcome[Retreated]:
     context.result(PositionedGuide)
     context.result(ReachedTarget)
     if not context.is_last_trajectory():  # any may come first
+        check_room(context, f"after {context.trajectory}")
         return Outcome(Retreated(parked=False, joints_rad=reached.joints_rad, link=None), "outside the entry")
     workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
     reached = workcell.return_home()
@@ -50,7 +52,7 @@ STEP = StepSpec(
     Phase.OPERATION,
     run,
     scope=Scope.TRAJECTORY,
-    reads=(PositionedGuide, ReachedTarget),
+    reads=(PositionedGuide, ReachedTarget, *ROOM_READS),
     moves=True,
     continues=True,
     preconditions=inserted,

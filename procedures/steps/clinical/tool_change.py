@@ -10,9 +10,9 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.steps.clinical.conditions import carries
-from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.link_health import LinkHealth, link_health
+from procedures.steps.clinical.room_check import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
@@ -51,6 +51,7 @@ def _park(context: StepContext) -> None:
     workcell = context.workcell
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
+    check_room(context, "before the arm parks")
     workcell.start()
     to_home = [workcell.facts(workcell.home_rad)]
     workcell.confirm_motion(Topic.PARK, "park the arm for the exchange of tools", to_home)
@@ -90,7 +91,7 @@ STEP = StepSpec(
     "Exchange the stereo head for the guide",
     Phase.OPERATION,
     run,
-    reads=(CheckedSetUp, Correspondence, *READS),
+    reads=(CheckedSetUp, *ROOM_READS, *READS),
     moves=True,
     preconditions=_exchangeable,
 )

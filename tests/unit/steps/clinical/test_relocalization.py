@@ -16,7 +16,7 @@ from clinical_case import (
     OnceForAll,
     checked_paths,
     checked_plan,
-    correspondence,
+    coarse,
     localized_fiducials,
     shifted,
 )
@@ -46,7 +46,7 @@ def relocalize(cell: ClinicalCell, **paths: object) -> Stored[Relocalization]:
 
 
 def before(cell: ClinicalCell, **paths: object) -> tuple[StepResult, ...]:
-    return (checked_paths(cell, **paths), correspondence(), checked_plan(), localized_fiducials())
+    return (checked_paths(cell, **paths), *coarse(), checked_plan(), localized_fiducials())
 
 
 def test_every_sphere_is_measured_where_it_is_in_the_order_of_the_paths(cell: ClinicalCell) -> None:

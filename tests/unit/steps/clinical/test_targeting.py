@@ -14,6 +14,7 @@ from clinical_case import (
     OnceForAll,
     checked_paths,
     checked_plan,
+    coarse,
     given,
     localized_fiducials,
     mounted_guide,
@@ -48,10 +49,10 @@ def begin(cell: ClinicalCell, **paths: object) -> Engine:
     cell.carrying(MountedTool.GUIDE)
     engine = cell.begin(
         *(registered_robot(), mounted_guide(), checked_paths(cell, **paths)),
-        *(checked_plan(), localized_fiducials()),
+        *(checked_plan(), localized_fiducials(), *coarse()),
         *(positioning.STEP, at_target.STEP, retreat.STEP),
     )
-    engine.run_to(engine.order.sequence[4])
+    engine.run_to(engine.order.sequence[6])
     return engine
 
 
@@ -128,7 +129,7 @@ def test_an_arm_that_arrived_is_at_the_target(cell: ClinicalCell) -> None:
     run(begin(cell), f"positioning:{FIRST}", f"at_target:{FIRST}")
     reached = cell.case.get(ReachedTarget, FIRST)
     assert reached.result.nominal_error_mm < 1e-6
-    assert list(reached.record.parents) == ["06-positioning-T1"]
+    assert list(reached.record.parents) == ["08-positioning-T1"]
 
 
 def test_an_arm_that_stands_elsewhere_is_not_at_the_target(cell: ClinicalCell) -> None:
@@ -181,14 +182,16 @@ def test_with_the_instrument_inside_nothing_but_its_own_steps_may_come(cell: Cli
 def test_parents_are_what_the_arm_was_sent_by(cell: ClinicalCell) -> None:
     run(begin(cell), f"positioning:{FIRST}")
     kinds = {name.partition("-")[2] for name in cell.case.get(PositionedGuide, FIRST).record.parents}
-    assert kinds == {"registration", "tool_change", "path_check", "plan_check", "fiducial_localization"}
+    sent_by = {"registration", "tool_change", "path_check", "plan_check", "fiducial_localization"}
+    checked_with = {"global_localization", "correspondence"}
+    assert kinds == sent_by | checked_with
 
 
 def test_a_registration_beside_the_head_moves_the_target_with_it(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.GUIDE)
     cell.run(
         registered_robot(shifted(ROBOT_FROM_CT, (2.0, 0.0, -1.0))),
-        *(mounted_guide(), checked_paths(cell), checked_plan(), localized_fiducials()),
+        *(mounted_guide(), checked_paths(cell), checked_plan(), localized_fiducials(), *coarse()),
         positioning.STEP,
     )
     expected = [a + b for a, b in zip(target_mm(FIRST), (2.0, 0.0, -1.0), strict=True)]
@@ -245,10 +248,10 @@ def after_a_fault(cell: ClinicalCell) -> Engine:
     cell.carrying(MountedTool.GUIDE)
     engine = cell.begin(
         replace(given(registered_robot()), scope=Scope.LOCALIZATION),
-        *(mounted_guide(), checked_paths(cell), checked_plan(), localized_fiducials()),
+        *(mounted_guide(), checked_paths(cell), checked_plan(), localized_fiducials(), *coarse()),
         *(positioning.STEP, at_target.STEP, retreat.STEP),
     )
-    engine.run_to(engine.order.sequence[4])
+    engine.run_to(engine.order.sequence[6])
     cell.arm.state = Lifecycle.FAULT
     engine.acknowledge("A. Nurse")
     return engine

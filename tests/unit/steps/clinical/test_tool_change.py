@@ -6,7 +6,7 @@ from clinical_case import (
     ClinicalCell,
     checked_plan,
     checked_set_up,
-    correspondence,
+    coarse,
     localized_fiducials,
 )
 from recording_cell import GUIDE, RecordingOperator
@@ -25,7 +25,7 @@ def exchange(cell: ClinicalCell) -> Stored[MountedGuide]:
     cell.carrying(MountedTool.STEREO_HEAD).workcell.start(cameras=True)
     A1, *others = HOME_RAD
     cell.arm.joints_rad = (A1 + 0.2, *others)
-    return cell.run(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
+    return cell.run(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
 
 
 def test_the_arm_is_parked_and_its_stream_ended_while_the_tool_is_changed(cell: ClinicalCell) -> None:
@@ -68,7 +68,7 @@ def test_without_a_yes_the_guide_does_not_count_as_mounted(cell: ClinicalCell) -
 
 def test_what_has_been_exchanged_is_not_exchanged_again(cell: ClinicalCell) -> None:
     exchange(cell)
-    again = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
+    again = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
     with pytest.raises(StepRefused, match="the arm carries the guide, not the stereo head"):
         again.run_step(again.order.find(STEP.name))
 
@@ -101,7 +101,7 @@ def test_a_tool_that_stays_wrong_holds_the_case_after_three_mountings(cell: Clin
 def test_an_exchange_that_failed_is_repeated_where_the_arm_stands(cell: ClinicalCell) -> None:
     cell.room.mounts = 0
     cell.carrying(MountedTool.STEREO_HEAD).workcell.start(cameras=True)
-    engine = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
+    engine = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
     with pytest.raises(WrongTool):
         engine.run_to()
     moved = len(cell.arm.motions)
@@ -126,7 +126,7 @@ def test_an_exchange_that_was_not_confirmed_goes_on_with_the_guide_that_hangs_th
 
 def test_after_a_fault_of_the_arm_its_tool_is_read_again_before_the_next_step(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.STEREO_HEAD).workcell.start()
-    engine = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
+    engine = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
     engine.run_to(engine.order.sequence[3])
     cell.arm.state = Lifecycle.FAULT
     engine.acknowledge("A. Nurse")

@@ -1,0 +1,25 @@
+"""What has moved that must not."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import RefusedError
+
+
+class BaseShifted(RefusedError):
+    """Tracker and arm no longer agree about where the frame on the arm is: cart or tracker was moved."""
+
+    code = "PRO-019"
+    action = (
+        "Find out what was moved and lock it, then localize again from global_localization on; with the "
+        "guide mounted retreat home and end the case."
+    )
+
+
+class PatientMoved(RefusedError):
+    """The spheres on the head are not where they were localized."""
+
+    code = "PRO-020"
+    action = (
+        "Check clamp and spheres, then localize again from global_localization on; with the guide mounted "
+        "retreat home and end the case."
+    )

@@ -1,0 +1,133 @@
+"""Does the room still stand as it was localized? The frame on the arm and the patient's spheres say so.
+
+The place of the frame is compared by its difference between tracker and arm. That difference depends on the
+arm's orientation by as much as the mount is off its drawing, some millimetres, so it is compared with what it
+was in the same orientation before. Every reading is such a reference for those that come later.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.registration.shift import PointShift, shift_of
+from ronna_hw.frames import Transform
+
+Array = NDArray[np.float64]
+
+# Half of the 1.7 mm that must be noticed. In the same pose the tracker's noise is all there is: 0.18 mm at
+# most in 300 simulated pairs of readings.
+BASE_LIMIT_MM = 0.85
+# In another pose of the same orientation arm and tracker err differently: 0.96 mm at most in 360 pairs.
+OTHER_POSE_LIMIT_MM = 1.3
+# Between the noise, 0.10 mm at most in 600 readings of 12 frames, and the 0.5 mm that must be noticed.
+PATIENT_LIMIT_MM = 0.3
+SAME_ORIENTATION_RAD = math.radians(1.0)  # 3.5 mm of the mount make 0.06 mm
+FARTHEST_MM = 150.0  # between poses that are compared: the tracker's own bias changes with the place
+SAME_POSE_RAD, SAME_POSE_MM = math.radians(0.1), 1.0
+
+
+@dataclass(frozen=True)
+class RoomReading:
+    """One look of the tracker while the arm rests.
+
+    `robot_from_flange` is the arm's nominal pose, `frame_mm` (3,) the frame by the tracker minus the frame by
+    the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are strays, tracker frame.
+    """
+
+    robot_from_flange: Transform
+    frame_mm: Array | None
+    spheres_mm: Array
+
+
+@dataclass
+class RoomWatch:
+    """What one global localization has found, and the readings since."""
+
+    localization: str  # identifier of the record
+    robot_from_tracker: Transform
+    spheres_mm: Array  # (n, 3) those on the head, tracker frame
+    references: list[RoomReading] = field(default_factory=list)
+
+    def check(self, reading: RoomReading) -> list[str]:
+        """Compare a reading with those before and keep it; returns what could not be compared, in words.
+
+        Raises PRO-019 when cart or tracker was moved, PRO-020 when the head has.
+        """
+        findings: list[str] = []
+        reference = self._reference(reading)
+        base_mm = None
+        if reading.frame_mm is None:
+            findings.append("the tracker does not see the frame on the arm in this pose")
+        elif (
+            reference is not None and reference.frame_mm is not None
+        ):  # else it is the first in this orientation
+            base_mm = reading.frame_mm - reference.frame_mm
+        head = shift_of(self.spheres_mm, reading.spheres_mm)
+        if head is None:
+            findings.append("the tracker sees fewer than three known spheres in this pose")
+        head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
+        same = reference is not None and _same_pose(reading, reference)
+        limit_mm = BASE_LIMIT_MM if same else OTHER_POSE_LIMIT_MM
+        if base_mm is not None and float(np.linalg.norm(base_mm)) >= limit_mm:
+            raise _base_shifted(base_mm, head_mm, limit_mm)
+        if head is not None and head_mm is not None and head.rms_mm >= PATIENT_LIMIT_MM:
+            if base_mm is None or not same or float(np.linalg.norm(head_mm - base_mm)) >= PATIENT_LIMIT_MM:
+                raise _patient_moved(head, head_mm)
+            findings.append(f"the tracker was moved by {_in_words(base_mm)}; arm and head agree")
+        if reading.frame_mm is not None:
+            self.references.append(reading)
+        return findings
+
+    def _reference(self, reading: RoomReading) -> RoomReading | None:
+        """The newest of the nearest readings in the same orientation."""
+        alike = [
+            (_apart_mm(one, reading), -number, one)
+            for number, one in enumerate(self.references)
+            if _turned_rad(one, reading) <= SAME_ORIENTATION_RAD and _apart_mm(one, reading) <= FARTHEST_MM
+        ]
+        exact = [one for one in alike if _same_pose(one[2], reading)]
+        # of those from the same pose the oldest: a slow drift is not to be followed
+        chosen = max(exact, key=lambda one: one[1]) if exact else min(alike, default=None)
+        return None if chosen is None else chosen[2]
+
+
+def _same_pose(one: RoomReading, other: RoomReading) -> bool:
+    return _turned_rad(one, other) < SAME_POSE_RAD and _apart_mm(one, other) < SAME_POSE_MM
+
+
+def _apart_mm(one: RoomReading, other: RoomReading) -> float:
+    return math.dist(one.robot_from_flange.translation_mm, other.robot_from_flange.translation_mm)
+
+
+def _turned_rad(one: RoomReading, other: RoomReading) -> float:
+    between = one.robot_from_flange.rotation_matrix.T @ other.robot_from_flange.rotation_matrix
+    return math.acos(min(1.0, max(-1.0, (float(np.trace(between)) - 1.0) / 2.0)))
+
+
+def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> BaseShifted:
+    # The frame moves with the cart, and against the tracker; the head only against the tracker.
+    tracker = head_mm is not None and float(np.linalg.norm(head_mm - base_mm)) < BASE_LIMIT_MM / 2.0
+    way_mm = -base_mm if tracker else base_mm
+    return BaseShifted(
+        f"{'the tracker' if tracker else 'the cart of the robot'} was moved by {_in_words(way_mm)}",
+        limit=f"{limit_mm:g} mm",
+        got=f"{np.linalg.norm(base_mm):.2f} mm",
+    )
+
+
+def _patient_moved(head: PointShift, head_mm: Array) -> PatientMoved:
+    return PatientMoved(
+        f"the head has moved since it was localized, by {_in_words(head_mm)} as {head.points} spheres show",
+        limit=f"{PATIENT_LIMIT_MM:g} mm",
+        got=f"{head.rms_mm:.2f} mm",
+    )
+
+
+def _in_words(way_mm: Array) -> str:
+    x, y, z = way_mm.tolist()
+    return f"{np.linalg.norm(way_mm):.1f} mm (x {x:+.1f}, y {y:+.1f}, z {z:+.1f} of the robot)"

@@ -1,0 +1,49 @@
+"""Whether known points have moved, from another measurement of them in the same frame. Pure numerics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.matching import match
+from procedures.registration.rigid_fit import fit_rigid
+
+Array = NDArray[np.float64]
+
+LEAST_POINTS = 3
+NEAR_MM = 8.0  # a point within this of its place is that point: spheres stand 20 mm and more apart
+SIGMA_MM = 0.15  # per axis, of averaged points of a tracker, where they have to be recognised by their layout
+
+
+@dataclass(frozen=True)
+class PointShift:
+    """Mean way of the points (3,) mm, the rms of the ways that a rigid motion gives them, and how many."""
+
+    mean_mm: Array
+    rms_mm: float
+    points: int
+
+
+def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
+    """How points (n, 3) have moved, seen again (m, 3) in any order among others.
+
+    None when fewer than three of them are seen, or when it is not clear which they are.
+    """
+    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
+    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    if min(len(recorded), len(seen)) < LEAST_POINTS:
+        return None
+    apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
+    pairs = [(row, int(apart[row].argmin())) for row in range(len(recorded)) if apart[row].min() < NEAR_MM]
+    if len(pairs) < LEAST_POINTS or len({column for _, column in pairs}) < len(pairs):
+        found = match(recorded, seen, sigma_image_mm=SIGMA_MM, sigma_physical_mm=SIGMA_MM)
+        if found.status is not MatchStatus.UNIQUE:
+            return None
+        pairs = [(int(row), int(column)) for row, column in found.pairs]
+    rows, columns = (list(side) for side in zip(*pairs, strict=True))
+    fit = fit_rigid(recorded[rows], seen[columns])
+    ways = recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows]
+    return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(pairs))

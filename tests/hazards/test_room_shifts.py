@@ -1,0 +1,142 @@
+"""Hazards 12 and 13: head, cart or tracker move after the localization, and the case notices it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import (
+    FIRST,
+    SPHERES_MM,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    coarse,
+    localized_fiducials,
+)
+from room_trials import STILL, TrackedCase
+
+from procedures.engine.result import StepResult
+from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.steps.clinical import relocalization
+from procedures.workcell import MountedTool
+
+SCENES = 50
+TRIALS_PER_SCENE = 20
+HEAD_MM, CART_MM = 0.5, 1.7
+
+
+def trials() -> Iterator[TrackedCase]:
+    """1,000 cases over 50 scenes, each with noise of its own."""
+    for seed in range(SCENES):
+        case = TrackedCase(seed)
+        for _ in range(TRIALS_PER_SCENE):
+            yield case
+
+
+@pytest.mark.slow
+@pytest.mark.hazard(12)
+@pytest.mark.hazard(13)
+def test_a_thousand_quiet_cases_raise_no_alarm() -> None:
+    for case in trials():
+        watch = case.begin()
+        stays = int(case.generator.integers(len(case.rests)))  # there it is read again before it leaves
+        for number, place in enumerate(case.rests):
+            for _ in range(2 if number == stays else 1):
+                assert watch.check(case.reading(watch, place)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("head_mm", "cart_mm", "noticed"),
+    [
+        pytest.param(HEAD_MM, 0.0, PatientMoved, marks=pytest.mark.hazard(12)),
+        pytest.param(0.0, CART_MM, BaseShifted, marks=pytest.mark.hazard(13)),
+    ],
+)
+def test_a_shift_while_the_arm_rests_is_noticed_before_the_next_motion_a_thousand_times(
+    head_mm: float, cart_mm: float, noticed: type[Exception]
+) -> None:
+    for case in trials():
+        watch, way = case.begin(), case.direction()
+        rest = int(case.generator.integers(len(case.rests)))
+        for place in case.rests[: rest + 1]:
+            watch.check(case.reading(watch, place))
+        with pytest.raises(noticed):
+            watch.check(case.reading(watch, case.rests[rest], head_mm * way, cart_mm * way))
+
+
+@pytest.mark.hazard(13)
+def test_a_tracker_that_was_moved_is_told_from_a_cart_and_a_head_that_were() -> None:
+    case = TrackedCase(3)
+    way = np.array([0.0, 2.0, 0.0])
+    for head_mm, cart_mm, said in ((STILL, way, "cart"), (-way, -way, "tracker"), (way, STILL, "head")):
+        watch = case.begin()
+        with pytest.raises((BaseShifted, PatientMoved), match=rf"the {said}.*2\.\d mm.*y \+[12]\.\d"):
+            watch.check(case.reading(watch, case.home_rad, head_mm, cart_mm))
+
+
+@pytest.mark.hazard(13)
+def test_a_tracker_that_was_moved_by_little_is_a_finding_as_arm_and_head_agree() -> None:
+    case = TrackedCase(3)
+    watch, way = case.begin(), np.array([0.6, 0.0, 0.0])
+    (finding,) = watch.check(case.reading(watch, case.home_rad, way, way))
+    assert "arm and head agree" in finding
+
+
+@pytest.mark.hazard(12)
+def test_what_the_tracker_does_not_see_is_said() -> None:
+    case = TrackedCase(3)
+    watch = case.begin()
+    reading = case.reading(watch, case.home_rad)
+    blind = type(reading)(reading.robot_from_flange, None, reading.spheres_mm[:2])
+    assert [finding.split(" in this")[0] for finding in watch.check(blind)] == [
+        "the tracker does not see the frame on the arm",
+        "the tracker sees fewer than three known spheres",
+    ]
+
+
+def before(cell: ClinicalCell) -> tuple[StepResult, ...]:
+    return (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
+
+
+@pytest.mark.parametrize(
+    ("moved", "noticed"),
+    [
+        pytest.param("spheres_mm", PatientMoved, marks=pytest.mark.hazard(12)),
+        pytest.param("frame_shift_mm", BaseShifted, marks=pytest.mark.hazard(13)),
+    ],
+)
+def test_nothing_moves_after_a_shift_and_what_was_localized_is_superseded(
+    tmp_path: Path, moved: str, noticed: type[Exception]
+) -> None:
+    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+    engine = cell.begin(*before(cell), relocalization.STEP)
+    engine.run_to(engine.order.sequence[4])
+    now = np.add(SPHERES_MM, (0.5, 0.0, 0.0)) if moved == "spheres_mm" else (0.0, 1.7, 0.0)
+    setattr(cell.tracker, moved, now)
+    with pytest.raises(noticed):
+        engine.run_to()
+    assert cell.arm.motions == []
+    assert [engine.status(engine.order.find(name)) for name in ("global_localization", "correspondence")] == [
+        "next",
+        "done",  # as given: a real one descends from it and goes as well
+    ]
+    assert cell.entries("voided") == [("voided", "global_localization")]
+
+
+@pytest.mark.hazard(12)
+def test_a_head_that_moves_while_the_spheres_are_localized_voids_them(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+    engine = cell.begin(*before(cell), relocalization.STEP)
+
+    def move_the_head(_start: object, _target: object) -> bool:
+        cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, 0.5, 0.0))
+        return False  # the way is clear
+
+    cell.arm.blocked = move_the_head
+    with pytest.raises(PatientMoved, match="the head has moved"):
+        engine.run_to()
+    assert not engine.case.stands(engine.order.find(f"relocalization:{FIRST}"))
