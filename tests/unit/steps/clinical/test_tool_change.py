@@ -116,7 +116,7 @@ def test_an_exchange_that_was_not_confirmed_goes_on_with_the_guide_that_hangs_th
 ) -> None:
     cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
     cell.carrying(MountedTool.STEREO_HEAD).workcell.start(cameras=True)
-    engine = cell.begin(checked_set_up(cell), correspondence(), localized_fiducials(), checked_plan(), STEP)
+    engine = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
     with pytest.raises(NotConfirmed):
         engine.run_to()
     cell.operator.refusing = ()
