@@ -31,7 +31,7 @@ test: setup
 	@$(PYTEST) -m "not slow and not soak"
 
 test-all: setup
-	@$(PYTEST) -m "not soak"
+	@$(PYTEST) -m "not soak" --every-hazard
 
 soak: setup
 	@$(PYTEST) -m soak

@@ -3,13 +3,38 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import hazard_matrix
 import pytest
+from hazard_ledger import HazardLedger
+
+GIVEN = 38  # rows of the list that the project began with
 
 
 def test_the_hazards_are_numbered_without_gaps() -> None:
-    assert [hazard.number for hazard in hazard_matrix.read_hazards()] == list(range(1, 39))
+    numbers = [hazard.number for hazard in hazard_matrix.read_hazards()]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) >= GIVEN
+
+
+def test_every_hazard_with_a_control_has_a_test_that_make_test_all_runs() -> None:
+    run = {test.number for test in hazard_matrix.bound_tests() if test.runs_in != "make soak"}
+    demanded = {h.number for h in hazard_matrix.read_hazards() if h.status != hazard_matrix.Status.PLANNED}
+    assert demanded - run == set()
+
+
+def test_a_hazard_without_a_passing_test_fails_the_run() -> None:
+    ledger = HazardLedger(frozenset({1, 2, 3}))
+    for outcome, number in (("passed", 1), ("skipped", 2), ("failed", 3)):
+        report = SimpleNamespace(
+            when="call", passed=outcome == "passed", user_properties=[("hazard", number)]
+        )
+        ledger.pytest_runtest_logreport(report)  # type: ignore[arg-type]
+    session = SimpleNamespace(exitstatus=pytest.ExitCode.OK)
+    ledger.pytest_sessionfinish(session)  # type: ignore[arg-type]
+    assert ledger.without_a_passing_test == [2, 3]
+    assert session.exitstatus == pytest.ExitCode.TESTS_FAILED
 
 
 def test_every_hazard_with_a_control_has_a_test_and_every_bound_test_names_a_hazard() -> None:

@@ -14,6 +14,7 @@ from procedures.reporting import report
 from ronna_hw.command_line.errors import PathProblem
 
 
+@pytest.mark.hazard(41)
 @pytest.mark.parametrize("problem", [GateFailed("too far off"), KeyboardInterrupt()])
 def test_whatever_ends_a_run_it_leaves_a_report_and_is_raised(tmp_path: Path, problem: BaseException) -> None:
     with pytest.raises(type(problem)) as met, leaving_report(tmp_path):
@@ -23,6 +24,7 @@ def test_whatever_ends_a_run_it_leaves_a_report_and_is_raised(tmp_path: Path, pr
     assert ("PRO-007" in text) == isinstance(problem, GateFailed)
 
 
+@pytest.mark.hazard(41)
 def test_a_report_that_cannot_be_written_hides_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -26,6 +26,7 @@ def test_events_are_numbered_from_one_in_the_order_in_which_they_happen() -> Non
     assert [event.number for event in reader.read(0).events] == [1, 2, 3]
 
 
+@pytest.mark.hazard(40)
 def test_a_slow_reader_loses_poses_and_no_fact_and_is_told_how_many() -> None:
     stream = EventStream()
     reader = stream.subscribe()
@@ -46,6 +47,7 @@ def test_poses_of_two_arms_do_not_replace_each_other() -> None:
     assert len(reader.read(0).events) == 2
 
 
+@pytest.mark.hazard(40)
 def test_a_newcomer_is_shown_what_holds_at_present() -> None:
     stream = EventStream()
     stream.publish(CaseState(state="idle"))

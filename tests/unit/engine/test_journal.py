@@ -21,6 +21,7 @@ def test_what_was_written_is_read_back_in_order(tmp_path: Path) -> None:
     assert [(line["sequence"], line["entry"]) for line in lines] == [(0, "intent"), (1, "result")]
 
 
+@pytest.mark.hazard(39)
 @pytest.mark.hazard(1)
 def test_a_changed_line_breaks_the_chain(tmp_path: Path) -> None:
     path = _written(tmp_path)
@@ -29,6 +30,7 @@ def test_a_changed_line_breaks_the_chain(tmp_path: Path) -> None:
         list(read_journal(path))
 
 
+@pytest.mark.hazard(39)
 def test_a_lost_line_breaks_the_chain(tmp_path: Path) -> None:
     path = _written(tmp_path)
     path.write_text(path.read_text().splitlines(keepends=True)[1])

@@ -44,6 +44,7 @@ def test_a_case_that_was_done(cell: ClinicalCell) -> None:
     assert ended(cell, "done") == ("done", "")
 
 
+@pytest.mark.hazard(41)
 def test_a_step_that_failed_is_named_with_its_code(cell: ClinicalCell) -> None:
     assert ended(cell, "failed", GateFailed("too far off")) == ("failed", "PRO-007")
 
@@ -72,6 +73,7 @@ def test_a_case_that_was_left_says_after_which_step(cell: ClinicalCell) -> None:
     assert "The operator left the case after image." in write_report(cell.folder).read_text()
 
 
+@pytest.mark.hazard(41)
 def test_a_run_that_was_killed_says_during_which_step(cell: ClinicalCell) -> None:
     cell.journal.write(Entry.INTENT, 1.0, step="image", moves=False)
     text = write_report(cell.folder).read_text()
@@ -84,6 +86,7 @@ def test_a_run_that_ended_before_its_theatre_was_open_says_why(tmp_path: Path) -
     assert "There is no journal" in text
 
 
+@pytest.mark.hazard(39)
 def test_what_stands_before_a_broken_line_is_shown_and_the_break_is_said(registered: Path) -> None:
     path = registered / JOURNAL_FILE
     lines = path.read_bytes().splitlines(keepends=True)
@@ -99,6 +102,7 @@ def test_a_torn_last_line_is_said(registered: Path) -> None:
     assert "The last line of the journal is torn" in write_report(registered).read_text()
 
 
+@pytest.mark.hazard(39)
 def test_a_changed_record_is_left_out_and_named(registered: Path) -> None:
     (changed,) = (registered / "records").glob("*-registration-T1.json")
     changed.write_text(changed.read_text().replace('"confidence": 0.95', '"confidence": 0.99'))

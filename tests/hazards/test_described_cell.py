@@ -1,0 +1,56 @@
+"""Hazard 24: what the theatre file puts around the arm is kept clear, such as a moved clamp."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from clinical_case import (
+    SPHERES_MM,
+    ClinicalCell,
+    checked_plan,
+    checked_set_up,
+    correspondence,
+    localized_fiducials,
+)
+
+from procedures.steps.clinical import path_check
+from ronna_hw.collision_config import BodyFrame, RoomBody
+from ronna_hw.errors import RonnaError
+
+ABOVE_MM = 90.0  # over the spheres: where the stereo head comes down to them
+
+
+def with_body(cell: ClinicalCell, name: str, *, away_mm: float) -> None:
+    """An upright body beside the first sphere, so far from it along the table."""
+    x, y, z = (float(value) for value in SPHERES_MM[0])
+    body = RoomBody(
+        name=name,
+        frame=BodyFrame.ROBOT,
+        start_mm=(x, y + away_mm, z),
+        end_mm=(x, y + away_mm, z + ABOVE_MM),
+        radius_mm=40.0,
+    )
+    bodies = cell.theatre.cell.model_copy(update={"bodies": (*cell.theatre.cell.bodies, body)})
+    cell.theatre = cell.theatre.model_copy(update={"cell": bodies})
+
+
+def check(cell: ClinicalCell) -> None:
+    cell.run(correspondence(), localized_fiducials(), checked_plan(), checked_set_up(cell), path_check.STEP)
+
+
+@pytest.mark.hazard(24)
+@pytest.mark.parametrize("name", ["clamp", "place of the staff"])
+def test_a_body_in_the_way_refuses_the_case_by_name_before_anything_moves(tmp_path: Path, name: str) -> None:
+    cell = ClinicalCell(tmp_path)
+    with_body(cell, name, away_mm=0.0)
+    with pytest.raises(RonnaError, match=name):
+        check(cell)
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(24)
+def test_the_same_body_far_from_the_way_refuses_nothing(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    with_body(cell, "clamp", away_mm=900.0)
+    check(cell)

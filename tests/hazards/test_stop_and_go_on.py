@@ -1,0 +1,131 @@
+"""Hazard 5: stopped anywhere, a case goes on by a way that is planned anew and stays clear of everything.
+
+The arm is driven in process by the planner and the clearance check of the real driver; what it passes is
+looked at again, densely, by the sweep alone.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from clinical_case import (
+    ROBOT_FROM_CT,
+    ClinicalCell,
+    checked_plan,
+    checked_set_up,
+    correspondence,
+    global_localization,
+    imported_ct,
+    localized_fiducials,
+)
+from recording_cell import RecordingArm
+
+from procedures.engine.machine import FINISHED
+from procedures.steps.clinical import (
+    at_target,
+    path_check,
+    positioning,
+    registration,
+    relocalization,
+    retreat,
+    tool_change,
+)
+from procedures.workcell import MountedTool
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.sweep import sweep
+from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.line_target import LineTarget
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import ArmReading, JointVector
+from ronna_hw.frames import Transform
+
+STOPS = 200
+STOPPED_SHARE = 0.5  # of the motions, until there were enough stops
+LOOKED_AT = 25  # places on every way that was driven
+ROUNDING_MM = 0.3  # the way is checked at samples, and looked at between them
+STEPS = (
+    path_check.STEP, relocalization.STEP, registration.STEP, tool_change.STEP, positioning.STEP,
+    at_target.STEP, retreat.STEP,
+)  # fmt: skip
+
+
+@dataclass
+class PlanningArm(RecordingArm):
+    """Plans and checks every motion as the driver does, and is stopped at random places on the way."""
+
+    chosen: random.Random = field(default_factory=lambda: random.Random(5))
+    stopped_at: list[JointVector] = field(default_factory=list)
+    least_mm: float = np.inf  # from any surface to any other, where nothing may be nearer than the margin
+    surroundings: Surroundings = field(default_factory=Surroundings)
+
+    def surround(self, surroundings: object) -> None:
+        assert isinstance(surroundings, Surroundings)
+        self.surroundings = surroundings
+
+    def move_joints(self, target_rad: JointVector, **_more: Any) -> ArmReading:
+        limits = working_limits(self.kinematics)
+        return self._drive(plan_joint_move(self.kinematics, self.joints_rad, target_rad, limits))
+
+    def move_linear(
+        self, target: Transform, *, flange_from_tool: Transform | None = None, **_more: Any
+    ) -> ArmReading:
+        line, limits = LineTarget.of(target, flange_from_tool), working_limits(self.kinematics)
+        way = plan_line(self.kinematics, self.joints_rad, line.flange, limits, line.point_in_flange_mm)
+        return self._drive(way)
+
+    def _drive(self, plan: MotionPlan) -> ArmReading:
+        sweep_path(self.kinematics, plan, self.surroundings).require("the way")
+        stops = len(self.stopped_at) < STOPS and self.chosen.random() < STOPPED_SHARE
+        until = self.chosen.random() if stops else 1.0
+        path = plan.path(self.kinematics)
+        way = [path.joints(share, plan.start_rad) for share in np.linspace(0.0, until, LOOKED_AT)]
+        self.least_mm = min(self.least_mm, self._least_mm(way))
+        self.joints_rad = way[-1]
+        self.motions.append(("way", way[-1]))
+        if stops:
+            self.stopped_at.append(way[-1])
+            self.state = Lifecycle.HOLD
+            raise MotionInterrupted("stopped on its way")
+        return self.read_state()
+
+    def _least_mm(self, way: list[JointVector]) -> float:
+        return float(sweep(Bodies(self.kinematics, self.surroundings), way).gaps_mm.min())
+
+
+def stopped_case(folder: Path, arm: PlanningArm) -> ClinicalCell:
+    """A case from the path check to the last retreat, with that arm."""
+    cell = ClinicalCell(folder)
+    arm.joints_rad, arm.state, arm.mounted = cell.arm.joints_rad, cell.arm.state, cell.arm.mounted
+    cell.arm = cell.room.arm = arm
+    cell.opened._devices["robot.master"] = arm
+    cell.carrying(MountedTool.STEREO_HEAD)
+    return cell
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.slow
+def test_stopped_at_two_hundred_random_places_the_case_ends_and_nothing_came_near(tmp_path: Path) -> None:
+    arm = PlanningArm("arm")
+    for number in range(STOPS):
+        if len(arm.stopped_at) >= STOPS:
+            break
+        cell = stopped_case(tmp_path / str(number), arm)
+        engine = cell.begin(
+            *(imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell)),
+            *(global_localization(), correspondence(ROBOT_FROM_CT)),
+            *STEPS,
+        )
+        engine.run_to()
+        assert engine.machine.state == FINISHED
+        cell.journal.close()
+    assert len(arm.stopped_at) == STOPS
+    assert arm.least_mm >= arm.surroundings.margin_mm - ROUNDING_MM
