@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Self, TypeVar, cast
 
 from ronna_hw.clock import Clock, SharedClock, open_clock
-from ronna_hw.config import Calibrations, TheatreFile, read_theatre_file
+from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.byte_sink import ByteSink, RecordsBytes
 from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
 from ronna_hw.devices.lifecycle import Device, Lifecycle
@@ -27,6 +27,7 @@ from ronna_hw.logs import logger
 from ronna_hw.registry import make_device
 
 D = TypeVar("D")
+DriverOfTable = Callable[[str, DeviceConfig, Clock], Device]
 STOP_LIMIT_S = 5.0  # host time, for all arms together
 
 
@@ -36,20 +37,21 @@ class Theatre:
     As a context manager it closes everything on leaving.
     """
 
-    def __init__(self, file: TheatreFile, clock: Clock) -> None:
-        """Opens nothing."""
+    def __init__(self, file: TheatreFile, clock: Clock, make: DriverOfTable = make_device) -> None:
+        """Opens nothing. `make` makes the driver objects, for those who want others in their place."""
         self.file = file
         self._clock = clock
+        self._make = make
         self.arms: Mapping[str, RobotArm] = _Arms(self)
         self._devices: dict[str, Device] = {}
         self._byte_sink: ByteSink | None = None
         self._closed = False
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str]) -> Self:
+    def from_file(cls, path: str | os.PathLike[str], make: DriverOfTable = make_device) -> Self:
         """Read the file and open its clock, but no device. Raises CFG-001 or CLK-001."""
         file = read_theatre_file(Path(path))
-        return cls(file, open_clock(file.clock.endpoint))
+        return cls(file, open_clock(file.clock.endpoint), make)
 
     @property
     def clock(self) -> Clock:
@@ -168,7 +170,7 @@ class Theatre:
         self._require_open()
         if name not in self._devices:
             self.require(name)
-            device = make_device(name, self.file.devices[name], self.clock)
+            device = self._make(name, self.file.devices[name], self.clock)
             _record_bytes(device, self._byte_sink)
             self._devices[name] = device
         return self._devices[name]

@@ -241,6 +241,20 @@ def watch_command(
     watch(run_folder, as_json=as_json)
 
 
+@app.command("replay")
+def replay_command(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Compute every result of a run again from its recorded readings, and compare. Touches no device.
+
+    Exit codes: 0 everything is equal, 1 a record differs or cannot be computed again.
+    """
+    from procedures.cli.replay_run import replay_run
+
+    replay_run(run_folder, as_json=as_json)
+
+
 @app.command("bytes")
 def bytes_command(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 from procedures.engine.errors import GuardUnmet, OperatorAborted
@@ -46,6 +46,7 @@ class Checkpoint:
     ) -> None:
         """`rest` is held, with state and reason, while the case rests; `sleep` takes theatre time."""
         self.guards = list(guards)
+        self.beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while guards look
         self._ask = ask
         self._rest = rest
         self._sleep = sleep
@@ -82,8 +83,9 @@ class Checkpoint:
         is not restored and the operator leaves the step.
         """
         self._meet_wishes(where)
-        for guard in self.guards:
-            self._meet(guard, where)
+        with self.beside():
+            for guard in self.guards:
+                self._meet(guard, where)
 
     def stopped(self, what: str, redo: str) -> None:
         """A motion was stopped by somebody else; returns when the operator wants it planned anew.

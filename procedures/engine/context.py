@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -50,6 +51,7 @@ class CaseSetting:
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
     workspace: Workspace = field(default_factory=Workspace)
+    today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from ronna_hw.errors import (
     EXIT_ABORTED,
     EXIT_FAILED,
     EXIT_USAGE,
+    DataError,
     RefusedError,
     RonnaError,
 )
@@ -101,3 +102,17 @@ class EventsUnreadable(RonnaError):
 
     code = "PRO-018"
     action = "Follow it with the version that runs it; its evidence is the journal, not this file."
+
+
+class NotRecorded(DataError):
+    """A replay needs something that the run has not kept."""
+
+    code = "PRO-020"
+    action = "This part of the run cannot be computed again; its records stand as they are."
+
+
+class ReplayDiffers(RonnaError):
+    """Results computed again are not those that were recorded."""
+
+    code = "PRO-021"
+    action = "Compare the versions, and check the run for edited files, before you rely on it."

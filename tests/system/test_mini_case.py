@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 from signal import SIGINT, SIGTERM
 from typing import Any
@@ -11,6 +12,7 @@ from run_folders import assert_nothing_half_written, await_motion_in, records_of
 from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
 
+from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
@@ -95,6 +97,37 @@ def test_the_bytes_of_every_link_are_kept_in_both_directions(finished: MiniRun) 
     images = [line.note for line in read_link(folder, "stereo.left.stream")]
     assert images
     assert all(note["missing_packets"] == 0 for note in images)
+
+
+def test_every_result_computed_again_from_the_readings_is_the_same(finished: MiniRun) -> None:
+    before = {path: path.stat().st_mtime_ns for path in finished.folder.rglob("*")}
+    done = in_this_process(ronna_procedure, "replay", finished.folder, "--json")
+    assert done.returncode == 0, done.stderr
+    records = json.loads(done.stdout)["records"]
+    assert [one["record"] for one in records] == [one.identifier for one in records_of(finished.folder)]
+    assert {one["verdict"] for one in records} == {"equal"}
+    assert {path: path.stat().st_mtime_ns for path in finished.folder.rglob("*")} == before
+
+
+@pytest.mark.slow
+def test_a_reading_that_was_edited_afterwards_is_found_in_what_was_made_from_it(
+    finished: MiniRun, tmp_path: Path
+) -> None:
+    copy = tmp_path / finished.folder.name
+    shutil.copytree(finished.folder, copy)
+    readings = copy / "readings" / "readings.jsonl"
+    lines = readings.read_text().splitlines()
+    place = max(number for number, line in enumerate(lines) if '"call":"read_frame"' in line)
+    edited = json.loads(lines[place])
+    edited["answer"]["strays"][0]["position_mm"][0] += 0.001
+    lines[place] = json.dumps(edited)
+    readings.write_text("\n".join(lines))
+    done = in_this_process(ronna_procedure, "replay", copy, "--json")
+    assert done.returncode == 1
+    assert "PRO-021" in done.stderr
+    verdicts = {one["step"]: one["verdict"] for one in json.loads(done.stdout)["records"]}
+    assert verdicts["set_up"] == "equal"
+    assert verdicts["global_localization"] == verdicts["path_check"] == "different"
 
 
 @pytest.mark.hazard(31)

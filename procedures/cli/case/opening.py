@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.engine.operator import Operator, Room
     from procedures.engine.order import CaseOrder
-    from ronna_hw.config import Calibrations
+    from ronna_hw.clock import Clock
+    from ronna_hw.config import Calibrations, DeviceConfig
+    from ronna_hw.devices.lifecycle import Device
     from ronna_hw.theatre import Theatre
 
 
@@ -145,20 +147,37 @@ def _make_engine(
     from procedures.engine.events import EventStream
     from procedures.engine.events.event_file import EventFile
     from procedures.engine.journal import Entry, Journal
+    from procedures.engine.replay.sections import opening_line, section_follower
     from procedures.guards import standing_guards
     from procedures.workcell import Workcell
     from ronna_hw.recording.byte_lines import BYTES_FOLDER
     from ronna_hw.recording.flight_recorder import FlightRecorder
+    from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape
+    from ronna_hw.recording.taped_device import taped
+    from ronna_hw.registry import make_device
     from ronna_hw.theatre import Theatre
 
-    theatre = Theatre.from_file(file)
+    def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
+        return taped(make_device(name, config, clock), tape)
+
+    theatre = Theatre.from_file(file, make)
     wanted = procedure(theatre)
     calibrations = wanted.calibrations or theatre.calibrations  # what is missing is known before the journal
     events = EventStream(theatre.clock.now_s)
     stack.callback(EventFile(folder, events).join)
     stack.callback(events.end)
-    journal = Journal(folder, events.journal_line)
+    opening = opening_line(folder, file, theatre.clock, wanted.clinical)
+    tape = ReadingTape(folder / READINGS_FOLDER, theatre.clock.now_s, opening)
+    stack.callback(tape.close)
+    follow = section_follower(tape)
+
+    def written(line: bytes) -> None:
+        follow(line)
+        events.journal_line(line)
+
+    journal = Journal(folder, written)
     flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
+    stack.callback(flight_recorder.close)
     theatre.record_bytes(flight_recorder)
     workcell = Workcell(theatre, journal, calibrations=calibrations)
     journal.write(
@@ -184,7 +203,8 @@ def _make_engine(
         journal,
         events=events,
         on_ending=ignore_further_signals,
-        recorders=(flight_recorder,),
+        recorders=(flight_recorder, tape),
     )
+    engine.checkpoint.beside = tape.beside
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
     return engine

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -48,10 +46,9 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
 
     Raises CAL-001 for an expired record, STE-010 for another camera, PRO-009 for another tool.
     """
-    now = datetime.now(UTC)
     workcell, calibrations = context.workcell, context.workcell.calibrations
     for record in (calibrations.stereo_head, calibrations.tool_tip, calibrations.tracker_frame):
-        record.check_valid_at(now)
+        record.check_valid_at(context.setting.today())
     devices = workcell.devices
     identities: dict[str, DeviceIdentity] = {}
     for number, (role, device) in enumerate(devices.items()):

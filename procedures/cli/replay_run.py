@@ -1,0 +1,61 @@
+"""`ronna-procedure replay`: what a run was begun with, found again, and each record held against a replay."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+
+from procedures.engine.context import ClinicalInput
+from procedures.engine.errors import NotRecorded, ReplayDiffers
+from procedures.engine.order import order_of
+from procedures.engine.replay.comparison import ReplayedRecord, Verdict
+from procedures.engine.replay.recorded_answers import RecordedAnswers, read_answers
+from procedures.engine.replay.replay import ReplayInput, replay
+from procedures.engine.run_folder import read_run
+from procedures.planning.plan_file import read_plan
+from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.strategies.catalogue import strategy_named
+from ronna_hw.command_line.console import print_json, print_table, progress_bar
+from ronna_hw.config import read_theatre_file
+
+
+def replay_run(run_folder: Path, *, as_json: bool) -> None:
+    """Replay a run and print a verdict for each record. Raises PRO-020, and PRO-021 unless all are equal."""
+    run = read_run(run_folder)
+    answers = read_answers(run_folder)
+    given = _given(run_folder, answers)
+    with progress_bar(f"computing {len(run.records)} results again") as show:
+        results = replay(run, given, answers, lambda done, of: show(done / of))
+    counts = Counter(result.verdict for result in results)
+    if as_json:
+        totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
+        print_json({"run": run_folder.name, **totals, "records": [asdict(result) for result in results]})
+    else:
+        print_table("Results computed again", ("record", "verdict", "why"), [_row(one) for one in results])
+    if unlike := len(results) - counts[Verdict.EQUAL]:
+        names = ", ".join(one.record for one in results if one.verdict is not Verdict.EQUAL)
+        raise ReplayDiffers(f"{unlike} of {len(results)} records are not confirmed: {names}")
+
+
+def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
+    opening = answers.opening
+    if opening["series"] is None:
+        raise NotRecorded("the run is a calibration: only a case with a patient can be replayed")
+
+    def placed(name: str) -> Path:
+        return run_folder / str(opening[name])  # an absolute path stays what it is
+
+    plan = placed("plan")
+    strategy = strategy_named(str(opening["strategy"]))
+    order = order_of(
+        CLINICAL_STEPS,
+        [trajectory.id for trajectory in read_plan(plan).trajectories],
+        localizes_per_trajectory=strategy.localizes_per_trajectory,
+    )
+    clinical = ClinicalInput(placed("series"), plan, strategy)
+    return ReplayInput(order, clinical, read_theatre_file(placed("theatre_file")))
+
+
+def _row(one: ReplayedRecord) -> tuple[str, str, str]:
+    return one.record, one.verdict, "; ".join(one.why)

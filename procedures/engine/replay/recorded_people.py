@@ -1,0 +1,56 @@
+"""Operator, room and clock of a replay: they say what they said in the run, and do nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from procedures.engine.errors import NotRecorded
+from procedures.engine.journal import Line
+from procedures.engine.operator import Question
+from procedures.engine.replay.recorded_answers import RecordedAnswers
+
+
+class RecordedOperator:
+    """Answers as the journal has it, question by question."""
+
+    def __init__(self) -> None:
+        self._confirmations: list[Line] = []
+
+    def begin(self, confirmations: Sequence[Line]) -> None:
+        """From here on the answers are among these lines."""
+        self._confirmations = list(confirmations)
+
+    def ask(self, question: Question) -> str:
+        """The recorded answer to the next question of that name. Raises PRO-020 when it was not asked."""
+        for place, line in enumerate(self._confirmations):
+            if line["topic"] == question.name:
+                del self._confirmations[: place + 1]
+                return str(line["answer"])
+        raise NotRecorded(f"the run did not ask {question.name}: {question.subject}")
+
+
+class EmptyRoom:
+    """Nobody hears, nobody changes tools: the controller's inputs are recorded."""
+
+    def announce(self, step: str) -> None:
+        """As `Room`."""
+
+    def change_tool(self, number: int, description: str) -> None:
+        """As `Room`."""
+
+
+class RecordedClock:
+    """The theatre time of the last answer; waiting takes none."""
+
+    def __init__(self, answers: RecordedAnswers) -> None:
+        self._answers = answers
+
+    @property
+    def paced(self) -> bool:
+        return bool(self._answers.opening["paced"])
+
+    def now_s(self) -> float:
+        return self._answers.moment_s
+
+    def sleep(self, duration_s: float) -> None:
+        """As `Clock`."""

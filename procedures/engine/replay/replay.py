@@ -1,0 +1,134 @@
+"""Runs the steps of a finished or broken-off run again, in the journal's order, on its recorded answers."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from procedures.engine.case import Case
+from procedures.engine.context import CaseSetting, ClinicalInput
+from procedures.engine.engine import Engine
+from procedures.engine.errors import NotRecorded, StepRefused
+from procedures.engine.journal import Entry, Journal, Line
+from procedures.engine.order import CaseOrder
+from procedures.engine.replay.comparison import ReplayedRecord, Verdict, compared
+from procedures.engine.replay.recorded_answers import RecordedAnswers
+from procedures.engine.replay.recorded_people import EmptyRoom, RecordedClock, RecordedOperator
+from procedures.engine.replay.replayed_device import replayed
+from procedures.engine.replay.sections import BEGINS, ENDS
+from procedures.engine.run_folder import RunFolder
+from procedures.workcell import Workcell
+from ronna_hw.clock import Clock
+from ronna_hw.config import DeviceConfig, TheatreFile
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.errors import RonnaError
+from ronna_hw.records import Record
+from ronna_hw.registry import make_device
+from ronna_hw.theatre import Theatre
+
+ShowRecord = Callable[[int, int], None]  # records done, of how many
+
+
+@dataclass(frozen=True)
+class ReplayInput:
+    """What a run was begun with."""
+
+    order: CaseOrder
+    clinical: ClinicalInput
+    theatre: TheatreFile
+
+
+def replay(
+    run: RunFolder,
+    given: ReplayInput,
+    answers: RecordedAnswers,
+    progress: ShowRecord = lambda _done, _of: None,
+) -> tuple[ReplayedRecord, ...]:
+    """Every record of the run, in order, with what came of computing it again.
+
+    Later steps read what was computed again, not what was recorded: a difference shows in all that follows.
+    Opens no device and writes to a temporary folder only.
+    """
+    with tempfile.TemporaryDirectory(prefix="ronna-replay-") as folder:
+        again = _Replay(run, given, answers, Path(folder))
+        results: list[ReplayedRecord] = []
+        for one in again.run():
+            results.append(one)
+            progress(len(results), len(run.records))
+        return tuple(results)
+
+
+class _Replay:
+    def __init__(self, run: RunFolder, given: ReplayInput, answers: RecordedAnswers, folder: Path) -> None:
+        def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
+            return replayed(make_device(name, config, clock), answers)
+
+        self._run = run
+        self._answers = answers
+        self._operator = RecordedOperator()
+        self._uncomputed = Verdict.DIFFERENT  # what was said of the last step that could not be computed
+        clock = RecordedClock(answers)
+        theatre = Theatre(given.theatre, clock, make)
+        journal = Journal(folder)
+        began = datetime.fromisoformat(str(run.opened["host_time"]))
+        setting = CaseSetting(
+            workcell=Workcell(theatre, journal),
+            clock=clock,
+            operator=self._operator,
+            room=EmptyRoom(),
+            settings=given.theatre.procedure,
+            surroundings=given.theatre.cell,
+            clinical=given.clinical,
+            today=lambda: began,
+        )
+        self._engine = Engine(given.order, Case(folder), setting, journal)
+
+    def run(self) -> Iterator[ReplayedRecord]:
+        """Everything that began in the run, one after the other."""
+        records = {record.identifier: record for record in self._run.records}
+        for line, following in self._sections():
+            self._answers.begin(_sequence(line))
+            self._operator.begin([one for one in following if one["entry"] == Entry.CONFIRMATION])
+            end = next((one for one in following if one["entry"] in ENDS), None)
+            if line["entry"] == Entry.HOME:
+                with suppress(RonnaError):
+                    self._engine.retreat_home()
+            elif end is not None and end["entry"] == Entry.RESULT:
+                yield self._computed(str(line["step"]), records[str(end["record"])])
+            elif end is not None and end["entry"] == Entry.FAILED:
+                with suppress(RonnaError):
+                    self._engine.run_step(self._engine.order.find(str(line["step"])))
+            for one in following:
+                if one["entry"] == Entry.ACKNOWLEDGED:
+                    self._engine.acknowledge(str(one["by"]))
+        self._engine.close("replayed")
+
+    def _computed(self, step: str, recorded: Record) -> ReplayedRecord:
+        try:
+            again = self._engine.run_step(self._engine.order.find(step))
+        except StepRefused as error:  # what it needs was not computed either
+            why = f"not computed: {error.summary}"
+            return ReplayedRecord(recorded.identifier, step, self._uncomputed, (why,))
+        except NotRecorded as error:
+            self._uncomputed = Verdict.NOT_RECORDED
+            return ReplayedRecord(recorded.identifier, step, self._uncomputed, (error.summary,))
+        except Exception as error:  # whatever a step makes of other numbers than it met
+            self._uncomputed = Verdict.DIFFERENT
+            return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
+        return compared(step, recorded, again)
+
+    def _sections(self) -> Iterator[tuple[Line, list[Line]]]:
+        """Each line that something begins with, and the lines up to the next such one."""
+        lines = self._run.journal
+        begins = [place for place, line in enumerate(lines) if line["entry"] in BEGINS]
+        for begin, end in zip(begins, [*begins[1:], len(lines)], strict=True):
+            yield lines[begin], list(lines[begin + 1 : end])
+
+
+def _sequence(line: Line) -> int:
+    number = line["sequence"]
+    return number if isinstance(number, int) else -1

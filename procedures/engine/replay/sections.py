@@ -1,0 +1,49 @@
+"""How the tape of readings and the journal of a run belong together."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from procedures.engine.context import ClinicalInput
+from procedures.engine.journal import Entry
+from ronna_hw.clock import Clock
+from ronna_hw.recording.reading_tape import ReadingTape
+
+BEGINS = (Entry.INTENT, Entry.HOME)
+ENDS = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
+
+
+def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:
+    """To be handed every line of the journal, by the thread that runs the steps.
+
+    What devices answer to a step, or on the way home, is one section: it has the number of its first line.
+    """
+
+    def follow(line: bytes) -> None:
+        content = json.loads(line)
+        if content["entry"] in BEGINS:
+            tape.begin(content["sequence"])
+        elif content["entry"] in ENDS:
+            tape.end()
+
+    return follow
+
+
+def opening_line(
+    folder: Path, theatre_file: Path, clock: Clock, clinical: ClinicalInput | None
+) -> dict[str, str | bool | None]:
+    """What a replay has to know beside the answers; paths inside the run folder are relative to it."""
+
+    def placed(path: Path) -> str:
+        inside, whole = folder.resolve(), path.resolve()
+        return str(whole.relative_to(inside) if whole.is_relative_to(inside) else whole)
+
+    return {
+        "theatre_file": placed(theatre_file),
+        "paced": clock.paced,
+        "series": None if clinical is None else placed(clinical.series),
+        "plan": None if clinical is None else placed(clinical.plan),
+        "strategy": None if clinical is None else clinical.strategy.name,
+    }

@@ -1,0 +1,184 @@
+"""The tape: what every device answered to a procedure, in order, for a replay.
+
+RUN/readings/readings.jsonl   one line per answer, in sections
+RUN/readings/pixels.bin       the pixels that these lines refer to, each packed by itself
+
+A section is what happens between two lines of the journal, and carries the number of the first. Answers to
+whoever asks beside it, a guard or another thread, are not on the tape. A thread of its own packs and writes.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import StereoReading
+from ronna_hw.errors import RonnaError
+from ronna_hw.logs import logger
+from ronna_hw.recording.pixel_coding import pack_pixels
+from ronna_hw.recording.reading_coding import as_plain
+
+READINGS_FOLDER = "readings"
+READINGS_FILE, PIXELS_FILE = "readings.jsonl", "pixels.bin"
+MOST_BYTES = 2_000_000_000  # of one run: ten full cases
+MOST_WAITING_BYTES = 400_000_000  # of pixels: fifty pairs of whole sensors
+WRITE_PERIOD_S = 0.05  # host time
+CLOSE_LIMIT_S = 10.0  # for what still waits
+NO_SECTION = -1
+
+
+class Answer(NamedTuple):
+    """What a call on a device gave: a value, or the error that it raised; and the state it left."""
+
+    section: int
+    device: str
+    call: str
+    state: Lifecycle
+    theatre_time_s: float
+    value: object
+    error: RonnaError | None
+    properties: Mapping[str, object]  # of the device, where the call tells them
+
+
+class ReadingTape:
+    """Of one run. `opening` is the first line: what a replay has to know beside the answers."""
+
+    def __init__(
+        self,
+        folder: Path,
+        now_s: Callable[[], float],
+        opening: Mapping[str, Any],
+        *,
+        most_bytes: int = MOST_BYTES,
+    ) -> None:
+        """Goes on with what an earlier process of the run has left. Raises OSError."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self._lines = (folder / READINGS_FILE).open("ab")
+        self._pixels = (folder / PIXELS_FILE).open("ab")
+        self._now_s = now_s
+        self._most_bytes = most_bytes
+        self._section = NO_SECTION
+        self._thread = 0  # who reads within the section
+        self._beside = 0
+        self._queue: deque[Answer] = deque()
+        self._waiting_bytes = 0
+        self._full = False
+        self._ending = threading.Event()
+        self._write_line({"opening": dict(opening)})
+        self._writer = threading.Thread(target=self._run, name="reading tape", daemon=True)
+        self._writer.start()
+
+    def begin(self, section: int) -> None:
+        """From here on this thread's answers belong to the section with that number."""
+        self._section, self._thread = section, threading.get_ident()
+
+    def end(self) -> None:
+        """The section is over."""
+        self._section = NO_SECTION
+
+    @contextmanager
+    def beside(self) -> Iterator[None]:
+        """What is read within is no part of the section."""
+        self._beside += 1
+        try:
+            yield
+        finally:
+            self._beside -= 1
+
+    @property
+    def listening(self) -> bool:
+        """Whether an answer to this thread is to be kept."""
+        return self._section != NO_SECTION and not self._beside and threading.get_ident() == self._thread
+
+    def keep(
+        self,
+        device: str,
+        call: str,
+        state: Lifecycle,
+        value: object,
+        error: RonnaError | None = None,
+        properties: Mapping[str, object] = MappingProxyType({}),
+    ) -> None:
+        """Keep an answer that was given just now. Never blocks, never raises."""
+        answer = Answer(self._section, device, call, state, self._now_s(), value, error, properties)
+        self._waiting_bytes += _pixel_bytes(value)
+        if self._waiting_bytes > MOST_WAITING_BYTES:
+            self._full = True
+        if not self._full:
+            self._queue.append(answer)
+
+    def close(self) -> None:
+        """Write what waits and close the files. Bounded in time; never raises."""
+        self._ending.set()
+        self._writer.join(CLOSE_LIMIT_S)
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.wait(WRITE_PERIOD_S):
+                self._write_waiting()
+            self._write_waiting()
+            if self._full:
+                self._write_line({"full": True})
+            self._lines.close()
+            self._pixels.close()
+        except OSError as error:
+            self._full = True
+            logger(part="reading tape").warning("readings are no longer kept", cause=error)
+
+    def _write_waiting(self) -> None:
+        while self._queue:
+            answer = self._queue.popleft()
+            self._write(answer)
+            self._waiting_bytes -= _pixel_bytes(answer.value)
+        self._lines.flush()
+        self._pixels.flush()
+        if self._lines.tell() + self._pixels.tell() > self._most_bytes:
+            self._full = True
+
+    def _write(self, answer: Answer) -> None:
+        line: dict[str, Any] = {
+            "section": answer.section,
+            "device": answer.device,
+            "call": answer.call,
+            "state": answer.state,
+            "theatre_time_s": answer.theatre_time_s,
+        }
+        if answer.error is not None:
+            error = answer.error
+            line["error"] = {
+                "code": error.code,
+                "class": type(error).__qualname__,
+                "what": error.what,
+                "expected": error.expected,
+                "limit": error.limit,
+                "got": error.got,
+            }
+        else:
+            line["answer"] = as_plain(answer.value, self._put_pixels)
+        if answer.properties:
+            line["properties"] = {
+                name: as_plain(value, self._put_pixels) for name, value in answer.properties.items()
+            }
+        self._write_line(line)
+
+    def _put_pixels(self, pixels: Any) -> dict[str, Any]:
+        packed = pack_pixels(pixels)
+        at = self._pixels.tell()
+        self._pixels.write(packed)
+        return {"at": at, "bytes": len(packed), "shape": list(pixels.shape), "type": str(pixels.dtype)}
+
+    def _write_line(self, content: Mapping[str, Any]) -> None:
+        self._lines.write(json.dumps(content, separators=(",", ":")).encode() + b"\n")
+
+
+def _pixel_bytes(value: object) -> int:
+    if not isinstance(value, StereoReading):
+        return 0
+    return sum(side.pixels.nbytes for side in (value.left, value.right) if side is not None)

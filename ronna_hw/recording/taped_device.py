@@ -1,0 +1,61 @@
+"""A device as it is, with its answers on a tape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any, cast
+
+from ronna_hw.devices.activation import activated
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.errors import RonnaError
+from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES, TELLING
+from ronna_hw.recording.reading_tape import ReadingTape
+
+
+def taped(device: Device, tape: ReadingTape) -> Device:
+    """The same device, for whoever asks it: it has every public name that the device has, and no other."""
+    names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
+    members = {name: _member(name) for name in names}
+    return cast("Device", type("Taped", (_Taped,), members)(device, tape))
+
+
+class _Taped:
+    """Members follow those of the device in it."""
+
+    def __init__(self, device: Device, tape: ReadingTape) -> None:
+        self._device = device
+        self._tape = tape
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Any]:
+        return activated(cast("Device", self), timeout_s)
+
+
+def _member(name: str) -> Any:
+    if name in ANSWERS:
+        return _taped_call(name)
+    if name in LOOKS:
+        return property(lambda self: _asked(self, name, lambda: getattr(self._device, name)))
+    return property(lambda self: getattr(self._device, name))
+
+
+def _taped_call(name: str) -> Callable[..., Any]:
+    def call(self: _Taped, *arguments: Any, **more: Any) -> Any:
+        return _asked(self, name, lambda: getattr(self._device, name)(*arguments, **more))
+
+    return call
+
+
+def _asked(self: _Taped, name: str, ask: Callable[[], Any]) -> Any:
+    device, tape = self._device, self._tape
+    if not tape.listening:
+        return ask()
+    try:
+        value = ask()
+    except RonnaError as error:
+        tape.keep(device.name, name, device.observe().state, None, error)
+        raise
+    told = PROPERTIES if name in TELLING else ()
+    properties = {each: getattr(device, each) for each in told if hasattr(device, each)}
+    tape.keep(device.name, name, device.observe().state, value, properties=properties)
+    return value

@@ -1,0 +1,213 @@
+"""A replay computes from what was recorded, sees every difference, and touches no device."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
+from recording_cell import RecordingArm, RecordingCell, RecordingTheatre
+
+from procedures.engine.context import ClinicalInput, StepContext
+from procedures.engine.errors import GateFailed, NotRecorded
+from procedures.engine.journal import Entry, Journal
+from procedures.engine.operator import Question, Topic
+from procedures.engine.order import CaseOrder
+from procedures.engine.replay.comparison import ReplayedRecord, Verdict
+from procedures.engine.replay.recorded_answers import read_answers
+from procedures.engine.replay.replay import ReplayInput, replay
+from procedures.engine.replay.replayed_device import KEPT
+from procedures.engine.replay.sections import section_follower
+from procedures.engine.run_folder import read_run
+from procedures.engine.step import Outcome
+from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
+from ronna_hw.recording.taped_device import taped
+
+EQUAL, DIFFERENT, NOT_RECORDED = Verdict.EQUAL, Verdict.DIFFERENT, Verdict.NOT_RECORDED
+
+
+def looks(context: StepContext) -> Outcome[Localization]:
+    """A number from where the arm stands."""
+    context.result(Image)
+    return Outcome(Localization(number=round(1e6 * context.workcell.joints_rad()[0])))
+
+
+def moves(context: StepContext) -> Outcome[Approach]:
+    """By way of home where the straight way is not clear; a number from where it ended."""
+    context.workcell.set_home()
+    target = context.workcell.joints_rad()
+    reached = context.workcell.go((target[0] + 0.25, *target[1:]))
+    context.choose(Question(Topic.APPROACH, "go on", "now", trajectory=context.trajectory))
+    return Outcome(Approach(number=round(1e6 * reached.joints_rad[0])))
+
+
+def fits(context: StepContext) -> Outcome[Fit]:
+    return Outcome(Fit(number=2 * context.result(Localization).number))
+
+
+class Recorded:
+    """A run of plain steps on an arm whose answers are recorded."""
+
+    def __init__(self, folder: Path, **works: Callable[[StepContext], Outcome[Any]]) -> None:
+        self.folder = folder
+        self.order = plain_order("T1", **{"localization": looks, "fit": fits, "approach": moves, **works})
+        self.cell = cell = RecordingCell(folder)
+        cell.arm = RecordingArm("robot.master", state=Lifecycle.ACTIVE)
+        tape = ReadingTape(folder / READINGS_FOLDER, lambda: 1.0, {"paced": True})
+        (folder / "journal.jsonl").unlink()
+        cell.journal = Journal(folder, section_follower(tape))
+        cell.journal.write(Entry.OPENED, 0.0)
+        cell.opened = RecordingTheatre(cell.theatre, taped(cell.arm, tape), cell.stereo, cell.tracker)  # type: ignore[arg-type]
+        cell.workcell = cell.make_workcell()
+        self.engine = cell.engine(self.order)
+        self.engine._recorders = (tape,)
+
+    def run(self, *steps: str) -> None:
+        for name in steps:
+            try:
+                self.engine.run_step(self.order.find(name))
+            except GateFailed:
+                continue
+
+    def replayed(self, order: CaseOrder | None = None) -> list[ReplayedRecord]:
+        self.engine.close("left")
+        clinical = ClinicalInput(self.cell.series, self.cell.plan, self.cell.strategy)
+        given = ReplayInput(order or self.order, clinical, self.cell.theatre)
+        return list(replay(read_run(self.folder), given, read_answers(self.folder)))
+
+    def edit(self, change: Callable[[dict[str, Any]], None]) -> None:
+        """Change every recorded answer."""
+        self.engine.close("left")
+        self.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+        path = self.folder / READINGS_FOLDER / READINGS_FILE
+        lines = [json.loads(line) for line in path.read_text().splitlines()]
+        for line in lines:
+            if "answer" in line:
+                change(line)
+        path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def verdicts(results: list[ReplayedRecord]) -> dict[str, Verdict]:
+    return {result.step: result.verdict for result in results}
+
+
+CASE = ("image", "localization:T1", "fit:T1", "tool_on", "approach:T1", "held:T1")
+
+
+def test_a_run_is_equal_to_itself_also_where_a_way_was_blocked(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+    blocked = iter([True, False, False])
+    recorded.cell.arm.blocked = lambda _start, _target: next(blocked)
+    recorded.run(*CASE)
+    assert len(recorded.cell.arm.motions) == 2
+    assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
+
+
+def test_an_edited_reading_shows_in_its_step_and_in_what_was_made_from_it(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+    recorded.run(*CASE)
+
+    def turn(line: dict[str, Any]) -> None:
+        if line["call"] == "read_state" and line["section"] < 5:
+            line["answer"]["joints_rad"][0] += 0.001
+
+    recorded.edit(turn)
+    results = recorded.replayed()
+    different = [result for result in results if result.verdict is DIFFERENT]
+    assert [result.step for result in different] == ["localization:T1", "fit:T1"]
+    assert different[0].why == ("number: 0 recorded, 1000 computed",)
+
+
+def test_other_steps_than_those_of_the_run_give_other_results(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+    recorded.run(*CASE[:3])
+
+    def fits_otherwise(context: StepContext) -> Outcome[Fit]:
+        return Outcome(Fit(number=context.result(Localization).number + 7))
+
+    newer = plain_order("T1", localization=looks, fit=fits_otherwise)
+    assert verdicts(recorded.replayed(newer))["fit:T1"] is DIFFERENT
+
+
+def test_what_needs_more_than_was_recorded_is_not_called_different(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+    recorded.run(*CASE[:3])
+
+    def forget(line: dict[str, Any]) -> None:
+        line["section"] = 99
+
+    recorded.edit(forget)
+    found = verdicts(recorded.replayed())
+    assert found == {"image": EQUAL, "localization:T1": NOT_RECORDED, "fit:T1": NOT_RECORDED}
+
+
+def test_a_step_that_failed_and_was_repeated_is_followed_through_both(tmp_path: Path) -> None:
+    def fails_at_first(context: StepContext) -> Outcome[Localization]:
+        done = looks(context)
+        if done.result.number == 0:
+            raise GateFailed("stands at zero")
+        return done
+
+    recorded = Recorded(tmp_path, localization=fails_at_first)
+    recorded.run("image", "localization:T1")
+    A1, *others = recorded.cell.arm.joints_rad
+    recorded.cell.arm.joints_rad = (A1 + 0.5, *others)  # type: ignore[assignment]
+    recorded.run("localization:T1", "fit:T1")
+    assert verdicts(recorded.replayed()) == dict.fromkeys(CASE[:3], EQUAL)
+
+
+def test_a_replay_opens_no_device_and_leaves_the_run_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded = Recorded(tmp_path)
+    recorded.run(*CASE)
+    recorded.engine.close("left")
+    recorded.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a replay opened a link")
+
+    monkeypatch.setattr(socket, "create_connection", refuse)
+    monkeypatch.setattr(socket.socket, "bind", refuse)
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_the_operators_word_is_that_of_the_journal(tmp_path: Path) -> None:
+    def asks(context: StepContext) -> Outcome[Held]:
+        context.result(Approach)
+        word = context.choose(Question(Topic.AT_TARGET, "hold", "?", ("one", "two"), context.trajectory))
+        return Outcome(Held(number={"one": 1, "two": 2}[word]))
+
+    recorded = Recorded(tmp_path, held=asks)
+    recorded.cell.operator.refusing = (Topic.AT_TARGET,)
+    recorded.run(*CASE)
+    assert verdicts(recorded.replayed())["held:T1"] is EQUAL
+
+
+@pytest.mark.parametrize("kind", [RobotArm, ConfirmedStart, OpticalTracker, StereoPair])
+def test_everything_that_a_step_may_ask_of_a_device_is_recorded_or_known_without_it(kind: type) -> None:
+    asked = {name for name in dir(kind) if not name.startswith("_")}
+    without_it = {"state", "fault", "observe", "active", "stop", "recover", "close"}
+    assert asked - without_it - KEPT == set()
+
+
+def test_damaged_readings_are_refused_in_one_line(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+    recorded.run("image")
+    recorded.engine.close("left")
+    path = tmp_path / READINGS_FOLDER / READINGS_FILE
+    path.write_text("{}\nno json\n{}\n")
+    with pytest.raises(NotRecorded, match=r"line 2 of readings\.jsonl is not JSON"):
+        read_answers(tmp_path)
+    path.unlink()
+    with pytest.raises(NotRecorded, match="PRO-020"):
+        read_answers(tmp_path)

@@ -1,0 +1,135 @@
+"""What devices answer goes onto the tape as it is, and only where a step of the procedure asked."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from recording_cell import HOME, RecordingArm, RecordingDevice
+
+from ronna_hw.arm.clearance.swept_path import Closest
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.arm.kinematics import SingularMeasure
+from ronna_hw.arm.preview import PathPreview
+from ronna_hw.devices import OpticalTracker, RobotArm
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.devices.readings import (
+    AreaOfInterest,
+    ArmReading,
+    CameraImage,
+    LinkStatistics,
+    Stamp,
+    StereoReading,
+    StrayReading,
+    ToolIdentity,
+    ToolReading,
+    TrackerFrame,
+    Validity,
+)
+from ronna_hw.recording.device_calls import ANSWERS
+from ronna_hw.recording.reading_coding import as_plain, as_recorded
+from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape
+from ronna_hw.recording.taped_device import taped
+
+STAMP = Stamp(3, 17, 0.1 + 0.2, 0.3)
+PIXELS = np.arange(12, dtype=np.uint16).reshape(3, 4)
+IMAGE = CameraImage(STAMP, Validity.OK, "123", PIXELS, AreaOfInterest(0, 16, 4, 3))
+TOOL = ToolReading("frame", Validity.OK, (1.0, 0.0, 0.0, 0.0), (1.0, 2.0, 1 / 3), 0.05)
+GIVEN: dict[str, Any] = {
+    "connect": Identity("NDI", "Spectra", "P1", "7", (("mode", "EXT"),)),
+    "read_frame": TrackerFrame(
+        STAMP, Validity.PARTIAL, (TOOL,), (StrayReading((1.0, 2.0, 3.0), Validity.OK),)
+    ),
+    "grab_pair": StereoReading(STAMP, Validity.MISSING, IMAGE, None),
+    "read_state": ArmReading(STAMP, Validity.OK, HOME, None, moving=False),
+    "read_tool_identity": ToolIdentity(STAMP, 2),
+    "link_statistics": LinkStatistics(9, 1, 2, 3, 4.5, 5.5, (0.0, 1.0), (7,)),
+    "preview": PathPreview(
+        1.0,
+        ((0.0, 1.0),),
+        Closest("arm", "head", 3.0, 0.5),
+        None,
+        SingularMeasure(1.0, 2.0, 3.0),
+        0.5,
+        9.0,
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("call", GIVEN)
+def test_every_kind_of_answer_is_the_same_when_it_is_read_back(call: str) -> None:
+    kept: list[Any] = []
+
+    def put(pixels: Any) -> dict[str, Any]:
+        kept.append(pixels)
+        return {"number": 0}
+
+    plain = json.loads(json.dumps(as_plain(GIVEN[call], put)))
+    assert as_recorded(ANSWERS[call], plain, lambda where: kept[where["number"]]) == GIVEN[call]
+
+
+@pytest.fixture
+def tape(tmp_path: Path) -> Iterator[ReadingTape]:
+    made = ReadingTape(tmp_path, lambda: 1.5, {"paced": True})
+    yield made
+    made.close()
+
+
+def _lines(tape: ReadingTape, folder: Path) -> list[dict[str, Any]]:
+    tape.close()
+    return [json.loads(line) for line in (folder / READINGS_FILE).read_bytes().splitlines()][1:]
+
+
+def test_only_what_the_step_itself_asked_is_on_the_tape(tape: ReadingTape, tmp_path: Path) -> None:
+    arm: Any = taped(RecordingArm("arm"), tape)
+    arm.read_state()  # between two steps
+    tape.begin(5)
+    arm.read_tool_identity()
+    with tape.beside():  # a guard
+        arm.read_state()
+    watch = threading.Thread(target=arm.read_state)
+    watch.start()
+    watch.join()
+    tape.end()
+    arm.read_state()
+    (line,) = _lines(tape, tmp_path)
+    assert (line["section"], line["device"], line["call"]) == (5, "arm", "read_tool_identity")
+    assert line["theatre_time_s"] == 1.5
+
+
+def test_an_error_is_raised_as_ever_and_kept_with_the_state_that_it_left(
+    tape: ReadingTape, tmp_path: Path
+) -> None:
+    arm: Any = taped(
+        RecordingArm("arm", state=Lifecycle.FAULT, failing=NotClear("too near", got="2 mm")), tape
+    )
+    tape.begin(1)
+    with pytest.raises(NotClear, match="too near"):
+        arm.move_joints(HOME)
+    (line,) = _lines(tape, tmp_path)
+    assert (line["state"], line["error"]["code"], line["error"]["got"]) == ("fault", "ARM-007", "2 mm")
+
+
+def test_a_device_on_tape_is_of_the_same_kinds_as_before(tape: ReadingTape) -> None:
+    for device in (RecordingArm("arm"), RecordingDevice("tracker")):
+        on_tape = taped(device, tape)  # type: ignore[arg-type]
+        for kind in (RobotArm, OpticalTracker):
+            assert isinstance(on_tape, kind) == isinstance(device, kind)
+
+
+def test_a_full_tape_ends_and_says_so(tmp_path: Path) -> None:
+    tape = ReadingTape(tmp_path, lambda: 0.0, {}, most_bytes=100)
+    arm: Any = taped(RecordingArm("arm"), tape)
+    tape.begin(0)
+    arm.read_state()
+    tape._write_waiting()
+    arm.read_state()
+    lines = _lines(tape, tmp_path)
+    assert [line.get("call") for line in lines] == ["read_state", None]
+    assert lines[-1] == {"full": True}
