@@ -21,7 +21,7 @@ from ronna_hw.config import read_theatre_file
 
 
 def replay_run(run_folder: Path, *, as_json: bool) -> None:
-    """Replay a run and print a verdict for each record. Raises PRO-020, and PRO-021 unless all are equal."""
+    """Replay a run and print a verdict for each record. Raises PRO-024, and PRO-025 unless all are equal."""
     run = read_run(run_folder)
     answers = read_answers(run_folder)
     given = _given(run_folder, answers)

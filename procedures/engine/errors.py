@@ -107,12 +107,12 @@ class EventsUnreadable(RonnaError):
 class NotRecorded(DataError):
     """A replay needs something that the run has not kept."""
 
-    code = "PRO-020"
+    code = "PRO-024"
     action = "This part of the run cannot be computed again; its records stand as they are."
 
 
 class ReplayDiffers(RonnaError):
     """Results computed again are not those that were recorded."""
 
-    code = "PRO-021"
+    code = "PRO-025"
     action = "Compare the versions, and check the run for edited files, before you rely on it."

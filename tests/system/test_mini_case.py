@@ -124,7 +124,7 @@ def test_a_reading_that_was_edited_afterwards_is_found_in_what_was_made_from_it(
     readings.write_text("\n".join(lines))
     done = in_this_process(ronna_procedure, "replay", copy, "--json")
     assert done.returncode == 1
-    assert "PRO-021" in done.stderr
+    assert "PRO-025" in done.stderr
     verdicts = {one["step"]: one["verdict"] for one in json.loads(done.stdout)["records"]}
     assert verdicts["set_up"] == "equal"
     assert verdicts["global_localization"] == verdicts["path_check"] == "different"

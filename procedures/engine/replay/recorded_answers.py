@@ -55,7 +55,7 @@ class RecordedAnswers:
         return line.get("answer")
 
     def next(self, device: str, call: str) -> RecordedAnswer:
-        """The next answer to that call. Raises PRO-020."""
+        """The next answer to that call. Raises PRO-024."""
         waiting = self._section.get((device, call))
         if not waiting:
             raise NotRecorded(f"the run has no further answer of {device} to {call} in this step")
@@ -89,7 +89,7 @@ class RecordedAnswers:
 
 
 def read_answers(run: Path) -> RecordedAnswers:
-    """Read a run's tape; a torn last line is left out. Raises PRO-020 when there is none."""
+    """Read a run's tape; a torn last line is left out. Raises PRO-024 when there is none."""
     folder = run / READINGS_FOLDER
     sections: dict[int, dict[tuple[str, str], deque[Line]]] = defaultdict(lambda: defaultdict(deque))
     opening: Line | None = None

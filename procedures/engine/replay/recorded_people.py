@@ -21,7 +21,7 @@ class RecordedOperator:
         self._confirmations = list(confirmations)
 
     def ask(self, question: Question) -> str:
-        """The recorded answer to the next question of that name. Raises PRO-020 when it was not asked."""
+        """The recorded answer to the next question of that name. Raises PRO-024 when it was not asked."""
         for place, line in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]

@@ -209,5 +209,5 @@ def test_damaged_readings_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(NotRecorded, match=r"line 2 of readings\.jsonl is not JSON"):
         read_answers(tmp_path)
     path.unlink()
-    with pytest.raises(NotRecorded, match="PRO-020"):
+    with pytest.raises(NotRecorded, match="PRO-024"):
         read_answers(tmp_path)
