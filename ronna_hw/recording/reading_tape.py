@@ -13,7 +13,7 @@ import json
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -71,6 +71,8 @@ class ReadingTape:
         self._waiting_bytes = 0
         self._full = False
         self._ending = threading.Event()
+        if self._lines.tell():
+            self._lines.write(b"\n")  # ends a line that was torn
         self._write_line({"opening": dict(opening)})
         self._writer = threading.Thread(target=self._run, name="reading tape", daemon=True)
         self._writer.start()
@@ -128,9 +130,13 @@ class ReadingTape:
                 self._write_line({"full": True})
             self._lines.close()
             self._pixels.close()
-        except OSError as error:
+        except (OSError, TypeError, ValueError) as error:  # the disk, or a driver's answer of no known form
             self._full = True
+            self._queue.clear()
             logger(part="reading tape").warning("readings are no longer kept", cause=error)
+            for file in (self._lines, self._pixels):
+                with suppress(OSError):
+                    file.close()
 
     def _write_waiting(self) -> None:
         while self._queue:

@@ -97,15 +97,19 @@ def read_answers(run: Path) -> RecordedAnswers:
         lines = (folder / READINGS_FILE).read_bytes().splitlines(keepends=True)
     except OSError as error:
         raise NotRecorded(f"{folder} holds no readings: {error.strerror}") from error
+    torn = 0
     for number, text in enumerate(lines, start=1):
+        if not text.strip():
+            continue
         try:
             line = json.loads(text)
         except ValueError:
-            if number == len(lines):
-                break
-            raise NotRecorded(f"line {number} of {READINGS_FILE} is not JSON") from None
-        if "opening" in line:
-            opening = line["opening"]
+            torn = torn or number
+            continue
+        if "opening" in line:  # of the next process of the run: what the last one was writing may be torn
+            opening, torn = line["opening"], 0
+        elif torn:
+            raise NotRecorded(f"line {torn} of {READINGS_FILE} is not JSON")
         elif "section" in line:
             sections[line["section"]][line["device"], line["call"]].append(line)
     if opening is None:

@@ -205,9 +205,21 @@ def test_damaged_readings_are_refused_in_one_line(tmp_path: Path) -> None:
     recorded.run("image")
     recorded.engine.close("left")
     path = tmp_path / READINGS_FOLDER / READINGS_FILE
-    path.write_text("{}\nno json\n{}\n")
+    path.write_text('{"opening": {}}\nno json\n{"section": 1}\n')
     with pytest.raises(NotRecorded, match=r"line 2 of readings\.jsonl is not JSON"):
         read_answers(tmp_path)
     path.unlink()
     with pytest.raises(NotRecorded, match="PRO-024"):
         read_answers(tmp_path)
+
+
+def test_a_line_that_was_torn_by_a_kill_is_left_out_when_the_run_went_on(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+    recorded.run(*CASE[:3])
+    recorded.engine.close("left")
+    recorded.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+    path = tmp_path / READINGS_FOLDER / READINGS_FILE
+    with path.open("a") as file:
+        file.write('{"section": 7, "dev')
+    ReadingTape(tmp_path / READINGS_FOLDER, lambda: 1.0, {"paced": True}).close()
+    assert verdicts(recorded.replayed()) == dict.fromkeys(CASE[:3], EQUAL)

@@ -133,3 +133,12 @@ def test_a_full_tape_ends_and_says_so(tmp_path: Path) -> None:
     lines = _lines(tape, tmp_path)
     assert [line.get("call") for line in lines] == ["read_state", None]
     assert lines[-1] == {"full": True}
+
+
+def test_an_answer_that_cannot_be_written_ends_the_tape_and_nothing_else(tmp_path: Path) -> None:
+    tape = ReadingTape(tmp_path, lambda: 0.0, {})
+    tape.begin(0)
+    tape.keep("sensor", "read", Lifecycle.ACTIVE, object())
+    tape.close()
+    tape.keep("sensor", "read", Lifecycle.ACTIVE, None)
+    assert not tape._queue
