@@ -21,6 +21,7 @@ from ronna_hw.command_line.console import (
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
+    from procedures.cli.case.answers import Answers
     from procedures.cli.case.request import CaseRequest
 
 app = typer.Typer(
@@ -68,6 +69,9 @@ SpeedOption = Annotated[SpeedChoice, typer.Option(help="max: as fast as the devi
 FaultsOption = Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")]
 ConfigOption = Annotated[Path | None, typer.Option(help="Theatre file with the endpoints to use.")]
 CaseOption = Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")]
+AnswersOption = Annotated[
+    Path | None, typer.Option(help="TOML file that answers the questions of the case: a scripted operator.")
+]
 OutOption = Annotated[Path, typer.Option(help="Folder for runs; each run makes one subfolder.")]
 
 
@@ -85,6 +89,7 @@ def run_command(
     calibrated: Annotated[bool, typer.Option("--calibrated", help="Use calibrated kinematics.")] = False,
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
+    answers: AnswersOption = None,
     out: OutOption = Path("runs"),
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
@@ -106,6 +111,7 @@ def run_command(
         scene=SceneChoice(scene, seed, markers, targets),
         speed=speed,
         faults=faults,
+        answers=answers,
         out=out,
     )
     follow_case(request, as_json=as_json, verbose=verbose)
@@ -122,11 +128,12 @@ def step_command(
     targets: TargetsOption = None,
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
+    answers: AnswersOption = None,
     out: OutOption = Path("runs"),
     verbose: VerboseOption = False,
     log_level: LogLevelOption = None,
 ) -> None:
-    """Step through the case by hand: list, next, to STEP, why [STEP], quit."""
+    """Step through the case by hand, one command per line; help lists them."""
     set_up_logging(verbose)
     from procedures.cli.case.stepping import step_through
 
@@ -138,6 +145,7 @@ def step_command(
             scene=SceneChoice(scene, seed, markers, targets),
             speed=speed,
             faults=faults,
+            answers=answers,
             out=out,
         )
     )
@@ -308,6 +316,7 @@ def _request(
     scene: SceneChoice,
     speed: SpeedChoice,
     faults: Path | None,
+    answers: Path | None,
     out: Path,
 ) -> CaseRequest:
     from procedures.cli.case.request import CaseRequest
@@ -329,6 +338,7 @@ def _request(
             action="The file holds its own seed, markers and targets.",
         )
     return CaseRequest(
+        answers=_answers(answers),
         out=out,
         choice=scene,
         strategy=strategy.value,
@@ -337,6 +347,14 @@ def _request(
         config=config,
         case=case,
     )
+
+
+def _answers(path: Path | None) -> Answers | None:
+    if path is None:
+        return None
+    from procedures.cli.case.answers import read_answers
+
+    return read_answers(path)
 
 
 def main() -> None:

@@ -222,6 +222,13 @@ class Engine:
                 self.machine.hold()
                 self._show_state()
 
+    def abort(self) -> None:
+        """The operator ends the case between steps; moves nothing."""
+        self.machine.abort()
+        self._show_state()
+        self._write(Entry.INTERRUPTED)
+        _log.warning("case aborted")
+
     def find(self, text: str) -> None:
         """Record something that the operator should know and that stops nothing."""
         self._write(Entry.FINDING, text=text)

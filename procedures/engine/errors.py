@@ -116,3 +116,11 @@ class ReplayDiffers(RonnaError):
 
     code = "PRO-025"
     action = "Compare the versions, and check the run for edited files, before you rely on it."
+
+
+class AnswersUnfit(RonnaError):
+    """A file of answers does not fit the questions of the case."""
+
+    code = "PRO-026"
+    action = "Correct the file; topics and their words are in docs/reference/answers.md."
+    exit_code = EXIT_USAGE

@@ -1,16 +1,21 @@
 """`ronna-procedure step --sim`: the case by hand."""
 
+import json
 import subprocess
 from pathlib import Path
 
 import pytest
-from user_commands import Commands
+from user_commands import Commands, in_this_process, one_error
+
+from procedures.cli.procedure import app as ronna_procedure
 
 
-def _step(commands: Commands, out: Path, *lines: str) -> subprocess.CompletedProcess[str]:
+def _step(
+    commands: Commands, out: Path, *lines: str, options: tuple[str, ...] = ()
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         commands.line(
-            "ronna-procedure", "step", "--sim", "--scene", "mini", "--seed", "3", "--out", str(out)
+            "ronna-procedure", "step", "--sim", "--scene", "mini", "--seed", "3", "--out", str(out), *options
         ),
         env=commands.environment,
         input="\n".join(lines) + "\n",
@@ -45,3 +50,36 @@ def test_an_unknown_step_is_told_and_the_case_goes_on(commands: Commands, tmp_pa
     assert done.returncode == 0
     assert "PRO-005" in done.stderr
     assert "done plan_check: " in done.stdout
+
+
+@pytest.mark.slow
+def test_an_answer_of_no_holds_the_case_which_is_then_left_or_ended_at_home(
+    commands: Commands, tmp_path: Path
+) -> None:
+    answers = tmp_path / "answers.toml"
+    answers.write_text('[answers]\n"approach:T1" = "no"\n')
+    done = _step(
+        commands,
+        tmp_path / "runs",
+        "to positioning:T1",
+        "abort",
+        options=("--answers", str(answers)),
+    )
+    assert done.returncode == 7, done.stderr
+    assert "PRO-002" in done.stderr
+    assert "the case is held" in done.stdout
+    run = next((tmp_path / "runs").iterdir())
+    followed = in_this_process(ronna_procedure, "watch", run, "--json")
+    assert followed.returncode == 0
+    kinds = [json.loads(line)["what"] for line in followed.stdout.splitlines()]
+    assert [what["state"] for what in kinds if what["kind"] == "case"] == ["aborted"]
+
+
+def test_answers_that_do_not_fit_are_refused_before_anything_starts(tmp_path: Path) -> None:
+    answers = tmp_path / "answers.toml"
+    answers.write_text('[answers]\napproach = "perhaps"\n')
+    words = ("run", "--sim", "--answers", answers, "--out", tmp_path / "runs")
+    done = in_this_process(ronna_procedure, *words)
+    assert done.returncode == 2
+    assert one_error(done.stderr)[0].startswith("PRO-026")
+    assert not (tmp_path / "runs").exists()

@@ -25,8 +25,9 @@ from drivers.basler_stereo.options import BaslerOptions
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
-from procedures.engine.operator import words
+from procedures.engine.operator import Topic, words
 from procedures.exchange import allowed_fields
+from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
@@ -49,6 +50,9 @@ MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->
 def tables() -> dict[str, str]:
     """File name -> what stands below the mark."""
     return {
+        "answers.md": table(
+            ("topic", "words"), [(f"`{topic}`", words(ANSWER_WORDS[topic])) for topic in Topic]
+        ),
         "camera-checklist.md": checklist(stereo.SUITE, "gige-vision"),
         "error-codes.md": _error_codes(),
         "export.md": _exported_fields(),

@@ -12,6 +12,7 @@ from procedures.cli.case.leaving_report import leave_report
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
+from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, new_run_folder
 from procedures.engine.events import Event, StepState
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, tell
@@ -48,7 +49,8 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
                 silence.enter_context(interrupts.asking())
                 yield
 
-        yield Watcher(display.status, opened, asking)
+        held = Prompt("held> ", tell, asking=asking, resumes=True) if on_terminal(sys.stdin) else None
+        yield Watcher(display.status, opened, asking, held)
 
 
 def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:

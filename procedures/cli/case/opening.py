@@ -13,7 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.operators import ScriptedOperator, SimulatedRoom, TerminalOperator, TerminalRoom
+from procedures.cli.case.operators import (
+    AtPause,
+    ScriptedOperator,
+    SimulatedRoom,
+    TerminalOperator,
+    TerminalRoom,
+)
 from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.cli.case.simulated_case import SimulatedCase
 from ronna_hw.command_line.console import on_terminal
@@ -22,6 +28,8 @@ from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.log_output import keep_log
 
 if TYPE_CHECKING:
+    from procedures.cli.case.answers import Answers
+    from procedures.cli.case.prompt import Prompt
     from procedures.engine.context import ClinicalInput
     from procedures.engine.engine import Engine
     from procedures.engine.operator import Operator, Room
@@ -39,6 +47,8 @@ class Watcher:
     status: Callable[[str], None] = lambda _text: None
     opened: Callable[[Engine], None] = lambda _engine: None  # before its first step
     asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
+    held: Prompt | None = None  # where a person says how a case goes on that is held; without one it ends
+    at_pause: Operator | None = None  # who answers a pause, if another than who answers the rest
 
 
 @dataclass(frozen=True)
@@ -58,6 +68,7 @@ def opened_engine(
     watcher: Watcher,
     *,
     phantom: Path | None = None,
+    answers: Answers | None = None,
 ) -> Iterator[Engine]:
     """The engine of a procedure, ready to run its first step. Whatever happens, everything ends with it.
 
@@ -69,7 +80,7 @@ def opened_engine(
     with contextlib.ExitStack() as stack:
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
         file = request.config
-        operator: Operator = TerminalOperator(watcher.asking)
+        operator = operator_of(request, watcher, answers)
         room: Room = TerminalRoom(watcher.asking)
         if file is None:
             simulated = stack.enter_context(SimulatedCase(request, folder / "theatre", phantom))
@@ -80,9 +91,6 @@ def opened_engine(
             watcher.status("opening the theatre")
             simulated.await_theatre()
             file = simulated.theatre.file
-            operator = ScriptedOperator(
-                operator if on_terminal(sys.stdin) and on_terminal(sys.stderr) else None
-            )
             room = stack.enter_context(contextlib.closing(SimulatedRoom(simulated.theatre.control)))
         engine = _make_engine(request, folder, file, procedure, operator, room, stack)
         outcome = "failed"
@@ -115,14 +123,32 @@ def opened_case(request: CaseRequest, folder: Path, watcher: Watcher) -> Abstrac
         from procedures.strategies.catalogue import strategy_named
 
         strategy = strategy_named(request.strategy)
+        trajectories = [trajectory.id for trajectory in read_plan(case / "plan.toml").trajectories]
+        if request.answers is not None:
+            request.answers.check_trajectories(trajectories)
         order = order_of(
             CLINICAL_STEPS,
-            [trajectory.id for trajectory in read_plan(case / "plan.toml").trajectories],
+            trajectories,
             localizes_per_trajectory=strategy.localizes_per_trajectory,
         )
         return Procedure(order, ClinicalInput(case / "ct", case / "plan.toml", strategy))
 
-    return opened_engine(request, folder, procedure, watcher, phantom=case)
+    return opened_engine(request, folder, procedure, watcher, phantom=case, answers=request.answers)
+
+
+def operator_of(request: TheatreRequest, watcher: Watcher, answers: Answers | None) -> Operator:
+    """Who answers: the file of answers, then the script of a simulated case or the person at the terminal."""
+    person: Operator = TerminalOperator(watcher.asking)
+    at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
+    at_pause = watcher.at_pause or (person if at_terminal else None)
+    operator: Operator = ScriptedOperator(at_pause)
+    if request.config is not None:
+        operator = person if watcher.at_pause is None else AtPause(watcher.at_pause, person)
+    if answers is None:
+        return operator
+    from procedures.cli.case.answers import AnsweringOperator
+
+    return AnsweringOperator(answers, operator)
 
 
 def ignore_further_signals() -> None:

@@ -35,6 +35,18 @@ class ScriptedOperator:
         return question.answers[0]
 
 
+class AtPause:
+    """One answers a pause, the other everything else."""
+
+    def __init__(self, at_pause: Operator, otherwise: Operator) -> None:
+        self._at_pause = at_pause
+        self._otherwise = otherwise
+
+    def ask(self, question: Question) -> str:
+        """As whoever the question is for."""
+        return (self._at_pause if question.topic is Topic.PAUSE else self._otherwise).ask(question)
+
+
 class SimulatedRoom:
     """The hands in a simulated theatre, and the only one who talks to its control port."""
 

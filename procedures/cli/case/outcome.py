@@ -8,8 +8,12 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.leaving_report import error_of
 from procedures.cli.case.opening import Watcher, opened_case
+from procedures.cli.case.prompt import HELD, Prompt, leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
+from procedures.engine.errors import OperatorAborted
+from ronna_hw.command_line.messages import fail_with, tell
+from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -20,7 +24,7 @@ def run_case(request: CaseRequest, folder: Path, watcher: Watcher) -> FinishedRu
     """Run a whole case, without its report. Raises what a step raises, PRO-013 from the verifier."""
     began_s = time.monotonic()
     with opened_case(request, folder, watcher) as engine:
-        engine.run_to()
+        _run(engine, watcher.held)
         theatre_time_s = engine.setting.clock.now_s()  # the clock ends with its theatre
     from procedures.reporting.files import keep_truth
     from procedures.reporting.outcome import Truth
@@ -28,6 +32,25 @@ def run_case(request: CaseRequest, folder: Path, watcher: Watcher) -> FinishedRu
     truth = truth_of(folder) if request.config is None else Truth()
     keep_truth(folder, truth)
     return _finished(request, engine, truth, theatre_time_s, time.monotonic() - began_s)
+
+
+def _run(engine: Engine, held: Prompt | None) -> None:
+    """Run to the end; a step that fails is put before the person at the terminal, if there is one."""
+    while True:
+        try:
+            engine.run_to()
+            return
+        except OperatorAborted:
+            if held is not None:
+                leave_head_if_agreed(engine)
+            raise
+        except RonnaError as error:
+            if held is None or engine.machine.ended:
+                raise
+            fail_with(error)
+            tell(f"{HELD}; resume goes on")
+            if not held.follow(engine):
+                raise
 
 
 def unfinished(request: CaseRequest, folder: Path, problem: BaseException) -> UnfinishedRun:

@@ -7,10 +7,14 @@ import shutil
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from procedures.cli.case.scene_choice import SceneChoice
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.log_output import LOG_FILE
+
+if TYPE_CHECKING:
+    from procedures.cli.case.answers import Answers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +39,7 @@ class CaseRequest(TheatreRequest):
     out: Path
     strategy: str = "ocs"
     case: Path | None = None  # folder with ct/ and plan.toml, with `config`
+    answers: Answers | None = None  # of a scripted operator
 
 
 def check_request(request: CaseRequest) -> None:
@@ -50,6 +55,11 @@ def check_request(request: CaseRequest) -> None:
             path = (request.case or Path()) / part
             if not path.exists():
                 raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
+        if request.answers is not None:
+            from procedures.planning.plan_file import read_plan
+
+            plan = read_plan((request.case or Path()) / "plan.toml")
+            request.answers.check_trajectories([one.id for one in plan.trajectories])
     if request.faults is not None:
         from procedures.cli.case.fault_script import check_fault_script
         from procedures.steps.catalogue import CLINICAL_STEPS

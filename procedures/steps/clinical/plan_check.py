@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
+from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.volume import Volume
@@ -21,6 +23,8 @@ from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+
+SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
 
 
 class CheckedPlan(StepResult, kind="plan_check"):
@@ -54,6 +58,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     check = check_plan(plan, volume, fiducials_mm=localization.centres_mm)
     check, spheres = _counted(context, check, localization.markers)
     check.require()
+    context.confirm(Topic.PATIENT, "this is the patient, and this the plan", _shown(plan))
     summary = f"{len(plan.trajectories)} trajectories, {spheres} spheres implanted"
     context.setting.workspace.drop(Volume)  # the largest input is not needed after this
     return Outcome(
@@ -65,6 +70,13 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
         ),
         summary="; ".join((summary, *check.warnings)),
     )
+
+
+def _shown(plan: Plan) -> str:
+    """What is confirmed, without a name: the series is told by a hash of its UID."""
+    series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
+    ways = ", ".join(f"{one.id} {one.depth_mm:.1f} mm deep" for one in plan.trajectories)
+    return f"CT series {series}, {plan.patient_orientation.value}; tool {plan.tool}; {ways}"
 
 
 def _counted(

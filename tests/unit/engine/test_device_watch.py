@@ -9,13 +9,7 @@ from procedures.engine.device_watch import DeviceWatch
 from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.errors import RonnaError
-
-
-class Gone(RonnaError):
-    """The device is gone."""
-
-    code = "TST-001"
+from ronna_hw.errors import LinkTimeout
 
 
 def watched(device: Any) -> tuple[DeviceWatch, Any]:
@@ -36,7 +30,7 @@ def test_a_state_is_published_when_it_changes_and_an_age_and_a_pose_at_every_loo
 
 
 def test_a_fault_is_published_with_its_words_and_once() -> None:
-    seen = LastKnown[object](Lifecycle.FAULT, Gone("the cable is out"), None)
+    seen = LastKnown[object](Lifecycle.FAULT, LinkTimeout("the cable is out"), None)
     watch, reader = watched(SimpleNamespace(observe=lambda: seen))
     watch.look()
     watch.look()

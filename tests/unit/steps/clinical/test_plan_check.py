@@ -68,7 +68,7 @@ def test_with_another_number_of_spheres_all_are_shown_and_it_goes_on_when_the_op
     cell: ClinicalCell,
 ) -> None:
     done = checked(cell, spheres_mm=np.vstack([CENTRES_CT_MM, STRANGER_MM]))
-    (question,) = cell.operator.asked
+    question, _patient = cell.operator.asked
     assert question.subject == "the CT shows 5 spheres, 4 were implanted"
     assert question.value.count("radius 5.75 mm") == 5
     assert done.implanted == 4
@@ -114,3 +114,11 @@ def test_a_plan_whose_trajectories_changed_since_the_case_was_opened_is_refused(
     renamed = plan().model_copy(update={"trajectories": (first.model_copy(update={"id": "T9"}), *others)})
     with pytest.raises(GateFailed, match="trajectories have changed since the case was opened"):
         checked(cell, renamed)
+
+
+def test_patient_and_plan_are_confirmed_without_a_name_or_an_identifier(cell: ClinicalCell) -> None:
+    checked(cell)
+    (question,) = cell.operator.asked
+    assert question.topic is Topic.PATIENT
+    assert all(f"{one.id} {one.depth_mm:.1f} mm deep" in question.value for one in plan().trajectories)
+    assert SERIES not in question.value

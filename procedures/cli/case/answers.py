@@ -1,0 +1,82 @@
+"""Answers from a file: a scripted operator, for rehearsals, tests and demonstrations.
+
+    default = "first"          # of what is not listed: its first answer, or "silence", its last
+    [answers]
+    registration = "yes"
+    "approach:T1" = "no"
+
+Without `default`, whoever answers without the file answers what is not listed.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from procedures.cli.case.operators import ScriptedOperator
+from procedures.engine.errors import AnswersUnfit
+from procedures.engine.operator import Operator, Question, Topic, words
+from procedures.steps.answer_words import ANSWER_WORDS
+from ronna_hw.config import describe_mistakes
+
+
+class Answers(BaseModel):
+    """What the file says. Keys are a topic, or a topic and a trajectory, such as `approach:T1`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    default: Literal["first", "silence"] | None = None
+    answers: dict[str, str] = {}
+
+    def word_for(self, question: Question) -> str | None:
+        """The word for a question: for its trajectory if there is one, else for its topic."""
+        word = self.answers.get(question.name, self.answers.get(str(question.topic)))
+        return word if word in question.answers else None
+
+    def check_trajectories(self, trajectories: Sequence[str]) -> None:
+        """Raise PRO-026 for answers about trajectories that the plan does not have."""
+        named = {key: key.partition(":")[2] for key in self.answers if ":" in key}
+        if unknown := [key for key, name in named.items() if name not in trajectories]:
+            raise AnswersUnfit(
+                f"the plan has no trajectory for {', '.join(unknown)}", expected=", ".join(trajectories)
+            )
+
+
+def read_answers(path: Path) -> Answers:
+    """Read a file of answers. Raises PRO-026 with everything in it that does not fit, OSError."""
+    try:
+        read = Answers.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except ValidationError as error:
+        raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error))}") from error
+    except ValueError as error:  # no TOML, no text
+        raise AnswersUnfit(f"{path} is not TOML: {error}") from error
+    if mistakes := [mistake for key, word in read.answers.items() if (mistake := _mistake(key, word))]:
+        raise AnswersUnfit(f"{path}: {'; '.join(mistakes)}")
+    return read
+
+
+def _mistake(key: str, word: str) -> str | None:
+    name = key.partition(":")[0]
+    if name not in set(Topic):
+        return f"there is no topic {name!r}, only {', '.join(Topic)}"
+    known = ANSWER_WORDS[Topic(name)]
+    return None if word in known else f"{key} is answered by {words(known)}, not by {word!r}"
+
+
+class AnsweringOperator:
+    """Answers by a file; `otherwise` answers what is not in it."""
+
+    def __init__(self, answers: Answers, otherwise: Operator) -> None:
+        self._answers = answers
+        self._otherwise = ScriptedOperator() if answers.default == "first" else otherwise
+
+    def ask(self, question: Question) -> str:
+        """The word of the file."""
+        word = self._answers.word_for(question)
+        if word is not None:
+            return word
+        return question.silence if self._answers.default == "silence" else self._otherwise.ask(question)

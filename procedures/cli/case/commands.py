@@ -1,0 +1,175 @@
+"""What an operator can tell a case that is run by hand, one command per line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from procedures.engine.checkpoint import ABORT, GO_ON
+from procedures.engine.errors import NotConfirmed, OperatorAborted, StepRefused
+from procedures.engine.operator import YES, Question, Topic
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+    from procedures.engine.step import StepKey
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command: what follows its name, what it does, and its work."""
+
+    argument: str
+    does: str
+    work: Callable[[Engine, str, Say], None]
+
+
+def _list(engine: Engine, _argument: str, say: Say) -> None:
+    width = max(len(engine.status(key)) for key in engine.order.sequence)
+    for key in engine.order.sequence:
+        say(f"{engine.status(key):<{width}}  {key!s:<24} {engine.order.spec(key).title}")
+
+
+def _next(engine: Engine, _argument: str, say: Say) -> None:
+    if engine.upcoming is None:
+        say("the case is finished")
+        return
+    engine.run_step(engine.upcoming)
+
+
+def _run(engine: Engine, argument: str, say: Say) -> None:
+    key = engine.order.find(argument)
+    if engine.case.stands(key):
+        _back(engine, argument, say)
+    else:
+        engine.run_step(key)
+
+
+def _to(engine: Engine, argument: str, say: Say) -> None:
+    key = engine.order.find(argument)
+    if engine.case.stands(key):
+        say(f"{key} is done already; back {key} repeats it")
+        return
+    engine.run_to(key)
+
+
+def _back(engine: Engine, argument: str, say: Say) -> None:
+    key = engine.order.find(argument)
+    if not engine.case.stands(key):
+        raise StepRefused(f"{key} is no checkpoint: it is not done", action="run or to goes forward.")
+    if not engine.why_refused(key):
+        gone = ", ".join(record.identifier for record in engine.case.superseded_by(key))
+        say(f"a new result of {key} supersedes {gone}")
+        if engine.questions.ask(Question(Topic.REPEAT, f"repeat {key}", f"supersedes {gone}")) != YES:
+            raise NotConfirmed(f"the operator did not confirm: repeat {key}", got=gone)
+    engine.run_step(key)
+
+
+def _skip(engine: Engine, argument: str, _say: Say) -> None:
+    key = _named(engine, argument)
+    result = engine.order.spec(key).result
+    readers = [step.name for step in engine.order.steps if result in step.reads]
+    why = (
+        f"{', '.join(readers)} read its result" if readers else "the case is not finished without its result"
+    )
+    raise StepRefused(
+        f"{key} cannot be skipped: {why}", action="A trajectory can be left out where it is asked."
+    )
+
+
+def _why(engine: Engine, argument: str, say: Say) -> None:
+    key = engine.order.find(argument) if argument else engine.upcoming
+    if key is None:
+        say("the case is finished")
+        return
+    unmet = engine.why_refused(key)
+    say(f"{key}: " + ("may begin" if not unmet else "refused: " + "; ".join(unmet)))
+
+
+def _dry(engine: Engine, argument: str, say: Say) -> None:
+    from procedures.steps.dry_run import would_move
+
+    key = _named(engine, argument)
+    _why(engine, str(key), say)
+    if not engine.order.spec(key).moves:
+        say("it moves nothing")
+        return
+    motions = would_move(engine.case, key)
+    if motions is None:
+        say("it moves the arm; how is known after path_check")
+        return
+    for motion in motions:
+        say(f"  {motion}")
+
+
+def _pause(engine: Engine, _argument: str, say: Say) -> None:
+    engine.checkpoint.pause()
+    say("the case rests before the next step; while a step runs Ctrl-C pauses it")
+
+
+def _resume(_engine: Engine, _argument: str, say: Say) -> None:
+    say("nothing is paused; next or to goes on")
+
+
+def _home(engine: Engine, _argument: str, say: Say) -> None:
+    engine.retreat_home()
+    say("the arm is parked")
+
+
+def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
+    if not argument:
+        raise UsageMistake("acknowledge needs the name of the person", action="acknowledge NAME")
+    acknowledged = engine.acknowledge(argument)
+    say("; ".join(f"{role}: {fault}" for role, fault in acknowledged.items()) or "no device is in fault")
+
+
+def _abort(engine: Engine, _argument: str, _say: Say) -> None:
+    leave_head(engine)
+    engine.abort()
+    raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
+
+
+def leave_head(engine: Engine) -> None:
+    """Retreat and park, unless the arm has not been set up and so not moved. Raises as `retreat_home`."""
+    try:
+        _ = engine.setting.workcell.home_rad
+    except StepRefused:
+        return
+    engine.retreat_home()
+
+
+def _help(_engine: Engine, _argument: str, say: Say) -> None:
+    for name, command in COMMANDS.items():
+        say(f"{f'{name} {command.argument}'.strip():<18} {command.does}")
+    say(f"{'quit':<18} leave the case, not while an instrument is inside")
+
+
+def _named(engine: Engine, argument: str) -> StepKey:
+    if argument:
+        return engine.order.find(argument)
+    if engine.upcoming is None:
+        raise StepRefused("the case is finished", action="Name a step.")
+    return engine.upcoming
+
+
+COMMANDS: dict[str, Command] = {
+    "list": Command("", "every step, and what stands", _list),
+    "next": Command("", "run the next step", _next),
+    "run": Command("STEP", "run a step that may begin", _run),
+    "to": Command("STEP", "run up to and including a step", _to),
+    "back": Command("STEP", "repeat a step; shows what that supersedes", _back),
+    "skip": Command("[STEP]", "refused: every result is read later", _skip),
+    "why": Command("[STEP]", "why a step may not begin now", _why),
+    "dry": Command("[STEP]", "what a step would move; nothing moves", _dry),
+    "pause": Command("", "rest before the next step", _pause),
+    "resume": Command("", "go on where the case is paused", _resume),
+    "home": Command("", "bring an instrument out along its axis, then park", _home),
+    "acknowledge": Command("NAME", "recover the devices that are in fault", _acknowledge),
+    "abort": Command("", "home, then end the case", _abort),
+    "help": Command("", "this list", _help),
+}
+LOOKING = ("list", "why", "dry", "help")  # also while the case is paused
+AT_PAUSE = {"resume": GO_ON, GO_ON: GO_ON, ABORT: ABORT}

@@ -1,0 +1,118 @@
+"""Reads an operator's commands and carries them out, until there are no more or the case has ended."""
+
+from __future__ import annotations
+
+import sys
+import termios
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
+from procedures.engine.checkpoint import ABORT
+from procedures.engine.errors import OperatorAborted, StepRefused, UnknownStep
+from procedures.engine.machine import HELD as MACHINE_HELD
+from procedures.engine.operator import Question
+from ronna_hw.command_line.console import fail_with, on_terminal
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+HELD = (
+    "the case is held, the arm at rest: run STEP again, why, back STEP, home, acknowledge NAME, abort, quit"
+)
+PAUSED = "paused> "
+NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
+
+
+class Prompt:
+    """One place to type commands. `asking` is held while it waits for one."""
+
+    def __init__(
+        self,
+        words: str,
+        say: Say,
+        *,
+        asking: Callable[[], AbstractContextManager[None]] = nullcontext,
+        after: Callable[[], object] = lambda: None,
+        resumes: bool = False,
+    ) -> None:
+        """`words` is shown on a terminal; `after` is called when a command is done.
+
+        With `resumes`, `resume` leaves the prompt and the case goes on.
+        """
+        self._resumes = resumes
+        self._words = words
+        self._say = say
+        self._asking = asking
+        self._after = after
+        self._engine: Engine | None = None
+
+    def follow(self, engine: Engine) -> bool:
+        """Carry out commands on this engine until `quit` or the end of the input; whether the case goes on.
+
+        What goes wrong is shown and leaves the case held. Raises what ended the case.
+        """
+        self._engine = engine
+        while (line := self._line(self._words)) is not None:
+            name, _, argument = line.strip().partition(" ")
+            if name in ("quit", "q"):
+                if engine.instrument_in is None:
+                    return False
+                self._say(f"the instrument is in {engine.instrument_in}: home brings it out along its axis")
+            elif self._resumes and (name == "resume" or engine.upcoming is None):
+                return True
+            else:
+                self._carry_out(engine, name, argument.strip())
+        return False
+
+    def ask(self, question: Question) -> str:
+        """A pause: `resume` or `abort`, and commands that only look. The end of the input ends the case."""
+        if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        self._say(f"{question.subject}; {question.value}")
+        while (line := self._line(PAUSED)) is not None:
+            name, _, argument = line.strip().partition(" ")
+            if name in AT_PAUSE:
+                return AT_PAUSE[name]
+            if self._engine is not None and name in LOOKING:
+                COMMANDS[name].work(self._engine, argument.strip(), self._say)
+            else:
+                self._say(f"{' | '.join(AT_PAUSE)} | {' | '.join(LOOKING)}")
+        return question.silence
+
+    def _carry_out(self, engine: Engine, name: str, argument: str) -> None:
+        command = COMMANDS.get(name or "help")
+        if command is None:
+            self._say(f"there is no command {name!r}; help lists them")
+            return
+        try:
+            command.work(engine, argument, self._say)
+        except OperatorAborted:
+            if name != ABORT:  # which has left the head before
+                leave_head_if_agreed(engine)
+            raise
+        except RonnaError as error:
+            if engine.machine.ended:
+                raise
+            fail_with(error)
+            if engine.machine.state == MACHINE_HELD and not isinstance(error, NOTHING_DONE):
+                self._say(HELD)
+        self._after()
+
+    def _line(self, words: str) -> str | None:
+        with self._asking():
+            if on_terminal(sys.stdin):
+                sys.stderr.write(words)
+                sys.stderr.flush()
+            return sys.stdin.readline() or None
+
+
+def leave_head_if_agreed(engine: Engine) -> None:
+    """After an abort: the way out and home, when the operator says so; what goes wrong is shown."""
+    try:
+        leave_head(engine)
+    except RonnaError as error:
+        fail_with(error)

@@ -1,0 +1,61 @@
+"""A scripted operator by a file: what fits is answered, what does not is refused before anything starts."""
+
+from pathlib import Path
+
+import pytest
+
+from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
+from procedures.engine.errors import AnswersUnfit
+from procedures.engine.operator import Question, Topic
+from procedures.steps.answer_words import ANSWER_WORDS
+
+APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
+
+
+class Person:
+    def ask(self, question: Question) -> str:
+        return "person"
+
+
+def answered(question: Question, **content: object) -> str:
+    return AnsweringOperator(Answers.model_validate(content), Person()).ask(question)
+
+
+def test_an_answer_for_a_trajectory_comes_before_the_one_for_all() -> None:
+    assert answered(APPROACH, answers={"approach:T1": "no", "approach": "yes"}) == "no"
+    assert answered(APPROACH, answers={"approach:T2": "no", "approach": "yes"}) == "yes"
+
+
+@pytest.mark.parametrize(("default", "answer"), [("first", "yes"), ("silence", "no"), (None, "person")])
+def test_what_is_not_listed_is_answered_as_the_file_says(default: str | None, answer: str) -> None:
+    assert answered(APPROACH, default=default) == answer
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[answers]\nlunch = 'yes'", "lunch"),
+        ("[answers]\napproach = 'perhaps'", "perhaps"),
+        ("[answers]\n'approach:T1' = 'Y'", "yes or no"),
+        ("[answers]\napproach = true", "answers.approach"),
+        ("default = 'second'", "default"),
+        ("colour = 'green'", "colour"),
+        ("[answers", "TOML"),
+        ("\xff\xfe", "TOML"),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_named(tmp_path: Path, text: str, named: str) -> None:
+    path = tmp_path / "answers.toml"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(AnswersUnfit, match=named):
+        read_answers(path)
+
+
+def test_a_trajectory_that_the_plan_does_not_have_is_refused() -> None:
+    answers = Answers(answers={"approach:T9": "no"})
+    with pytest.raises(AnswersUnfit, match="approach:T9"):
+        answers.check_trajectories(("T1", "T2"))
+
+
+def test_every_topic_has_its_words() -> None:
+    assert set(ANSWER_WORDS) == set(Topic)

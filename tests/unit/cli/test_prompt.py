@@ -1,0 +1,148 @@
+"""A case driven by typed commands: what each one does, and what leads on when a step has failed."""
+
+import io
+import sys
+from pathlib import Path
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import HOME, RecordingCell, RecordingOperator
+
+from procedures.cli.case.prompt import HELD, Prompt
+from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
+from procedures.engine.errors import GateFailed, OperatorAborted
+from procedures.engine.operator import Question, Topic
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> RecordingCell:
+    return RecordingCell(tmp_path)
+
+
+class Typed:
+    """A prompt with the lines that are typed at it, and what it said."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *lines: str, resumes: bool = False) -> None:
+        monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+        self.said: list[str] = []
+        self.prompt = Prompt("step> ", self.said.append, resumes=resumes)
+
+    def at(self, engine: Engine) -> bool:
+        return self.prompt.follow(engine)
+
+
+def too_far(_context: StepContext) -> Outcome[StepResult]:
+    raise GateFailed("too far")
+
+
+def test_a_step_that_fails_leaves_the_case_held_and_the_words_that_lead_on_are_shown(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    engine = cell.engine(plain_order(localization=too_far))
+    typed = Typed(monkeypatch, "to localization:T1", "list")
+    typed.at(engine)
+    assert "PRO-007" in capsys.readouterr().err
+    assert typed.said[0] == HELD
+    assert engine.machine.state == "held"
+    assert engine.status(engine.order.find("image")) == "done"
+
+
+def test_back_shows_what_it_supersedes_and_repeats_only_what_is_confirmed(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell.operator = RecordingOperator(Topic.REPEAT)
+    engine = cell.engine(plain_order())
+    engine.run_to(engine.order.find("fit:T1"))
+    typed = Typed(monkeypatch, "back localization:T1")
+    typed.at(engine)
+    assert "supersedes 02-localization-T1, 03-fit-T1" in typed.said[0]
+    assert "PRO-002" in capsys.readouterr().err
+    assert engine.case.stands(engine.order.find("fit:T1"))
+
+
+def test_back_runs_the_step_again_and_the_case_goes_on_from_there(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_to(engine.order.find("fit:T1"))
+    Typed(monkeypatch, "back localization:T1").at(engine)
+    assert engine.upcoming == engine.order.find("fit:T1")
+
+
+def test_no_step_is_skipped_and_the_reason_is_who_reads_it(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Typed(monkeypatch, "skip image").at(cell.engine(plain_order()))
+    assert "image cannot be skipped: localization read its result" in capsys.readouterr().err
+
+
+class Pauses:
+    """Asks the prompt at a pause, and says yes to the rest."""
+
+    prompt: Prompt
+
+    def ask(self, question: Question) -> str:
+        return self.prompt.ask(question) if question.topic is Topic.PAUSE else question.answers[0]
+
+
+def paused(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, *lines: str) -> Engine:
+    operator = Pauses()
+    cell.operator = operator  # type: ignore[assignment]
+    engine = cell.engine(plain_order())
+    typed = Typed(monkeypatch, "pause", "next", *lines)
+    operator.prompt = typed.prompt
+    typed.at(engine)
+    return engine
+
+
+def test_a_pause_goes_on_by_resume_alone(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = paused(cell, monkeypatch, "yes", "", "next", "why", "resume")
+    assert engine.case.stands(engine.order.find("image"))
+    assert not engine.case.stands(engine.order.find("localization:T1"))
+
+
+@pytest.mark.parametrize("last", [("abort",), ()])
+def test_abort_and_the_end_of_the_input_end_a_case_that_is_paused(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, last: tuple[str, ...]
+) -> None:
+    with pytest.raises(OperatorAborted):
+        paused(cell, monkeypatch, *last)
+
+
+def away_from_home(cell: RecordingCell) -> Engine:
+    engine = cell.engine(plain_order())
+    cell.workcell.set_home()
+    a, *others = HOME
+    cell.arm.joints_rad = (a + 0.5, *others)  # type: ignore[assignment]
+    return engine
+
+
+def test_abort_parks_the_arm_and_then_ends_the_case(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = away_from_home(cell)
+    with pytest.raises(OperatorAborted):
+        Typed(monkeypatch, "abort").at(engine)
+    assert cell.arm.joints_rad == HOME
+    assert engine.machine.state == "aborted"
+
+
+def test_abort_that_is_not_confirmed_moves_nothing_and_leaves_the_case_held(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.operator = RecordingOperator(Topic.PARK)
+    engine = away_from_home(cell)
+    Typed(monkeypatch, "abort").at(engine)
+    assert cell.arm.motions == []
+    assert engine.machine.state == "held"
+
+
+def test_resume_leaves_the_prompt_of_a_held_case_and_the_end_of_the_input_ends_it(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    assert Typed(monkeypatch, "next", "resume", resumes=True).at(engine)
+    assert not Typed(monkeypatch, "next", resumes=True).at(engine)
