@@ -28,11 +28,20 @@ def _lead_the_terminal() -> None:
 class Terminal:
     """A pseudo-terminal with the command on it."""
 
-    def __init__(self, commands: Commands, out: Path) -> None:
+    def __init__(self, commands: Commands, out: Path, *options: str) -> None:
         self._primary, secondary = pty.openpty()
         self.process = subprocess.Popen(
             commands.line(
-                "ronna-procedure", "run", "--sim", "--scene", "mini", "--seed", "3", "--out", str(out)
+                "ronna-procedure",
+                "run",
+                "--sim",
+                "--scene",
+                "mini",
+                "--seed",
+                "3",
+                "--out",
+                str(out),
+                *options,
             ),
             env={**commands.environment, "TERM": "xterm", "COLUMNS": "120"},
             stdin=secondary,
@@ -120,3 +129,21 @@ def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> N
     terminal.type("abort\n")
     assert terminal.rest() == 7
     assert "PRO-004" in terminal.text
+
+
+@pytest.mark.slow
+def test_a_step_that_fails_leaves_the_case_at_a_prompt_that_leads_on(
+    commands: Commands, tmp_path: Path
+) -> None:
+    answers = tmp_path / "answers.toml"
+    answers.write_text('[answers]\n"approach:T1" = "no"\n')
+    terminal = Terminal(commands, tmp_path / "runs", "--answers", str(answers))
+    try:
+        terminal.await_text("held> ")
+        assert "PRO-002" in terminal.text
+        terminal.type("home\n")
+        terminal.await_text("the arm is parked")
+        terminal.type("quit\n")
+        assert terminal.rest() == 7
+    finally:
+        terminal.close()

@@ -113,10 +113,11 @@ class CaseView:
         return shown
 
     def __rich__(self) -> RenderableType:
+        from rich.console import Group
         from rich.text import Text
 
-        rows = (Text(f"  {text}", style, no_wrap=True, overflow="ellipsis") for style, text in self.lines())
-        return Text("\n").join(rows)
+        rows = [Text(f"  {text}", style, no_wrap=True, overflow="ellipsis") for style, text in self.lines()]
+        return Group(*rows)
 
     def _device(self, seen: DeviceState) -> str:
         age_s = self._ages_s.get(seen.device)
