@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed
+from procedures.engine.errors import GateFailed, NotConfirmed
 from procedures.engine.operator import Question, Topic
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
@@ -14,6 +14,8 @@ from procedures.steps.clinical.conditions import inserted
 from procedures.steps.clinical.positioning import PositionedGuide
 
 POSITION_LIMIT_MM = 0.05  # nominal tip against the commanded one; more means the arm did not arrive
+HOLD = "hold"  # the instrument stays where it is, and the case is held
+STAYS = "The instrument stays on its target. Repeat the step, or send the arm home."
 DONE = "done"  # the one word that ends the hold
 DWELL_S = 0.5  # of theatre time, before the reading
 
@@ -35,16 +37,16 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         raise GateFailed(
             "the arm is not where it was sent", limit=f"{POSITION_LIMIT_MM} mm", got=f"{error_mm:.3f} mm"
         )
-    context.choose(
-        Question(
-            Topic.AT_TARGET,
-            f"at {context.trajectory}: the arm holds until the work there is done",
-            f"nominal tip {error_mm:.3f} mm from where it was sent",
-            (DONE,),
-            trajectory=context.trajectory,
-            timeout_s=None,
-        )
+    question = Question(
+        Topic.AT_TARGET,
+        f"at {context.trajectory}: the arm holds until the work there is done",
+        f"nominal tip {error_mm:.3f} mm from where it was sent",
+        (DONE, HOLD),
+        trajectory=context.trajectory,
+        timeout_s=None,
     )
+    if context.choose(question) != DONE:
+        raise NotConfirmed(f"nobody said that the work at {context.trajectory} is done", action=STAYS)
     return Outcome(
         ReachedTarget(tool_pose=FramedPose.of(reached), nominal_error_mm=error_mm),
         summary=f"nominal tip within {error_mm:.4f} mm of the command",

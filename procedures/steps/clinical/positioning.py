@@ -52,11 +52,11 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     surround_guide(context, robot_from_ct)
     with _named(trajectory):
         standoff_rad = workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad)
-    context.confirm(
+    workcell.confirm_motion(
         Topic.APPROACH,
-        f"move to {trajectory} with tool {mounted}",
-        f"{workcell.facts(standoff_rad)}; then {insertion.travel_mm:.0f} mm along the axis onto the target, "
-        f"{planned.depth_mm:.0f} mm beyond the entry",
+        f"move over {trajectory} with tool {mounted}, then {insertion.travel_mm:.0f} mm along the axis onto "
+        f"the target, {planned.depth_mm:.0f} mm beyond the entry",
+        [workcell.facts(standoff_rad)],
         trajectory,
     )
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes

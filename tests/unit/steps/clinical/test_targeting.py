@@ -91,7 +91,7 @@ def test_the_insertion_is_known_to_the_workcell_and_in_the_journal(cell: Clinica
 @pytest.mark.hazard(36)
 def test_nothing_moves_unless_it_is_confirmed(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.APPROACH)
-    with pytest.raises(NotConfirmed, match=f"move to {FIRST}"):
+    with pytest.raises(NotConfirmed, match=f"move over {FIRST}"):
         run(begin(cell), f"positioning:{FIRST}")
     assert cell.arm.motions == []
     assert cell.arm.calls == ["surround"]
@@ -272,3 +272,20 @@ def test_a_registration_from_before_a_fault_moves_nothing_unless_it_is_kept(cell
     with pytest.raises(GateFailed, match="older than a fault of the arm"):
         run(after_a_fault(cell), f"positioning:{FIRST}")
     assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(36)
+def test_nobody_who_says_done_leaves_the_instrument_on_its_target(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.AT_TARGET)
+    engine = begin(cell)
+    run(engine, f"positioning:{FIRST}")
+    with pytest.raises(NotConfirmed, match="nobody said that the work at T1 is done"):
+        run(engine, f"at_target:{FIRST}")
+    assert engine.instrument_in == FIRST
+    assert cell.case.find(ReachedTarget, FIRST) is None
+
+
+@pytest.mark.hazard(36)
+def test_an_approach_is_asked_about_once(cell: ClinicalCell) -> None:
+    run(begin(cell), f"positioning:{FIRST}")
+    assert [question.topic for question in cell.operator.asked] == [Topic.APPROACH]
