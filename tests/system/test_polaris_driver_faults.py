@@ -34,10 +34,13 @@ def world() -> World:
 
 @pytest.fixture(scope="module")
 def unit(world: World, request: pytest.FixtureRequest) -> Iterator[ChildProcess]:
-    endpoint = getattr(request, "param", TCP)
-    arguments = command("sim.cli", "polaris", "--endpoint", endpoint, "--world", world.endpoint)
-    with ChildProcess("ronna-sim polaris", arguments) as child:
+    with unit_of(world, getattr(request, "param", TCP)) as child:
         yield child
+
+
+def unit_of(world: World, endpoint: str = TCP) -> ChildProcess:
+    arguments = command("sim.cli", "polaris", "--endpoint", endpoint, "--world", world.endpoint)
+    return ChildProcess("ronna-sim polaris", arguments)
 
 
 @pytest.fixture
@@ -151,21 +154,24 @@ def test_a_unit_without_power_is_found_again_when_it_is_back(world: World, track
     assert sees(tracker.read_frame())
 
 
-def test_a_unit_held_up_by_its_computer_measures_what_it_would_have_measured(
-    tracker: PolarisTracker, unit: ChildProcess
-) -> None:
+def test_a_unit_held_up_by_its_computer_measures_what_it_would_have_measured(world: World) -> None:
+    world.set_fault_script("")
+
     def measurements(held_up: int | None) -> list[tuple[object, ...]]:
-        tracker.deactivate()
-        tracker.activate()
+        """Six of the first tracking session of a unit."""
         found = []
-        for number in range(6):
-            if number == held_up:
-                os.kill(unit.process.pid, signal.SIGSTOP)
-                with pytest.raises(errors.NoReply):
-                    tracker.read_frame(0.2)
-                os.kill(unit.process.pid, signal.SIGCONT)
-            frame = tracker.read_frame()
-            found.append((frame.stamp.device_clock, frame.tools, frame.strays))
+        with unit_of(world) as unit, contextlib.closing(tracker_at(unit.ready["endpoint"], world)) as tracker:
+            tracker.connect()
+            tracker.configure()
+            tracker.activate()
+            for number in range(6):
+                if number == held_up:
+                    os.kill(unit.process.pid, signal.SIGSTOP)
+                    with pytest.raises(errors.NoReply):
+                        tracker.read_frame(0.2)
+                    os.kill(unit.process.pid, signal.SIGCONT)
+                frame = tracker.read_frame()
+                found.append((frame.stamp.device_clock, frame.tools, frame.strays))
         return found
 
     assert measurements(held_up=0) == measurements(held_up=3) == measurements(held_up=None)
