@@ -90,14 +90,15 @@ class SharedClock:
         self._paced = bool(layout.PACED.read(self._memory))
 
     @staticmethod
-    def initialise(memory: mmap.mmap, *, paced: bool) -> None:
-        """Write a clock at theatre time zero into the first bytes of a block."""
+    def initialise(memory: mmap.mmap, *, paced: bool, begins_ns: int = 0) -> None:
+        """Write a clock at theatre time `begins_ns` into the first bytes of a block."""
         layout.CLOCK.mark_memory(memory)
         layout.VERSION.write(memory, layout.LAYOUT_VERSION)
         layout.PACED.write(memory, int(paced))
-        for word in (layout.TIME_NS, layout.STREAM_HOST_NS, layout.WANTED_NS):
+        layout.TIME_NS.write(memory, begins_ns)
+        for word in (layout.STREAM_HOST_NS, layout.WANTED_NS):
             word.write(memory, 0)
-        layout.EPOCH_NS.write(memory, time.monotonic_ns())
+        layout.EPOCH_NS.write(memory, time.monotonic_ns() - begins_ns)
 
     @property
     def paced(self) -> bool:

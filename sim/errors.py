@@ -59,3 +59,17 @@ class FolderNotEmpty(ConfigurationError):
 
     code = "SIM-011"
     action = "Give a new or empty folder, or delete this one."
+
+
+class BadLeftWorld(DataError):
+    """How the last theatre left its world cannot be read."""
+
+    code = "SIM-012"
+    action = "The file was changed; start a new run, or a theatre without --continue."
+
+
+class TheatreRunning(ConnectError):
+    """Another theatre runs in that folder."""
+
+    code = "SIM-013"
+    action = "End the other theatre, or give another folder."

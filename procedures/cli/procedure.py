@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.runs.commands import add_commands
 from procedures.engine.errors import NotYet
 from ronna_hw.command_line.console import (
     JsonOption,
@@ -224,9 +225,11 @@ def export_command(
     as_json: JsonOption = False,
 ) -> None:
     """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON; no identity in them."""
+    from procedures.engine.verification import require_whole
     from procedures.exchange.run_export import export_run
     from ronna_hw.command_line.console import print_json, tell
 
+    require_whole(run_folder)
     written = export_run(run_folder, out or run_folder / "export")
     if as_json:
         print_json({"files": [str(path) for path in written]})
@@ -355,6 +358,9 @@ def _answers(path: Path | None) -> Answers | None:
     from procedures.cli.case.answers import read_answers
 
     return read_answers(path)
+
+
+add_commands(app)
 
 
 def main() -> None:

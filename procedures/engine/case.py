@@ -7,6 +7,7 @@ RUN/theatre/, RUN/case/      what the run worked with, when it brought it along
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,8 +40,10 @@ class Case:
         self._standing: dict[StepKey, Stored[StepResult]] = {}
         self._superseded: list[Record] = []
         self._doubts: dict[str, str] = {}  # identifier of a record -> the fault that came after it
-        self._written = 0
         (folder / RECORDS_FOLDER).mkdir(parents=True, exist_ok=True)
+        # Also of records that the journal does not name: an identifier is never used twice.
+        taken = (re.match(r"\d+", path.name) for path in (folder / RECORDS_FOLDER).iterdir())
+        self._written = max((int(found[0]) for found in taken if found), default=0)
 
     def store(self, key: StepKey, result: StepResult, parents: Sequence[Record]) -> Stored[StepResult]:
         """Write a result, named by its place in the run, its kind and its trajectory. Raises REC-002.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -70,6 +71,7 @@ class StepContext:
     _find: Callable[[str], None]
     _void: Callable[[StepKey, RonnaError], None]
     _read: dict[str, Record] = field(default_factory=dict)
+    _pictures: dict[str, str] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
         """The standing result of a step: of this step's trajectory, or one that belongs to none.
@@ -149,6 +151,12 @@ class StepContext:
         folder = self._case.folder / PICTURES_FOLDER
         folder.mkdir(exist_ok=True)
         write_whole(folder / name, png)
+        self._pictures[name] = hashlib.sha256(png).hexdigest()
+
+    @property
+    def pictures(self) -> dict[str, str]:
+        """The pictures that were kept so far, with their SHA-256."""
+        return dict(self._pictures)
 
     def progress(self, share: float, text: str) -> None:
         """Say how far the step is, 0..1, and what it is doing; rests here when the operator wants a pause."""

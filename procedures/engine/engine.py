@@ -15,6 +15,7 @@ from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
+from procedures.engine.evidence import hashes_at_closing, hashes_outside
 from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.machine import RECOVERY, ProcedureMachine
 from procedures.engine.operator import Topic
@@ -56,8 +57,12 @@ class Engine:
         on_ending: Callable[[], None] = lambda: None,
         recorders: Sequence[Recorder] = (),
         recovering: bool = False,
+        latest: StepKey | None = None,
     ) -> None:
-        """`recorders` are closed with the run; `recovering` begins in recovery: see `accept`."""
+        """`recorders` are closed with the run; `recovering` begins in recovery: see `accept`.
+
+        `latest` is the step that was done last, in a run that is taken up again.
+        """
         self.order = order
         self.case = case
         self.setting = setting
@@ -68,13 +73,22 @@ class Engine:
         self._journal = journal
         self._on_ending = on_ending
         self._recorders = recorders
-        self._latest: StepKey | None = None  # the step that was done last
+        self._latest = latest  # the step that was done last
         setting.workcell.ask_before_motion(self.checkpoint, self.questions.ask)
 
     @property
     def upcoming(self) -> StepKey | None:
-        """The step that comes next, or None when every result stands."""
-        return next((key for key in self.order.sequence if not self._settled(key)), None)
+        """The step that comes next, or None when every result stands.
+
+        A step that may only follow another, which was not the last one, comes after that one is done again.
+        """
+        key = next((key for key in self.order.sequence if not self._settled(key)), None)
+        while key is not None and self.order.spec(key).continues:
+            before = self.order.before(key)[-1]
+            if before == self._latest:
+                break
+            key = before
+        return key
 
     def left_out(self, key: StepKey) -> str | None:
         """Why a step is not done because its trajectory was left out before it; None when it was not."""
@@ -117,7 +131,7 @@ class Engine:
             for model in spec.reads
             if self.case.find(model, key.trajectory) is None
         )
-        return (*unmet, *missing) or spec.preconditions(self._context(key))
+        return (*unmet, *missing) or spec.preconditions(self.context(key))
 
     def run_step(self, key: StepKey) -> Record:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
@@ -135,9 +149,9 @@ class Engine:
             _log.info("step begins", step=self._logged(str(key)))
             self.setting.room.announce(str(key))
             self.checkpoint.here(f"before {key}")
-            context = self._context(key)
+            context = self.context(key)
             outcome = spec.run(context)
-            stored = self._store(key, outcome, context.read)
+            stored = self._store(key, outcome, context)
         except (KeyboardInterrupt, OperatorAborted) as ended:
             if isinstance(ended, KeyboardInterrupt):
                 self._on_ending()
@@ -205,7 +219,6 @@ class Engine:
         """
         workcell = self.setting.workcell
         self._write(Entry.HOME, instrument_in=self.instrument_in)
-        self._latest = None
         try:
             workcell.start()
             if (trajectory := self.instrument_in) is not None:
@@ -218,6 +231,9 @@ class Engine:
             workcell.stop()
             raise
         finally:
+            only = self.order.continuation(self._latest)
+            if only is None or self.order.spec(only).preconditions(self.context(only)):
+                self._latest = None
             if self.machine.state != RECOVERY and not self.machine.ended:
                 self.machine.hold()
                 self._show_state()
@@ -235,8 +251,13 @@ class Engine:
         self.events.publish(Finding(text=text))
         _log.warning("finding", text=self._logged(text))
 
+    def found(self, findings: Sequence[str], differences: Sequence[str] = ()) -> None:
+        """Record what was read again and compared after a restart."""
+        self._write(Entry.FOUND, findings=list(findings), differences=list(differences))
+
     def accept(self) -> None:
         """The operator accepted what was found after a restart: steps may begin."""
+        self._write(Entry.ACCEPTED)
         self.machine.accept()
         self._show_state()
 
@@ -263,16 +284,27 @@ class Engine:
             recorder.close()
         try:
             inside = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}
-            self._journal.write(Entry.CLOSED, now_s, outcome=outcome, **inside)
+            self._journal.write(Entry.CLOSED, now_s, outcome=outcome, **inside, **self._evidence())
         except JournalNotWritable:
             pass  # it has been reported where it broke; closing must go on
         finally:
             self._journal.close()
             self.events.end()
 
-    def _store(
-        self, key: StepKey, outcome: Outcome[StepResult], parents: tuple[Record, ...]
-    ) -> Stored[StepResult]:
+    def _evidence(self) -> dict[str, JournalValue]:
+        """Hashes of the run's files, and of CT and plan where they are not in its folder."""
+        clinical, folder = self.setting.clinical, self.case.folder
+        inputs = () if clinical is None else (clinical.series, clinical.plan)
+        try:
+            found: dict[str, JournalValue] = {"files": hashes_at_closing(folder)}
+            if outside := hashes_outside(folder, inputs):
+                found["inputs"] = outside
+        except OSError as error:  # closing must go on; verify says that the files are not named
+            _log.error("files not hashed", error=error.strerror)
+            return {}
+        return found
+
+    def _store(self, key: StepKey, outcome: Outcome[StepResult], context: StepContext) -> Stored[StepResult]:
         """Record, journal, accept, in this order: what the journal does not have does not stand."""
         expected = self.order.spec(key).result
         if type(outcome.result) is not expected:
@@ -281,15 +313,17 @@ class Engine:
                 expected=expected.__name__,
                 got=type(outcome.result).__name__,
             )
-        stored = self.case.store(key, outcome.result, parents)
+        stored = self.case.store(key, outcome.result, context.read)
         gone = [record.identifier for record in self.case.superseded_by(key)]
-        supersedes: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
+        more: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
+        if context.pictures:
+            more["pictures"] = context.pictures
         self._write(
             Entry.RESULT,
             step=str(key),
             record=stored.record.identifier,
             sha256=stored.record.sha256,
-            **supersedes,
+            **more,
         )
         self.case.accept(key, stored)
         for identifier in gone:
@@ -320,7 +354,8 @@ class Engine:
             files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
-    def _context(self, key: StepKey) -> StepContext:
+    def context(self, key: StepKey) -> StepContext:
+        """A step's view of the case."""
         return StepContext(
             key=key,
             spec=self.order.spec(key),

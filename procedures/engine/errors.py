@@ -5,6 +5,7 @@ from __future__ import annotations
 from ronna_hw.errors import (
     EXIT_ABORTED,
     EXIT_FAILED,
+    EXIT_RECOVERY_NEEDED,
     EXIT_USAGE,
     DataError,
     RefusedError,
@@ -123,4 +124,42 @@ class AnswersUnfit(RonnaError):
 
     code = "PRO-026"
     action = "Correct the file; topics and their words are in docs/reference/answers.md."
+    exit_code = EXIT_USAGE
+
+
+class RunInUse(RefusedError):
+    """Another program has this run open: one operator at a time."""
+
+    code = "PRO-030"
+    action = "End the other program, or watch it with ronna-procedure watch."
+
+
+class OtherProgram(RonnaError):
+    """A run was made by another version of this program, which may have meant something else."""
+
+    code = "PRO-031"
+    action = "Resume it with the version that made it, or start a new run."
+    exit_code = EXIT_RECOVERY_NEEDED
+
+
+class RecoveryRefused(RonnaError):
+    """A run is not taken up again: what was found differs from what was recorded, or was not accepted."""
+
+    code = "PRO-032"
+    action = "Restore what it names and resume again, or start a new run. Nothing was moved."
+    exit_code = EXIT_RECOVERY_NEEDED
+
+
+class RunChanged(RefusedError):
+    """The files of a run are not those that the run left."""
+
+    code = "PRO-033"
+    action = "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything."
+
+
+class BadRequestFile(RonnaError):
+    """A folder is not that of a run, or the file that says what was asked for was changed."""
+
+    code = "PRO-034"
+    action = "Give the folder of a run, which begins with request.json."
     exit_code = EXIT_USAGE

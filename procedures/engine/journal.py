@@ -9,22 +9,19 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple
 
-from procedures.engine.errors import JournalCorrupt, JournalNotWritable
+from procedures.engine.errors import JournalNotWritable
+from procedures.engine.journal_reading import FIRST, Chain, JournalValue, Line, read_journal
+
+__all__ = ["JOURNAL_FILE", "TORN_FILE", "Entry", "Journal", "JournalValue", "Line", "read_journal"]
 
 JOURNAL_FILE = "journal.jsonl"
-FIRST = "0" * 64  # what the first line names as the one before it
-
-
-JournalValue = str | float | bool | None | Sequence["JournalValue"] | Mapping[str, "JournalValue"]
-
-
-Line = Mapping[str, JournalValue]  # one line, as it is read back
+TORN_FILE = "journal.torn"  # what a crash left at the end of the journal, cut off when it is taken up again
 
 
 class Entry(StrEnum):
@@ -45,6 +42,9 @@ class Entry(StrEnum):
     RESUMED = "resumed"  # goes on after a rest
     ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, by whom
     HOME = "home"  # the intent to leave the head and park, outside the steps
+    RESTARTED = "restarted"  # a program took up a run that had ended or broken off
+    FOUND = "found"  # what was read again and compared after a restart
+    ACCEPTED = "accepted"  # the operator accepted it: motion may follow
     CLOSED = "closed"
 
 
@@ -61,22 +61,42 @@ class Journal:
 
     def __init__(self, folder: Path, on_line: Callable[[bytes], None] = lambda _line: None) -> None:
         """`on_line` is handed every line once it is written."""
+        self._open(folder, on_line, os.O_CREAT | os.O_EXCL, _Chain(0, 0, FIRST))
+        _sync_folder(folder)
+
+    @classmethod
+    def taken_up(
+        cls, folder: Path, chain: Chain, on_line: Callable[[bytes], None] = lambda _line: None
+    ) -> Journal:
+        """The journal of a run that ended or broke off, to go on with. A torn end is cut off and kept.
+
+        Raises PRO-003 when it cannot be written.
+        """
+        journal = cls.__new__(cls)
+        journal._open(folder, on_line, 0, _Chain(chain.size, len(chain.lines), chain.last))
+        if chain.torn:
+            try:
+                with (folder / TORN_FILE).open("ab") as kept:
+                    kept.write(chain.torn + b"\n")
+                    kept.flush()
+                    os.fsync(kept.fileno())
+                _sync_folder(folder)
+                os.ftruncate(journal._file, chain.size)
+                os.fsync(journal._file)
+            except OSError as error:
+                raise journal._not_writable(error.strerror) from error
+        return journal
+
+    def _open(self, folder: Path, on_line: Callable[[bytes], None], how: int, chain: _Chain) -> None:
         self.path = folder / JOURNAL_FILE
         self._on_line = on_line
-        self._chain = _Chain(0, 0, FIRST)
+        self._chain = chain
         self._pending = b""  # a line that is being written
         self.closed = False
         try:
-            self._file = os.open(
-                self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644
-            )
-            directory = os.open(folder, os.O_RDONLY)
-            try:
-                os.fsync(directory)
-            finally:
-                os.close(directory)
+            self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | how, 0o644)
         except OSError as error:
-            raise JournalNotWritable(f"cannot create {self.path.name}: {error.strerror}") from error
+            raise JournalNotWritable(f"cannot open {self.path.name}: {error.strerror}") from error
 
     def write(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
         """Append one line and return when it is on disk; raises PRO-003."""
@@ -139,22 +159,13 @@ class Journal:
         os.close(self._file)
 
 
-def read_journal(path: Path) -> Iterator[Line]:
-    """The lines of a journal, in order; raises PRO-011 when the chain is broken.
-
-    One torn last line, as a crash leaves it, is not an error and is not returned.
-    """
-    previous = FIRST
-    content = path.read_bytes()
-    lines = content.splitlines(keepends=True)
-    for number, line in enumerate(lines):
-        if not line.endswith(b"\n") and number == len(lines) - 1:
-            return
+def _sync_folder(folder: Path) -> None:
+    """A file's name is on disk only when its folder is. Raises PRO-003."""
+    try:
+        directory = os.open(folder, os.O_RDONLY)
         try:
-            entry = json.loads(line)
-        except ValueError as error:
-            raise JournalCorrupt(f"line {number + 1} of {path.name} is not JSON") from error
-        if entry.get("previous") != previous or entry.get("sequence") != number:
-            raise JournalCorrupt(f"line {number + 1} of {path.name} does not follow the line before it")
-        previous = hashlib.sha256(line).hexdigest()
-        yield entry
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+    except OSError as error:
+        raise JournalNotWritable(f"cannot write into {folder.name}: {error.strerror}") from error

@@ -53,9 +53,13 @@ class RunFolder:
 
 def read_run(folder: Path) -> RunFolder:
     """Read a run. Raises PRO-011 for a broken journal, REC-001 for a record that is missing or changed."""
-    journal = tuple(read_journal(folder / JOURNAL_FILE))
+    return run_of(folder, tuple(read_journal(folder / JOURNAL_FILE)))
+
+
+def run_of(folder: Path, journal: tuple[Line, ...]) -> RunFolder:
+    """A run by the lines of its journal. Raises REC-001 for a record that is missing or changed."""
     results = [line for line in journal if line["entry"] == Entry.RESULT]
-    superseded = frozenset(name for line in results for name in _texts(line, "supersedes"))
+    superseded = frozenset(name for line in journal for name in _texts(line, "supersedes"))
     return RunFolder(folder, journal, tuple(_named_by(line, folder) for line in results), superseded)
 
 

@@ -65,7 +65,7 @@ def read_for_report(folder: Path) -> RunReading:
     journal = _journal(folder, problems)
     results = [line for line in journal if line["entry"] == Entry.RESULT]
     records = [record for line in results if (record := _record(folder, line, problems)) is not None]
-    gone = [line["supersedes"] for line in results if isinstance(line.get("supersedes"), list)]
+    gone = [line["supersedes"] for line in journal if isinstance(line.get("supersedes"), list)]
     superseded = frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
     return RunReading(RunFolder(folder, tuple(journal), tuple(records), superseded), _log(folder), problems)
 

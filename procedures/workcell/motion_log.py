@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from procedures.engine.journal import Entry, Journal
+from procedures.engine.journal import Entry, Journal, JournalValue
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import RonnaError
@@ -19,8 +19,14 @@ class MotionLog:
         self._clock = clock
         self._count = 0
 
+    def count_from(self, count: int) -> None:
+        """Number the motions of a run that is taken up again after those that it made before."""
+        self._count = count
+
     @contextmanager
-    def motion(self, what: str, to: list[float], trajectory: str | None = None) -> Iterator[list[ArmReading]]:
+    def motion(
+        self, what: str, to: list[float], trajectory: str | None = None, **more: JournalValue
+    ) -> Iterator[list[ArmReading]]:
         """Around one motion, to joints in rad or a position in mm; append the arm's reading to the list.
 
         Raises PRO-003 before anything moves when the intent cannot be written.
@@ -28,7 +34,7 @@ class MotionLog:
         self._count += 1
         number, reached = self._count, list[ArmReading]()
         self._journal.write(
-            Entry.MOTION, self._clock.now_s(), number=number, what=what, to=to, trajectory=trajectory
+            Entry.MOTION, self._clock.now_s(), number=number, what=what, to=to, trajectory=trajectory, **more
         )
         try:
             yield reached

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed
+from procedures.engine.journal import JournalValue
 from procedures.engine.operator import YES, Question, Topic
 from procedures.workcell.motion_log import MotionLog
 from ronna_hw.devices.errors import MotionInterrupted
@@ -26,6 +27,10 @@ class SupervisedMotion:
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
+
+    def count_from(self, count: int) -> None:
+        """As `MotionLog.count_from`."""
+        self._log.count_from(count)
 
     def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
         """From now on every motion meets that checkpoint, and the first one is asked about."""
@@ -63,11 +68,12 @@ class SupervisedMotion:
         value: Callable[[], str],
         resume: Callable[[], None],
         trajectory: str | None = None,
+        **more: JournalValue,
     ) -> ArmReading:
         """Carry out a motion to joints in rad or a position in mm; after a stop anew if the operator says so.
 
-        `value` says what it will do, for the question; `resume` takes the arm out of HOLD. Raises PRO-002,
-        PRO-004, what a guard or a watch found, and what the motion raises.
+        `value` says what it will do, for the question; `resume` takes the arm out of HOLD; `more` is written
+        with its intent. Raises PRO-002, PRO-004, what a guard or a watch found, and what the motion raises.
         """
         while True:
             if self._checkpoint is not None:
@@ -76,7 +82,7 @@ class SupervisedMotion:
                 self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", value(), trajectory)
             resume()
             try:
-                with self._log.motion(what, to, trajectory) as reached:
+                with self._log.motion(what, to, trajectory, **more) as reached:
                     move(reached)
                 return reached[-1]
             except MotionInterrupted:

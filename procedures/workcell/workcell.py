@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import JournalNotWritable, StepRefused
 from procedures.engine.journal import Journal
 from procedures.engine.operator import Question, Topic
+from procedures.workcell.arm_view import ArmView
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
+from procedures.workcell.left_arm import LeftArm
 from procedures.workcell.motion_facts import MotionFacts, in_sequence
 from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
@@ -25,11 +27,9 @@ from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_
 from procedures.workcell.supervised_motion import Move, SupervisedMotion
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import Calibrations
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
-from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
 from ronna_hw.frames import Transform
@@ -43,19 +43,6 @@ APPROACH_RAD = math.radians(0.2)
 TRAIL = 200  # joint angles that are kept to find the way back; a case visits fewer between two homes
 AT_HOME_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any way
 AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way into the head
-
-
-class ArmView(Protocol):
-    """What a procedure may know of the arm; what moves it are the calls of the workcell."""
-
-    @property
-    def kinematics(self) -> Kinematics:
-        """As `RobotArm.kinematics`."""
-        ...
-
-    def observe(self) -> LastKnown[ArmReading]:
-        """As `RobotArm.observe`."""
-        ...
 
 
 class Workcell:
@@ -78,6 +65,7 @@ class Workcell:
         self._trail: deque[JointVector] = deque(maxlen=TRAIL)  # where the arm was since it left home
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self._insertion: Insertion | None = None
+        self._withdrawn_from: str | None = None
         self._home_rad: JointVector | None = None
         self._exposure_share = 1.0  # of the configured one
 
@@ -185,12 +173,24 @@ class Workcell:
         self._home_rad = self.joints_rad()
         return self._home_rad
 
+    def take_up(self, left: LeftArm, home_rad: JointVector) -> None:
+        """Take for true how a run that is taken up again left the arm. Moves nothing."""
+        self._home_rad = home_rad
+        self._trail.extend(left.trail)
+        self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from
+        self._motion.count_from(left.motions)
+
     # Moving
 
     @property
     def insertion(self) -> Insertion | None:
         """The instrument that is beyond the entry, or on its way there."""
         return self._insertion
+
+    @property
+    def withdrawn_from(self) -> str | None:
+        """The trajectory out of which the instrument came last, if it is outside."""
+        return self._withdrawn_from
 
     def surround(self, surroundings: Surroundings) -> None:
         """Say what the arm carries and what stands around it: every motion is checked against it."""
@@ -275,7 +275,7 @@ class Workcell:
         self._require_outside("insert")
         self.check_mounted(MountedTool.GUIDE)
         insertion.check_on_axis(self.tool_pose())
-        self._insertion = insertion
+        self._insertion, self._withdrawn_from = insertion, None
         return self._along_axis("insert", insertion.target, insertion, AXIAL_SPEED_FRACTION)
 
     def withdraw(self, trajectory: str) -> ArmReading:
@@ -289,7 +289,7 @@ class Workcell:
             raise InstrumentInside(f"the instrument is not in {trajectory}", expected=trajectory, got=inside)
         insertion.check_on_axis(self.tool_pose())
         reached = self._along_axis("withdraw", insertion.standoff, insertion, 1.0)
-        self._insertion = None
+        self._insertion, self._withdrawn_from = None, trajectory
         return reached
 
     def recover(self, role: str, by: str) -> None:
@@ -372,6 +372,7 @@ class Workcell:
             value=lambda: str(self.facts(pose)),
             resume=self._resume,
             trajectory=insertion.trajectory,
+            axis=insertion.as_plain(),
         )
 
     def _move(self, what: str, goal: JointVector | Transform, move: Move) -> ArmReading:

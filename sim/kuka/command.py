@@ -92,7 +92,8 @@ def kuka(
     client = parse_endpoint(where).require("udp")
     address = resolve(client)
     room, control = open_world(world, scene, faults)
-    arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters)
+    left = room.arm() if room.has_arm else None
+    arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters, left)
     controller = Controller(context, arm, room.mounted_tool, parameters)
     # In lock-step the theatre's time stands while the submit interpreter loops: there it answers at once.
     project_server = EkiServer(_listening(eki_project), SUBMIT_CYCLE_S if room.clock.paced else 0.0)

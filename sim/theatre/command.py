@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ronna_hw.command_line.console import JsonOption, print_json, print_table
+
+if TYPE_CHECKING:
+    import threading
+
+    from sim.theatre.launch import Theatre
 
 
 class CycleMs(StrEnum):
@@ -36,6 +41,13 @@ def theatre(
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
     ] = None,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
+    goes_on: Annotated[
+        bool,
+        typer.Option(
+            "--continue",
+            help="Go on with the world that the last theatre left in that folder, without faults.",
+        ),
+    ] = False,
     parameter: Annotated[
         list[str] | None,
         typer.Option(
@@ -52,21 +64,36 @@ def theatre(
     from sim.theatre.device_parameters import parameters_by_device
     from sim.theatre.faults import read_faults
     from sim.theatre.launch import Theatre
-    from sim.theatre.process import announce, end_with_parent, fail, load_scene
+    from sim.theatre.left_world import folder_held, read_left_world
+    from sim.theatre.process import end_with_parent, fail, load_scene
+    from sim.theatre.truth import SCENE_FILE
 
-    truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+    kept = out / SCENE_FILE  # a scene file may have been changed since
+    where = str(kept) if goes_on and kept.exists() else scene
+    truth = load_scene(where, seed=seed, markers=markers, targets=targets)
     script = read_faults(faults, truth) if faults else ""
     parameters = parameters_by_device(parameter or ())
     ended = threading.Event()
     end_with_parent(ended.set)
-    running = Theatre(
-        truth,
-        out,
-        paced=speed is Speed.REAL,
-        cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
-        faults=script,
-        parameters=parameters,
-    )
+    with folder_held(out):
+        running = Theatre(
+            truth,
+            out,
+            paced=speed is Speed.REAL,
+            cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
+            faults=script,
+            parameters=parameters,
+            left=read_left_world(out) if goes_on else None,
+        )
+        reasons = _serve(running, ended)
+    if reasons:
+        fail(reasons[0], EXIT_FAILED)
+
+
+def _serve(running: Theatre, ended: threading.Event) -> list[str]:
+    """Serve until it is to end; returns why, when a device has ended by itself."""
+    from sim.theatre.process import announce
+
     reasons: list[str] = []
     try:
 
@@ -88,8 +115,7 @@ def theatre(
         ended.wait()
     finally:
         running.close()
-    if reasons:
-        fail(reasons[0], EXIT_FAILED)
+    return reasons
 
 
 def mount(

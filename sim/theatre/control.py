@@ -18,6 +18,7 @@ from typing import Any
 
 from ronna_hw.errors import RonnaError
 from sim.theatre.faults import begin_now, check_faults, parse_faults
+from sim.theatre.left_world import write_left_world
 from sim.theatre.truth import append_sample, sample_tip
 from sim.theatre.world import World
 
@@ -65,6 +66,8 @@ class Room:
                 f"expected tool 0, {mount.tool_number_stereo} or {mount.tool_number_guide}, got {number}"
             )
         self._world.mount_tool(number)
+        if self._folder is not None:
+            write_left_world(self._world, self._folder)
 
     def _fault(self, request: dict[str, Any]) -> None:
         line = str(request["line"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,13 +14,16 @@ from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.polaris.tools.definition import write_definition
 from sim.theatre.control import ControlPort, Room
+from sim.theatre.left_world import LeftWorld, write_left_world
 from sim.theatre.scene.model import Scene
-from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.theatre.theatre_file import calibrated_at, theatre_content, write_theatre_file
 from sim.theatre.truth import SCENE_FILE
 from sim.theatre.world import World
 
 THEATRE_FILE = "theatre.toml"
 CLOSE_LIMIT_S = 1.0  # for all devices; one that is halted is then ended hard, before this process must go
+REST_LIMIT_S = 0.3  # host time
+REST_LOOK_S = 0.005
 SILENCE_LIMIT_PACED_S = 0.25
 # In lock-step the controller waits up to 2 s for a reply, so silence is judged above that.
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
@@ -38,15 +42,17 @@ class Theatre:
         cycle_ms: int | None = None,
         faults: str = "",
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
+        left: LeftWorld | None = None,
     ) -> None:
         """`cycle_ms` of the robot, None for its context's; `parameters`: NAME=VALUE by device command.
 
-        Raises PRC-001 when a device does not become ready.
+        `left` is how another theatre left its world, for this one to go on with. Raises PRC-001 when a
+        device does not become ready.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.file = folder / THEATRE_FILE
-        self.world = World.create(scene, paced=paced)
+        self.world = World.create(scene, paced=paced) if left is None else left.go_on(scene, paced=paced)
         if faults:
             self.world.set_fault_script(faults)
         write_whole(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
@@ -63,6 +69,7 @@ class Theatre:
                     self._write_tools(),
                     limit_s,
                     cycle_ms,
+                    calibrated_at(self.file) if left is not None else None,
                 ),
                 self.file,
             )
@@ -87,7 +94,8 @@ class Theatre:
             threading.Thread(target=wait, args=(child,), daemon=True).start()
 
     def close(self) -> None:
-        """End all device processes and the control port."""
+        """Keep how the world stands, then end all device processes and the control port."""
+        self._leave_world()
         for child in self._children:
             if child.alive:
                 child.process.terminate()  # all at once, then wait for each
@@ -95,6 +103,15 @@ class Theatre:
         for child in self._children:
             child.stop(max(0.0, deadline - time.monotonic()))
         self._control.close()
+
+    def _leave_world(self) -> None:
+        """Give an arm that is on its way the time to come to rest: whoever moved it may just have died."""
+        limit_s = time.monotonic() + REST_LIMIT_S
+        alive = bool(self._children) and all(child.alive for child in self._children)
+        while alive and self.world.has_arm and not self.world.arm().at_rest and time.monotonic() < limit_s:
+            time.sleep(REST_LOOK_S)
+        with contextlib.suppress(OSError):  # a full disk must not keep the devices from ending
+            write_left_world(self.world, self.folder)
 
     def _start_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> dict[str, Any]:
         world = ("--world", self.world.endpoint)

@@ -8,6 +8,7 @@ the mount is where it is.
 from __future__ import annotations
 
 import hashlib
+import tomllib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -36,10 +37,12 @@ def theatre_content(
     tool_files: dict[str, str],
     silence_limit_s: float,
     cycle_ms: int | None = None,
+    calibrated: datetime | None = None,
 ) -> dict[str, Any]:
     """The content of the theatre file as plain data, in the form of `ronna_hw.config.TheatreFile`.
 
-    `cycle_ms` where the robot runs at another cycle than its context's.
+    `cycle_ms` where the robot runs at another cycle than its context's; `calibrated` where the records were
+    not made now.
     """
     return {
         "schema": 1,
@@ -70,7 +73,7 @@ def theatre_content(
                 "right_serial": scene.right.serial,
             },
         },
-        "calibration": _calibrations(scene),
+        "calibration": _calibrations(scene, calibrated or datetime.now(UTC).replace(microsecond=0)),
         "procedure": {"servo_area_px": list(scene.servo_area_px), "arm_error_mm": ARM_ERROR_MM},
     }
 
@@ -86,10 +89,19 @@ def write_theatre_file(content: dict[str, Any], path: Path) -> None:
     write_whole(path, _toml(content).encode())
 
 
-def _calibrations(scene: Scene) -> dict[str, Any]:
+def calibrated_at(theatre_file: Path) -> datetime | None:
+    """When the calibration records of a theatre file were made; None when there is no such file."""
+    try:
+        content = tomllib.loads(theatre_file.read_text(encoding="utf-8"))
+        made: datetime = content["calibration"]["stereo_head"]["created"]
+    except (OSError, ValueError, KeyError):
+        return None
+    return made
+
+
+def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     error = scene.calibration_error
     generator = noise(scene.seed, "calibration", 0)
-    created = datetime.now(UTC).replace(microsecond=0)
     nominal = matrix_of(scene.mount.flange_from_tool_nominal)
     tip = nominal @ matrix_of(scene.mount.tool_from_tip_true)
     tip = tip @ matrix_from(generator.normal(0.0, error.tip_mm, 3), np.eye(3))

@@ -28,6 +28,7 @@ from sim.errors import WorldUnavailable
 from sim.theatre.rigid import matrix_of
 from sim.theatre.scene.model import Numbers6, Scene
 
+LOOKS_AT_ARM = 100_000  # a write takes microseconds
 FAULTS_CAPACITY_BYTES = 32 * 1024
 
 
@@ -44,6 +45,8 @@ class ArmRow(NamedTuple):
     flange_rows: Annotated[tuple[float, ...], "12d"]
     motion_number: Annotated[int, "Q"]
     at_rest: Annotated[bool, "?"]
+    flanks: Annotated[Numbers6, "6d"]
+    moved_s: Annotated[float, "d"]
 
 
 class StepRow(NamedTuple):
@@ -73,6 +76,8 @@ class ArmState:
     robot_from_flange: NDArray[np.float64]  # (4, 4)
     motion_number: int
     at_rest: bool
+    flanks: Numbers6 = (0.0,) * 6  # where each joint is in its backlash, -1 to 1
+    moved_s: float = 0.0  # time in motion so far
 
 
 class World:
@@ -95,15 +100,15 @@ class World:
         self.scene = scene or self._read_scene()
 
     @classmethod
-    def create(cls, scene: Scene, *, paced: bool) -> World:
-        """Make a world of `scene`; `paced` worlds follow the host's clock.
+    def create(cls, scene: Scene, *, paced: bool, begins_ns: int = 0) -> World:
+        """Make a world of `scene`; `paced` worlds follow the host's clock. `begins_ns` is its first time.
 
         Others can open it as long as this object is kept.
         """
         content = scene.model_dump_json(by_alias=True).encode()
         clock_file, clock_path, clock_memory = _block("ronna-clock", CLOCK.size_bytes)
         with clock_memory:
-            SharedClock.initialise(clock_memory, paced=paced)
+            SharedClock.initialise(clock_memory, paced=paced, begins_ns=begins_ns)
         file, path, memory = _block("ronna-world", _SCENE_OFFSET + len(content))
         with memory:
             _CLOCK.write(memory, ClockRow(clock_path))
@@ -137,19 +142,25 @@ class World:
         sequence = _ARM_SEQUENCE.read(memory)
         _ARM_SEQUENCE.write(memory, sequence + 1)
         rows = tuple(state.robot_from_flange[:3].ravel().tolist())
-        _ARM.write(memory, ArmRow(state.joints_rad, rows, state.motion_number, state.at_rest))
+        row = ArmRow(state.joints_rad, rows, state.motion_number, state.at_rest, state.flanks, state.moved_s)
+        _ARM.write(memory, row)
         _ARM_SEQUENCE.write(memory, sequence + 2)
 
     def arm(self) -> ArmState:
-        """Where the arm truly is, read whole (seqlock)."""
-        while True:
+        """Where the arm truly is, read whole (seqlock); its writer may have died while it wrote."""
+        for _ in range(LOOKS_AT_ARM):
             before = _ARM_SEQUENCE.read(self._memory)
             row = _ARM.read(self._memory)
             if before % 2 == 0 and before == _ARM_SEQUENCE.read(self._memory):
                 break
         matrix = np.eye(4)
         matrix[:3] = np.reshape(row.flange_rows, (3, 4))
-        return ArmState(row.joints_rad, matrix, row.motion_number, row.at_rest)
+        return ArmState(row.joints_rad, matrix, row.motion_number, row.at_rest, row.flanks, row.moved_s)
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether somebody has said where the arm is."""
+        return _ARM_SEQUENCE.read(self._memory) > 0
 
     def robot_from_tool(self) -> NDArray[np.float64]:
         """True pose (4, 4) of the stereo head's tool centre point: moves with the arm."""

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.event_follower import EventFollower, Show
-from procedures.cli.case.leaving_report import leave_report
+from procedures.cli.case.leaving_report import leave_report, seal_run
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, new_run_folder
 from procedures.engine.events import Event, StepState
+from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, tell
 
 if TYPE_CHECKING:
@@ -107,15 +109,36 @@ def follow_case(request: CaseRequest, *, as_json: bool, verbose: bool) -> None:
     """Run a case and show it; with JSON one object also for a run that did not end."""
     check_request(request)
     folder = new_run_folder(request)
+    with held_run(folder):
+        follow(
+            request,
+            folder,
+            lambda watcher: run_case(request, folder, watcher),
+            as_json=as_json,
+            verbose=verbose,
+        )
+
+
+def follow(
+    request: CaseRequest,
+    folder: Path,
+    run: Callable[[Watcher], FinishedRun],
+    *,
+    as_json: bool,
+    verbose: bool,
+) -> None:
+    """Show a run while it runs and what it came to, and leave its report."""
     try:
         with following(quiet=as_json, verbose=verbose) as watcher:
-            outcome = run_case(request, folder, watcher)
+            outcome = run(watcher)
     except BaseException as problem:
         forget_if_empty(folder)
         ended = unfinished(request, folder, problem)
         report = leave_report(folder, ended.error)
+        seal_run(folder)
         if as_json:
             print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))
         raise
     report = leave_report(folder)
+    seal_run(folder)
     show_outcome(outcome.model_copy(update={"report": report and str(report)}), as_json=as_json)

@@ -9,8 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.truth import truth_if_any
+from procedures.engine.evidence import seal
+from procedures.engine.journal import JOURNAL_FILE, Entry
+from procedures.engine.journal_reading import read_chain
+from procedures.engine.verification import closed_files, problems_of
 from ronna_hw.command_line.errors import PathProblem, as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
+from ronna_hw.errors import RonnaError
 from ronna_hw.log_output import LOG_FILE
 
 if TYPE_CHECKING:
@@ -48,6 +53,18 @@ def leave_report(folder: Path, error: RunError | None = None, *, with_truth: boo
     return path
 
 
+def seal_run(folder: Path) -> None:
+    """Seal what a run left, its report included; what prevents it is said and hides nothing."""
+    if not (folder / JOURNAL_FILE).exists():
+        return
+    try:
+        chain = read_chain(folder / JOURNAL_FILE)
+        if chain.lines and chain.lines[-1]["entry"] == Entry.CLOSED:
+            seal(folder, closed_files(chain.lines))
+    except (RonnaError, OSError) as problem:
+        tell(f"the run could not be sealed: {problem}")
+
+
 @contextlib.contextmanager
 def leaving_report(folder: Path) -> Iterator[None]:
     """Leave a report of the run in `folder` at the end of the block, whatever ends it."""
@@ -55,8 +72,10 @@ def leaving_report(folder: Path) -> Iterator[None]:
         yield
     except BaseException as problem:
         leave_report(folder, error_of(problem))
+        seal_run(folder)
         raise
     leave_report(folder, with_truth=True)
+    seal_run(folder)
 
 
 def make_report(run: Path, out: Path | None = None) -> Path:
@@ -65,4 +84,10 @@ def make_report(run: Path, out: Path | None = None) -> Path:
         raise PathProblem(f"{run} is not the folder of a run", expected="a folder with journal.jsonl")
     from procedures.reporting.report import write_report
 
-    return write_report(run, truth=truth_if_any(run), out=out)
+    problems = problems_of(run)
+    for problem in problems:
+        tell(f"this run is not whole: {problem}")
+    path = write_report(run, truth=truth_if_any(run), out=out)
+    if out is None and not problems:
+        seal_run(run)
+    return path

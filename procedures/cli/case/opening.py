@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import shutil
 import signal
 import sys
 import threading
@@ -21,6 +22,7 @@ from procedures.cli.case.operators import (
     TerminalRoom,
 )
 from procedures.cli.case.request import CaseRequest, TheatreRequest
+from procedures.cli.case.request_file import REQUEST_FILE
 from procedures.cli.case.simulated_case import SimulatedCase
 from ronna_hw.command_line.console import on_terminal
 from ronna_hw.command_line.messages import tell
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from procedures.cli.case.prompt import Prompt
     from procedures.engine.context import ClinicalInput
     from procedures.engine.engine import Engine
+    from procedures.engine.left_run import LeftRun
     from procedures.engine.operator import Operator, Room
     from procedures.engine.order import CaseOrder
     from ronna_hw.clock import Clock
@@ -52,6 +55,14 @@ class Watcher:
 
 
 @dataclass(frozen=True)
+class Resumption:
+    """A run that is taken up again; `accepted` where a script accepts what is found."""
+
+    left: LeftRun
+    accepted: bool
+
+
+@dataclass(frozen=True)
 class Procedure:
     """What the engine is to run. `calibrations` take the place of those of the theatre file."""
 
@@ -69,21 +80,25 @@ def opened_engine(
     *,
     phantom: Path | None = None,
     answers: Answers | None = None,
+    resumption: Resumption | None = None,
 ) -> Iterator[Engine]:
     """The engine of a procedure, ready to run its first step. Whatever happens, everything ends with it.
 
     `procedure` is called with the theatre, before its devices are connected; a simulated patient is made in
-    the folder `phantom`.
+    the folder `phantom`. With `resumption` the folder is that of a run that is taken up again.
     """
     from procedures.engine.device_watch import DeviceWatch
 
+    goes_on = resumption is not None and not resumption.left.untouched
     with contextlib.ExitStack() as stack:
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
         file = request.config
-        operator = operator_of(request, watcher, answers)
+        operator = operator_of(request, watcher, answers, resumption)
         room: Room = TerminalRoom(watcher.asking)
         if file is None:
-            simulated = stack.enter_context(SimulatedCase(request, folder / "theatre", phantom))
+            simulated = stack.enter_context(
+                SimulatedCase(request, folder / "theatre", phantom, goes_on=goes_on)
+            )
             importlib.import_module("procedures.steps.catalogue")  # a second of imports, meanwhile
             if phantom is not None:
                 watcher.status("making the phantom CT")
@@ -92,7 +107,7 @@ def opened_engine(
             simulated.await_theatre()
             file = simulated.theatre.file
             room = stack.enter_context(contextlib.closing(SimulatedRoom(simulated.theatre.control)))
-        engine = _make_engine(request, folder, file, procedure, operator, room, stack)
+        engine = _make_engine(request, folder, file, procedure, operator, room, stack, resumption)
         outcome = "failed"
         watcher.opened(engine)
         try:
@@ -111,37 +126,52 @@ def opened_engine(
                 engine.close(outcome)
 
 
-def opened_case(request: CaseRequest, folder: Path, watcher: Watcher) -> AbstractContextManager[Engine]:
+def opened_case(
+    request: CaseRequest, folder: Path, watcher: Watcher, resumption: Resumption | None = None
+) -> AbstractContextManager[Engine]:
     """The engine of a clinical case, as `opened_engine`."""
-    case = request.case or folder / "case"
+    case = case_folder(request, folder)
 
     def procedure(_theatre: Theatre) -> Procedure:
         from procedures.engine.context import ClinicalInput
-        from procedures.engine.order import order_of
-        from procedures.planning.plan_file import read_plan
-        from procedures.steps.catalogue import CLINICAL_STEPS
         from procedures.strategies.catalogue import strategy_named
 
-        strategy = strategy_named(request.strategy)
-        trajectories = [trajectory.id for trajectory in read_plan(case / "plan.toml").trajectories]
+        clinical = ClinicalInput(case / "ct", case / "plan.toml", strategy_named(request.strategy))
+        order = order_of_case(request, folder)
         if request.answers is not None:
-            request.answers.check_trajectories(trajectories)
-        order = order_of(
-            CLINICAL_STEPS,
-            trajectories,
-            localizes_per_trajectory=strategy.localizes_per_trajectory,
-        )
-        return Procedure(order, ClinicalInput(case / "ct", case / "plan.toml", strategy))
+            request.answers.check_trajectories(order.trajectories)
+        return Procedure(order, clinical)
 
-    return opened_engine(request, folder, procedure, watcher, phantom=case, answers=request.answers)
+    complete = request.case is None and (case / "plan.toml").exists()  # the phantom's last file
+    if resumption is not None and request.case is None and not complete:
+        shutil.rmtree(case, ignore_errors=True)  # half of a simulated patient
+    return opened_engine(
+        request,
+        folder,
+        procedure,
+        watcher,
+        phantom=None if complete else case,
+        answers=request.answers,
+        resumption=resumption,
+    )
 
 
-def operator_of(request: TheatreRequest, watcher: Watcher, answers: Answers | None) -> Operator:
-    """Who answers: the file of answers, then the script of a simulated case or the person at the terminal."""
+def operator_of(
+    request: TheatreRequest,
+    watcher: Watcher,
+    answers: Answers | None,
+    resumption: Resumption | None = None,
+) -> Operator:
+    """Who answers: the file of answers, then the script of a simulated case or the person at the terminal.
+
+    The script takes no run up again unless it was told to accept what is found.
+    """
     person: Operator = TerminalOperator(watcher.asking)
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
     at_pause = watcher.at_pause or (person if at_terminal else None)
-    operator: Operator = ScriptedOperator(at_pause)
+    operator: Operator = ScriptedOperator(
+        at_pause, resumes=person if resumption is not None and not resumption.accepted else None
+    )
     if request.config is not None:
         operator = person if watcher.at_pause is None else AtPause(watcher.at_pause, person)
     if answers is None:
@@ -149,6 +179,34 @@ def operator_of(request: TheatreRequest, watcher: Watcher, answers: Answers | No
     from procedures.cli.case.answers import AnsweringOperator
 
     return AnsweringOperator(answers, operator)
+
+
+def case_folder(request: CaseRequest, folder: Path) -> Path:
+    """Where CT and plan of a run are."""
+    return request.case or folder / "case"
+
+
+def order_of_case(request: CaseRequest, folder: Path) -> CaseOrder:
+    """The steps of a run, by its plan and its strategy. Raises what reading the plan raises."""
+    from procedures.engine.order import order_of
+    from procedures.planning.plan_file import read_plan
+    from procedures.steps.catalogue import CLINICAL_STEPS
+    from procedures.strategies.catalogue import strategy_named
+
+    plan = read_plan(case_folder(request, folder) / "plan.toml")
+    return order_of(
+        CLINICAL_STEPS,
+        [trajectory.id for trajectory in plan.trajectories],
+        localizes_per_trajectory=strategy_named(request.strategy).localizes_per_trajectory,
+    )
+
+
+def request_hash(folder: Path) -> dict[str, str]:
+    """Of the request that a run began with, for the first line of its journal."""
+    from procedures.engine.evidence import sha256_of
+
+    path = folder / REQUEST_FILE
+    return {"request_sha256": sha256_of(path)} if path.exists() else {}
 
 
 def ignore_further_signals() -> None:
@@ -166,6 +224,7 @@ def _make_engine(
     operator: Operator,
     room: Room,
     stack: contextlib.ExitStack,
+    resumption: Resumption | None,
 ) -> Engine:
     from procedures.engine.case import Case
     from procedures.engine.context import CaseSetting
@@ -201,14 +260,21 @@ def _make_engine(
         follow(line)
         events.journal_line(line)
 
-    journal = Journal(folder, written)
+    left = None if resumption is None else resumption.left
+    case = Case(folder) if left is None else left.restored(wanted.order)
+    if left is None or not left.has_journal:
+        journal = Journal(folder, written)
+    else:
+        journal = Journal.taken_up(folder, left.chain, written)
     flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
     stack.callback(flight_recorder.close)
     theatre.record_bytes(flight_recorder)
     workcell = Workcell(theatre, journal, calibrations=calibrations)
     journal.write(
-        Entry.OPENED,
+        Entry.RESTARTED if left is not None and left.run.journal else Entry.OPENED,
         theatre.clock.now_s(),
+        **({} if left is None else left.as_plain()),
+        **request_hash(folder),
         theatre=theatre.file.theatre,
         banner=theatre.file.banner,
         strategy=None if wanted.clinical is None else wanted.clinical.strategy.name,
@@ -216,7 +282,7 @@ def _make_engine(
     )
     engine = Engine(
         wanted.order,
-        Case(folder),
+        case,
         CaseSetting(
             workcell=workcell,
             clock=theatre.clock,
@@ -230,6 +296,8 @@ def _make_engine(
         events=events,
         on_ending=ignore_further_signals,
         recorders=(flight_recorder, tape),
+        recovering=left is not None and not left.untouched,
+        latest=None if left is None else left.latest,
     )
     engine.checkpoint.beside = tape.beside
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))

@@ -19,14 +19,18 @@ class ScriptedOperator:
     guard waits for in vain is left when it is asked for again: nobody is there to restore it.
     """
 
-    def __init__(self, person: Operator | None = None) -> None:
+    def __init__(self, person: Operator | None = None, resumes: Operator | None = None) -> None:
+        """`resumes` is asked whether a run is taken up again, where the script is not to say so."""
         self._person = person
+        self._resumes = resumes
         self._waited_for: set[tuple[str, str]] = set()  # guard and place
 
     def ask(self, question: Question) -> str:
         """The first answer."""
         if self._person is not None and question.topic is Topic.PAUSE:
             return self._person.ask(question)
+        if self._resumes is not None and question.topic is Topic.RESUME:
+            return self._resumes.ask(question)
         if question.topic is Topic.GUARD:
             what = (question.subject.partition(":")[0], question.value)
             if what in self._waited_for:

@@ -3,35 +3,57 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.leaving_report import error_of
-from procedures.cli.case.opening import Watcher, opened_case
+from procedures.cli.case.opening import Resumption, Watcher, opened_case
 from procedures.cli.case.prompt import HELD, Prompt, leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
 from procedures.engine.errors import OperatorAborted
+from procedures.engine.journal import Entry, Line
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
+    from procedures.engine.case import Case
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun, Truth, UnfinishedRun
 
 
-def run_case(request: CaseRequest, folder: Path, watcher: Watcher) -> FinishedRun:
-    """Run a whole case, without its report. Raises what a step raises, PRO-013 from the verifier."""
+def run_case(
+    request: CaseRequest, folder: Path, watcher: Watcher, resumption: Resumption | None = None
+) -> FinishedRun:
+    """Run a whole case, or what remains of it, without its report.
+
+    Raises what a step raises, PRO-032 where it is not taken up again, PRO-013 from the verifier.
+    """
     began_s = time.monotonic()
-    with opened_case(request, folder, watcher) as engine:
+    with opened_case(request, folder, watcher, resumption) as engine:
+        if resumption is not None and not resumption.left.untouched:
+            from procedures.recovery import recover
+
+            recover(engine, resumption.left)
         _run(engine, watcher.held)
         theatre_time_s = engine.setting.clock.now_s()  # the clock ends with its theatre
-    from procedures.reporting.files import keep_truth
-    from procedures.reporting.outcome import Truth
+    before_s = 0.0 if resumption is None else wall_time_s(resumption.left.run.journal)
+    wall_s = before_s + time.monotonic() - began_s
+    return finished(request, engine.case, engine.order.trajectories, theatre_time_s, wall_s)
 
-    truth = truth_of(folder) if request.config is None else Truth()
-    keep_truth(folder, truth)
-    return _finished(request, engine, truth, theatre_time_s, time.monotonic() - began_s)
+
+def wall_time_s(journal: Sequence[Line]) -> float:
+    """Host time that the sessions of a run took, by the dates of its journal."""
+    total_s, began, last = 0.0, None, None
+    for line in journal:
+        if line["entry"] == Entry.RESTARTED and began is not None and last is not None:
+            total_s += (last - began).total_seconds()
+            began = None
+        last = datetime.fromisoformat(str(line["host_time"]))
+        began = began or last
+    return total_s + ((last - began).total_seconds() if began is not None and last is not None else 0.0)
 
 
 def _run(engine: Engine, held: Prompt | None) -> None:
@@ -66,8 +88,25 @@ def unfinished(request: CaseRequest, folder: Path, problem: BaseException) -> Un
     )
 
 
-def _finished(
-    request: CaseRequest, engine: Engine, truth: Truth, theatre_time_s: float, wall_s: float
+def finished(
+    request: CaseRequest, case: Case, trajectories: Sequence[str], theatre_time_s: float, wall_s: float
+) -> FinishedRun:
+    """What a finished case came to; raises PRO-013 from the verifier."""
+    from procedures.reporting.files import keep_truth
+    from procedures.reporting.outcome import Truth
+
+    truth = truth_of(case.folder) if request.config is None else Truth()
+    keep_truth(case.folder, truth)
+    return _outcome(request, case, trajectories, truth, theatre_time_s, wall_s)
+
+
+def _outcome(
+    request: CaseRequest,
+    case: Case,
+    trajectories: Sequence[str],
+    truth: Truth,
+    theatre_time_s: float,
+    wall_s: float,
 ) -> FinishedRun:
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
     from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -76,9 +115,8 @@ def _finished(
     from procedures.steps.clinical.retreat import Retreated
     from procedures.steps.clinical.tool_change import MountedGuide
 
-    case = engine.case
     left_out = {one.trajectory: one.reason for one in case.left_out}
-    names = [name for name in engine.order.trajectories if name not in left_out]
+    names = [name for name in trajectories if name not in left_out]
     registered = {name: case.get(RegisteredRobot, name).result for name in names}
     links = [
         case.get(MountedGuide).result.link,
@@ -87,7 +125,7 @@ def _finished(
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
     errors_mm = {one.id: one.application_error_mm for one in truth.targets}
     return FinishedRun(
-        run=engine.case.folder.name,
+        run=case.folder.name,
         seed=request.seed,
         strategy=request.strategy,
         markers=len(case.get(LocalizedFiducials).result.markers),

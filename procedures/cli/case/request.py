@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.request_file import REQUEST_FILE, write_request
 from procedures.cli.case.scene_choice import SceneChoice
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.log_output import LOG_FILE
@@ -72,10 +73,13 @@ def new_run_folder(request: CaseRequest) -> Path:
     seed = "" if request.seed is None else f"s{request.seed}-"
     folder = request.out / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
     folder.mkdir(parents=True)
+    write_request(request, folder)
     return folder
 
 
 def forget_if_empty(folder: Path) -> None:
-    """Remove a run folder in which nothing but the log was written."""
-    if not any(path.is_file() and not path.name.startswith(LOG_FILE) for path in folder.rglob("*")):
+    """Remove a run folder in which nothing but the request and the log was written."""
+    if not any(
+        path.is_file() and not path.name.startswith((LOG_FILE, REQUEST_FILE)) for path in folder.rglob("*")
+    ):
         shutil.rmtree(folder, ignore_errors=True)

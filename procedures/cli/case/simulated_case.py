@@ -19,10 +19,15 @@ PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 class SimulatedCase:
     """A theatre in a folder, and with `phantom` a patient in another: `ct/` and `plan.toml`."""
 
-    def __init__(self, request: TheatreRequest, folder: Path, phantom: Path | None) -> None:
+    def __init__(
+        self, request: TheatreRequest, folder: Path, phantom: Path | None, *, goes_on: bool = False
+    ) -> None:
+        """`goes_on` where the world of another theatre goes on: the fault script of the run is over then."""
         scene = request.choice.arguments()
-        script = () if request.faults is None else ("--faults", str(request.faults))
-        self.theatre = TheatreProcess(*scene, "--speed", request.speed, "--out", str(folder), *script)
+        more = ["--faults", str(request.faults)] if request.faults is not None and not goes_on else []
+        if goes_on:
+            more.append("--continue")
+        self.theatre = TheatreProcess(*scene, "--speed", request.speed, "--out", str(folder), *more)
         self._phantom = None if phantom is None else _start_phantom(scene, phantom)
 
     def await_patient(self) -> None:

@@ -13,13 +13,14 @@ from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
 from procedures.engine.events import Event, StepState
+from procedures.engine.run_lock import held_run
 
 
 def step_through(request: CaseRequest) -> None:
     """Read commands until `quit` or the end of the input; what goes wrong is shown, and the case is held."""
     check_request(request)
     folder = new_run_folder(request)
-    with leaving_report(folder), pause_on_interrupt() as interrupts:
+    with held_run(folder), leaving_report(folder), pause_on_interrupt() as interrupts:
         followers: list[EventFollower] = []
 
         def catch_up() -> None:

@@ -39,3 +39,11 @@ def inserted(context: StepContext) -> tuple[str, ...]:
         return ()
     inside = "outside" if insertion is None else f"in {insertion.trajectory}"
     return (f"the instrument is {inside}, not in {context.trajectory}",)
+
+
+def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
+    """The instrument is in this step's trajectory, or came out of it and went nowhere else."""
+    workcell = context.workcell
+    if workcell.insertion is None and workcell.withdrawn_from == context.trajectory:
+        return ()
+    return inserted(context)

@@ -9,7 +9,7 @@ from procedures.engine.operator import Topic
 from procedures.engine.result import Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.conditions import inserted
+from procedures.steps.clinical.conditions import inserted_or_just_out
 from procedures.steps.clinical.link_health import LinkHealth, link_health
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.room_check import ROOM_READS, check_room
@@ -29,16 +29,19 @@ def run(context: StepContext) -> Outcome[Retreated]:
     # The surroundings are those of the way in. No record is read before the instrument is out: a damaged
     # file must not keep it inside.
     if workcell.insertion is not None:
+        workcell.start()
         way_out = [workcell.facts(workcell.insertion.standoff)]
         workcell.confirm_motion(
             Topic.RETREAT, f"retreat from {context.trajectory}", way_out, context.trajectory
         )
-    reached = workcell.withdraw(context.trajectory)
+        workcell.withdraw(context.trajectory)
+    joints_rad = workcell.joints_rad()
     context.result(PositionedGuide)
     context.result(ReachedTarget)
     if not context.is_last_trajectory():  # any may come first
         check_room(context, f"after {context.trajectory}")
-        return Outcome(Retreated(parked=False, joints_rad=reached.joints_rad, link=None), "outside the entry")
+        return Outcome(Retreated(parked=False, joints_rad=joints_rad, link=None), "outside the entry")
+    workcell.start()
     workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
     reached = workcell.return_home()
     link = link_health(context)
@@ -55,5 +58,5 @@ STEP = StepSpec(
     reads=(PositionedGuide, ReachedTarget, *ROOM_READS),
     moves=True,
     continues=True,
-    preconditions=inserted,
+    preconditions=inserted_or_just_out,
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from math import exp
+from math import copysign, exp
 
 from sim.kuka.arm.robot_description import AXES, RobotDescription
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
@@ -40,6 +40,12 @@ class Drives:
         self._cycle_s = 0.0
         self._pending: deque[list[float]] = deque()
         self.start_cycles(IPO_FAST_S)
+
+    def take_up(self, flanks: Sequence[float], motion_number: int, moved_s: float) -> None:
+        """Go on from how an arm was left: on which flanks its gears rest, and what it has moved so far."""
+        self._directions = [copysign(1.0, flank) if flank else 0.0 for flank in flanks]
+        self.flanks = list(self._directions)
+        self.motion_number, self.moved_s = motion_number, moved_s
 
     def start_cycles(self, cycle_s: float, filter_s: float = 0.0) -> None:
         """Prepare for commands every `cycle_s`, from rest, behind a filter of the controller's or without."""

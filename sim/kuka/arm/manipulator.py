@@ -34,9 +34,14 @@ class Manipulator:
         seed: int,
         publish: Callable[[ArmState], None],
         parameters: ControllerParameters,
+        left: ArmState | None = None,
     ) -> None:
+        """`left` is how the arm was left, in a world that goes on; else it stands at home."""
         self.description = description(truth.variant)
-        self.drives = Drives(self.description, truth.home_deg, parameters)
+        start_deg = truth.home_deg if left is None else [degrees(angle) for angle in left.joints_rad]
+        self.drives = Drives(self.description, start_deg, parameters)
+        if left is not None:
+            self.drives.take_up(left.flanks, left.motion_number, left.moved_s)
         self._nominal = JointChain(self.description)
         self._true = TrueArm(truth, seed)
         self._publish = publish
@@ -162,5 +167,15 @@ class Manipulator:
         else:
             pose = self._true.moving(encoders, drives.flanks, drives.moved_s)
         A1, A2, A3, A4, A5, A6 = encoders
-        self._publish(ArmState((A1, A2, A3, A4, A5, A6), pose, drives.motion_number, drives.at_rest))
+        F1, F2, F3, F4, F5, F6 = drives.flanks
+        self._publish(
+            ArmState(
+                (A1, A2, A3, A4, A5, A6),
+                pose,
+                drives.motion_number,
+                drives.at_rest,
+                (F1, F2, F3, F4, F5, F6),
+                drives.moved_s,
+            )
+        )
         self._published = (id(drives.axes_deg), drives.at_rest)

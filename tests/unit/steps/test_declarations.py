@@ -86,7 +86,7 @@ def test_a_step_that_moves_begins_only_with_a_checked_tool_or_with_its_own_instr
     assert cell.workcell.tool is MountedTool.UNKNOWN
     cell.arm.mounted = 0  # and nothing of ours is found when it is read again
     key = StepKey(step.name, "T1")
-    assert step.preconditions(cell.begin(step)._context(key))
+    assert step.preconditions(cell.begin(step).context(key))
 
 
 def parts(model: type[BaseModel]) -> Iterator[tuple[str, Any]]:

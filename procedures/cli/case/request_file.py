@@ -1,0 +1,89 @@
+"""`request.json`: the first file of a run's folder, on disk before anything else. `resume` begins with it."""
+
+from __future__ import annotations
+
+import os
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from procedures.cli.case.scene_choice import SceneChoice
+from procedures.engine.errors import BadRequestFile, OtherProgram
+from ronna_hw.config import describe_mistakes
+from ronna_hw.records import write_whole
+
+if TYPE_CHECKING:
+    from procedures.cli.case.request import CaseRequest
+
+REQUEST_FILE = "request.json"
+PROGRAM = "ronna-hw"
+
+
+class RequestFile(BaseModel):
+    """What was asked for, with absolute paths."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    program: str = Field(description="Version of the program that made the run.")
+    scene: str = Field(description="Name of a scene, or a scene file.")
+    seed: int = 0
+    markers: int | None = None
+    targets: int | None = None
+    strategy: str
+    speed: str
+    faults: Path | None = None
+    config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
+    case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
+
+
+def write_request(request: CaseRequest, folder: Path) -> None:
+    """Write what was asked for into a new run folder, and have it on disk."""
+    choice = request.choice
+    content = RequestFile(
+        program=version(PROGRAM),
+        scene=str(Path(choice.scene).resolve()) if Path(choice.scene).suffix else choice.scene,
+        seed=choice.seed,
+        markers=choice.markers,
+        targets=choice.targets,
+        strategy=request.strategy,
+        speed=request.speed,
+        faults=request.faults and request.faults.resolve(),
+        config=request.config and request.config.resolve(),
+        case=request.case and request.case.resolve(),
+    )
+    write_whole(folder / REQUEST_FILE, content.model_dump_json(by_alias=True, indent=1).encode())
+    for place in (folder, folder.parent):  # a name is on disk only when its folder is
+        directory = os.open(place, os.O_RDONLY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+
+
+def read_request(folder: Path) -> CaseRequest:
+    """What was asked for; raises PRO-034, and PRO-031 for another version of this program."""
+    from procedures.cli.case.request import CaseRequest
+
+    path = folder / REQUEST_FILE
+    try:
+        content = RequestFile.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise BadRequestFile(f"{path} cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        raise BadRequestFile(f"{path}: {'; '.join(describe_mistakes(error))}") from error
+    if content.program != version(PROGRAM):
+        raise OtherProgram(
+            f"{folder.name} was made by another version", expected=version(PROGRAM), got=content.program
+        )
+    return CaseRequest(
+        out=folder.parent,
+        choice=SceneChoice(content.scene, content.seed, content.markers, content.targets),
+        strategy=content.strategy,
+        speed=content.speed,
+        faults=content.faults,
+        config=content.config,
+        case=content.case,
+    )

@@ -1,0 +1,127 @@
+"""`ronna-procedure resume RUN`: goes on with a run that was killed, left or interrupted."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.display import follow, show_outcome
+from procedures.cli.case.leaving_report import seal_run
+from procedures.cli.case.opening import Resumption, Watcher, order_of_case
+from procedures.cli.case.outcome import finished, run_case, wall_time_s
+from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.request_file import read_request
+from procedures.engine.errors import JournalNotWritable, RunChanged
+from procedures.engine.evidence import SEAL_FILE, hashes_at_closing
+from procedures.engine.journal import Entry, Journal
+from procedures.engine.left_run import LeftRun, read_left_run
+from procedures.engine.run_lock import held_run
+from procedures.engine.verification import changed_since_closing
+from procedures.reporting.report import REPORT_FILE
+from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.messages import tell
+
+if TYPE_CHECKING:
+    from procedures.reporting.outcome import FinishedRun
+
+PROBE_FILE = ".writable"
+PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
+
+
+def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, verbose: bool) -> None:
+    """Take a run up again and finish it; a finished one is shown.
+
+    Raises PRO-030 to PRO-034, PRO-003 where nothing can be written, PRO-011 and REC-001 for a run that was
+    changed, and what devices and steps raise.
+    """
+    if not folder.is_dir():
+        raise PathProblem(f"{folder} is not a folder", expected="the folder of a run")
+    folder = folder.resolve()
+    request = read_request(folder)
+    if answers is not None:
+        from procedures.cli.case.answers import read_answers
+
+        request = replace(request, answers=read_answers(answers))
+    if accept and request.config is not None:
+        raise UsageMistake(
+            "--accept is for a simulated theatre", action="Leave it out: on real devices a person accepts."
+        )
+    with held_run(folder):
+        left = read_left_run(folder)
+        if changed := changed_since_closing(folder, left.run.journal):
+            raise RunChanged(f"{folder.name} was changed since it was closed: {'; '.join(map(str, changed))}")
+        if left.finished:
+            if not (folder / SEAL_FILE).exists():
+                seal_run(folder)
+            show_outcome(_as_it_ended(request, left), as_json=as_json)
+            return
+        _check_writable(folder)
+        _remove_half_written(folder)
+        if left.chain.torn:
+            tell(f"the last line of the journal was torn ({len(left.chain.torn)} bytes): it is kept aside")
+        follow(
+            request,
+            folder,
+            lambda watcher: _go_on(request, left, watcher, accepted=accept),
+            as_json=as_json,
+            verbose=verbose,
+        )
+
+
+def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: bool) -> FinishedRun:
+    if not left.untouched and _nothing_remains(request, left):
+        with_end = _close(left)
+        return _as_it_ended(request, with_end)
+    return run_case(request, left.run.path, watcher, Resumption(left, accepted))
+
+
+def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
+    """Whether every step stands, and only the end is missing."""
+    order = order_of_case(request, left.run.path)
+    case = left.restored(order)
+    gone = {one.trajectory for one in case.left_out}
+    return all(case.stands(key) or key.trajectory in gone for key in order.sequence)
+
+
+def _close(left: LeftRun) -> LeftRun:
+    """Write the end of a run whose every step stands: nothing is moved for it, and no device is asked."""
+    theatre_time_s = float(str(left.run.journal[-1]["theatre_time_s"]))
+    journal = Journal.taken_up(left.run.path, left.chain)
+    journal.write(Entry.RESTARTED, theatre_time_s, **left.as_plain())
+    journal.write(Entry.CLOSED, theatre_time_s, outcome="done", files=hashes_at_closing(left.run.path))
+    journal.close()
+    return read_left_run(left.run.path)
+
+
+def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:
+    folder, journal = left.run.path, left.run.journal
+    order = order_of_case(request, folder)
+    theatre_time_s = float(str(journal[-1]["theatre_time_s"]))
+    outcome = finished(
+        request, left.restored(order), order.trajectories, theatre_time_s, wall_time_s(journal)
+    )
+    report = folder / REPORT_FILE
+    return outcome.model_copy(update={"report": str(report) if report.exists() else None})
+
+
+def _check_writable(folder: Path) -> None:
+    """Raise PRO-003 before anything is started where the run could not be written."""
+    probe = folder / PROBE_FILE
+    try:
+        try:
+            with probe.open("wb") as file:
+                file.write(bytes(PROBE_BYTES))
+                file.flush()
+                os.fsync(file.fileno())
+        finally:
+            probe.unlink(missing_ok=True)
+    except OSError as error:
+        raise JournalNotWritable(f"cannot write into {folder}: {error.strerror}") from error
+
+
+def _remove_half_written(folder: Path) -> None:
+    """What a program that was killed had not finished writing was never part of the run."""
+    for path in folder.rglob(".*.partial"):
+        path.unlink(missing_ok=True)

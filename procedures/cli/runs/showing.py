@@ -1,0 +1,112 @@
+"""`ronna-procedure list`, `show` and `lineage`: what runs there are, and what one did and came to."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from procedures.cli.runs.folders import require_run, runs_in
+from procedures.engine.journal import Entry
+from procedures.reporting.ending import ending_of
+from procedures.reporting.files import kept_truth
+from procedures.reporting.run_reading import RunReading, read_for_report
+from procedures.steps.clinical.registration import RegisteredRobot
+from ronna_hw.command_line.console import print_json, print_table
+from ronna_hw.records import Record
+
+
+def list_runs(folder: Path, *, as_json: bool) -> None:
+    """Print the runs of a folder, oldest first."""
+    rows = [_summary(read_for_report(run)) for run in runs_in(folder)]
+    if as_json:
+        print_json({"runs": rows})
+        return
+    print_table(
+        f"Runs in {folder}",
+        ("run", "began", "strategy", "ended", "steps", "largest error mm"),
+        [
+            (
+                row["run"],
+                str(row["began"] or "")[:16],
+                row["strategy"] or "",
+                row["ended"],
+                str(len(row["done"])),
+                "-" if row["max_application_error_mm"] is None else f"{row['max_application_error_mm']:.3f}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def show_run(folder: Path, *, as_json: bool) -> None:
+    """Print what a run did, how it ended, and the errors at its targets."""
+    require_run(folder)
+    reading = read_for_report(folder)
+    row = _summary(reading)
+    if as_json:
+        print_json(row | {"problems": reading.problems})
+        return
+    out = sys.stdout
+    seed = "" if row["seed"] is None else f", seed {row['seed']}"
+    out.write(f"{row['run']}: {row['theatre'] or 'no theatre'}{seed}, strategy {row['strategy'] or '-'}\n")
+    out.write(f"began {row['began'] or '-'}; {row['sentence']}\n")
+    if row["restarts"]:
+        out.write(f"taken up again {row['restarts']} times\n")
+    if row["instrument_in"]:
+        out.write(f"the instrument was still in {row['instrument_in']}\n")
+    out.write(f"done: {', '.join(row['done']) or 'nothing'}\n")
+    if row["superseded"]:
+        out.write(f"superseded: {', '.join(row['superseded'])}\n")
+    for target in row["targets"]:
+        error_mm = target["application_error_mm"]
+        known = "" if error_mm is None else f", error {error_mm:.3f} mm"
+        out.write(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}\n")
+    for problem in reading.problems:
+        out.write(f"not to be relied on: {problem}\n")
+
+
+def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
+    """Print results and their ancestors. Raises PRO-011, REC-001 for a run that was changed."""
+    from procedures.engine.lineage import lineage_mermaid, lineage_text
+    from procedures.engine.run_folder import read_run
+
+    require_run(folder)
+    run = read_run(folder)
+    sys.stdout.write(lineage_mermaid(run) if as_mermaid else lineage_text(run))
+
+
+def _summary(reading: RunReading) -> dict[str, Any]:
+    """A run in plain data: what `list` and `show` print."""
+    run = reading.run
+    ending = ending_of(run.journal)
+    truth = kept_truth(reading.folder)
+    errors_mm = {} if truth is None else {one.id: one.application_error_mm for one in truth.targets}
+    return {
+        "run": reading.folder.resolve().name,
+        "theatre": run.opened.get("theatre"),
+        "seed": run.opened.get("seed"),
+        "strategy": run.opened.get("strategy"),
+        "began": run.opened.get("host_time"),
+        "ended": ending.word,
+        "sentence": ending.sentence,
+        "instrument_in": ending.instrument_in,
+        "restarts": len(run.lines(Entry.RESTARTED)),
+        "done": _names(record for record in run.records if record.identifier not in run.superseded),
+        "superseded": sorted(run.superseded),
+        "targets": [
+            {
+                "id": predicted.target,
+                "predicted_tre_mm": predicted.rms_mm,
+                "application_error_mm": errors_mm.get(predicted.target),
+            }
+            for stored in reading.standing(RegisteredRobot)
+            for predicted in stored.result.predictions
+        ],
+        "max_application_error_mm": max(errors_mm.values(), default=None),
+    }
+
+
+def _names(records: Iterable[Record]) -> list[str]:
+    return [f"{one.kind}:{one.trajectory}" if one.trajectory else one.kind for one in records]

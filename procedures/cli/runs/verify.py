@@ -1,0 +1,35 @@
+"""`ronna-procedure verify RUN`: every file that is not as the run left it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from procedures.cli.runs.folders import require_run
+from procedures.engine.evidence import files_of
+from procedures.engine.verification import problems_of
+from ronna_hw.command_line.console import print_json
+from ronna_hw.errors import EXIT_REFUSED
+
+
+def verify(folder: Path, *, as_json: bool) -> None:
+    """Print what is changed, missing or added; ends with exit code 3 when anything is."""
+    require_run(folder)
+    problems = problems_of(folder)
+    checked = sum(1 for _ in files_of(folder))
+    if as_json:
+        print_json(
+            {
+                "run": folder.resolve().name,
+                "whole": not problems,
+                "files": checked,
+                "problems": [{"file": one.file, "what": one.what} for one in problems],
+            }
+        )
+    else:
+        for problem in problems:
+            sys.stdout.write(f"{problem}\n")
+        if not problems:
+            sys.stdout.write(f"{folder.resolve().name}: whole, {checked} files are as the run left them\n")
+    if problems:
+        raise SystemExit(EXIT_REFUSED)

@@ -1,0 +1,109 @@
+"""What holds a run's files to what they were: hashes in the journal's last line, and a seal over the rest.
+
+The journal's chain covers its lines, its last line every file that was there when the run was closed. What is
+written after that (the log's end, the theatre's own files, the report) the seal covers, and the journal as a
+whole with it, so that a removed last line shows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from procedures.engine.journal import JOURNAL_FILE
+from ronna_hw.records import canonical_json, write_whole
+
+SEAL_FILE = "seal.json"
+# Written also after the run is closed; names of files, and folders with everything in them.
+LATER_FILES = ("log.jsonl", "events.jsonl", "report.html")  # and with a number behind
+LATER_FOLDERS = ("theatre", "report")
+EXPORT_FOLDER = "export"  # made from the run at any time, and no part of it
+CHUNK_BYTES = 1 << 20
+
+
+class Seal(BaseModel):
+    """The content of `seal.json`. `own_sha256` is of everything else in it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: int = Field(default=1, alias="schema")
+    journal_sha256: str
+    files: dict[str, str] = Field(description="Files that the journal does not name, with their SHA-256.")
+    own_sha256: str
+
+    @classmethod
+    def over(cls, journal_sha256: str, files: Mapping[str, str]) -> Seal:
+        """A seal with its own hash."""
+        return cls(journal_sha256=journal_sha256, files=dict(files), own_sha256=_own(journal_sha256, files))
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is as it was made."""
+        return self.own_sha256 == _own(self.journal_sha256, self.files)
+
+
+def sha256_of(path: Path) -> str:
+    """Of a file's content. Raises OSError."""
+    found = hashlib.sha256()
+    with path.open("rb") as file:
+        while part := file.read(CHUNK_BYTES):
+            found.update(part)
+    return found.hexdigest()
+
+
+def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Every file of a run by its name in it, without journal, seal and exports."""
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if (path.is_symlink() or not path.is_dir()) and not _is_apart(name):
+            yield name, path
+
+
+def hashes_at_closing(folder: Path) -> dict[str, str]:
+    """Hashes of the files that are complete when a run is closed. Raises OSError."""
+    return {name: sha256_of(path) for name, path in files_of(folder) if not _is_later(name)}
+
+
+def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
+    """Hashes of files and whole folders that a run worked with and that are not in it, by their paths."""
+    hashes = {}
+    for given in inputs:
+        if folder.resolve() in given.resolve().parents or not given.exists():
+            continue
+        paths = [path for path in sorted(given.rglob("*")) if path.is_file()] if given.is_dir() else [given]
+        hashes.update({str(path.resolve()): sha256_of(path) for path in paths})
+    return hashes
+
+
+def seal(folder: Path, closed: Mapping[str, str]) -> None:
+    """Write the seal over what the last line of the journal (`closed`) does not name. Raises OSError."""
+    later = {name: sha256_of(path) for name, path in files_of(folder) if name not in closed}
+    made = Seal.over(sha256_of(folder / JOURNAL_FILE), later)
+    write_whole(folder / SEAL_FILE, made.model_dump_json(by_alias=True, indent=1).encode())
+
+
+def read_seal(folder: Path) -> Seal | None:
+    """The seal of a run; None where there is none, or it cannot be read or was changed."""
+    try:
+        content = (folder / SEAL_FILE).read_bytes()
+        found = Seal.model_validate_json(content)
+    except (OSError, ValidationError):
+        return None
+    as_written = found.model_dump_json(by_alias=True, indent=1).encode()
+    return found if found.whole and content == as_written else None
+
+
+def _own(journal_sha256: str, files: Mapping[str, str]) -> str:
+    return hashlib.sha256(canonical_json([journal_sha256, dict(files)])).hexdigest()
+
+
+def _is_later(name: str) -> bool:
+    top = name.split("/", 1)[0]
+    return top in LATER_FOLDERS or name.startswith(LATER_FILES)
+
+
+def _is_apart(name: str) -> bool:
+    return name in (JOURNAL_FILE, SEAL_FILE) or name.startswith(f"{EXPORT_FOLDER}/")

@@ -1,0 +1,71 @@
+"""Reads a journal back and checks its chain. What a crash may leave at its end is told from what was changed.
+
+A crash or a loss of power tears the end: a line without its end, or a last block of zeros. Nothing whole can
+follow it. A whole line after a broken one means that somebody changed or removed something.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from procedures.engine.errors import JournalCorrupt
+
+FIRST = "0" * 64  # what the first line names as the one before it
+
+JournalValue = str | float | bool | None | Sequence["JournalValue"] | Mapping[str, "JournalValue"]
+Line = Mapping[str, JournalValue]  # one line, as it is read back
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What a journal holds: its whole lines, how many bytes they take, the SHA-256 of the last of them."""
+
+    lines: tuple[Line, ...] = ()
+    size: int = 0
+    last: str = FIRST
+    torn: bytes = b""  # what follows the last whole line
+
+
+def read_chain(path: Path) -> Chain:
+    """A journal's lines in order, and what is torn at its end; raises PRO-011 when the chain is broken."""
+    content = path.read_bytes()
+    lines: list[Line] = []
+    size, previous = 0, FIRST
+    while size < len(content):
+        end = content.find(b"\n", size) + 1
+        entry = _parsed(content[size:end]) if end else None
+        if entry is None or entry.get("previous") != previous or entry.get("sequence") != len(lines):
+            if _is_torn(content[size:]):
+                break
+            what = "is not JSON" if entry is None else "does not follow the line before it"
+            raise JournalCorrupt(f"line {len(lines) + 1} of {path.name} {what}")
+        lines.append(entry)
+        previous = hashlib.sha256(content[size:end]).hexdigest()
+        size = end
+    return Chain(tuple(lines), size, previous, content[size:])
+
+
+def read_journal(path: Path) -> Iterator[Line]:
+    """The lines of a journal, in order, without a torn end; raises PRO-011 when the chain is broken."""
+    yield from read_chain(path).lines
+
+
+def _parsed(line: bytes) -> dict[str, Any] | None:
+    try:
+        entry = json.loads(line)
+    except ValueError:
+        return None
+    return entry if isinstance(entry, dict) else None
+
+
+def _is_torn(rest: bytes) -> bool:
+    """Whether a crash can have left this after the last whole line."""
+    *whole, last = rest.split(b"\n")
+    if any(_parsed(line) is not None for line in whole):
+        return False
+    return b"\0" in rest or (not whole and bool(last))

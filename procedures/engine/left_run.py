@@ -1,0 +1,123 @@
+"""A run as it ended or broke off: which results stand, what was done last, what had begun and never ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from procedures.engine.case import RECORDS_FOLDER, Case, Stored
+from procedures.engine.errors import JournalCorrupt
+from procedures.engine.journal import JOURNAL_FILE, Entry, JournalValue, Line
+from procedures.engine.journal_reading import Chain, read_chain
+from procedures.engine.order import CaseOrder
+from procedures.engine.run_folder import RunFolder, run_of, typed
+from procedures.engine.step import Scope, StepKey
+from ronna_hw.records import BadRecord
+
+ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
+
+
+@dataclass(frozen=True)
+class LeftRun:
+    """What the folder of a run holds."""
+
+    run: RunFolder
+    chain: Chain
+
+    @property
+    def has_journal(self) -> bool:
+        """Whether the file of the journal is there, with or without a whole line in it."""
+        return (self.run.path / JOURNAL_FILE).exists()
+
+    def as_plain(self) -> dict[str, JournalValue]:
+        """For the journal that goes on: what was left unfinished."""
+        return {
+            "begun": None if self.begun is None else str(self.begun),
+            "torn_bytes": len(self.chain.torn),
+            "orphans": list(self.orphans),
+        }
+
+    @property
+    def finished(self) -> bool:
+        """Whether it was closed with every step done."""
+        last = self.run.journal[-1] if self.run.journal else {}
+        return last.get("entry") == Entry.CLOSED and last.get("outcome") == "done"
+
+    @property
+    def untouched(self) -> bool:
+        """Whether it is begun anew: it left no result, and moved nothing."""
+        return not any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in self.run.journal)
+
+    @property
+    def latest(self) -> StepKey | None:
+        """The step that was done last, where a step that may only follow it may come yet."""
+        latest = None
+        for line in self.run.journal:
+            if line["entry"] == Entry.RESULT:
+                latest = step_key(line)
+        return latest
+
+    @property
+    def begun(self) -> StepKey | None:
+        """The step that was running when the program ended without a word."""
+        begun = None
+        for line in self.run.journal:
+            if line["entry"] == Entry.INTENT:
+                begun = step_key(line)
+            elif line["entry"] in ENDS_OF_A_STEP:
+                begun = None
+        return begun
+
+    @property
+    def orphans(self) -> tuple[str, ...]:
+        """Records that were written and never came into the journal: they do not stand, and are kept."""
+        named = {record.identifier for record in self.run.records}
+        folder = self.run.path / RECORDS_FOLDER
+        return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
+
+    def restored(self, order: CaseOrder) -> Case:
+        """The case as it stood. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
+        case = Case(self.run.path)
+        records = iter(self.run.records)
+        for line in self.run.journal:
+            if line["entry"] == Entry.RESULT:
+                key, record = step_key(line), next(records)
+                if key not in order.sequence:
+                    raise BadRecord(f"{record.identifier} is of a step that this case does not have")
+                _require_superseded(case, key, line)
+                case.accept(key, Stored(record, typed(record, order.spec(key).result)))
+            elif line["entry"] == Entry.VOIDED:
+                key = step_key(line)
+                _require_superseded(case, key, line)
+                case.void(key)
+            elif line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == "arm":
+                for key in order.sequence:  # as the engine did; whether they are kept is asked again
+                    if order.spec(key).scope is Scope.LOCALIZATION:
+                        case.doubt(key, str(line.get("fault")))
+        return case
+
+
+def read_left_run(folder: Path) -> LeftRun:
+    """Read a run that is to be taken up again; one without a journal has none of all that.
+
+    Raises PRO-011 for a broken journal, REC-001 for a record that is missing or changed.
+    """
+    path = folder / JOURNAL_FILE
+    chain = read_chain(path) if path.exists() else Chain()
+    return LeftRun(run_of(folder, chain.lines), chain)
+
+
+def step_key(line: Line) -> StepKey:
+    """The step that a line is about."""
+    name, _, trajectory = str(line.get("step", "")).partition(":")
+    return StepKey(name, trajectory or None)
+
+
+def _require_superseded(case: Case, key: StepKey, line: Line) -> None:
+    if [one.identifier for one in case.superseded_by(key)] != list(_names(line, "supersedes")):
+        raise JournalCorrupt(f"line {line['sequence']} supersedes other results than {key} does")
+
+
+def _names(line: Line, field: str) -> tuple[str, ...]:
+    names = line.get(field, ())
+    return tuple(map(str, names)) if isinstance(names, list) else ()

@@ -1,0 +1,43 @@
+"""CT and plan after a restart: the series that was imported, the plan that was checked."""
+
+from __future__ import annotations
+
+from procedures.engine.engine import Engine
+from procedures.imaging.series import read_series
+from procedures.planning.plan_file import read_plan
+from procedures.recovery.comparison import Comparison
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.errors import RonnaError
+
+
+def compare_inputs(engine: Engine, comparison: Comparison) -> None:
+    """Read both again where they were recorded; what cannot be read differs."""
+    clinical = engine.setting.clinical
+    if clinical is None:
+        return
+    if imported := engine.case.find(ImportedCt, None):
+        try:
+            volume = read_series(clinical.series)
+            now = ImportedCt.of(volume)
+        except (RonnaError, OSError) as problem:
+            comparison.differs("CT series", imported.result.series_instance_uid, problem)
+        else:
+            then = imported.result
+            changed = [name for name in type(now).model_fields if getattr(now, name) != getattr(then, name)]
+            if changed:
+                comparison.differs("CT series", then.series_instance_uid, f"another {', '.join(changed)}")
+            else:
+                comparison.same("CT series")
+                if engine.case.find(CheckedPlan, None) is None:
+                    engine.setting.workspace.keep(volume)
+    if checked := engine.case.find(CheckedPlan, None):
+        try:
+            plan = read_plan(clinical.plan)
+        except (RonnaError, OSError) as problem:
+            comparison.differs("plan", "a plan that was checked", problem)
+        else:
+            if plan == checked.result.plan:
+                comparison.same("plan")
+            else:
+                comparison.differs("plan", "the plan that was checked", "another one")

@@ -1,0 +1,56 @@
+"""How a run left its arm, as its journal tells it: the way it came, and the instrument that is inside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, cast
+
+from procedures.engine.errors import JournalCorrupt
+from procedures.engine.journal import Entry, Line
+from procedures.workcell.insertion import Insertion
+from ronna_hw.devices.readings import JointVector
+
+
+@dataclass(frozen=True)
+class LeftArm:
+    """`trail` is where the arm was since it left home, `motions` how many it made.
+
+    An instrument counts as inside from the intent to insert it to the end of its withdrawal.
+    """
+
+    trail: tuple[JointVector, ...] = ()
+    insertion: Insertion | None = None
+    withdrawn_from: str | None = None
+    motions: int = 0
+
+
+def left_arm(lines: Iterable[Line]) -> LeftArm:
+    """Follow the motions of a journal; raises PRO-011 when one is not as this version writes it."""
+    trail: list[JointVector] = []
+    insertion: Insertion | None = None
+    withdrawn_from: str | None = None
+    motion: Line = {}
+    motions = 0
+    for line in lines:
+        if line["entry"] == Entry.MOTION:
+            motion, motions = line, motions + 1
+            if line.get("what") == "insert":
+                insertion, withdrawn_from = _insertion(line), None
+        elif line["entry"] == Entry.MOVED and "joints_rad" in line:
+            what = motion.get("what")
+            if what == "withdraw" and insertion is not None:
+                withdrawn_from = insertion.trajectory
+                insertion = None
+            elif what == "home":
+                trail.clear()
+            elif what != "insert":
+                trail.append(cast("JointVector", tuple(cast("list[float]", line["joints_rad"]))))
+    return LeftArm(tuple(trail), insertion, withdrawn_from, motions)
+
+
+def _insertion(line: Line) -> Insertion:
+    try:
+        return Insertion.from_plain(str(line["trajectory"]), cast("dict[str, Any]", line["axis"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise JournalCorrupt(f"line {line.get('sequence')} does not say where the instrument went") from error

@@ -1,0 +1,111 @@
+"""How a theatre left its world, so that another one can go on with it: the arm, the tool on it, the time.
+
+The file is written when the theatre ends, also when its parent died, and at each change of tools. Faults are
+not in it: a world that goes on has none but those that are injected anew.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from ronna_hw.calibration import Strict
+from ronna_hw.config import describe_mistakes
+from ronna_hw.records import write_whole
+from sim.errors import BadLeftWorld, TheatreRunning
+from sim.theatre.scene.model import Numbers6, Scene
+from sim.theatre.world import ArmState, World
+
+LEFT_WORLD_FILE = "world.json"
+END_LIMIT_S = 4.0  # host time; a theatre whose parent died notices and ends within two seconds
+LOOK_AGAIN_S = 0.02
+Count = Annotated[int, Field(ge=0)]
+
+
+class LeftArm(Strict):
+    """How the robot was left: by its encoders, and by what they do not tell."""
+
+    joints_rad: Numbers6 = Field(description="Encoder angles.")
+    flanks: Numbers6 = Field(description="Where each joint is in its backlash, -1 to 1.")
+    motion_number: Count = Field(description="Motions so far.")
+    moved_s: Annotated[float, Field(ge=0)] = Field(description="Time in motion so far.")
+
+
+class LeftWorld(Strict):
+    """What changes in a world, as it was last."""
+
+    theatre_time_ns: Count = Field(description="Since the theatre first began.")
+    mounted_tool: Count = Field(description="As the controller's inputs report it.")
+    arm: LeftArm | None = Field(description="None before the robot has started.")
+
+    @classmethod
+    def of(cls, world: World) -> LeftWorld:
+        """A world as it is now."""
+        arm = world.arm() if world.has_arm else None
+        return cls(
+            theatre_time_ns=world.clock.now_ns(),
+            mounted_tool=world.mounted_tool(),
+            arm=None
+            if arm is None
+            else LeftArm(
+                joints_rad=arm.joints_rad,
+                flanks=arm.flanks,
+                motion_number=arm.motion_number,
+                moved_s=arm.moved_s,
+            ),
+        )
+
+    def go_on(self, scene: Scene, *, paced: bool) -> World:
+        """A world of that scene that begins as this one was left."""
+        world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
+        world.mount_tool(self.mounted_tool)
+        if (arm := self.arm) is not None:
+            # Where the flange truly is, the robot simulator says before anybody can look.
+            world.publish_arm(
+                ArmState(arm.joints_rad, np.eye(4), arm.motion_number, True, arm.flanks, arm.moved_s)
+            )
+        return world
+
+
+def write_left_world(world: World, folder: Path) -> None:
+    """Keep how a world stands, whole or not at all."""
+    write_whole(folder / LEFT_WORLD_FILE, LeftWorld.of(world).model_dump_json(indent=1).encode())
+
+
+def read_left_world(folder: Path) -> LeftWorld | None:
+    """How the last theatre in that folder left its world; None when it wrote nothing. Raises SIM-012."""
+    path = folder / LEFT_WORLD_FILE
+    if not path.exists():
+        return None
+    try:
+        return LeftWorld.model_validate_json(path.read_bytes(), strict=False)
+    except ValidationError as error:
+        raise BadLeftWorld(f"{path.name}: {'; '.join(describe_mistakes(error))}") from error
+
+
+@contextmanager
+def folder_held(folder: Path) -> Iterator[None]:
+    """Hold a folder for one theatre; raises SIM-013 when another one does not end in time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        limit_s = time.monotonic() + END_LIMIT_S
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > limit_s:
+                    raise TheatreRunning(f"another theatre runs in {folder}") from None
+                time.sleep(LOOK_AGAIN_S)
+        yield
+    finally:
+        os.close(file)
