@@ -11,7 +11,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from procedures.engine.errors import JournalCorrupt
 
@@ -35,27 +34,41 @@ def read_chain(path: Path) -> Chain:
     """A journal's lines in order, and what is torn at its end; raises PRO-011 when the chain is broken."""
     content = path.read_bytes()
     lines: list[Line] = []
-    size, previous = 0, FIRST
-    while size < len(content):
-        end = content.find(b"\n", size) + 1
-        entry = _parsed(content[size:end]) if end else None
-        if entry is None or entry.get("previous") != previous or entry.get("sequence") != len(lines):
-            if _is_torn(content[size:]):
-                break
-            what = "is not JSON" if entry is None else "does not follow the line before it"
-            raise JournalCorrupt(f"line {len(lines) + 1} of {path.name} {what}")
-        lines.append(entry)
-        previous = hashlib.sha256(content[size:end]).hexdigest()
+    size = 0
+    for line, end in _whole_lines(content, path.name):
+        lines.append(line)
         size = end
-    return Chain(tuple(lines), size, previous, content[size:])
+    last = content[:size].rfind(b"\n", 0, max(0, size - 1)) + 1
+    return Chain(tuple(lines), size, _hash(content[last:size]) if lines else FIRST, content[size:])
 
 
 def read_journal(path: Path) -> Iterator[Line]:
-    """The lines of a journal, in order, without a torn end; raises PRO-011 when the chain is broken."""
-    yield from read_chain(path).lines
+    """The lines of a journal, in order, without a torn end; raises PRO-011 where the chain is broken."""
+    for line, _ in _whole_lines(path.read_bytes(), path.name):
+        yield line
 
 
-def _parsed(line: bytes) -> dict[str, Any] | None:
+def _whole_lines(content: bytes, name: str) -> Iterator[tuple[Line, int]]:
+    """Every line that follows the one before it, and where it ends."""
+    number, begin, previous = 0, 0, FIRST
+    while begin < len(content):
+        end = content.find(b"\n", begin) + 1
+        entry = _parsed(content[begin:end]) if end else None
+        if entry is None or entry.get("previous") != previous or entry.get("sequence") != number:
+            if _is_torn(content[begin:]):
+                return
+            what = "is not JSON" if entry is None else "does not follow the line before it"
+            raise JournalCorrupt(f"line {number + 1} of {name} {what}")
+        yield entry, end
+        previous = _hash(content[begin:end])
+        number, begin = number + 1, end
+
+
+def _hash(line: bytes) -> str:
+    return hashlib.sha256(line).hexdigest()
+
+
+def _parsed(line: bytes) -> dict[str, JournalValue] | None:
     try:
         entry = json.loads(line)
     except ValueError:

@@ -24,7 +24,9 @@ class Ending:
 def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     """The ending that the journal tells; `error` is what the command line met, where it is known."""
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
-    closed = next((line for line in reversed(journal) if line["entry"] == Entry.CLOSED), None)
+    lines = reversed(journal)
+    ended = next((line for line in lines if line["entry"] in (Entry.CLOSED, Entry.RESTARTED)), None)
+    closed = ended if ended is not None and ended["entry"] == Entry.CLOSED else None
     last = next((line for line in reversed(journal) if line["entry"] in ENDS_A_STEP), None)
     if opened is None:
         return _with_error("not begun", "The run ended before its theatre was open.", error)

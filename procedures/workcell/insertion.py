@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from procedures.engine.journal_reading import JournalValue
+from procedures.engine.result import FramedPose, Values
 from procedures.strategies.orientation import back_along_axis
 from procedures.workcell.errors import TipOffAxis
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Transform
 
 # Nominal tip against the axis. A settled arm is within 0.05 mm; ten times that is no rounding any more, and
 # still less than what bends a needle.
 ON_AXIS_MM = 0.5
 ON_AXIS_RAD = math.radians(0.5)
+
+
+class JournalledAxis(Values):
+    """An insertion as the journal has it."""
+
+    target: FramedPose
+    depth_mm: float
+    standoff_mm: float
 
 
 @dataclass(frozen=True)
@@ -34,23 +41,16 @@ class Insertion:
 
     def as_plain(self) -> dict[str, JournalValue]:
         """For the journal: what is needed to find the way out again."""
-        return {
-            "translation_mm": self.target.translation_mm.tolist(),
-            "quaternion_wxyz": self.target.quaternion_wxyz.tolist(),
-            "depth_mm": self.depth_mm,
-            "standoff_mm": self.standoff_mm,
-        }
+        axis = JournalledAxis(
+            target=FramedPose.of(self.target), depth_mm=self.depth_mm, standoff_mm=self.standoff_mm
+        )
+        return axis.model_dump(mode="json")
 
     @classmethod
-    def from_plain(cls, trajectory: str, axis: Mapping[str, Any]) -> Insertion:
-        """Back from the journal."""
-        target = Transform.of(
-            Frame.ROBOT,
-            Frame.TOOL,
-            translation_mm=axis["translation_mm"],
-            quaternion_wxyz=axis["quaternion_wxyz"],
-        )
-        return cls(trajectory, target, axis["depth_mm"], axis["standoff_mm"])
+    def from_plain(cls, trajectory: str, axis: object) -> Insertion:
+        """Back from the journal; raises ValueError."""
+        read = JournalledAxis.model_validate(axis)
+        return cls(trajectory, read.target.transform, read.depth_mm, read.standoff_mm)
 
     @property
     def standoff(self) -> Transform:

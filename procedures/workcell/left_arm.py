@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 from procedures.engine.errors import JournalCorrupt
 from procedures.engine.journal import Entry, Line
@@ -51,6 +51,6 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
 
 def _insertion(line: Line) -> Insertion:
     try:
-        return Insertion.from_plain(str(line["trajectory"]), cast("dict[str, Any]", line["axis"]))
+        return Insertion.from_plain(str(line["trajectory"]), line["axis"])
     except (KeyError, TypeError, ValueError) as error:
         raise JournalCorrupt(f"line {line.get('sequence')} does not say where the instrument went") from error

@@ -1,0 +1,75 @@
+"""Kills a case at a line of its journal and has it taken up again."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from run_folders import records_of, run_folder
+from user_commands import Commands
+
+from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from ronna_hw.records import Record
+
+REACHED_S = 100.0
+REPEATABILITY_MM = 0.02  # of the arm truth, per axis, one standard deviation
+# A localization and a positioning that are repeated differ by two such errors in three axes: four sigma.
+LARGEST_CHANGE_MM = 4 * REPEATABILITY_MM * 6**0.5
+
+
+@dataclass(frozen=True)
+class Killed:
+    """What a killed run had left when it was gone."""
+
+    folder: Path
+    journal: tuple[Line, ...]
+    records: tuple[Record, ...]
+
+
+def lines_of(folder: Path) -> int:
+    path = folder / JOURNAL_FILE
+    return path.read_bytes().count(b"\n") if path.exists() else -1
+
+
+def killed_at(commands: Commands, case: tuple[str, ...], out: Path, line: int) -> Killed:
+    """Start a case and kill it as soon as its journal has that many lines; nothing of it lives then."""
+    process = commands.start("ronna-procedure", *case, "--out", str(out))
+    deadline = time.monotonic() + REACHED_S
+    while process.poll() is None and time.monotonic() < deadline:
+        folder = run_folder(out)
+        if folder is not None and lines_of(folder) >= line:
+            break
+        time.sleep(0.002)
+    process.kill()
+    process.communicate()
+    assert commands.await_no_survivors() == []
+    folder = run_folder(out)
+    assert folder is not None
+    journal = tuple(read_journal(folder / JOURNAL_FILE)) if lines_of(folder) >= 0 else ()
+    return Killed(folder, journal, tuple(records_of(folder)))
+
+
+def taken_up(commands: Commands, killed: Killed) -> dict[str, Any]:
+    """What `resume` printed; nothing lives after it, and nothing that was recorded is lost."""
+    done = commands.run("ronna-procedure", "resume", str(killed.folder), "--accept", "--json")
+    assert done.returncode == 0, done.stderr
+    assert commands.await_no_survivors() == []
+    lines = tuple(read_journal(killed.folder / JOURNAL_FILE))
+    assert lines[: len(killed.journal)] == killed.journal
+    now = {record.identifier: record for record in records_of(killed.folder)}
+    assert all(now[record.identifier] == record for record in killed.records)
+    assert_no_motion_before_acceptance(lines)
+    printed: dict[str, Any] = json.loads(done.stdout)
+    return printed
+
+
+def assert_no_motion_before_acceptance(lines: tuple[Line, ...]) -> None:
+    """After every restart that had anything to accept, the acceptance comes before the first motion."""
+    kinds = [line["entry"] for line in lines]
+    for number, kind in enumerate(kinds):
+        if kind == Entry.RESTARTED and Entry.MOTION in kinds[number:]:
+            moved = kinds.index(Entry.MOTION, number)
+            assert Entry.ACCEPTED in kinds[number:moved] or Entry.RESULT not in kinds[:number]

@@ -1,0 +1,37 @@
+"""A cell whose run ended, opened again as a program finds it after a restart."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from recording_cell import RecordingCell
+
+from procedures.engine.engine import Engine
+from procedures.engine.journal import Journal
+from procedures.engine.left_run import LeftRun, read_left_run
+from procedures.engine.order import CaseOrder
+
+C = TypeVar("C", bound=RecordingCell)
+
+
+def broken_off(cell: RecordingCell) -> None:
+    """The program is gone, and its file of the journal with it."""
+    cell.journal.close()
+
+
+def opened_again(cell: C, order: CaseOrder) -> tuple[C, Engine, LeftRun]:
+    """New devices, which stand where the old ones stood, and an engine in recovery over what was left."""
+    left = read_left_run(cell.folder)
+    journal = cell.folder / "journal.jsonl"
+    aside = journal.rename(journal.with_name("aside"))
+    again = type(cell)(cell.folder, theatre=cell.theatre)
+    again.journal.close()
+    aside.replace(journal)
+    again.journal = Journal.taken_up(cell.folder, left.chain)
+    again.case = left.restored(order)
+    again.arm.joints_rad, again.arm.mounted = cell.arm.joints_rad, cell.arm.mounted
+    again.workcell = again.make_workcell()
+    engine = Engine(
+        order, again.case, again.setting(), again.journal, recovering=not left.untouched, latest=left.latest
+    )
+    return again, engine, left

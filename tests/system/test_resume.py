@@ -1,0 +1,55 @@
+"""A case is killed, and taken up again to the same end."""
+
+import json
+from pathlib import Path
+
+import pytest
+from kills import LARGEST_CHANGE_MM, killed_at, taken_up
+from run_folders import run_folder
+from user_commands import Commands
+
+from ronna_hw.errors import EXIT_RECOVERY_NEEDED
+from sim.theatre.left_world import LEFT_WORLD_FILE
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+CASE = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
+UNINTERRUPTED_MM = 0.18021067547021166  # of this seed, as every run of it
+# Lines of the journal: a sphere is centred, the tool is exchanged, the instrument goes in, it comes out.
+PLACES = (30, 68, 76, 84)
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize("line", PLACES)
+def test_a_case_that_was_killed_reaches_its_target_all_the_same(
+    commands: Commands, tmp_path: Path, line: int
+) -> None:
+    killed = killed_at(commands, CASE, tmp_path, line)
+    outcome = taken_up(commands, killed)
+    assert outcome["outcome"] == "done"
+    assert abs(outcome["mean_application_error_mm"] - UNINTERRUPTED_MM) <= LARGEST_CHANGE_MM
+    verified = commands.run("ronna-procedure", "verify", str(killed.folder))
+    assert verified.returncode == 0, verified.stdout
+    again = commands.run("ronna-procedure", "resume", str(killed.folder), "--accept", "--json")
+    assert again.returncode == 0
+    assert json.loads(again.stdout)["targets"] == outcome["targets"]
+
+
+@pytest.mark.hazard(2)
+def test_what_nobody_accepts_moves_nothing(commands: Commands, tmp_path: Path) -> None:
+    killed = killed_at(commands, CASE, tmp_path, 76)
+    left = (killed.folder / "theatre" / LEFT_WORLD_FILE).read_bytes()
+    refused = commands.run("ronna-procedure", "resume", str(killed.folder), "--json")
+    assert refused.returncode == EXIT_RECOVERY_NEEDED, refused.stderr
+    now = json.loads((killed.folder / "theatre" / LEFT_WORLD_FILE).read_text())
+    assert now["arm"] == json.loads(left)["arm"]
+    assert taken_up(commands, killed)["outcome"] == "done"
+
+
+def test_a_run_that_was_killed_before_its_first_record_is_begun_anew(
+    commands: Commands, tmp_path: Path
+) -> None:
+    killed = killed_at(commands, CASE, tmp_path, -1)  # its folder is there, and hardly more
+    outcome = taken_up(commands, killed)
+    assert run_folder(tmp_path) == killed.folder
+    assert outcome["mean_application_error_mm"] == UNINTERRUPTED_MM

@@ -1,0 +1,123 @@
+"""Commands about runs that there are, on small runs made in this process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingCell
+from user_commands import in_this_process, one_error
+
+from procedures.cli.case.leaving_report import seal_run
+from procedures.cli.case.request import CaseRequest, new_run_folder
+from procedures.cli.case.request_file import REQUEST_FILE, read_request
+from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.procedure import app
+from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.engine.journal import Entry
+from procedures.engine.run_lock import held_run
+from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_USAGE
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A finished run in the folder `runs`."""
+    folder = tmp_path / "runs" / "20260101T000000-abcd"
+    folder.parent.mkdir()
+    cell = RecordingCell(folder)
+    (folder / REQUEST_FILE).write_text("{}")
+    cell.journal.write(Entry.OPENED, 0.0, theatre="a test", banner="", strategy="ocs", seed=None)
+    engine = cell.engine(plain_order("T1"))
+    engine.run_to(engine.order.find("fit:T1"))
+    engine.run_step(engine.order.find("localization:T1"))
+    engine.run_to()
+    engine.close("done")
+    seal_run(folder)
+    return folder
+
+
+def test_the_request_is_the_first_file_and_says_what_was_asked_for(tmp_path: Path) -> None:
+    asked = CaseRequest(
+        out=tmp_path, choice=SceneChoice("mini", 7, 4), strategy="nos", speed="1", faults=Path("/a/b.txt")
+    )
+    folder = new_run_folder(asked)
+    assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
+    assert read_request(folder) == asked
+
+
+@pytest.mark.hazard(2)
+def test_a_run_of_another_version_is_not_taken_up(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    path = folder / REQUEST_FILE
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"program": "0.0.1"}))
+    with pytest.raises(OtherProgram, match="PRO-031"):
+        read_request(folder)
+    refused = in_this_process(app, "resume", folder, "--accept")
+    assert refused.returncode == EXIT_RECOVERY_NEEDED
+    one_error(refused.stderr)
+
+
+@pytest.mark.parametrize("content", [None, "", '{"schema": 1}', "\0\0\0"])
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None) -> None:
+    if content is not None:
+        (tmp_path / REQUEST_FILE).write_text(content)
+    with pytest.raises(BadRequestFile, match="PRO-034"):
+        read_request(tmp_path)
+
+
+def test_a_run_that_another_program_has_open_is_refused(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    with held_run(folder):
+        refused = in_this_process(app, "resume", folder, "--accept")
+    assert refused.returncode == EXIT_REFUSED
+    assert "PRO-030" in refused.stderr
+
+
+def test_nothing_is_accepted_unseen_on_real_devices(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path))
+    refused = in_this_process(app, "resume", folder, "--accept")
+    assert refused.returncode == EXIT_USAGE
+
+
+def test_verify_says_that_a_run_is_whole_or_names_what_is_not(run: Path) -> None:
+    whole = in_this_process(app, "verify", run, "--json")
+    assert (whole.returncode, json.loads(whole.stdout)["whole"]) == (0, True)
+    (run / "records" / "01-image.json").write_text("{}")
+    (run / "note.txt").write_text("added")
+    changed = in_this_process(app, "verify", run, "--json")
+    assert changed.returncode == EXIT_REFUSED
+    files = {problem["file"] for problem in json.loads(changed.stdout)["problems"]}
+    assert files == {"records/01-image.json", "note.txt"}
+
+
+@pytest.mark.hazard(1)
+def test_a_run_that_was_changed_is_not_exported(run: Path) -> None:
+    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    (run / "journal.jsonl").write_bytes(b"".join(lines[:-1]))
+    refused = in_this_process(app, "export", run)
+    assert refused.returncode == EXIT_REFUSED
+    assert "PRO-033" in refused.stderr
+
+
+def test_lineage_draws_every_result_with_what_it_was_made_from(run: Path) -> None:
+    text = in_this_process(app, "lineage", run).stdout
+    lines = text.splitlines()
+    fit = next(number for number, line in enumerate(lines) if line.strip() == "05-fit-T1")
+    assert lines[fit + 1].strip() == "04-localization-T1"
+    assert "03-fit-T1 (superseded)" in text
+    chart = in_this_process(app, "lineage", run, "--mermaid").stdout
+    assert chart.startswith("flowchart TD")
+    assert chart.count(":::superseded") == 2
+
+
+def test_list_and_show_tell_how_runs_ended(run: Path) -> None:
+    listed = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
+    assert [(one["run"], one["ended"]) for one in listed] == [(run.name, "done")]
+    shown = json.loads(in_this_process(app, "show", run, "--json").stdout)
+    assert shown["done"][0] == "image"
+    assert sorted(shown["superseded"]) == ["02-localization-T1", "03-fit-T1"]
+    assert run.name in in_this_process(app, "show", run).stdout
+    assert run.name in in_this_process(app, "list", run.parent).stdout

@@ -1,0 +1,142 @@
+"""A run that broke off is read back as it stood, and goes on in the same journal."""
+
+import json
+from pathlib import Path
+
+import pytest
+from plain_steps import Approach, Image, plain_order
+from recording_cell import RecordingCell
+from run_again import broken_off, opened_again
+
+from procedures.engine.case import RECORDS_FOLDER
+from procedures.engine.errors import JournalCorrupt, RunInUse, StepRefused
+from procedures.engine.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
+from procedures.engine.journal_reading import read_chain
+from procedures.engine.left_run import read_left_run
+from procedures.engine.result import StepResult
+from procedures.engine.run_lock import held_run
+from procedures.engine.step import Outcome, StepKey
+from procedures.workcell.left_arm import left_arm
+
+BLOCK_BYTES = 512
+
+
+def lines_written(folder: Path, count: int) -> Path:
+    journal = Journal(folder)
+    for number in range(count):
+        journal.write(Entry.FINDING, float(number), text=f"number {number}")
+    journal.close()
+    return folder / JOURNAL_FILE
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize(
+    "end",
+    [b'{"sequence":3,"prev', b"\0" * BLOCK_BYTES, b'{"sequence":3' + b"\0" * 40, b"\0\n\0\n"],
+    ids=["torn", "zeroed block", "torn and zeroed", "zeros and line ends"],
+)
+def test_a_torn_end_is_kept_aside_and_the_chain_goes_on_before_it(tmp_path: Path, end: bytes) -> None:
+    path = lines_written(tmp_path, 3)
+    with path.open("ab") as file:
+        file.write(end)
+    chain = read_chain(path)
+    assert (len(chain.lines), chain.torn) == (3, end)
+    journal = Journal.taken_up(tmp_path, chain)
+    journal.write(Entry.RESTARTED, 9.0)
+    journal.close()
+    assert [line["entry"] for line in read_chain(path).lines] == ["finding"] * 3 + ["restarted"]
+    assert end in (tmp_path / TORN_FILE).read_bytes()
+
+
+@pytest.mark.parametrize("lost", range(1, 300, 23))
+def test_whatever_a_zeroed_last_block_hits_the_lines_before_it_are_read(tmp_path: Path, lost: int) -> None:
+    path = lines_written(tmp_path, 8)
+    content = path.read_bytes()
+    path.write_bytes(content[:-lost] + b"\0" * lost)
+    whole = content[:-lost].count(b"\n")
+    assert len(read_chain(path).lines) == whole
+
+
+@pytest.mark.hazard(39)
+def test_what_is_whole_after_a_broken_line_is_no_torn_end(tmp_path: Path) -> None:
+    path = lines_written(tmp_path, 4)
+    content = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(content[0] + b"\0" * len(content[1]) + b"".join(content[2:]))
+    with pytest.raises(JournalCorrupt, match="PRO-011"):
+        read_chain(path)
+
+
+def test_results_stand_as_they_stood_and_superseded_ones_do_not(cell: RecordingCell) -> None:
+    order = plain_order("T1")
+    engine = cell.engine(order)
+    engine.run_to(order.find("fit:T1"))
+    engine.run_step(order.find("localization:T1"))  # supersedes the fit
+    broken_off(cell)
+    again, _, left = opened_again(cell, order)
+    assert [stored.record for stored in again.case.standing] == [one.record for one in cell.case.standing]
+    assert again.case.was_superseded(StepKey("fit", "T1"))
+    assert left.latest == StepKey("localization", "T1")
+
+
+def test_nothing_begins_before_it_was_accepted(cell: RecordingCell) -> None:
+    order = plain_order("T1")
+    cell.engine(order).run_to(order.find("fit:T1"))
+    broken_off(cell)
+    again, engine, _ = opened_again(cell, order)
+    with pytest.raises(StepRefused, match="accepted"):
+        engine.run_to()
+    assert again.arm.calls == again.arm.motions == []
+    engine.accept()
+    engine.run_to()
+    assert engine.upcoming is None
+
+
+def test_a_step_that_may_only_follow_another_begins_with_that_one_again(cell: RecordingCell) -> None:
+    order = plain_order("T1")
+    cell.engine(order).run_to(order.find("approach:T1"))
+    broken_off(cell)
+    _, engine, left = opened_again(cell, order)
+    assert engine.upcoming == order.find("held:T1")
+    _, engine, _ = opened_again(cell, order)
+    engine._latest = None  # something came between
+    assert engine.upcoming == order.find("approach:T1")
+    assert left.latest == order.find("approach:T1")
+
+
+def test_a_record_that_never_came_into_the_journal_stands_for_nothing_and_is_kept(
+    cell: RecordingCell,
+) -> None:
+    order = plain_order("T1")
+    cell.engine(order).run_to(order.find("image"))
+    cell.case.store(order.find("localization:T1"), Image(), ())  # killed between record and journal
+    broken_off(cell)
+    again, engine, left = opened_again(cell, order)
+    assert left.orphans == ("02-localization-T1",)
+    engine.accept()
+    engine.run_to(order.find("localization:T1"))
+    names = {path.stem for path in (again.folder / RECORDS_FOLDER).iterdir()}
+    assert names == {"01-image", "02-localization-T1", "03-localization-T1"}
+
+
+def test_the_step_that_had_begun_is_known(cell: RecordingCell) -> None:
+    def killed(_context: object) -> Outcome[StepResult]:
+        broken_off(cell)
+        raise MemoryError
+
+    order = plain_order("T1", approach=killed)
+    with pytest.raises(Exception, match="closed"):
+        cell.engine(order).run_to()
+    assert read_left_run(cell.folder).begun == StepKey(Approach.kind, "T1")
+
+
+def test_a_run_is_open_to_one_program_at_a_time(tmp_path: Path) -> None:
+    with held_run(tmp_path), pytest.raises(RunInUse, match="PRO-030"), held_run(tmp_path):
+        pass
+    with held_run(tmp_path):
+        pass
+
+
+def test_a_motion_that_does_not_say_where_the_instrument_went_is_refused() -> None:
+    line = {"entry": "motion", "sequence": 4, "what": "insert", "trajectory": "T1", "to": [0, 0, 0]}
+    with pytest.raises(JournalCorrupt, match="PRO-011"):
+        left_arm([json.loads(json.dumps(line))])

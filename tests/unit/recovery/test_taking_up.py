@@ -1,0 +1,229 @@
+"""A case is taken up again: compared, accepted, then moved, in this order and in no other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import (
+    FIRST,
+    SPHERES_MM,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    checked_set_up,
+    correspondence,
+    given,
+    global_localization,
+    localized_fiducials,
+    mounted_guide,
+    registered_robot,
+    relocalization,
+)
+from recording_cell import GUIDE, STEREO_HEAD
+from run_again import broken_off, opened_again
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import RecoveryRefused
+from procedures.engine.journal import Entry
+from procedures.engine.left_run import LeftRun
+from procedures.engine.operator import Topic
+from procedures.engine.order import CaseOrder, order_of
+from procedures.engine.result import StepResult
+from procedures.engine.step import Scope, StepSpec
+from procedures.recovery import inputs, recover, taking_up
+from procedures.recovery.room import FEWEST_SPHERES, shift_of_spheres_mm
+from procedures.steps.clinical import at_target, positioning, retreat
+from procedures.steps.clinical.set_up import DeviceIdentity
+from procedures.workcell import MountedTool
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.config import Calibrations
+from ronna_hw.devices.lifecycle import Identity
+
+MOVED_MM = np.array([0.6, 0.0, 0.0])
+
+
+def per_trajectory(result: StepResult) -> StepSpec[StepResult]:
+    return replace(given(result), scope=Scope.LOCALIZATION)
+
+
+def case_order(cell: ClinicalCell) -> CaseOrder:
+    """The operation of a case, with everything before it given."""
+    set_up = checked_set_up(cell).model_copy(
+        update={
+            "identities": {
+                role: DeviceIdentity.of(Identity("Test", f"a {role}", "1", "0"))
+                for role in ("tracker", "arm", "stereo")
+            }
+        }
+    )
+    before = [
+        given(one)
+        for one in (localized_fiducials(), checked_plan(), set_up, global_localization(), correspondence())
+    ]
+    localized = [per_trajectory(one) for one in (relocalization(), registered_robot())]
+    steps = [*before, given(checked_paths(cell)), *localized, given(mounted_guide())]
+    return order_of([*steps, positioning.STEP, at_target.STEP, retreat.STEP], [FIRST])
+
+
+@pytest.fixture(autouse=True)
+def no_room_to_look_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tracker has its own tests; here every look at the room sees what was recorded."""
+    monkeypatch.setattr(taking_up, "compare_room", lambda _engine, _comparison: True)
+    for step in (positioning, retreat):
+        monkeypatch.setattr(step, "check_room", lambda _context, _where: None, raising=False)
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> ClinicalCell:
+    return ClinicalCell(tmp_path / "run").carrying(MountedTool.GUIDE)
+
+
+def left_after(cell: ClinicalCell, last: str) -> tuple[ClinicalCell, Engine, LeftRun]:
+    order = case_order(cell)
+    cell.engine(order).run_to(order.find(last))
+    broken_off(cell)
+    return opened_again(cell, order)
+
+
+@pytest.mark.hazard(2)
+def test_nothing_moves_before_what_was_found_is_accepted(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    again.operator.refusing = (Topic.RESUME,)
+    with pytest.raises(RecoveryRefused, match="PRO-032"):
+        recover(engine, left)
+    assert again.arm.motions == []
+    assert "activate" not in again.arm.calls
+    assert again.entries("found", "accepted") == [("found", "")]
+
+
+@pytest.mark.hazard(2)
+def test_a_case_whose_instrument_is_outside_goes_on_with_its_next_step(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    recover(engine, left)
+    assert again.arm.motions == []  # it was home
+    engine.run_to()
+    entries = [kind for kind, _ in again.entries()]
+    assert entries.index(Entry.ACCEPTED) < entries.index(Entry.MOTION)
+
+
+@pytest.mark.hazard(2)
+def test_an_instrument_inside_comes_out_before_anything_else(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    before = len(again.motions("withdraw"))
+    recover(engine, left)
+    assert len(again.motions("withdraw")) == before + 1
+    assert again.workcell.at_home
+    assert str(engine.upcoming) == f"positioning:{FIRST}"  # the work at the target was not done
+    engine.run_to()
+
+
+def test_after_the_work_at_the_target_the_retreat_is_all_that_remains(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"at_target:{FIRST}")
+    recover(engine, left)
+    assert engine.upcoming is None
+    assert len(again.motions("insert")) == 1
+    assert len(again.motions("withdraw")) == 1
+
+
+def test_a_retreat_that_was_killed_outside_the_entry_is_finished_from_there(cell: ClinicalCell) -> None:
+    order = case_order(cell)
+    engine = cell.engine(order)
+    engine.run_to(order.find(f"at_target:{FIRST}"))
+    cell.arm.blocked = lambda _start, _target: True  # the way home
+    with pytest.raises(NotClear):
+        engine.run_step(order.find(f"retreat:{FIRST}"))
+    broken_off(cell)
+    again, engine, left = opened_again(cell, order)
+    recover(engine, left)
+    assert again.workcell.at_home
+    engine.run_to()
+    assert engine.upcoming is None
+    assert len(again.motions("withdraw")) == 1
+
+
+def other_tool(cell: ClinicalCell) -> None:
+    cell.arm.mounted = STEREO_HEAD
+
+
+def other_arm(cell: ClinicalCell) -> None:
+    cell.arm.name = "another arm"
+
+
+def other_calibration(cell: ClinicalCell) -> None:
+    calibrations: Calibrations = cell.calibrations
+    tip = calibrations.tool_tip.model_copy(update={"stated_error_mm": 0.5})
+    cell.workcell.calibrations = calibrations.model_copy(update={"tool_tip": tip})
+
+
+def other_camera(cell: ClinicalCell) -> None:
+    cell.stereo.serials = ("0", "0")
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize("swap", [other_tool, other_arm, other_calibration, other_camera])
+def test_what_was_swapped_meanwhile_is_refused_and_nothing_is_asked(
+    cell: ClinicalCell, swap: Callable[[ClinicalCell], None]
+) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    swap(again)
+    with pytest.raises(RecoveryRefused, match="PRO-032"):
+        recover(engine, left)
+    assert again.operator.asked == []
+    assert again.arm.motions == []
+
+
+@pytest.mark.hazard(2)
+def test_an_arm_that_was_moved_with_the_instrument_inside_is_refused(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    A1, *others = again.arm.joints_rad
+    again.arm.joints_rad = (A1 + 0.02, *others)  # type: ignore[assignment]
+    with pytest.raises(RecoveryRefused, match="instrument"):
+        recover(engine, left)
+    assert again.arm.motions == []
+
+
+@pytest.mark.hazard(1)
+def test_a_plan_that_was_changed_is_refused(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan(margin_mm=9.0).plan)
+    with pytest.raises(RecoveryRefused, match="plan"):
+        recover(engine, left)
+    assert again.arm.motions == []
+
+
+def test_an_exchange_of_tools_that_had_begun_may_have_been_done(cell: ClinicalCell) -> None:
+    def killed(_context: object) -> None:
+        raise MemoryError
+
+    order = case_order(cell)
+    steps = [replace(step, run=killed) if step.name == "tool_change" else step for step in order.steps]
+    order = order_of(steps, order.trajectories)
+    with pytest.raises(MemoryError):
+        cell.engine(order).run_to()
+    broken_off(cell)
+    again, engine, left = opened_again(cell, order)
+    assert again.arm.mounted == GUIDE
+    recover(engine, left)
+    assert str(engine.upcoming) == "tool_change"
+
+
+@pytest.fixture(autouse=True)
+def plan_as_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan().plan)
+
+
+class TestShiftOfSpheres:
+    def test_a_moved_head_shows_in_all_spheres(self) -> None:
+        assert shift_of_spheres_mm(SPHERES_MM, SPHERES_MM + MOVED_MM) == pytest.approx(0.6)
+
+    def test_spheres_that_are_hidden_and_others_that_are_near_do_not_matter(self) -> None:
+        seen = np.vstack([SPHERES_MM[1:] + MOVED_MM / 3, [[0.0, 0.0, 0.0]]])
+        assert shift_of_spheres_mm(SPHERES_MM, seen) == pytest.approx(0.2)
+
+    def test_too_few_say_nothing(self) -> None:
+        assert shift_of_spheres_mm(SPHERES_MM, SPHERES_MM[: FEWEST_SPHERES - 1]) is None
+        assert shift_of_spheres_mm(SPHERES_MM, np.zeros((0, 3))) is None
