@@ -15,7 +15,7 @@ WALL_CLOCK = {
     "datetime.now", "datetime.utcnow", "datetime.today", "date.today",
     "datetime.datetime.now", "datetime.datetime.utcnow", "datetime.date.today",
 }  # fmt: skip
-# Where a date is wanted: on records, lines of the journal, events, reports, and against an expiry date.
+# Where a date is wanted: on records, journal, events, recorded bytes, reports, and against an expiry date.
 DATING = {
     "ronna_hw/records.py",
     "ronna_hw/conformance/report.py",
@@ -24,6 +24,9 @@ DATING = {
     "procedures/engine/journal.py",
     "procedures/guards/wall_clock.py",
     "procedures/engine/events/stream.py",
+    "procedures/engine/context.py",
+    "procedures/recovery/devices.py",
+    "ronna_hw/recording/flight_recorder.py",
     "procedures/reporting/report.py",
     "procedures/cli/case/request.py",
     "procedures/cli/doctor/report.py",
