@@ -7,6 +7,8 @@ is run, planned anew from where the arm is.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
 from procedures.engine.journal import Entry
@@ -16,6 +18,7 @@ from procedures.engine.step import StepKey
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.devices import compare_devices
 from procedures.recovery.inputs import compare_inputs
+from procedures.recovery.instrument import instrument_on_an_axis
 from procedures.recovery.room import compare_room
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import surround_guide, surround_stereo_head
@@ -39,8 +42,15 @@ def recover(engine: Engine, left: LeftRun) -> None:
     stored = engine.case.find(CheckedSetUp, None)
     seen = True
     if stored is not None:
-        workcell.take_up(left_arm(left.run.journal), stored.result.home_rad)
+        arm = left_arm(left.run.journal)
+        workcell.take_up(arm, stored.result.home_rad)
         compare_devices(engine, stored.result, comparison, exchange_begun=_exchange_begun(engine, left))
+        if arm.insertion is None and (found := instrument_on_an_axis(engine)) is not None:
+            insertion, beyond_mm = found
+            workcell.take_up(replace(arm, insertion=insertion, withdrawn_from=None), stored.result.home_rad)
+            comparison.note(
+                f"the tip is {beyond_mm:.0f} mm along {insertion.trajectory}: the instrument counts as inside"
+            )
         seen = bool(comparison.differences) or compare_room(engine, comparison)
         if not seen:
             comparison.note(

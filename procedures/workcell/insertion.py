@@ -62,6 +62,11 @@ class Insertion:
         """From the stand-off to the target."""
         return self.depth_mm + self.standoff_mm
 
+    def beyond_standoff_mm(self, tool: Transform) -> float:
+        """How far along the axis the tip of a pose ROBOT <- TOOL is; negative before the stand-off."""
+        along_mm = self.standoff.inverse().apply(tool.translation_mm)[2]
+        return float(along_mm)
+
     def check_on_axis(self, tool: Transform) -> None:
         """Raise PRO-015 unless a pose ROBOT <- TOOL has its tip and its direction on the axis."""
         tip_mm = self.target.inverse().apply(tool.translation_mm)

@@ -176,7 +176,7 @@ class Workcell:
     def take_up(self, left: LeftArm, home_rad: JointVector) -> None:
         """Take for true how a run that is taken up again left the arm. Moves nothing."""
         self._home_rad = home_rad
-        self._trail.extend(left.trail)
+        self._trail = deque(left.trail, maxlen=TRAIL)
         self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from
         self._motion.count_from(left.motions)
 

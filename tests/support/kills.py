@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ from run_folders import records_of, run_folder
 from user_commands import Commands
 
 from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
 
+MOTION_LINK = "robot.master.rsi"
 REACHED_S = 100.0
 REPEATABILITY_MM = 0.02  # of the arm truth, per axis, one standard deviation
 # A localization and a positioning that are repeated differ by two such errors in three axes: four sigma.
@@ -40,7 +43,7 @@ def killed_at(commands: Commands, case: tuple[str, ...], out: Path, line: int) -
     deadline = time.monotonic() + REACHED_S
     while process.poll() is None and time.monotonic() < deadline:
         folder = run_folder(out)
-        if folder is not None and lines_of(folder) >= line:
+        if folder is not None and not folder.name.startswith(".") and lines_of(folder) >= line:
             break
         time.sleep(0.002)
     process.kill()
@@ -62,8 +65,21 @@ def taken_up(commands: Commands, killed: Killed) -> dict[str, Any]:
     now = {record.identifier: record for record in records_of(killed.folder)}
     assert all(now[record.identifier] == record for record in killed.records)
     assert_no_motion_before_acceptance(lines)
+    assert_no_byte_before_acceptance(killed.folder, lines)
     printed: dict[str, Any] = json.loads(done.stdout)
     return printed
+
+
+def assert_no_byte_before_acceptance(folder: Path, lines: tuple[Line, ...]) -> None:
+    """On the link over which the arm is moved nothing passed between a restart and its acceptance."""
+    restarts = [line for line in lines if line["entry"] == Entry.RESTARTED]
+    accepted = [line for line in lines if line["entry"] == Entry.ACCEPTED]
+    if not restarts:
+        return
+    began = datetime.fromisoformat(str(restarts[-1]["host_time"]))
+    ended = datetime.fromisoformat(str(accepted[-1]["host_time"])) if accepted else None
+    for passed in read_link(folder / BYTES_FOLDER, MOTION_LINK):
+        assert not (passed.host_time > began and (ended is None or passed.host_time < ended)), passed
 
 
 def assert_no_motion_before_acceptance(lines: tuple[Line, ...]) -> None:

@@ -4,10 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-from kills import LARGEST_CHANGE_MM, killed_at, taken_up
+from kills import LARGEST_CHANGE_MM, assert_no_byte_before_acceptance, killed_at, taken_up
 from run_folders import run_folder
 from user_commands import Commands
 
+from procedures.engine.journal import JOURNAL_FILE, read_journal
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 from sim.theatre.left_world import LEFT_WORLD_FILE
 
@@ -41,6 +42,7 @@ def test_what_nobody_accepts_moves_nothing(commands: Commands, tmp_path: Path) -
     left = (killed.folder / "theatre" / LEFT_WORLD_FILE).read_bytes()
     refused = commands.run("ronna-procedure", "resume", str(killed.folder), "--json")
     assert refused.returncode == EXIT_RECOVERY_NEEDED, refused.stderr
+    assert_no_byte_before_acceptance(killed.folder, tuple(read_journal(killed.folder / JOURNAL_FILE)))
     now = json.loads((killed.folder / "theatre" / LEFT_WORLD_FILE).read_text())
     assert now["arm"] == json.loads(left)["arm"]
     assert taken_up(commands, killed)["outcome"] == "done"

@@ -72,9 +72,10 @@ def new_run_folder(request: CaseRequest) -> Path:
     """Make `OUT/<run id>`; the id is the moment, the seed of a simulated case and four random hex digits."""
     seed = "" if request.seed is None else f"s{request.seed}-"
     folder = request.out / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
-    folder.mkdir(parents=True)
-    write_request(request, folder)
-    return folder
+    made = folder.with_name(f".{folder.name}")  # a run's folder is never seen without its request
+    made.mkdir(parents=True)
+    write_request(request, made)
+    return made.rename(folder)
 
 
 def forget_if_empty(folder: Path) -> None:

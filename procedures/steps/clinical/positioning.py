@@ -23,6 +23,7 @@ from procedures.steps.clinical.room_check import ROOM_READS, check_room
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.arm.errors import BranchUnavailable, NotClear, OutOfJointRange, Singular, Unreachable
+from ronna_hw.frames import Transform
 
 REFUSED_BEFORE = (Unreachable, Singular, OutOfJointRange, BranchUnavailable, NotClear)  # anything moves
 
@@ -41,21 +42,14 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     mounted = workcell.check_mounted(MountedTool.GUIDE)
     robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
-    planned = context.result(CheckedPlan).trajectory(trajectory)
-    target = context.clinical.strategy.target_pose(
-        paths.turned(planned.trajectory),
-        robot_from_ct,
-        localized_as=paths.localizations_for((trajectory, *context.trajectories))[0].tool_pose.transform,
-    )
-    standoff_mm = context.setting.settings.standoff_mm
-    insertion = Insertion(trajectory, target, planned.depth_mm, standoff_mm)
+    insertion = insertion_for(context, robot_from_ct)
     surround_guide(context, robot_from_ct)
     with _named(trajectory):
         standoff_rad = workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad)
     workcell.confirm_motion(
         Topic.APPROACH,
         f"move over {trajectory} with tool {mounted}, then {insertion.travel_mm:.0f} mm along the axis onto "
-        f"the target, {planned.depth_mm:.0f} mm beyond the entry",
+        f"the target, {insertion.depth_mm:.0f} mm beyond the entry",
         [workcell.facts(standoff_rad)],
         trajectory,
     )
@@ -70,9 +64,22 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         reached = workcell.insert(insertion)
     check_room(context, f"at {trajectory}")
     return Outcome(
-        PositionedGuide(tool_pose=FramedPose.of(target), joints_rad=reached.joints_rad),
+        PositionedGuide(tool_pose=FramedPose.of(insertion.target), joints_rad=reached.joints_rad),
         summary="the guide is on its axis",
     )
+
+
+def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
+    """The axis along which the guide goes in, by this trajectory's registration."""
+    trajectory = context.trajectory
+    paths = context.result(CheckedPaths)
+    planned = context.result(CheckedPlan).trajectory(trajectory)
+    target = context.clinical.strategy.target_pose(
+        paths.turned(planned.trajectory),
+        robot_from_ct,
+        localized_as=paths.localizations_for((trajectory, *context.trajectories))[0].tool_pose.transform,
+    )
+    return Insertion(trajectory, target, planned.depth_mm, context.setting.settings.standoff_mm)
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.journal import Entry
+from procedures.engine.journal import JOURNAL_FILE, Entry
 from procedures.engine.left_run import LeftRun
 from procedures.engine.operator import Topic
 from procedures.engine.order import CaseOrder, order_of
@@ -119,6 +119,21 @@ def test_an_instrument_inside_comes_out_before_anything_else(cell: ClinicalCell)
     assert again.workcell.at_home
     assert str(engine.upcoming) == f"positioning:{FIRST}"  # the work at the target was not done
     engine.run_to()
+
+
+@pytest.mark.hazard(2)
+def test_an_instrument_whose_lines_were_lost_is_found_by_where_its_tip_is(cell: ClinicalCell) -> None:
+    order = case_order(cell)
+    cell.engine(order).run_to(order.find(f"positioning:{FIRST}"))
+    broken_off(cell)
+    path = cell.folder / JOURNAL_FILE
+    lines = path.read_bytes().splitlines(keepends=True)
+    inserted = next(number for number, line in enumerate(lines) if b'"what":"insert"' in line)
+    path.write_bytes(b"".join(lines[:inserted]) + bytes(sum(map(len, lines[inserted:]))))
+    again, engine, left = opened_again(cell, order)
+    recover(engine, left)
+    assert len(again.motions("withdraw")) == 1
+    assert again.workcell.at_home
 
 
 def test_after_the_work_at_the_target_the_retreat_is_all_that_remains(cell: ClinicalCell) -> None:

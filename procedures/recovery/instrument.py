@@ -1,0 +1,37 @@
+"""An instrument of which the journal does not say that it is inside: a lost block can have taken those lines.
+
+Where the arm carries the guide, its tip is held against the axis of every trajectory that is registered.
+"""
+
+from __future__ import annotations
+
+from procedures.engine.engine import Engine
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.errors import TipOffAxis
+
+AT_STANDOFF_MM = 1.0  # the tip at the stand-off itself is outside; the arm arrives there far more exactly
+
+
+def instrument_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
+    """The trajectory on whose axis the guide's tip is, and how far it is beyond the stand-off in mm."""
+    workcell, case = engine.setting.workcell, engine.case
+    if workcell.tool is not MountedTool.GUIDE or case.find(MountedGuide, None) is None:
+        return None
+    tool = workcell.tool_pose()
+    for key in engine.order.sequence:
+        registered = case.find(RegisteredRobot, key.trajectory)
+        if key.name != PositionedGuide.kind or registered is None or case.find(CheckedPaths, None) is None:
+            continue
+        insertion = insertion_for(engine.context(key), registered.result.robot_from_ct.transform)
+        try:
+            insertion.check_on_axis(tool)
+        except TipOffAxis:
+            continue
+        beyond_mm = insertion.beyond_standoff_mm(tool)
+        if beyond_mm > AT_STANDOFF_MM:
+            return insertion, beyond_mm
+    return None
