@@ -74,7 +74,7 @@ class FlightRecorder:
         self._looked[link] = now_ns, now_s
         rate = (now_s - before_s) / (now_ns - before_ns) if now_ns > before_ns else 0.0
         for host_ns, direction, data in all_passed:
-            theatre_s = max(before_s, now_s - rate * (now_ns - host_ns))
+            theatre_s = min(now_s, max(before_s, now_s - rate * (now_ns - host_ns)))
             self._put(_Entry(link, host_ns, theatre_s, direction, data, {}))
 
     def note(self, link: str, **facts: str | float) -> None:
