@@ -48,7 +48,7 @@ class RobotCell:
             self.arm.connect()
             self.arm.configure()
             self.arm.activate()
-        except BaseException:
+        except BaseException:  # also an interruption: no controller is left running
             self._ending.close()
             raise
         return self

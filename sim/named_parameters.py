@@ -11,11 +11,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from enum import IntEnum
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from ronna_hw.errors import ConfigurationError
 
-Parameters = TypeVar("Parameters")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Parameters = TypeVar("Parameters", bound="DataclassInstance")
 TRUE_WORDS, FALSE_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
@@ -42,7 +45,7 @@ def changed(
         if value is None:
             raise refusal(f"{name} cannot be {text!r}", expected=expected)
         values[name] = value
-    return replace(defaults, **values)  # type: ignore[type-var]
+    return replace(defaults, **values)
 
 
 def rows(parameters: type) -> list[tuple[str, str, str]]:

@@ -121,7 +121,7 @@ class Camera:
             known_state.set_area(self._features, self.area)
             self._choose_packet_size(deadline_s)
             self.tick_frequency_hz = self._read_tick_frequency(deadline_s)
-        except BaseException:
+        except BaseException:  # also an interruption: a camera that stays controlled refuses everybody else
             with contextlib.suppress(RonnaError, OSError):
                 self.release(deadline_s)
             raise
@@ -152,7 +152,7 @@ class Camera:
                 point_stream_to(self.control, stream, deadline_s)
                 known_state.lock_transport(self.features, True)
                 self.features.execute("AcquisitionStart")
-            except BaseException:
+            except BaseException:  # also an interruption: nobody would read the stream any more
                 self._close_receiver()
                 raise
 

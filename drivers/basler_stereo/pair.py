@@ -246,7 +246,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         try:
             identities = (left.connect(deadline_s), right.connect(deadline_s))
             check_pair(*identities, self._options)
-        except BaseException:
+        except BaseException:  # also an interruption: neither camera stays controlled
             _close_all((left, right))
             raise
         return (left, right), identities
@@ -260,7 +260,7 @@ class BaslerStereoPair(PairDevice[Camera]):
                 camera.notices.clear()
                 camera.configure(self._receiver_process, deadline_s)
                 done.append(camera)
-        except BaseException:
+        except BaseException:  # also an interruption: neither camera nor receiver is left behind
             for camera in done:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.release(deadline_s)

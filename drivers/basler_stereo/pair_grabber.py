@@ -52,7 +52,7 @@ class PairGrabber:
         try:
             right.start(deadline_s)
             self._tie(deadline_s)
-        except BaseException:
+        except BaseException:  # also an interruption: one camera alone must not go on streaming
             for camera in self._cameras:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.stop(deadline_s)

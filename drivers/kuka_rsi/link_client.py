@@ -76,7 +76,7 @@ class LinkClient:
         self._pulse = threading.Thread(target=self._beat, name="rsi heartbeat", daemon=True)
         try:
             self._begin(timeout_s)
-        except BaseException:
+        except BaseException:  # also an interruption: the real-time process ends with its client
             self.close()
             raise
 

@@ -301,7 +301,7 @@ class PolarisTracker:
             initialise(link, deadline_s)
             identity = read_identity(link, deadline_s)
             check_identity(identity, self._options.expected_model, self._options.expected_serial)
-        except BaseException:
+        except BaseException:  # also an interruption: the serial port is free again
             transport.close()
             raise
         self._open_link = link

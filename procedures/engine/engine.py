@@ -227,7 +227,7 @@ class Engine:
                 workcell.withdraw(trajectory)
             workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
             workcell.return_home()
-        except BaseException:
+        except BaseException:  # also an interruption: the arm comes to rest
             workcell.stop()
             raise
         finally:

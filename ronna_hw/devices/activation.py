@@ -28,7 +28,7 @@ def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
     _activate(device, timeout_s)
     try:
         yield device
-    except BaseException as problem:
+    except BaseException as problem:  # also an interruption: the device stops whatever ended the block
         with interruption_deferred():
             try:
                 _deactivate(device, timeout_s)

@@ -46,5 +46,5 @@ class RecordsBytes(Protocol):
     """A device whose driver hands over the bytes of its links."""
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        """From the next `connect` on hand everything to `sink`, or to nobody."""
+        """Pass every byte to `sink` from the next `connect` on; None stops it."""
         ...

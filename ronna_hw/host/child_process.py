@@ -1,4 +1,4 @@
-"""Child processes that announce READY: started as commands, awaited, and always ended.
+"""Starts commands as child processes, waits for their READY line, and always ends them.
 
 A child prints one line `READY {json}` on standard output when clients may connect, and ends by itself
 when its parent dies. The end of its standard error is kept for the message when it fails.

@@ -73,7 +73,7 @@ class Theatre:
                 ),
                 self.file,
             )
-        except BaseException:
+        except BaseException:  # also an interruption: no device process is left behind
             self.close()
             raise
 

@@ -105,7 +105,7 @@ def folder_held(folder: Path) -> Iterator[None]:
             except BlockingIOError:
                 if time.monotonic() > limit_s:
                     raise TheatreRunning(f"another theatre runs in {folder}") from None
-                time.sleep(LOOK_AGAIN_S)
+                time.sleep(LOOK_AGAIN_S)  # a lock on a file cannot be awaited with a time limit
         yield
     finally:
         os.close(file)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 from run_folders import records_of, run_folder
 from user_commands import Commands
+from waiting import eventually
 
 from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
@@ -40,12 +40,12 @@ def lines_of(folder: Path) -> int:
 def killed_at(commands: Commands, case: tuple[str, ...], out: Path, line: int) -> Killed:
     """Start a case and kill it as soon as its journal has that many lines; nothing of it lives then."""
     process = commands.start("ronna-procedure", *case, "--out", str(out))
-    deadline = time.monotonic() + REACHED_S
-    while process.poll() is None and time.monotonic() < deadline:
+
+    def reached() -> bool:
         folder = run_folder(out)
-        if folder is not None and not folder.name.startswith(".") and lines_of(folder) >= line:
-            break
-        time.sleep(0.002)
+        return folder is not None and not folder.name.startswith(".") and lines_of(folder) >= line
+
+    eventually(lambda: process.poll() is not None or reached(), REACHED_S)
     process.kill()
     process.communicate()
     assert commands.await_no_survivors() == []

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
+
+from waiting import eventually
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 from ronna_hw.records import Record, read_record
@@ -18,15 +19,15 @@ def run_folder(out: Path) -> Path | None:
 
 def await_motion_in(out: Path, step: str) -> None:
     """Return when the journal of the run holds a motion in that step."""
-    deadline = time.monotonic() + REACHED_S
-    while time.monotonic() < deadline:
+
+    def moved() -> bool:
         folder = run_folder(out)
-        if folder and (folder / JOURNAL_FILE).exists():
-            lines = [(line["entry"], line.get("step")) for line in read_journal(folder / JOURNAL_FILE)]
-            if ("intent", step) in lines and ("motion", None) in lines[lines.index(("intent", step)) :]:
-                return
-        time.sleep(0.01)
-    raise AssertionError(f"the arm did not move in {step}")
+        if folder is None or not (folder / JOURNAL_FILE).exists():
+            return False
+        lines = [(line["entry"], line.get("step")) for line in read_journal(folder / JOURNAL_FILE)]
+        return ("intent", step) in lines and ("motion", None) in lines[lines.index(("intent", step)) :]
+
+    eventually(moved, REACHED_S)
 
 
 def records_of(folder: Path) -> list[Record]:

@@ -161,7 +161,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         try:
             identities = (left.connect(), right.connect())
             check_pair(*identities, options)
-        except BaseException:
+        except BaseException:  # also an interruption: neither camera stays controlled
             left.close()
             right.close()
             raise

@@ -131,7 +131,7 @@ def follow(
     try:
         with following(quiet=as_json, verbose=verbose) as watcher:
             outcome = run(watcher)
-    except BaseException as problem:
+    except BaseException as problem:  # also an interruption: every run leaves a report
         forget_if_empty(folder)
         ended = unfinished(request, folder, problem)
         report = leave_report(folder, ended.error)

@@ -70,7 +70,7 @@ def leaving_report(folder: Path) -> Iterator[None]:
     """Leave a report of the run in `folder` at the end of the block, whatever ends it."""
     try:
         yield
-    except BaseException as problem:
+    except BaseException as problem:  # also an interruption: every run leaves a report
         leave_report(folder, error_of(problem))
         seal_run(folder)
         raise

@@ -114,7 +114,7 @@ def opened_engine(
             with DeviceWatch(engine.setting.workcell.devices, engine.events, engine.setting.clock.now_s):
                 yield engine
             outcome = "done" if engine.upcoming is None else "left"
-        except BaseException as problem:
+        except BaseException as problem:  # also an interruption: nothing may cut the way to rest short
             ignore_further_signals()
             if isinstance(problem, KeyboardInterrupt):
                 outcome = "interrupted"
