@@ -18,6 +18,7 @@ HALF_WIDTH_MM = 14.0
 STEP_MM = 0.25  # of the interpolated picture
 WINDOW_HU = (-1000.0, 600.0)
 DOTS_PER_INCH = 100
+MARGINS = {"left": 0.06, "right": 0.99, "bottom": 0.13, "top": 0.80, "wspace": 0.25}  # shares of the picture
 
 UNSCANNED_COLOUR = "#1f2f5f"  # not the black of air
 STRAIGHT_DEG = 10.0  # a plane turned further is called oblique
@@ -78,8 +79,9 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
     centre_mm = geometry.to_index(middle_mm) * geometry.spacing_mm
     planes = _planes_through(volume, centre_mm)
     sides = geometry.orientation[::-1]  # along slices, rows, columns
-    figure = Figure(figsize=(9.6, 3.6), dpi=DOTS_PER_INCH, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = Figure(figsize=(9.6, 3.6), dpi=DOTS_PER_INCH)
+    figure.subplots_adjust(**MARGINS)  # computing them anew for each picture would double its time
+    canvas = FigureCanvasAgg(figure)
     colours = colormaps["gray"].with_extremes(bad=UNSCANNED_COLOUR)
     for place, ((across, down, through), picture) in enumerate(zip(_PLANES, planes, strict=True)):
         axes = figure.add_subplot(1, 3, place + 1)
@@ -104,7 +106,7 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
         axes.set_title(_plane_name(geometry, through), fontsize="small")
     figure.suptitle(heading, fontsize="medium")
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", metadata={"Software": None})
+    canvas.print_png(stream, metadata={"Software": None})
     return stream.getvalue()
 
 
