@@ -1,8 +1,9 @@
 """The control port of a simulated theatre or device, as its callers use it.
 
-JSON lines over TCP, one answer per request: `{"do": "step", "name": "at_target:T1"}`,
-`{"do": "mount", "number": 2}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. READY lines
-tell where the port is. No driver and no step knows of it.
+JSON lines over TCP, one answer per line. The first shows the token that the READY line tells with the
+endpoint, `{"token": "..."}`; then requests follow: `{"do": "step", "name": "at_target:T1"}`,
+`{"do": "mount", "number": 2}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. No driver and
+no step knows of it.
 """
 
 from __future__ import annotations
@@ -10,12 +11,16 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+from dataclasses import dataclass, field
 from typing import Any, Self
 
-from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError, ConnectError
 
 ANSWER_LIMIT_S = 5.0  # host time
+LONGEST_LINE = 16 * 1024  # bytes, of a request or an answer
+TOKEN_KEY = "token"
+_TOKEN_MARK = f"?{TOKEN_KEY}="
 
 
 class ControlPortSilent(ConnectError):
@@ -29,33 +34,63 @@ class ControlRequestRefused(ConfigurationError):
     """A running theatre or simulated device refused a request at its control port."""
 
     code = "CTL-002"
-    action = "See ronna-sim mount --help, or run ronna-sim fault to list all kinds of fault."
+    action = (
+        "Give the whole control endpoint, token included; see ronna-sim mount --help, or run ronna-sim fault "
+        "to list all kinds of fault."
+    )
+
+
+@dataclass(frozen=True)
+class ControlAddress:
+    """Where a control port is, and what opens it: `tcp://127.0.0.1:PORT?token=...`."""
+
+    endpoint: Endpoint
+    token: str = field(repr=False)
+
+    @classmethod
+    def parse(cls, text: str) -> ControlAddress:
+        """Raises CFG-002 for anything but tcp://host:port?token=..., without quoting the token."""
+        where, _, token = text.partition(_TOKEN_MARK)
+        endpoint = parse_endpoint(where).require("tcp")
+        if not token:
+            raise BadEndpoint(
+                f"{endpoint} has no token",
+                expected=f"tcp://host:port{_TOKEN_MARK}...",
+                action="Copy the whole control endpoint from the READY line, in quotes.",
+            )
+        return cls(endpoint, token)
+
+    def text(self) -> str:
+        """The whole of it, secret included: for the READY line."""
+        return f"{self.endpoint}{_TOKEN_MARK}{self.token}"
 
 
 class ControlPortClient:
-    """One connection. Raises CTL-001 when nobody answers, CFG-002 for anything but tcp://host:port."""
+    """One connection, which the port ends when nothing is asked for a while.
 
-    def __init__(self, endpoint: str) -> None:
-        address = parse_endpoint(endpoint).require("tcp")
-        self._endpoint = endpoint
+    Raises CTL-001 when nobody answers, CTL-002 when the token is another's, CFG-002 for anything but
+    tcp://host:port?token=...
+    """
+
+    def __init__(self, address: str) -> None:
+        found = ControlAddress.parse(address)
+        self._endpoint = str(found.endpoint)
         try:
-            self._socket = socket.create_connection((address.host, address.port), ANSWER_LIMIT_S)
+            self._socket = socket.create_connection(
+                (found.endpoint.host, found.endpoint.port), ANSWER_LIMIT_S
+            )
         except OSError as error:
             raise self._silent(error) from error
         self._answers = self._socket.makefile("rb")
+        try:
+            self._exchange("the token", {TOKEN_KEY: found.token})
+        except BaseException:  # whatever came between: nobody else knows of this connection
+            self.close()
+            raise
 
     def ask(self, action: str, **arguments: Any) -> None:
         """Have something done; raises CTL-001 when no answer comes, CTL-002 with the reason of a refusal."""
-        request = json.dumps({"do": action, **arguments}).encode()
-        try:
-            self._socket.sendall(request + b"\n")
-            answer = json.loads(self._answers.readline() or b"{}")
-        except (OSError, ValueError) as error:
-            raise self._silent(error) from error
-        if not answer:
-            raise self._silent("the connection was closed")
-        if not answer.get("ok"):
-            raise ControlRequestRefused(f"{action} is refused: {answer.get('reason', 'no reason given')}")
+        self._exchange(action, {"do": action, **arguments})
 
     def close(self) -> None:
         """Hang up; never raises."""
@@ -69,11 +104,22 @@ class ControlPortClient:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _exchange(self, what: str, request: dict[str, Any]) -> None:
+        try:
+            self._socket.sendall(json.dumps(request).encode() + b"\n")
+            answer = json.loads(self._answers.readline(LONGEST_LINE) or b"{}")
+        except (OSError, ValueError) as error:
+            raise self._silent(error) from error
+        if not answer:
+            raise self._silent("the connection was closed")
+        if not answer.get("ok"):
+            raise ControlRequestRefused(f"{what} is refused: {answer.get('reason', 'no reason given')}")
+
     def _silent(self, reason: object) -> ControlPortSilent:
         return ControlPortSilent(f"no answer at the control port {self._endpoint}: {reason}")
 
 
-def ask_control_port(endpoint: str, action: str, **arguments: Any) -> None:
-    """One request on a connection of its own; raises CTL-001 or CTL-002."""
-    with ControlPortClient(endpoint) as port:
+def ask_control_port(address: str, action: str, **arguments: Any) -> None:
+    """One request on a connection of its own; raises CTL-001, CTL-002 or CFG-002."""
+    with ControlPortClient(address) as port:
         port.ask(action, **arguments)

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
     from sim.theatre.launch import Theatre
 
+CONTROL = (
+    "RONNA_CONTROL"  # in the environment; on the command line everybody on this computer reads the token
+)
+
 
 class CycleMs(StrEnum):
     """Sensor cycle of the robot's controller: #IPO_FAST or #IPO."""
@@ -120,7 +124,7 @@ def _serve(running: Theatre, ended: threading.Event) -> list[str]:
 
 def mount(
     number: Annotated[int, typer.Argument(min=0, help="Tool to mount; 0 removes it.")],
-    control: Annotated[str, typer.Option(help="Control port, from the theatre's READY line.")],
+    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
 ) -> None:
     """Mount another tool in a running theatre, as the staff would."""
     from ronna_hw.host.control_port import ask_control_port
@@ -133,7 +137,9 @@ def fault(
         str | None,
         typer.Argument(help="Such as 'tracker occlude marker 3 for 2 s', or a whole line of a fault script."),
     ] = None,
-    control: Annotated[str | None, typer.Option(help="Control port, from the READY line.")] = None,
+    control: Annotated[
+        str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")
+    ] = None,
     clear: Annotated[bool, typer.Option("--clear", help="End all faults first.")] = False,
 ) -> None:
     """Inject a fault into a running theatre or simulator; without one, list all faults."""

@@ -1,16 +1,11 @@
-"""The control port: the only access of the scripted operator to the simulated room.
+"""What can be asked for at the control port, the only access of the scripted operator to the simulated room.
 
-JSON lines over TCP on loopback, one answer per request: `{"do": "step", "name": "..."}`,
-`{"do": "mount", "number": 2}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. Naming the
-step `at_target:<id>` samples the truth at that target. A theatre has one port, and so has each simulator that
-was started alone.
+`{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "fault", "line": "now: ..."}`,
+`{"do": "clear_faults"}`. Naming the step `at_target:<id>` samples the truth at that target.
 """
 
 from __future__ import annotations
 
-import contextlib
-import json
-import socketserver
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +18,7 @@ from sim.theatre.truth import append_sample, sample_tip
 from sim.theatre.world import World
 
 AT_TARGET = "at_target:"
-LONGEST_REQUEST = 64 * 1024
+LONGEST_REASON = 500  # characters: it may quote the request
 
 
 class Room:
@@ -32,6 +27,7 @@ class Room:
     def __init__(self, world: World, folder: Path | None) -> None:
         self._world = world
         self._folder = folder
+        self._one_at_a_time = threading.Lock()  # several connections may ask
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out one request; an unknown or wrong one is answered with the reason."""
@@ -45,11 +41,12 @@ class Room:
         if action is None:
             return {"ok": False, "reason": f"unknown request; known: {', '.join(actions)}"}
         try:
-            action(request)
+            with self._one_at_a_time:
+                action(request)
         except RonnaError as error:
-            return {"ok": False, "reason": f"{error.code}: {error.what}"}
-        except (KeyError, TypeError, ValueError) as error:
-            return {"ok": False, "reason": f"bad request: {error!r}"}
+            return {"ok": False, "reason": f"{error.code}: {error.what}"[:LONGEST_REASON]}
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            return {"ok": False, "reason": f"bad request: {error!r}"[:LONGEST_REASON]}
         return {"ok": True, "theatre_time_s": self._world.clock.now_s()}
 
     def _step(self, request: dict[str, Any]) -> None:
@@ -78,36 +75,3 @@ class Room:
 
     def _clear_faults(self, _request: dict[str, Any]) -> None:
         self._world.set_fault_script("")
-
-
-class ControlPort:
-    """Serves the room on a free loopback port until closed."""
-
-    def __init__(self, room: Room) -> None:
-        class Handler(socketserver.StreamRequestHandler):
-            def handle(self) -> None:
-                with contextlib.suppress(OSError):  # the operator went away without a farewell
-                    while line := self.rfile.readline(LONGEST_REQUEST):
-                        try:
-                            request = json.loads(line)
-                        except ValueError:
-                            request = {}
-                        answer = room.answer(request if isinstance(request, dict) else {})
-                        self.wfile.write(json.dumps(answer).encode() + b"\n")
-
-        class Server(socketserver.ThreadingTCPServer):
-            daemon_threads = True
-            block_on_close = False
-
-        self._server = Server(("127.0.0.1", 0), Handler)
-        threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
-
-    @property
-    def endpoint(self) -> str:
-        """Where the operator connects."""
-        return f"tcp://127.0.0.1:{self._server.server_address[1]}"
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._server.shutdown()
-        self._server.server_close()

@@ -13,7 +13,8 @@ from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.polaris.tools.definition import write_definition
-from sim.theatre.control import ControlPort, Room
+from sim.theatre.control import Room
+from sim.theatre.control_port import ControlPort
 from sim.theatre.left_world import LeftWorld, write_left_world
 from sim.theatre.scene.model import Scene
 from sim.theatre.theatre_file import calibrated_at, theatre_content, write_theatre_file

@@ -16,7 +16,8 @@ from types import FrameType
 
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.parent_process import PARENT
-from sim.theatre.control import ControlPort, Room
+from sim.theatre.control import Room
+from sim.theatre.control_port import ControlPort
 from sim.theatre.faults import read_faults
 from sim.theatre.scene.model import Scene, read_scene
 from sim.theatre.scene.named_scenes import SCENES, named_scene

@@ -64,6 +64,6 @@ def test_a_person_confirms_each_value_and_exchanges_the_tool(commands: Commands,
 
 
 def test_a_theatre_that_is_not_there_cannot_exchange_its_tool() -> None:
-    done = in_this_process(ronna_sim, "mount", "2", "--control", "tcp://127.0.0.1:9")
+    done = in_this_process(ronna_sim, "mount", "2", "--control", "tcp://127.0.0.1:9?token=x")
     assert done.returncode == 4
     assert one_error(done.stderr)[0].startswith("CTL-001")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,10 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
     """Follow a run by its events: live on a terminal, one line per step with `verbose` elsewhere."""
     with contextlib.ExitStack() as stack:
         if quiet or not on_terminal(sys.stderr):
-            yield Watcher(opened=lambda engine: _write_lines_of(engine, stack)) if verbose else Watcher()
+            lines = Watcher(room_open=tell)
+            if verbose:
+                lines = replace(lines, opened=lambda engine: _write_lines_of(engine, stack))
+            yield lines
             return
         from procedures.cli.case.live_display import LiveDisplay
 
@@ -52,7 +56,7 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
                 yield
 
         held = Prompt("held> ", tell, asking=asking, resumes=True) if on_terminal(sys.stdin) else None
-        yield Watcher(display.status, opened, asking, held)
+        yield Watcher(display.status, display.tell, opened, asking, held)
 
 
 def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:

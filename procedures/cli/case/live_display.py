@@ -30,6 +30,10 @@ class LiveDisplay:
         """What is being done before there is a case."""
         self._bar.update(self._task, description=text)
 
+    def tell(self, text: str) -> None:
+        """One line that stays, as it is: it may be copied."""
+        self._console.print(text, soft_wrap=True, markup=False, highlight=False)
+
     def show(self, events: Sequence[Event]) -> None:
         """Take these events in."""
         for event in events:

@@ -48,6 +48,7 @@ class Watcher:
     """Who follows a run while it runs."""
 
     status: Callable[[str], None] = lambda _text: None
+    room_open: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port
     opened: Callable[[Engine], None] = lambda _engine: None  # before its first step
     asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
     held: Prompt | None = None  # where a person says how a case goes on that is held; without one it ends
@@ -106,7 +107,8 @@ def opened_engine(
             watcher.status("opening the theatre")
             simulated.await_theatre()
             file = simulated.theatre.file
-            room = stack.enter_context(contextlib.closing(SimulatedRoom(simulated.theatre.control)))
+            watcher.room_open(f"control port {simulated.theatre.control}")
+            room = SimulatedRoom(simulated.theatre.control)
         engine = _make_engine(request, folder, file, procedure, operator, room, stack, resumption)
         outcome = "failed"
         watcher.opened(engine)

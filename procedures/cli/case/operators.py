@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
 from procedures.engine.operator import Operator, Question, Topic, words
-from ronna_hw.host.control_port import ControlPortClient
+from ronna_hw.host.control_port import ask_control_port
 
 
 class ScriptedOperator:
@@ -52,23 +52,22 @@ class AtPause:
 
 
 class SimulatedRoom:
-    """The hands in a simulated theatre, and the only one who talks to its control port."""
+    """The hands in a simulated theatre, and the only one who talks to its control port.
+
+    The port ends a connection on which nothing is asked for a while, so each request has one of its own.
+    """
 
     def __init__(self, control: str) -> None:
-        """Raises CTL-001 when no theatre answers there."""
-        self._theatre = ControlPortClient(control)
+        """`control` with its token."""
+        self._control = control
 
     def announce(self, step: str) -> None:
         """Tell the theatre which step is running."""
-        self._theatre.ask("step", name=step)
+        ask_control_port(self._control, "step", name=step)
 
     def change_tool(self, number: int, description: str) -> None:
         """Hang the other tool on the mount."""
-        self._theatre.ask("mount", number=number)
-
-    def close(self) -> None:
-        """Leave the room."""
-        self._theatre.close()
+        ask_control_port(self._control, "mount", number=number)
 
 
 class TerminalOperator:

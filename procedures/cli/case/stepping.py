@@ -14,6 +14,7 @@ from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
 from procedures.engine.events import Event, StepState
 from procedures.engine.run_lock import held_run
+from ronna_hw.command_line.messages import tell
 
 
 def step_through(request: CaseRequest) -> None:
@@ -28,7 +29,7 @@ def step_through(request: CaseRequest) -> None:
                 follower.catch_up()
 
         prompt = Prompt("step> ", _say, asking=interrupts.asking, after=catch_up)
-        watcher = Watcher(opened=interrupts.attach, asking=interrupts.asking, at_pause=prompt)
+        watcher = Watcher(room_open=tell, opened=interrupts.attach, asking=interrupts.asking, at_pause=prompt)
         with opened_case(request, folder, watcher) as engine:
             followers.append(EventFollower(engine.events, _tell_done))
             followers[0].start()
