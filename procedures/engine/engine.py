@@ -125,13 +125,14 @@ class Engine:
         if (reason := self.left_out(key)) is not None:
             return (f"{key.trajectory} was left out: {reason}",)
         spec = self.order.spec(key)
-        unmet = self.order.unmet(key, self._latest, self._settled)
+        if unmet := self.order.unmet(key, self._latest, self._settled):
+            return unmet
         missing = tuple(
             f"no result of {model.kind}" + (f" for {key.trajectory}" if key.trajectory else "")
             for model in spec.reads
             if self.case.find(model, key.trajectory) is None
         )
-        return (*unmet, *missing) or spec.preconditions(self.context(key))
+        return missing or spec.preconditions(self.context(key))
 
     def run_step(self, key: StepKey) -> Record:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""

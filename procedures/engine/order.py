@@ -65,8 +65,7 @@ class CaseOrder:
             return (f"it must follow {own}",)
         for earlier in self.before(key):
             if not stands(earlier):
-                follow = f"it may not follow {latest}: " if latest else ""
-                return (f"{follow}{earlier} is not done",)
+                return (f"{earlier} comes first",)
         return ()
 
 

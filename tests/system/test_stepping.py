@@ -31,7 +31,7 @@ def test_steps_are_listed_run_refused_with_reasons_and_left(commands: Commands, 
         commands,
         tmp_path,
         "list",
-        "next",
+        "run to ct_import",
         "why positioning:T1",
         "run positioning:T1",
         "quit",
@@ -39,8 +39,7 @@ def test_steps_are_listed_run_refused_with_reasons_and_left(commands: Commands, 
     assert done.returncode == 0, done.stderr
     assert "next  ct_import" in done.stdout
     assert "done ct_import: " in done.stdout
-    assert "positioning:T1: refused: it may not follow" in done.stdout
-    assert "no result of registration" in done.stdout
+    assert "positioning:T1: refused: fiducial_localization comes first" in done.stdout
     assert "PRO-001" in done.stderr
 
 

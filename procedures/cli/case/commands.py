@@ -41,6 +41,9 @@ def _next(engine: Engine, _argument: str, say: Say) -> None:
 
 
 def _run(engine: Engine, argument: str, say: Say) -> None:
+    if argument.startswith("to "):
+        _to(engine, argument.removeprefix("to ").strip(), say)
+        return
     key = engine.order.find(argument)
     if engine.case.stands(key):
         _back(engine, argument, say)

@@ -71,7 +71,7 @@ def test_a_step_that_leaves_another_model_fails_and_its_result_does_not_stand(ce
 
 def test_a_refused_step_lists_what_is_unmet_and_is_journalled(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
-    with pytest.raises(StepRefused, match=r"fit:T1 may not begin: .*image is not done; no result of loc"):
+    with pytest.raises(StepRefused, match=r"fit:T1 may not begin: image comes first"):
         run(engine, "fit:T1")
     assert cell.entries() == [("refused", "fit:T1")]
     assert cell.room.announced == []
@@ -187,7 +187,7 @@ def test_a_repeated_step_supersedes_what_descends_from_its_former_result(cell: R
     assert last["supersedes"] == ["02-localization-T1", "03-fit-T1"]
     assert engine.status(engine.order.find("fit:T1")) == "next"
     assert engine.why_refused(engine.order.find("tool_on")) == (
-        "it may not follow localization:T1: fit:T1 is not done",
+        "fit:T1 comes first",
     )
 
 

@@ -52,8 +52,8 @@ INSIDE = (*BACK, "approach:T2", "held:T2")
         ("localization:T1", "image", ("image",), None),
         ("localization:T1", "fit:T2", REGISTERED, None),  # again
         ("approach:T2", "tool_on", REGISTERED, None),  # any trajectory may be the first
-        ("fit:T1", "image", ("image",), "it may not follow image: localization:T1 is not done"),
-        ("tool_on", None, (), "image is not done"),
+        ("fit:T1", "image", ("image",), "localization:T1 comes first"),
+        ("tool_on", None, (), "image comes first"),
         ("back:T2", "held:T2", INSIDE, None),
         ("back:T1", "held:T2", INSIDE, "it may not follow held:T2: only back:T2 may"),
         ("approach:T1", "held:T2", INSIDE, "it may not follow held:T2: only back:T2 may"),

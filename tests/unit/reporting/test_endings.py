@@ -63,7 +63,7 @@ def test_a_case_whose_last_step_may_not_begin_was_refused(cell: ClinicalCell) ->
         engine.run_step(engine.order.find("fit:T1"))
     engine.close("failed")
     text = write_report(cell.folder).read_text()
-    assert "Refused.</strong> fit:T1 was refused: image is not done" in text
+    assert "Refused.</strong> fit:T1 was refused: image comes first" in text
 
 
 def test_a_case_that_was_left_says_after_which_step(cell: ClinicalCell) -> None:
