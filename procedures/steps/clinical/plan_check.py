@@ -59,7 +59,8 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     check, spheres = _counted(context, check, localization.markers)
     check.require()
     context.confirm(Topic.PATIENT, "this is the patient, and this the plan", _shown(plan))
-    summary = f"{len(plan.trajectories)} trajectories, {spheres} spheres implanted"
+    count = len(plan.trajectories)
+    summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
     context.setting.workspace.drop(Volume)  # the largest input is not needed after this
     return Outcome(
         CheckedPlan(

@@ -186,9 +186,7 @@ def test_a_repeated_step_supersedes_what_descends_from_its_former_result(cell: R
     last = list(read_journal(cell.folder / JOURNAL_FILE))[-1]
     assert last["supersedes"] == ["02-localization-T1", "03-fit-T1"]
     assert engine.status(engine.order.find("fit:T1")) == "next"
-    assert engine.why_refused(engine.order.find("tool_on")) == (
-        "fit:T1 comes first",
-    )
+    assert engine.why_refused(engine.order.find("tool_on")) == ("fit:T1 comes first",)
 
 
 def test_what_is_superseded_and_not_next_is_shown_as_such(cell: RecordingCell) -> None:
