@@ -13,6 +13,7 @@ from drivers.kuka_rsi.errors import (
     LinkUnusable,
     MotionRefused,
     MotionTripped,
+    NoTelegram,
     PathFailed,
     PoseDisagrees,
     ProtectiveStop,
@@ -20,10 +21,12 @@ from drivers.kuka_rsi.errors import (
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Result
 from drivers.kuka_rsi.realtime.losses import UNUSABLE_SHARE, WINDOW_CYCLES
+from drivers.kuka_rsi.realtime.strangers import AXES_AGREE_DEG
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
+from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
 _REFUSALS = {
@@ -83,6 +86,35 @@ def error_of_fault(
                 f"{name}: the first telegram's axes are outside the joint ranges",
                 got=axes_text(state),
             )
+
+
+def error_of_wait(
+    name: str, state: LinkState, axes_deg: JointVector, options: KukaOptions, timeout_s: float
+) -> NoTelegram | PoseDisagrees:
+    """The error when no telegram with the axes that EKI tells has come in time; it names who sent others."""
+    last = f", the last from {state.foreign_host}" if state.foreign_host else ""
+    counted = (
+        (state.disagreeing, "told other axes"),
+        (state.foreign, "came from elsewhere"),
+        (state.rejected, "were malformed or of another Type"),
+    )
+    met = ", ".join(f"{count} {what}" for count, what in counted if count)
+    others = f"; {met}{last}" if met else ""
+    limit = f"{timeout_s:g} s"
+    if not state.disagreeing:
+        return NoTelegram(
+            f"{name}: the RSI program runs, but none of its telegrams arrive here{others}",
+            expected=f"telegrams of {options.controller_host}" if options.controller_host else None,
+            limit=limit,
+        )
+    pairs = [(by_eki, degrees(angle)) for by_eki, angle in zip(axes_deg, state.measured_rad, strict=True)]
+    axis = max(range(len(pairs)), key=lambda k: abs(pairs[k][0] - pairs[k][1]))
+    by_eki, by_rsi = pairs[axis]
+    return PoseDisagrees(
+        f"{name}: A{axis + 1} is {by_eki:.3f} deg by EKI and {by_rsi:.3f} by RSI{others}",
+        expected=f"a telegram within {AXES_AGREE_DEG} deg of the axes by EKI",
+        limit=limit,
+    )
 
 
 def _tripped(where: str, state: LinkState, bodies: Bodies) -> MotionTripped:

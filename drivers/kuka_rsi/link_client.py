@@ -26,6 +26,7 @@ from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.devices.readings import JointVector
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05
@@ -102,13 +103,20 @@ class LinkClient:
         return self._stops
 
     def command(
-        self, kind: CommandKind, plan: MotionPlan | None = None, stop_number: int | None = None
+        self,
+        kind: CommandKind,
+        plan: MotionPlan | None = None,
+        stop_number: int | None = None,
+        axes_rad: JointVector | None = None,
     ) -> int:
-        """Give a command; returns its number. A motion is overtaken by any stop after `stop_number`."""
+        """Give a command; returns its number. A motion is overtaken by any stop after `stop_number`.
+
+        `axes_rad` is where the controller says its axes are, for OPEN.
+        """
         with self._lock:
             self._commands += 1
             seen = self._stops if stop_number is None else stop_number
-            command = Command(self._commands, kind, plan, seen, self.surroundings)
+            command = Command(self._commands, kind, plan, seen, self.surroundings, axes_rad)
             self._mailbox.write_command(command)
             return self._commands
 

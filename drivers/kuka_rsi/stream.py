@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from math import degrees
 
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.controller_state import require_ours, require_ready
@@ -14,22 +13,21 @@ from drivers.kuka_rsi.errors import (
     ControllerLost,
     ControllerNotFound,
     NoTelegram,
-    PoseDisagrees,
     Unverified,
 )
-from drivers.kuka_rsi.fault_errors import error_of_fault
+from drivers.kuka_rsi.fault_errors import error_of_fault, error_of_wait
 from drivers.kuka_rsi.link_bytes import BytesPassed
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Fault, Phase
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
+from ronna_hw.arm.angles import radians6
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMode, Reference, RsiState
 
-AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at different moments of rest
 FIRST_PAUSE_S = 0.1  # between two attempts to open the EKI session again; each is twice the one before
 LONGEST_PAUSE_S = 2.0
 LEAST_TRY_S = 0.2
@@ -161,7 +159,7 @@ def start_stream(
         state = eki.status(max(rest_of(deadline), LEAST_TRY_S))
     require_ready(state, drives=True, modes=modes)
     mode = state.mode
-    number = link.command(CommandKind.OPEN)
+    number = link.command(CommandKind.OPEN, axes_rad=radians6(*state.axes_deg))
     link.wait(lambda s: s.command_number >= number, rest_of(deadline))
     wanted = {"Cycle": context.program.cycle_ms, "Ref": Reference.ABSOLUTE, "Corr": Correction.AXIS}
     if mode is OperationMode.EXT:
@@ -169,22 +167,8 @@ def start_stream(
     else:
         # Whether or not the controller accepts it: in T1 an operator starts the program on the pendant.
         eki.command(CommandName.RSI_START, rest_of(deadline), **wanted)
-    first = link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), rest_of(deadline))
-    if first is None:
-        said = link.state
-        others = f"; {said.foreign} came from {said.foreign_host}" if said.foreign else ""
-        others += f"; {said.rejected} were malformed or of another Type" if said.rejected else ""
-        raise NoTelegram(
-            f"{name}: the RSI program runs, but none of its telegrams arrive here{others}",
-            expected=f"telegrams of {options.controller_host}" if options.controller_host else None,
-            limit=f"{timeout_s:g} s",
-        )
-    for axis, (by_eki, measured) in enumerate(zip(state.axes_deg, first.base_rad, strict=True)):
-        if abs(by_eki - degrees(measured)) > AXES_AGREE_DEG:
-            raise PoseDisagrees(
-                f"{name}: A{axis + 1} is {by_eki:.3f} deg by EKI and {degrees(measured):.3f} by RSI",
-                limit=f"{AXES_AGREE_DEG} deg",
-            )
+    if link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), rest_of(deadline)) is None:
+        raise error_of_wait(name, link.state, state.axes_deg, options, timeout_s)
     if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, rest_of(deadline)) is None:
         raise NoTelegram(f"{name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s")
     fault = error_of_fault(name, link.state, options)

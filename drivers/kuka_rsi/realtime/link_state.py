@@ -97,6 +97,7 @@ class Command(NamedTuple):
     plan: MotionPlan | None = None
     stop_number: int = 0  # the last stop known when it was written: a later stop overtakes the motion
     surroundings: Surroundings = NOTHING_AROUND  # by which a MOVE is watched
+    axes_rad: JointVector | None = None  # by which OPEN knows the controller's first telegram; None: any is
 
 
 class LinkState(NamedTuple):
@@ -120,7 +121,8 @@ class LinkState(NamedTuple):
     rejected: Annotated[int, "Q"]
     dropped: Annotated[int, "Q"]  # older ones that were queued behind a stall
     foreign: Annotated[int, "Q"]  # from any other sender than the controller
-    foreign_host: Annotated[str, IPV4_HOST]  # the last of those, "" for none
+    foreign_host: Annotated[str, IPV4_HOST]  # the last of those, or of the next; "" for none
+    disagreeing: Annotated[int, "Q"]  # told other axes than expected before the session began
     measured_rad: Annotated[JointVector, "6d"]
     commanded_rad: Annotated[JointVector, "6d"]
     base_rad: Annotated[JointVector, "6d"]
@@ -152,6 +154,7 @@ NO_STATE = LinkState(
     dropped=0,
     foreign=0,
     foreign_host="",
+    disagreeing=0,
     measured_rad=_ZEROS,
     commanded_rad=_ZEROS,
     base_rad=_ZEROS,

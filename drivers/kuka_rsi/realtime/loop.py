@@ -116,7 +116,8 @@ class LinkLoop:
         late = self._received_ns - self._answered_ns >= self._late_ns
         if late:
             time.sleep(BUNCH_S)
-        if late or self._receiver.queued:
+        # Before a session anybody's may be the newest: each is looked at.
+        if (late or self._receiver.queued) and self.responder.phase is not Phase.ARMED:
             newest = self._drain(newest)
         return newest
 
@@ -149,7 +150,7 @@ class LinkLoop:
             if address is None:
                 return
             if address != self._peer:  # its own may still lie there from before the session
-                self.responder.met_foreign(address[0])
+                self.responder.strangers.met(address[0])
 
     def _is_foreign(self, address: Address) -> bool:
         responder = self.responder
@@ -158,7 +159,7 @@ class LinkLoop:
         else:
             foreign = bool(self._controller_host) and address[0] != self._controller_host
         if foreign:
-            responder.met_foreign(address[0])
+            responder.strangers.met(address[0])
         return foreign
 
     def _serve(self, data: bytes, address: Address) -> None:
@@ -176,15 +177,19 @@ class LinkLoop:
             telegram = telegram_of(found) if found is not None else read_strictly(data)
         except BadTelegram:
             responder.rejected += 1
-            self._keep_unanswered(data)
-            self._look_around()
+            if responder.phase is Phase.ARMED:
+                responder.strangers.host = address[0]
+            self._leave_unanswered(data)
             return
         if responder.phase is Phase.ARMED:
+            if not responder.expects(telegram):
+                responder.strangers.host = address[0]
+                self._leave_unanswered(data)
+                return
             self._meet(address)
         head = responder.answer(telegram, orders, self._received_ns)
         if head is None:
-            self._keep_unanswered(data)
-            self._look_around()
+            self._leave_unanswered(data)
             return
         self._send(head + telegram.ipoc + REPLY_TAIL, address)
         self._after_reply(data, telegram.ipoc, orders)
@@ -248,9 +253,10 @@ class LinkLoop:
         self._look_at_strangers()
         self._publish()
 
-    def _keep_unanswered(self, data: bytes) -> None:
+    def _leave_unanswered(self, data: bytes) -> None:
         if self._keeps_bytes:
             self._mailbox.keep(self._received_ns, 0, data, b"")
+        self._look_around()
 
     def _look_around(self) -> None:
         self._look_at_strangers()

@@ -49,6 +49,7 @@ class CommandRow(NamedTuple):
     surroundings_number: Annotated[int, "Q"]
     kind: Annotated[CommandKind, "B"]
     has_target: Annotated[bool, "?"]
+    has_axes: Annotated[bool, "?"]  # of OPEN; they are in `start_rad`
     speed_steps_used: Annotated[int, "B"]
     start_rad: Annotated[JointVector, "6d"]
     target_rad: Annotated[JointVector, "6d"]
@@ -154,7 +155,8 @@ class Mailbox:
         row = _COMMAND.read(self._memory)
         if row is None or not self._read_surroundings(row.surroundings_number):
             return None
-        return Command(row.number, row.kind, _plan_of(row), row.stop_number, self._surroundings)
+        axes_rad = row.start_rad if row.has_axes else None
+        return Command(row.number, row.kind, _plan_of(row), row.stop_number, self._surroundings, axes_rad)
 
     def _read_surroundings(self, number: int) -> bool:
         """Take over new surroundings; False while they are being written."""
@@ -244,8 +246,9 @@ def _row_of(command: Command, surroundings_number: int) -> CommandRow:
         surroundings_number=surroundings_number,
         kind=command.kind,
         has_target=plan.target is not None,
+        has_axes=command.axes_rad is not None,
         speed_steps_used=len(plan.speed_steps),
-        start_rad=plan.start_rad,
+        start_rad=command.axes_rad or plan.start_rad,
         target_rad=plan.target_rad,
         limits=plan.limits,
         target_position_mm=target.position_mm,

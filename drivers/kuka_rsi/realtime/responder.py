@@ -29,6 +29,7 @@ from drivers.kuka_rsi.realtime.losses import Losses
 from drivers.kuka_rsi.realtime.replies import PreparedReply, Replies
 from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
 from drivers.kuka_rsi.realtime.settings import LinkSettings
+from drivers.kuka_rsi.realtime.strangers import Strangers
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.monitor import Violation
@@ -69,8 +70,7 @@ class Responder:
         self.violation: Violation | None = None
         self.rejected = 0
         self.dropped = 0
-        self.foreign = 0
-        self.foreign_host = ""
+        self.strangers = Strangers()
         self.cycles = 0
         self.jitter_us = 0.0  # how far the last telegram was from its place in the pace
         self.parent_gone = False
@@ -82,7 +82,6 @@ class Responder:
         self._ipoc = 0
         self._received_ns = self._before_ns = 0
         self._missing = 0  # telegrams that never came before the last one
-        self._another_sends = False  # somebody has sent telegrams since the controller's last one
         self._axes_deg: JointVector = NO_STATE.measured_rad
         self._measured: JointVector = NO_STATE.measured_rad
         self._losses = Losses(settings.cycle_ms)
@@ -111,7 +110,7 @@ class Responder:
         self.ready = None
         self._axes_deg = telegram.axes_deg
         self._before_ns, self._received_ns = self._received_ns, now_ns
-        self._another_sends = False
+        self.strangers.sent_last = False
         self._watch_heartbeat(orders.heartbeat, now_ns)
         ipoc = int(telegram.ipoc)
         if self.phase is Phase.ARMED:
@@ -150,7 +149,7 @@ class Responder:
         """The telegram was the one `ready` expected and its reply is out: the bookkeeping of `answer`."""
         self._axes_deg = telegram.axes_deg
         self._before_ns, self._received_ns = self._received_ns, now_ns
-        self._another_sends = False
+        self.strangers.sent_last = False
         self._ipoc = int(telegram.ipoc)
         self._missing = self._losses.count(self._ipoc, telegram.delay) or 0
         if self.ready is not None:
@@ -182,11 +181,11 @@ class Responder:
         self._prepare_heads(points)
         self._make_ready(points)
 
-    def met_foreign(self, host: str) -> None:
-        """A telegram from another sender than this session's controller; it gets no reply."""
-        self.foreign += 1
-        self.foreign_host = host
-        self._another_sends = True
+    def expects(self, telegram: Telegram) -> bool:
+        """Whether this telegram may open the session; one that may not gets no reply."""
+        self._axes_deg = telegram.axes_deg
+        self._measure()
+        return self.strangers.agrees(telegram.axes_deg)
 
     def take(self, command: Command) -> None:
         """Act on a command that has not been seen before."""
@@ -199,7 +198,8 @@ class Responder:
         elif command.kind is CommandKind.OPEN and self.phase is Phase.IDLE:
             self.phase, self.fault, self.result = Phase.ARMED, Fault.NONE, Result.NONE
             self.violation = None
-            self.cycles = self.rejected = self.dropped = self.foreign = 0
+            self.cycles = self.rejected = self.dropped = 0
+            self.strangers = Strangers(command.axes_rad)
             self._losses = Losses(self._settings.cycle_ms)
             self._stopping, self._speed, self._points = False, 1.0, None
         elif command.kind is CommandKind.END and not self.moving:
@@ -224,7 +224,7 @@ class Responder:
             self._prepare_heads(self._points)
             if self.phase is Phase.RUNNING:
                 # A controller that starts its program again sends from another port.
-                self._latch(Fault.RESTARTED if self._another_sends else Fault.SILENCE)
+                self._latch(Fault.RESTARTED if self.strangers.sent_last else Fault.SILENCE)
         self._make_ready(self._points)
 
     def silent_for_ns(self, now_ns: int) -> int:
@@ -252,8 +252,9 @@ class Responder:
             self._losses.lost,
             self.rejected,
             self.dropped,
-            self.foreign,
-            self.foreign_host,
+            self.strangers.count,
+            self.strangers.host,
+            self.strangers.disagreeing,
             self._measured,
             self.sent_rad,
             NO_STATE.base_rad if self._points is None else self._base_rad,

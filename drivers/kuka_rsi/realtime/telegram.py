@@ -37,6 +37,8 @@ REPLY_TAIL = b"</IPOC></Sen>"
 ZERO, NEGATIVE_ZERO = b"0.000000", b"-0.000000"  # what a rounded correction must not be written as
 ROOT, ROOT_TYPE = "Rob", "KUKA"
 LONGEST_TELEGRAM = 8192  # one datagram; the common ones are below 1000 bytes
+MOST_DIGITS = 19  # of an IPOC: it is published as an unsigned number of 64 bits
+MOST_LATE = 10**15  # of the controller's count; what counts beyond has gone mad
 
 _DECIMAL = rb"[-+]?\d{1,15}(?:\.\d{0,15})?"  # what float() reads for certain
 _INTEGER = rb"\d{1,15}"
@@ -100,7 +102,7 @@ class TelegramReader:
             pattern.append(b"/>")
         # A context without Delay has an empty group in its place.
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
-        pattern.append(rb"<IPOC>(?P<IPOC>\d{1,20})</IPOC></Rob>")
+        pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d})</IPOC></Rob>" % MOST_DIGITS)
         tells_axes = "DEF_AIPos" in send_tags
         self._match = re.compile(b"".join(pattern)).match if tells_axes else _never
 
@@ -170,7 +172,9 @@ def read_strictly(data: bytes) -> Telegram:
             raise BadTelegram("an axis value is not finite", wire=data)
         delay = int(float(values["Delay", "D"])) if ("Delay", "D") in values else -1
         ipoc = values["IPOC", ""]
-        if not (ipoc.isascii() and ipoc.isdigit() and len(ipoc) <= 20):
+        if not -1 <= delay < MOST_LATE:
+            raise BadTelegram("the count of late packets is impossible", got=str(delay)[:32], wire=data)
+        if not (ipoc.isascii() and ipoc.isdigit() and len(ipoc) <= MOST_DIGITS):
             raise BadTelegram("the IPOC is not an integer", got=ipoc[:32], wire=data)
     except (expat.ExpatError, KeyError, ValueError, OverflowError) as error:
         raise BadTelegram(f"malformed telegram: {error}", wire=data) from error

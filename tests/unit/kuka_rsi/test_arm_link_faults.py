@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import socket
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -16,6 +19,7 @@ from drivers.kuka_rsi.errors import (
     NoTelegram,
     PoseDisagrees,
 )
+from ronna_hw.arm.angles import radians6
 from ronna_hw.devices import Lifecycle
 
 
@@ -90,6 +94,57 @@ def test_axes_that_disagree_between_the_two_channels_are_refused(controller: Any
     arm = make_arm()
     arm.connect()
     arm.configure()
-    with pytest.raises(PoseDisagrees, match=r"A1 is 5\.000 deg by EKI") as caught:
-        arm.activate()
+    with pytest.raises(PoseDisagrees, match=r"A1 is 5\.000 deg by EKI and 0\.000 by RSI") as caught:
+        arm.activate(timeout_s=0.5)
     assert caught.value.code == "RSI-015"
+    assert controller.replies == []
+
+
+@pytest.fixture
+def waiting_arm(controller: Any, make_arm: Any) -> Iterator[tuple[Any, Future[None]]]:
+    """An arm that waits for its controller's first telegram, and what became of that."""
+    controller.silent.set()
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    with ThreadPoolExecutor(1) as another:
+        activated = another.submit(arm.activate, timeout_s=2.0)
+        assert controller.standing.wait(5.0)
+        yield arm, activated
+
+
+def _strangers_say(controller: Any, *datagrams: bytes) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for data in datagrams:
+            stranger.sendto(data, controller.rsi_address)
+            stranger.settimeout(0.05)
+            with pytest.raises(TimeoutError):
+                stranger.recv(4096)
+
+
+def _elsewhere(controller: Any) -> bytes:
+    telegram: bytes = controller.telegram().replace(b'A1="0.0000"', b'A1="30.0000"')
+    return telegram
+
+
+@pytest.mark.hazard(20)
+def test_datagrams_of_strangers_before_the_controllers_first_are_not_answered_and_end_nothing(
+    controller: Any, waiting_arm: Any
+) -> None:
+    arm, activated = waiting_arm
+    _strangers_say(controller, b"hello", _elsewhere(controller), b"<Rob", _elsewhere(controller))
+    controller.silent.clear()
+    activated.result(5.0)
+    assert state_of(arm) is Lifecycle.ACTIVE
+    assert arm.read_state().joints_rad == radians6(*controller.axes_deg)
+
+
+def test_strangers_are_counted_and_named_when_the_controllers_telegram_does_not_come(
+    controller: Any, waiting_arm: Any
+) -> None:
+    arm, activated = waiting_arm
+    _strangers_say(controller, b"hello", _elsewhere(controller), _elsewhere(controller))
+    told = "A1 is 0.000 deg by EKI and 30.000 by RSI; 2 told other axes, 1 were malformed"
+    with pytest.raises(PoseDisagrees, match=re.escape(told) + ".*the last from 127.0.0.1"):
+        activated.result(5.0)
+    assert state_of(arm) is Lifecycle.FAULT

@@ -1,0 +1,38 @@
+"""Who else sends telegrams: counted, never answered, and named when the controller's own do not come."""
+
+from __future__ import annotations
+
+from math import degrees
+
+from ronna_hw.devices.readings import JointVector
+
+AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at different moments of rest
+
+
+class Strangers:
+    """Since a session was opened."""
+
+    def __init__(self, expected_rad: JointVector | None = None) -> None:
+        """`expected_rad` is where the controller says its axes are; None where it was not asked."""
+        self._expected_rad = expected_rad
+        self.count = 0
+        self.host = ""  # of the last one
+        self.disagreeing = 0  # readable telegrams with other axes, before the controller's first
+        self.sent_last = False  # somebody else has, since the controller's last telegram
+
+    def met(self, host: str) -> None:
+        """A telegram from another sender than the controller."""
+        self.count += 1
+        self.host = host
+        self.sent_last = True
+
+    def agrees(self, axes_deg: JointVector) -> bool:
+        """Whether what may be the controller's first telegram tells the axes that are expected of it."""
+        expected = self._expected_rad
+        if expected is None or all(
+            abs(axis - degrees(angle)) <= AXES_AGREE_DEG
+            for axis, angle in zip(axes_deg, expected, strict=True)
+        ):
+            return True
+        self.disagreeing += 1
+        return False
