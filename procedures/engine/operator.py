@@ -37,7 +37,6 @@ class Topic(StrEnum):
     PAUSE = "pause"
     GUARD = "guard"  # a guard suspends the step
     REPEAT = "repeat"  # a step that is done: what a new result supersedes
-    FAILURE = "failure"  # a step has failed
     UNVERIFIED = "unverified"  # a controller that cannot say how it is set up
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-
 from procedures.engine.engine import Engine
 from procedures.recovery.comparison import Comparison
 from procedures.relocalization.triangulation import check_serial
@@ -47,7 +45,7 @@ def _compare_calibrations(engine: Engine, recorded: CheckedSetUp, comparison: Co
             comparison.differs(f"calibration {before.identifier}", f"of {before.created:%Y-%m-%d}", "another")
             continue
         try:
-            record.check_valid_at(datetime.now(UTC))
+            record.check_valid_at(engine.setting.today())
         except RonnaError as problem:
             comparison.differs(f"calibration {record.identifier}", "one that is valid", problem)
         else:

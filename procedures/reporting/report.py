@@ -7,6 +7,7 @@ theatre is asked of its verifier and handed in.
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -87,7 +88,7 @@ def write_report(
         "superseded": reading.run.superseded,
         "ct_pictures": _pictures(run, "ct-"),
         "stereo_pictures": _pictures(run, "stereo-"),
-        **_figures(reading, files, rows, links),
+        **_figures(reading, files, rows, [health for _, health in links]),
         **_read_twice(reading, files, rows, out),
         "files": files.written,
         "findings": _findings(reading),
@@ -125,7 +126,7 @@ def _left_out(reading: RunReading) -> list[str]:
 
 
 def _figures(
-    reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: tuple[LinkHealth, ...]
+    reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: Sequence[LinkHealth]
 ) -> dict[str, Any]:
     """The pictures, each also as a file with its data beside it; empty where there is nothing to draw."""
     made = {"target_picture": "", "timeline_picture": "", "link_picture": ""}
@@ -159,11 +160,11 @@ def _read_twice(
     return {"second_text": text, "agree": again == tuple(row.cells for row in rows)}
 
 
-def _links(reading: RunReading) -> tuple[LinkHealth, ...]:
-    """Health of the robot link, session by session."""
-    changes = [stored.result.link for stored in reading.standing(MountedGuide)]
+def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
+    """Health of the robot link, session by session, each with what the arm carried."""
+    changes = [("stereo head", stored.result.link) for stored in reading.standing(MountedGuide)]
     retreats = [stored.result.link for stored in reading.standing(Retreated)]
-    return (*changes, *(link for link in retreats if link is not None))
+    return [*changes, *(("guide", link) for link in retreats if link is not None)]
 
 
 def _moment(reading: RunReading, place: int) -> str:

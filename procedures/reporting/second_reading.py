@@ -24,7 +24,7 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
     """
     journal = [json.loads(line) for line in (run / "journal.jsonl").read_bytes().splitlines(keepends=False)]
     results = [line for line in journal if line["entry"] == "result"]
-    gone = {name for line in results for name in line.get("supersedes", ())}
+    gone = {name for line in journal for name in line.get("supersedes", ())}
     standing = [line["record"] for line in results if line["record"] not in gone]
     records = [json.loads((run / "records" / f"{name}.json").read_text()) for name in standing]
     depth_mm = _depths(records)

@@ -53,7 +53,8 @@ def _planned(run: Path) -> list[dict[str, Any]]:
 
 
 def _record(run: Path, kind: str) -> Record | None:
-    records = [read_record(path) for path in sorted((run / RECORDS_FOLDER).glob(f"*{kind}*.json"))]
+    paths = (run / RECORDS_FOLDER).glob(f"*{kind}*.json")
+    records = [read_record(path) for path in sorted(paths, key=lambda path: int(path.name.split("-")[0]))]
     found = [record for record in records if record.kind == kind]
     return found[-1] if found else None
 

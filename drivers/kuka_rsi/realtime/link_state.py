@@ -81,6 +81,10 @@ NOTHING_AROUND = Surroundings()
 CHOICES = ("go", "stop", "repeat", "hold")
 
 
+STOP_KIND_BITS = 3  # of the word of a stop: its kind; above them its number
+STOP_KIND = (1 << STOP_KIND_BITS) - 1
+
+
 class Orders(NamedTuple):
     """The three words the real-time process reads in every cycle."""
 

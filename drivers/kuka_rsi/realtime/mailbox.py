@@ -14,6 +14,7 @@ from typing import Annotated, NamedTuple
 
 from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
+    STOP_KIND_BITS,
     Command,
     CommandKind,
     LinkState,
@@ -36,7 +37,6 @@ LONGEST_SURROUNDINGS_BYTES = 24_000
 KEPT_BYTES = 1 << 20  # of telegrams and replies: a third of a second at the pace of lock-step
 LONGEST_KEPT_BYTES = 1 << 15  # a datagram of the longest kind and its reply
 READ_TRIES = 100  # a writer is in the block for about 2 us
-STOP_KIND_BITS = 3
 NO_JOINTS: JointVector = (0.0,) * 6  # of a command that moves nothing
 NO_STEP = SpeedStep(0.0, 0.0)
 

@@ -16,6 +16,8 @@ from math import degrees, radians
 
 from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
+    STOP_KIND,
+    STOP_KIND_BITS,
     Command,
     CommandKind,
     Fault,
@@ -247,7 +249,7 @@ class Responder:
             real_time,
             locked,
             self._command_number,
-            self._stop_word >> 3,
+            self._stop_word >> STOP_KIND_BITS,
             self._losses.late,
             self._losses.lost,
             self.rejected,
@@ -301,7 +303,7 @@ class Responder:
         points = self._points
         if self.phase is not Phase.RUNNING or points is None:
             return Result.REFUSED_PHASE
-        if command.stop_number != self._stop_word >> 3:
+        if command.stop_number != self._stop_word >> STOP_KIND_BITS:
             return Result.REFUSED_STOP
         if points.moving or self._stopping:
             return Result.REFUSED_BUSY
@@ -336,7 +338,7 @@ class Responder:
         if stop_word == self._stop_word:
             return
         self._stop_word = stop_word
-        kind = StopOrder(stop_word & 7)
+        kind = StopOrder(stop_word & STOP_KIND)
         if kind is not StopOrder.HOLD:
             self._latch(_STOP_FAULTS[kind])
         if kind is StopOrder.LINK and self._points is not None:

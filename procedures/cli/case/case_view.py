@@ -19,7 +19,6 @@ from procedures.engine.events import (
     Questioned,
     Refusal,
     StepState,
-    Waiting,
 )
 
 if TYPE_CHECKING:
@@ -65,7 +64,6 @@ class CaseView:
         self._reason = ""
         self._devices: dict[str, DeviceState] = {}
         self._ages_s: dict[str, float] = {}
-        self._waiting: dict[str, str] = {}
         self._journal: deque[str] = deque(maxlen=LAST_LINES)
         self._errors: deque[str] = deque(maxlen=LAST_ERRORS)
 
@@ -82,10 +80,6 @@ class CaseView:
                 self._devices[device] = state
             case DeviceAge(device=device, age_s=age_s):
                 self._ages_s[device] = age_s
-            case Waiting(guard=guard, reason=None):
-                self._waiting.pop(guard, None)
-            case Waiting(guard=guard, reason=str(reason)):
-                self._waiting[guard] = reason
             case JournalLine(line=line):
                 self._journal.append(_short(line))
             case Fault(code=code, what=what):
@@ -107,7 +101,6 @@ class CaseView:
         shown = [("", f"{self.state}{f' ({self._reason})' if self._reason else ''}")]
         if self._devices:
             shown.append(("", self.devices))
-        shown += [("yellow", f"waits for {guard}: {reason}") for guard, reason in self._waiting.items()]
         shown += [("dim", text) for text in self._journal]
         shown += [("red", text) for text in self._errors]
         return shown

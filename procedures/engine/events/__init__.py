@@ -15,7 +15,6 @@ from procedures.engine.events.happenings import (
     Questioned,
     Refusal,
     StepState,
-    Waiting,
 )
 from procedures.engine.events.stream import Batch, EventStream, Reader
 
@@ -37,5 +36,4 @@ __all__ = [
     "Reader",
     "Refusal",
     "StepState",
-    "Waiting",
 ]

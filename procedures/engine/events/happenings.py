@@ -133,14 +133,6 @@ class Fault(_Happening):
     advice: str = ""
 
 
-class Waiting(_Happening):
-    """A guard suspends the running step, or lets it go on."""
-
-    kind: Literal["waiting"] = "waiting"
-    guard: str
-    reason: str | None = Field(description="What is waited for; none when it is over.")
-
-
 class JournalLine(_Happening):
     """A line of the journal, as it was written."""
 
@@ -160,7 +152,6 @@ Happening = Annotated[
     | Finding
     | Refusal
     | Fault
-    | Waiting
     | JournalLine,
     Field(discriminator="kind"),
 ]

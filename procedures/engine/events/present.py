@@ -9,7 +9,6 @@ from procedures.engine.events.happenings import (
     DeviceState,
     Questioned,
     StepState,
-    Waiting,
 )
 
 
@@ -29,8 +28,6 @@ class Present:
         match event.what:
             case Answered(question=number):
                 self._events.pop(f"question {number}", None)
-            case Waiting(guard=guard, reason=None):
-                self._events.pop(f"waiting {guard}", None)
             case _ if (key := _key(event)) is not None:
                 self._events.pop(key, None)
                 self._events[key] = event
@@ -47,8 +44,6 @@ def _key(event: Event) -> str | None:
             return f"step {step}"
         case DeviceState(device=device):
             return f"device {device}"
-        case Waiting(guard=guard):
-            return f"waiting {guard}"
         case CaseState():
             return "case"
         case what if what.signal:

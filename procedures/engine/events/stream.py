@@ -105,11 +105,6 @@ class EventStream:
                 reader.end()
         return reader
 
-    def unsubscribe(self, reader: Reader) -> None:
-        """That reader reads no more."""
-        with self._lock:
-            self._readers.remove(reader)
-
     def hold_time(self) -> None:
         """From here on every event bears the present time: the theatre's clock is about to close."""
         now_s = self._now_s()

@@ -1,6 +1,6 @@
 import pytest
 
-from procedures.engine.events import Answered, CaseState, EventStream, Pose, Questioned, StepState, Waiting
+from procedures.engine.events import Answered, CaseState, EventStream, Pose, Questioned, StepState
 
 
 def pose(joint_rad: float, arm: str = "master") -> Pose:
@@ -54,8 +54,6 @@ def test_a_newcomer_is_shown_what_holds_at_present() -> None:
     stream.publish(question(1))
     stream.publish(Answered(question=1, answer="continue"))
     stream.publish(question(2))
-    stream.publish(Waiting(guard="disk", reason="full"))
-    stream.publish(Waiting(guard="disk", reason=None))
     stream.publish(CaseState(state="paused"))
     assert [event.what for event in stream.subscribe().read(0).events] == [
         question(2),

@@ -13,6 +13,7 @@ from clinical_case import (
     relocalization,
 )
 
+from procedures.engine.engine import Engine
 from procedures.engine.journal import Entry
 from procedures.steps.clinical import registration
 
@@ -27,15 +28,19 @@ def cell(tmp_path: Path) -> ClinicalCell:
 
 
 @pytest.fixture
-def registered(cell: ClinicalCell) -> Path:
-    """Folder of a run that went as far as the registration, and was left."""
-    engine = cell.begin(
+def engine(cell: ClinicalCell) -> Engine:
+    """Of a case that goes as far as the tool change, before its first step."""
+    return cell.begin(
         *(imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell)),
         *(global_localization(), correspondence(), relocalization()),
         registration.STEP,
         mounted_guide(),
     )
-    while (key := engine.upcoming) is not None and key.name != "positioning":
-        engine.run_step(key)
+
+
+@pytest.fixture
+def registered(engine: Engine) -> Path:
+    """Folder of that run when all its steps are done."""
+    engine.run_to()
     engine.close("left")
-    return cell.folder
+    return engine.case.folder

@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, registered_robot
 
+from procedures.engine.engine import Engine
+from procedures.engine.step import StepKey
+from procedures.guards.errors import PatientMoved
 from procedures.reporting import target_table
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.timeline import timeline
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.relocalization import LeftOutSphere
 
@@ -51,6 +55,16 @@ def test_the_numbers_are_read_twice_and_both_ways_agree(registered: Path) -> Non
     assert again in text
     assert [line.split()[0] for line in again.splitlines()[1:]] == list(TRAJECTORIES)
     assert "come out differently" not in text
+
+
+def test_a_registration_that_was_voided_and_made_again_stands_there_once(engine: Engine) -> None:
+    engine.run_to(StepKey("registration", FIRST))
+    engine.context(StepKey("registration", FIRST)).void(
+        GlobalLocalization, PatientMoved("the head has moved")
+    )
+    engine.run_to()
+    engine.close("left")
+    assert "come out differently" not in write_report(engine.case.folder, truth=TRUTH).read_text()
 
 
 @pytest.mark.hazard(6)
