@@ -79,6 +79,11 @@ class Theatre:
             )
         return self.file.calibration
 
+    @property
+    def devices(self) -> dict[str, Device]:
+        """All devices, by their tables in the file, such as `robot.master`."""
+        return {name: self._made(name) for name in self.file.devices}
+
     def device(self, name: str, interface: Callable[..., D]) -> D:
         """The device of table `[device.NAME]` as `interface`: a runtime-checkable protocol, or a class.
 

@@ -110,6 +110,10 @@ class Case:
             raise BadRecord(f"{path.name} is not the record that this run wrote")
         return stored
 
+    def trusts(self, key: StepKey) -> bool:
+        """Whether that step has a standing result, and nobody need say that it is kept."""
+        return key in self._standing and self._standing[key].record.identifier not in self._doubts
+
     def doubt(self, key: StepKey, fault: str) -> None:
         """From now on somebody must say whether that step's standing result is kept."""
         if key in self._standing:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Protocol
 
+from procedures.engine.acknowledging import acknowledged
 from procedures.engine.case import Case, Stored
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.context import CaseSetting, StepContext
@@ -22,7 +23,7 @@ from procedures.engine.operator import Topic
 from procedures.engine.order import CaseOrder
 from procedures.engine.questions import Questions
 from procedures.engine.result import StepResult
-from procedures.engine.step import Outcome, Scope, StepKey
+from procedures.engine.step import Outcome, StepKey
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
@@ -198,19 +199,25 @@ class Engine:
 
         `by` is the person's name. Raises what a driver raises whose device cannot be recovered yet.
         """
-        faults = self.faults
-        for role, fault in faults.items():
-            self.setting.workcell.recover(role, by)
-            self._write(Entry.ACKNOWLEDGED, device=role, fault=fault, by=by)
+        workcell, done = self.setting.workcell, dict[str, str]()
+        self._doubt_localizations(self.faults.get(ARM))
+        for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
             if role == ARM:
                 self._doubt_localizations(fault)
+            self._write(Entry.ACKNOWLEDGED, device=role, fault=fault, by=by)
             _log.info("fault acknowledged", device=role)
-        return faults
+            done[role] = fault
+        return done
 
-    def _doubt_localizations(self, fault: str) -> None:
-        """Where the head is was measured before the arm was in fault: somebody may have been at it since."""
-        for key in self.order.sequence:
-            if self.order.spec(key).scope is Scope.LOCALIZATION:
+    def _doubt_localizations(self, fault: str | None) -> None:
+        """Where the head is was measured before the arm was in fault: somebody may have been at it since.
+
+        In the journal before the fault can be gone, so that no restart forgets it.
+        """
+        keys = [key for key in self.order.localizations if fault is not None and self.case.trusts(key)]
+        if fault is not None and keys:
+            self._write(Entry.DOUBTED, steps=list(map(str, keys)), fault=fault)
+            for key in keys:
                 self.case.doubt(key, fault)
 
     def retreat_home(self) -> None:
@@ -232,12 +239,16 @@ class Engine:
             workcell.stop()
             raise
         finally:
-            only = self.order.continuation(self._latest)
-            if only is None or self.order.spec(only).preconditions(self.context(only)):
-                self._latest = None
+            self._forget_latest()
             if self.machine.state != RECOVERY and not self.machine.ended:
                 self.machine.hold()
                 self._show_state()
+
+    def _forget_latest(self) -> None:
+        """What was done last was left, unless the one step that may follow it still may."""
+        only = self.order.continuation(self._latest)
+        if only is None or self.order.spec(only).preconditions(self.context(only)):
+            self._latest = None
 
     def abort(self) -> None:
         """The operator ends the case between steps; moves nothing."""
@@ -260,6 +271,7 @@ class Engine:
         """The operator accepted what was found after a restart: steps may begin."""
         self._write(Entry.ACCEPTED)
         self.machine.accept()
+        self._forget_latest()
         self._show_state()
 
     @contextmanager
@@ -279,6 +291,8 @@ class Engine:
     def close(self, outcome: str) -> None:
         """End the sessions and the journal."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
+        with suppress(JournalNotWritable):
+            self._doubt_localizations(self.faults.get(ARM))
         self.events.hold_time()
         self.setting.workcell.close()
         for recorder in self._recorders:  # the journal's last line speaks for every file of the run
@@ -352,6 +366,7 @@ class Engine:
         self.events.publish(StepState(step=str(key), state="failed", summary=str(problem)))
         self._show_state(str(problem))
         if not isinstance(problem, JournalNotWritable):
+            self._doubt_localizations(self.faults.get(ARM))
             files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 

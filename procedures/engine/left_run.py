@@ -11,7 +11,7 @@ from procedures.engine.journal import JOURNAL_FILE, Entry, JournalValue, Line
 from procedures.engine.journal_reading import Chain, read_chain
 from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
-from procedures.engine.step import Scope, StepKey
+from procedures.engine.step import StepKey
 from ronna_hw.records import BadRecord
 
 ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
@@ -90,10 +90,9 @@ class LeftRun:
                 key = step_key(line)
                 _require_superseded(case, key, line)
                 case.void(key)
-            elif line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == "arm":
-                for key in order.sequence:  # as the engine did; whether they are kept is asked again
-                    if order.spec(key).scope is Scope.LOCALIZATION:
-                        case.doubt(key, str(line.get("fault")))
+            elif line["entry"] == Entry.DOUBTED:  # whether they are kept is asked again
+                for name in _names(line, "steps"):
+                    case.doubt(order.find(name), str(line.get("fault")))
         return case
 
 

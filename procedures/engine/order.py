@@ -32,6 +32,11 @@ class CaseOrder:
                 return key
         raise UnknownStep(f"there is no step {name!r}", expected=", ".join(str(key) for key in self.sequence))
 
+    @property
+    def localizations(self) -> tuple[StepKey, ...]:
+        """The steps that say where the head is before the arm."""
+        return tuple(key for key in self.sequence if self.spec(key).scope is Scope.LOCALIZATION)
+
     def before(self, key: StepKey) -> tuple[StepKey, ...]:
         """The steps that must have been done before `key`: those of other trajectories need not."""
         earlier = self.sequence[: self.sequence.index(key)]

@@ -1,5 +1,5 @@
 """A run that was killed, left or interrupted is taken up again: compared first, accepted then, moved last."""
 
-from procedures.recovery.taking_up import recover
+from procedures.recovery.taking_up import bring_home, recover
 
-__all__ = ["recover"]
+__all__ = ["bring_home", "recover"]

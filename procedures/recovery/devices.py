@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from procedures.engine.engine import Engine
+from procedures.engine.engine import ARM, Engine
 from procedures.recovery.comparison import Comparison
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
@@ -13,22 +13,35 @@ from ronna_hw.errors import RonnaError
 
 
 def compare_devices(
-    engine: Engine, recorded: CheckedSetUp, comparison: Comparison, *, exchange_begun: bool
+    engine: Engine,
+    recorded: CheckedSetUp,
+    comparison: Comparison,
+    *,
+    exchange_begun: bool,
+    only_leaving: bool = False,
 ) -> None:
     """Connect and configure every device and hold it against the set-up.
 
-    `exchange_begun` says that an exchange of tools began and did not end. Raises what a device raises that
-    does not answer.
+    `exchange_begun` says that an exchange of tools began and did not end. With `only_leaving` the arm is all
+    that is needed, and no record's age matters. Raises what a needed device raises that does not answer.
     """
-    _compare_calibrations(engine, recorded, comparison)
+    _compare_calibrations(engine, recorded, comparison, only_leaving=only_leaving)
     workcell = engine.setting.workcell
     for role, device in workcell.devices.items():
-        found = DeviceIdentity.of(device.connect())
-        device.configure()
+        try:
+            found = DeviceIdentity.of(device.connect())
+            device.configure()
+        except RonnaError as problem:
+            if role == ARM or not only_leaving:
+                raise
+            comparison.note(f"{role}: not needed on the way home, {problem.summary}")
+            continue
         if (then := recorded.identities.get(role)) == found:
             comparison.same(f"{role} {found.model}")
         else:
             comparison.differs(role, _named(then) if then else "none", _named(found))
+    if not only_leaving:
+        _compare_cameras(engine, comparison)
     _compare_tool(engine, comparison, exchange_begun=exchange_begun)
 
 
@@ -36,7 +49,9 @@ def _named(identity: DeviceIdentity) -> str:
     return f"{identity.model} {identity.serial} with firmware {identity.firmware}"
 
 
-def _compare_calibrations(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
+def _compare_calibrations(
+    engine: Engine, recorded: CheckedSetUp, comparison: Comparison, *, only_leaving: bool
+) -> None:
     now = engine.setting.workcell.calibrations
     records = (now.stereo_head, now.tool_tip, now.tracker_frame)
     then = recorded.calibrations
@@ -47,18 +62,25 @@ def _compare_calibrations(engine: Engine, recorded: CheckedSetUp, comparison: Co
         try:
             record.check_valid_at(engine.setting.today())
         except RonnaError as problem:
-            comparison.differs(f"calibration {record.identifier}", "one that is valid", problem)
+            if only_leaving:
+                comparison.note(f"calibration {record.identifier}: {problem.summary}")
+            else:
+                comparison.differs(f"calibration {record.identifier}", "one that is valid", problem)
         else:
             comparison.same(f"calibration {record.identifier}")
 
 
-def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: bool) -> None:
+def _compare_cameras(engine: Engine, comparison: Comparison) -> None:
     workcell = engine.setting.workcell
     for side, serial in zip(("left", "right"), workcell.stereo.serials, strict=True):
         try:
             check_serial(getattr(workcell.calibrations.stereo_head, side), serial)
         except RonnaError as problem:
             comparison.differs(f"{side} camera", "the calibrated one", problem)
+
+
+def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: bool) -> None:
+    workcell = engine.setting.workcell
     changed = engine.case.find(MountedGuide, None) is not None
     expected = MountedTool.GUIDE if changed else MountedTool.STEREO_HEAD
     found = workcell.identify_mounted()

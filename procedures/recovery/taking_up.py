@@ -7,6 +7,7 @@ is run, planned anew from where the arm is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from procedures.engine.engine import Engine
@@ -38,43 +39,71 @@ def recover(engine: Engine, left: LeftRun) -> None:
     """
     comparison = Comparison()
     compare_inputs(engine, comparison)
-    workcell = engine.setting.workcell
     stored = engine.case.find(CheckedSetUp, None)
     seen = True
     if stored is not None:
-        arm = left_arm(left.run.journal)
-        workcell.take_up(arm, stored.result.home_rad)
-        compare_devices(engine, stored.result, comparison, exchange_begun=_exchange_begun(engine, left))
-        if arm.insertion is None and (found := instrument_on_an_axis(engine)) is not None:
-            insertion, beyond_mm = found
-            workcell.take_up(replace(arm, insertion=insertion, withdrawn_from=None), stored.result.home_rad)
-            comparison.note(
-                f"the tip is {beyond_mm:.0f} mm along {insertion.trajectory}: the instrument counts as inside"
-            )
+        _take_up_arm(engine, left, stored.result, comparison)
         seen = bool(comparison.differences) or compare_room(engine, comparison)
         if not seen:
             comparison.note(
                 "patient and robot base: out of the tracker's sight; compared when the arm is home"
             )
-    _conclude(engine, comparison)
-    question = Question(
-        Topic.RESUME, "take the run up again", "; ".join((*_redone(engine), *comparison.findings))
-    )
-    if engine.questions.ask(question) != YES:
-        raise RecoveryRefused(
-            "the operator did not accept what was found", action="Resume again when it may go on."
-        )
-    engine.accept()
+    _have_accepted(engine, comparison, "take the run up again", (*_first(engine), _then(engine)))
     if stored is None:
         return
     _surround(engine)
     moved = _way_out(engine)
     if (moved or not seen) and engine.upcoming is not None:
-        workcell.rest()  # the tracker measures while the arm's stream is off
+        engine.setting.workcell.rest()  # the tracker measures while the arm's stream is off
         again = Comparison()
         if not compare_room(engine, again):
             again.differs("patient", "at least three spheres in sight", "fewer, with the arm home")
         _conclude(engine, again)
+
+
+def bring_home(engine: Engine, left: LeftRun) -> bool:
+    """Bring the instrument out and the arm home, and leave the run as it is; whether anything moved.
+
+    Only the arm is needed, and what is compared is what the way depends on. Raises PRO-001 where the devices
+    were never set up, PRO-032 as `recover`, and what the arm raises.
+    """
+    comparison = Comparison()
+    _take_up_arm(engine, left, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
+    comparison.note("patient and robot base: not compared, the arm only leaves")
+    if not (first := _first(engine)):
+        _conclude(engine, comparison)
+        return False
+    _have_accepted(engine, comparison, "bring the arm home", first)
+    _surround(engine)
+    engine.retreat_home()
+    return True
+
+
+def _take_up_arm(
+    engine: Engine, left: LeftRun, set_up: CheckedSetUp, comparison: Comparison, *, only_leaving: bool = False
+) -> None:
+    """The arm as it was left, every device compared, and the instrument where its tip is."""
+    workcell, arm = engine.setting.workcell, left_arm(left.run.journal)
+    workcell.take_up(arm, set_up.home_rad)
+    begun = _exchange_begun(engine, left)
+    compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
+    if arm.insertion is None and (found := instrument_on_an_axis(engine)) is not None:
+        insertion, beyond_mm = found
+        workcell.take_up(replace(arm, insertion=insertion, withdrawn_from=None), set_up.home_rad)
+        comparison.note(
+            f"the tip is {beyond_mm:.0f} mm along {insertion.trajectory}: the instrument counts as inside"
+        )
+
+
+def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
+    """Have the operator accept what was found, beside what will be done; raises PRO-032."""
+    _conclude(engine, comparison)
+    question = Question(Topic.RESUME, subject, "; ".join((*order, *comparison.findings)))
+    if engine.questions.ask(question) != YES:
+        raise RecoveryRefused(
+            "the operator did not accept what was found", action="Give the command again when it may go on."
+        )
+    engine.accept()
 
 
 def _conclude(engine: Engine, comparison: Comparison) -> None:
@@ -90,16 +119,20 @@ def _exchange_begun(engine: Engine, left: LeftRun) -> bool:
     return begun and not engine.case.stands(StepKey(name))
 
 
-def _redone(engine: Engine) -> tuple[str, ...]:
-    """What will happen, in the order in which it will."""
+def _first(engine: Engine) -> tuple[str, ...]:
+    """What moves before any step is run."""
     workcell = engine.setting.workcell
     first = []
     if (trajectory := engine.instrument_in) is not None:
         first.append(f"first the instrument comes out of {trajectory} along its axis")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.at_home:
         first.append("the arm goes home the way it came")
+    return tuple(first)
+
+
+def _then(engine: Engine) -> str:
     steps = [str(key) for key in engine.order.sequence if engine.status(key) not in ("done", "left out")]
-    return (*first, f"then to do: {', '.join(steps) or 'nothing'}")
+    return f"then to do: {', '.join(steps) or 'nothing'}"
 
 
 def _surround(engine: Engine) -> None:

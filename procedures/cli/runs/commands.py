@@ -8,18 +8,20 @@ from typing import Annotated
 import typer
 
 from ronna_hw.command_line.console import JsonOption, LogLevelOption, VerboseOption, set_up_logging
+from ronna_hw.command_line.errors import UsageMistake
 
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]
+
+AcceptOption = Annotated[
+    bool, typer.Option("--accept", help="Accept what is found, unasked; in a simulated theatre only.")
+]
+AnswersOption = Annotated[Path | None, typer.Option(help="TOML file that answers the questions of the case.")]
 
 
 def resume_command(
     run_folder: RunArgument,
-    accept: Annotated[
-        bool, typer.Option("--accept", help="Accept what is found, unasked; in a simulated theatre only.")
-    ] = False,
-    answers: Annotated[
-        Path | None, typer.Option(help="TOML file that answers the questions of the case.")
-    ] = None,
+    accept: AcceptOption = False,
+    answers: AnswersOption = None,
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
     log_level: LogLevelOption = None,
@@ -33,6 +35,56 @@ def resume_command(
     from procedures.cli.runs.resume import resume
 
     resume(run_folder, accept=accept, answers=answers, as_json=as_json, verbose=verbose)
+
+
+def home_command(
+    run_folder: RunArgument,
+    accept: AcceptOption = False,
+    answers: AnswersOption = None,
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
+    log_level: LogLevelOption = None,
+) -> None:
+    """Bring the arm of a run that has ended home: an instrument out along its axis first.
+
+    Nothing moves before devices and tool were compared with the record, and accepted. The run stays as it
+    was and can be taken up again. Exit codes: 0 the arm is home, 8 not accepted, others as in `run`.
+    """
+    set_up_logging(verbose)
+    from procedures.cli.runs.home import home
+
+    home(run_folder, accept=accept, answers=answers, as_json=as_json)
+
+
+def acknowledge_command(
+    run_folder: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Folder of a run.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="THEATRE", help="Theatre file, without a run.")
+    ] = None,
+    by: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Who acknowledges [the name of the login].")
+    ] = None,
+    as_json: JsonOption = False,
+    verbose: VerboseOption = False,
+    log_level: LogLevelOption = None,
+) -> None:
+    """Recover the devices that are in fault, once the cause is gone; moves nothing.
+
+    In the journal of the run stands who did it. Exit codes: 0 nothing is in fault any more, 3 the cause
+    stands, 4 a device is not found, others as in `run`.
+    """
+    set_up_logging(verbose)
+    if (run_folder is None) == (config is None):
+        raise UsageMistake("name either a run or, with --config, a theatre file")
+    import getpass
+
+    from procedures.cli.runs.acknowledge import acknowledge_run, acknowledge_theatre
+
+    by = getpass.getuser() if by is None else by
+    if run_folder is not None:
+        acknowledge_run(run_folder, by, as_json=as_json)
+    elif config is not None:
+        acknowledge_theatre(config, by, as_json=as_json)
 
 
 def verify_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
@@ -72,6 +124,8 @@ def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 def add_commands(app: typer.Typer) -> None:
     """Give an application these commands."""
     app.command("resume")(resume_command)
+    app.command("home")(home_command)
+    app.command("acknowledge")(acknowledge_command)
     app.command("verify")(verify_command)
     app.command("lineage")(lineage_command)
     app.command("list")(list_command)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,22 +10,14 @@ from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.opening import Resumption, Watcher, order_of_case
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.request_file import read_request
-from procedures.engine.errors import JournalNotWritable, RunChanged
+from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
 from procedures.engine.evidence import SEAL_FILE, hashes_at_closing
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.left_run import LeftRun, read_left_run
-from procedures.engine.run_lock import held_run
-from procedures.engine.verification import changed_since_closing
 from procedures.reporting.report import REPORT_FILE
-from ronna_hw.command_line.errors import PathProblem, UsageMistake
-from ronna_hw.command_line.messages import tell
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import FinishedRun
-
-PROBE_FILE = ".writable"
-PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 
 
 def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, verbose: bool) -> None:
@@ -36,34 +26,17 @@ def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, v
     Raises PRO-030 to PRO-034, PRO-003 where nothing can be written, PRO-011 and REC-001 for a run that was
     changed, and what devices and steps raise.
     """
-    if not folder.is_dir():
-        raise PathProblem(f"{folder} is not a folder", expected="the folder of a run")
-    folder = folder.resolve()
-    request = read_request(folder)
-    if answers is not None:
-        from procedures.cli.case.answers import read_answers
-
-        request = replace(request, answers=read_answers(answers))
-    if accept and request.config is not None:
-        raise UsageMistake(
-            "--accept is for a simulated theatre", action="Leave it out: on real devices a person accepts."
-        )
-    with held_run(folder):
-        left = read_left_run(folder)
-        if changed := changed_since_closing(folder, left.run.journal):
-            raise RunChanged(f"{folder.name} was changed since it was closed: {'; '.join(map(str, changed))}")
+    request = request_of(folder, accept=accept, answers=answers)
+    with held_left_run(folder) as left:
         if left.finished:
-            if not (folder / SEAL_FILE).exists():
-                seal_run(folder)
+            if not (left.run.path / SEAL_FILE).exists():
+                seal_run(left.run.path)
             show_outcome(_as_it_ended(request, left), as_json=as_json)
             return
-        _check_writable(folder)
-        _remove_half_written(folder)
-        if left.chain.torn:
-            tell(f"the last line of the journal was torn ({len(left.chain.torn)} bytes): it is kept aside")
+        make_ready(left)
         follow(
             request,
-            folder,
+            left.run.path,
             lambda watcher: _go_on(request, left, watcher, accepted=accept),
             as_json=as_json,
             verbose=verbose,
@@ -104,24 +77,3 @@ def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:
     )
     report = folder / REPORT_FILE
     return outcome.model_copy(update={"report": str(report) if report.exists() else None})
-
-
-def _check_writable(folder: Path) -> None:
-    """Raise PRO-003 before anything is started where the run could not be written."""
-    probe = folder / PROBE_FILE
-    try:
-        try:
-            with probe.open("wb") as file:
-                file.write(bytes(PROBE_BYTES))
-                file.flush()
-                os.fsync(file.fileno())
-        finally:
-            probe.unlink(missing_ok=True)
-    except OSError as error:
-        raise JournalNotWritable(f"cannot write into {folder}: {error.strerror}") from error
-
-
-def _remove_half_written(folder: Path) -> None:
-    """What a program that was killed had not finished writing was never part of the run."""
-    for path in folder.rglob(".*.partial"):
-        path.unlink(missing_ok=True)

@@ -1,0 +1,87 @@
+"""`ronna-procedure acknowledge`: recovers the devices of a run, or of a theatre, from their faults."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.leaving_report import leaving_report
+from procedures.cli.case.opening import Resumption, Watcher, opened_case
+from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
+from procedures.engine.acknowledging import acknowledged
+from ronna_hw.command_line.console import print_json, tell
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from ronna_hw.devices.lifecycle import Device
+
+
+def acknowledge_run(folder: Path, by: str, *, as_json: bool) -> None:
+    """Those of a run, and write it into its journal. Raises as `resume`, and as `acknowledge_theatre`."""
+    request = request_of(folder)
+    with held_left_run(folder) as left:
+        make_ready(left)
+        path = left.run.path
+        with leaving_report(path), opened_case(request, path, Watcher(), Resumption(left, False)) as engine:
+            _recover_all(
+                engine.setting.workcell.devices,
+                lambda: engine.acknowledge(by),
+                as_json=as_json,
+                run=path.name,
+            )
+
+
+def acknowledge_theatre(file: Path, by: str, *, as_json: bool) -> None:
+    """Those of a theatre file. Raises what a driver raises whose device cannot be recovered yet."""
+    from ronna_hw.theatre import Theatre
+
+    with Theatre.from_file(file) as theatre:
+        devices = theatre.devices
+        _recover_all(
+            devices,
+            lambda: dict(acknowledged(devices, lambda name: devices[name].recover(by))),
+            as_json=as_json,
+            theatre=theatre.file.theatre,
+        )
+
+
+def _recover_all(
+    devices: Mapping[str, Device],
+    acknowledge: Callable[[], dict[str, str]],
+    *,
+    as_json: bool,
+    **about: str,
+) -> None:
+    """Connect to every device, which moves nothing, and recover those that are in fault, then or configured.
+
+    What does not answer keeps nothing from being recovered, and is raised in the end.
+    """
+    problems: dict[str, RonnaError] = {}
+    for name, device in devices.items():
+        try:
+            device.connect()
+        except RonnaError as problem:
+            problems[name] = problem
+    done = acknowledge()
+    for name, device in devices.items():
+        if device.observe().state is Lifecycle.CONNECTED:
+            try:
+                device.configure()
+            except RonnaError as problem:
+                if device.observe().state is not Lifecycle.FAULT:
+                    problems[name] = problem
+    done |= acknowledge()
+    if as_json:
+        unreached = {name: str(problem) for name, problem in problems.items()}
+        print_json({**about, "acknowledged": done, "unreached": unreached})
+    else:
+        told = [f"{name}: {fault}" for name, fault in done.items()] or ["no device is in fault"]
+        sys.stdout.write("".join(f"{line}\n" for line in told))
+    *others, last = [None, *problems.values()]
+    for one in others[1:]:
+        tell(str(one))
+    if last is not None:
+        raise last

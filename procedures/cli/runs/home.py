@@ -1,0 +1,49 @@
+"""`ronna-procedure home RUN`: brings the arm of a run that has ended home, and does nothing else of it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from procedures.cli.case.display import following
+from procedures.cli.case.leaving_report import leaving_report
+from procedures.cli.case.opening import Resumption, opened_case
+from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
+from procedures.engine.journal import Entry
+from procedures.engine.left_run import LeftRun
+from ronna_hw.command_line.console import print_json
+
+
+def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
+    """An instrument out along its axis, then the arm home, once what was found is accepted.
+
+    Raises as `resume`; the run stays as it was and can be taken up again.
+    """
+    request = request_of(folder, accept=accept, answers=answers)
+    with held_left_run(folder) as left:
+        if (nothing := _nothing_to_do(left)) is not None:
+            _say(left, nothing, moved=False, as_json=as_json)
+            return
+        make_ready(left)
+        with leaving_report(left.run.path), following(quiet=as_json, verbose=False) as watcher:
+            from procedures.recovery import bring_home
+
+            with opened_case(request, left.run.path, watcher, Resumption(left, accept)) as engine:
+                moved = bring_home(engine, left)
+        _say(left, "the arm is home" if moved else "the arm was home already", moved=moved, as_json=as_json)
+
+
+def _nothing_to_do(left: LeftRun) -> str | None:
+    """Why no device need be asked; None when one must."""
+    if left.finished:
+        return "the run is finished: its arm is parked"
+    if not left.run.lines(Entry.MOTION):
+        return "the run has moved nothing"
+    return None
+
+
+def _say(left: LeftRun, words: str, *, moved: bool, as_json: bool) -> None:
+    if as_json:
+        print_json({"run": left.run.path.name, "home": True, "moved": moved})
+    else:
+        sys.stdout.write(f"{words}\n")

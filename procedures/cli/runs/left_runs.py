@@ -1,0 +1,81 @@
+"""A run that is taken up again: what it was asked for, what it left, and whether it can be written to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.request_file import read_request
+from procedures.engine.errors import JournalNotWritable, RunChanged
+from procedures.engine.left_run import LeftRun, read_left_run
+from procedures.engine.run_lock import held_run
+from procedures.engine.verification import changed_since_closing
+from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.messages import tell
+
+PROBE_FILE = ".writable"
+PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
+
+
+def request_of(folder: Path, *, accept: bool = False, answers: Path | None = None) -> CaseRequest:
+    """What the run was asked for, answered by that file. Raises CLI-001, CLI-005, PRO-026, 031 and 034."""
+    if not folder.is_dir():
+        raise PathProblem(f"{folder} is not a folder", expected="the folder of a run")
+    request = read_request(folder.resolve())
+    if answers is not None:
+        from procedures.cli.case.answers import read_answers
+
+        request = replace(request, answers=read_answers(answers))
+    if accept and request.config is not None:
+        raise UsageMistake(
+            "--accept is for a simulated theatre", action="Leave it out: on real devices a person accepts."
+        )
+    return request
+
+
+@contextmanager
+def held_left_run(folder: Path) -> Iterator[LeftRun]:
+    """What a run left, with its folder held for this program.
+
+    Raises PRO-030 while another program has it open, PRO-033, PRO-011 and REC-001 for one that was changed.
+    """
+    folder = folder.resolve()
+    with held_run(folder):
+        left = read_left_run(folder)
+        if changed := changed_since_closing(folder, left.run.journal):
+            raise RunChanged(f"{folder.name} was changed since it was closed: {'; '.join(map(str, changed))}")
+        yield left
+
+
+def make_ready(left: LeftRun) -> None:
+    """Before a program goes on with a run. Raises PRO-003 where the run could not be written."""
+    folder = left.run.path
+    _check_writable(folder)
+    _remove_half_written(folder)
+    if left.chain.torn:
+        tell(f"the last line of the journal was torn ({len(left.chain.torn)} bytes): it is kept aside")
+
+
+def _check_writable(folder: Path) -> None:
+    """Raise PRO-003 before anything is started where the run could not be written."""
+    probe = folder / PROBE_FILE
+    try:
+        try:
+            with probe.open("wb") as file:
+                file.write(bytes(PROBE_BYTES))
+                file.flush()
+                os.fsync(file.fileno())
+        finally:
+            probe.unlink(missing_ok=True)
+    except OSError as error:
+        raise JournalNotWritable(f"cannot write into {folder}: {error.strerror}") from error
+
+
+def _remove_half_written(folder: Path) -> None:
+    """What a program that was killed had not finished writing was never part of the run."""
+    for path in folder.rglob(".*.partial"):
+        path.unlink(missing_ok=True)
