@@ -181,13 +181,19 @@ def start_stream(
 def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadline: float) -> None:
     """Acknowledge the controller's messages and read its state again, with no RSI program running.
 
-    Raises EKI-008 when it refuses, EKI-005 to EKI-007 for what is not as it must be.
+    Raises EKI-005 to EKI-007 for what is not as it must be, EKI-008 when it refuses for another reason.
     """
     eki.command(CommandName.RSI_STOP, rest_of(deadline))
-    eki.require(CommandName.ACK_ERRORS, rest_of(deadline))
+    refused = None
+    try:
+        eki.require(CommandName.ACK_ERRORS, rest_of(deadline))
+    except CommandRefused as problem:  # the state tells more than the answer
+        refused = problem
     state = eki.status(rest_of(deadline))
     require_ours(state, context, options.variant)
     require_ready(state, drives=False, modes=(OperationMode.EXT, OperationMode.T1))
+    if refused is not None:
+        raise refused
 
 
 def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:

@@ -8,7 +8,7 @@ from kills import LARGEST_CHANGE_MM, assert_no_byte_before_acceptance, killed_at
 from run_folders import run_folder
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 from sim.theatre.left_world import LEFT_WORLD_FILE
 
@@ -55,3 +55,20 @@ def test_a_run_that_was_killed_before_its_first_record_is_begun_anew(
     outcome = taken_up(commands, killed)
     assert run_folder(tmp_path) == killed.folder
     assert outcome["mean_application_error_mm"] == UNINTERRUPTED_MM
+
+
+@pytest.mark.hazard(2)
+def test_the_arm_of_a_killed_run_is_brought_home_and_the_run_goes_on_later(
+    commands: Commands, tmp_path: Path
+) -> None:
+    killed = killed_at(commands, CASE, tmp_path, 80)  # the instrument is inside
+    refused = commands.run("ronna-procedure", "home", str(killed.folder))
+    assert refused.returncode == EXIT_RECOVERY_NEEDED, refused.stderr
+    done = commands.run("ronna-procedure", "home", str(killed.folder), "--accept", "--json")
+    assert json.loads(done.stdout) == {"run": killed.folder.name, "home": True, "moved": True}
+    lines = tuple(read_journal(killed.folder / JOURNAL_FILE))
+    assert_no_byte_before_acceptance(killed.folder, lines)
+    whats = [line["what"] for line in lines if line["entry"] == Entry.MOTION]
+    assert whats[-2:] == ["withdraw", "home"]
+    assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == 0
+    assert taken_up(commands, killed)["outcome"] == "done"

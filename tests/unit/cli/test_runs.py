@@ -18,7 +18,10 @@ from procedures.cli.procedure import app
 from procedures.engine.errors import BadRequestFile, OtherProgram
 from procedures.engine.journal import Entry
 from procedures.engine.run_lock import held_run
-from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_USAGE
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.errors import EXIT_LINK_LOST, EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_USAGE, LinkTimeout
+from ronna_hw.theatre import Theatre
 
 
 @pytest.fixture
@@ -121,3 +124,46 @@ def test_list_and_show_tell_how_runs_ended(run: Path) -> None:
     assert sorted(shown["superseded"]) == ["02-localization-T1", "03-fit-T1"]
     assert run.name in in_this_process(app, "show", run).stdout
     assert run.name in in_this_process(app, "list", run.parent).stdout
+
+
+@pytest.mark.parametrize("which", [(), ("RUN", "--config", "theatre.toml")])
+def test_faults_are_acknowledged_of_one_run_or_one_theatre(which: tuple[str, ...]) -> None:
+    refused = in_this_process(app, "acknowledge", *which)
+    assert refused.returncode == EXIT_USAGE
+    one_error(refused.stderr)
+
+
+def test_an_arm_that_never_moved_is_not_asked_for_to_be_home(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    done = in_this_process(app, "home", folder, "--json")
+    assert json.loads(done.stdout) == {"run": folder.name, "home": True, "moved": False}
+
+
+def test_devices_of_a_theatre_are_recovered_without_a_run_and_what_is_not_there_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    cell = RecordingCell(tmp_path / "run")
+
+    def without_power(timeout_s: float = 10.0) -> Identity:
+        raise LinkTimeout("the tracker is silent")
+
+    def fails(timeout_s: float = 10.0) -> None:
+        cell.stereo.state = Lifecycle.FAULT
+        raise LinkTimeout("a camera is lost")
+
+    def recover_from_fault(_by: str) -> None:
+        if cell.stereo.state is not Lifecycle.FAULT:
+            raise WrongState("recover is not allowed now")
+        cell.stereo.state = Lifecycle.CONFIGURED
+
+    monkeypatch.setattr(cell.tracker, "connect", without_power)
+    monkeypatch.setattr(cell.stereo, "configure", fails)
+    monkeypatch.setattr(cell.stereo, "recover", recover_from_fault, raising=False)
+    monkeypatch.setattr(Theatre, "from_file", lambda _file: cell.opened)
+    done = in_this_process(app, "acknowledge", "--config", "theatre.toml", "--by", "A. Nurse", "--json")
+    assert done.returncode == EXIT_LINK_LOST
+    said = json.loads(done.stdout)
+    assert sorted(said["acknowledged"]) == ["robot.master", "stereo"]
+    assert list(said["unreached"]) == ["tracker"]
+    assert cell.arm.calls == ["recovered by A. Nurse"]  # a message; nothing else of it is asked
+    assert cell.arm.motions == []

@@ -8,6 +8,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.errors import NotConfirmed, OperatorAborted, StepRefused
 from procedures.engine.operator import Topic
 from procedures.workcell import Insertion, MountedTool
+from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
@@ -49,6 +50,17 @@ def test_acknowledging_recovers_the_device_by_name_and_moves_nothing(cell: Recor
     assert cell.arm.motions == []
     assert cell.entries() == [("acknowledged", "")]
     assert engine.why_refused(engine.order.find("image")) == ()
+
+
+def test_a_message_of_an_earlier_session_is_acknowledged_too(cell: RecordingCell) -> None:
+    def holds_none(*_: object) -> None:
+        raise WrongState("recover is not allowed now")
+
+    engine = cell.engine(plain_order())
+    cell.arm.state = cell.stereo.state = Lifecycle.CONNECTED
+    cell.stereo.recover = holds_none  # type: ignore[attr-defined]
+    assert list(engine.acknowledge("A. Nurse")) == ["arm"]
+    assert cell.arm.calls == ["recovered by A. Nurse"]
 
 
 @pytest.mark.hazard(37)

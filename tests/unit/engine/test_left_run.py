@@ -1,6 +1,7 @@
 """A run that broke off is read back as it stood, and goes on in the same journal."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from recording_cell import RecordingCell
 from run_again import broken_off, opened_again
 
 from procedures.engine.case import RECORDS_FOLDER
+from procedures.engine.engine import Engine
 from procedures.engine.errors import JournalCorrupt, RunInUse, StepRefused
 from procedures.engine.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
 from procedures.engine.journal_reading import read_chain
@@ -17,6 +19,8 @@ from procedures.engine.result import StepResult
 from procedures.engine.run_lock import held_run
 from procedures.engine.step import Outcome, StepKey
 from procedures.workcell.left_arm import left_arm
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.errors import LinkTimeout
 
 BLOCK_BYTES = 512
 
@@ -101,6 +105,53 @@ def test_a_step_that_may_only_follow_another_begins_with_that_one_again(cell: Re
     engine._latest = None  # something came between
     assert engine.upcoming == order.find("approach:T1")
     assert left.latest == order.find("approach:T1")
+
+
+def in_a_step(_cell: RecordingCell, engine: Engine) -> None:
+    with pytest.raises(LinkTimeout):
+        engine.run_step(engine.order.find("fit:T1"))
+
+
+def at_the_end(cell: RecordingCell, engine: Engine) -> None:
+    cell.arm.state = Lifecycle.FAULT
+    engine.close("left")
+
+
+def acknowledged(cell: RecordingCell, engine: Engine) -> None:
+    cell.arm.state = Lifecycle.FAULT
+    engine.acknowledge("A. Nurse")
+
+
+def killed_while_it_is_acknowledged(cell: RecordingCell, engine: Engine) -> None:
+    def killed(*_: object) -> None:
+        raise MemoryError
+
+    cell.arm.state = Lifecycle.FAULT
+    cell.arm.recover = killed  # type: ignore[method-assign]
+    with pytest.raises(MemoryError):
+        engine.acknowledge("A. Nurse")
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.hazard(12)
+@pytest.mark.parametrize("ended", [in_a_step, at_the_end, acknowledged, killed_while_it_is_acknowledged])
+def test_what_was_localized_before_a_fault_of_the_arm_is_in_doubt_after_a_restart_too(
+    cell: RecordingCell, ended: Callable[[RecordingCell, Engine], None]
+) -> None:
+    def fails(_context: object) -> Outcome[StepResult]:
+        cell.arm.state = Lifecycle.FAULT
+        raise LinkTimeout("the controller is silent")
+
+    order = plain_order("T1", fit=fails)
+    engine = cell.engine(order)
+    engine.run_to(order.find("localization:T1"))
+    ended(cell, engine)
+    if not cell.journal.closed:
+        broken_off(cell)
+    again, _, _ = opened_again(cell, order)
+    (localized,) = (one.record for one in again.case.standing if one.record.kind == "localization")
+    assert again.case.doubt_of(localized) == "None"  # the words of the recording arm's fault
+    assert len(again.entries("doubted")) == 1
 
 
 def test_a_record_that_never_came_into_the_journal_stands_for_nothing_and_is_kept(

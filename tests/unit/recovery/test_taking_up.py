@@ -34,14 +34,16 @@ from procedures.engine.operator import Topic
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.result import StepResult
 from procedures.engine.step import Scope, StepSpec
-from procedures.recovery import inputs, recover, taking_up
+from procedures.recovery import bring_home, inputs, recover, taking_up
 from procedures.recovery.room import FEWEST_SPHERES, shift_of_spheres_mm
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.workcell import MountedTool
 from ronna_hw.arm.errors import NotClear
+from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.config import Calibrations
 from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.errors import LinkTimeout
 
 MOVED_MM = np.array([0.6, 0.0, 0.0])
 
@@ -158,6 +160,64 @@ def test_a_retreat_that_was_killed_outside_the_entry_is_finished_from_there(cell
     engine.run_to()
     assert engine.upcoming is None
     assert len(again.motions("withdraw")) == 1
+
+
+class TestBringingHome:
+    @pytest.mark.hazard(2)
+    def test_nothing_moves_before_it_is_accepted(self, cell: ClinicalCell) -> None:
+        again, engine, left = left_after(cell, f"positioning:{FIRST}")
+        again.operator.refusing = (Topic.RESUME,)
+        with pytest.raises(RecoveryRefused, match="PRO-032"):
+            bring_home(engine, left)
+        assert again.arm.motions == []
+        assert "activate" not in again.arm.calls
+
+    @pytest.mark.hazard(2)
+    def test_an_instrument_comes_out_first_and_the_run_is_taken_up_as_it_was(
+        self, cell: ClinicalCell
+    ) -> None:
+        order = case_order(cell)
+        again, engine, left = left_after(cell, f"positioning:{FIRST}")
+        assert bring_home(engine, left)
+        assert [kind for kind, _ in again.arm.motions] == ["line", "joints"]
+        assert again.workcell.at_home
+        assert again.entries("accepted", "home", "result")[-2:] == [("accepted", ""), ("home", "")]
+        broken_off(again)
+        later, engine, left = opened_again(again, order)
+        recover(engine, left)
+        assert later.arm.motions == []
+        assert str(engine.upcoming) == f"positioning:{FIRST}"
+        engine.run_to()
+
+    def test_an_arm_that_is_home_stays_there_unasked(self, cell: ClinicalCell) -> None:
+        again, engine, left = left_after(cell, "tool_change")
+        assert not bring_home(engine, left)
+        assert again.operator.asked == []
+
+    def test_neither_a_tracker_without_power_nor_a_record_out_of_date_keeps_the_arm_over_the_head(
+        self, cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def silent(timeout_s: float = 10.0) -> Identity:
+            raise LinkTimeout("the tracker is silent")
+
+        def expired(*_: object) -> None:
+            raise CalibrationExpired("it expired in the night")
+
+        again, engine, left = left_after(cell, f"positioning:{FIRST}")
+        monkeypatch.setattr(again.tracker, "connect", silent)
+        monkeypatch.setattr(DatedRecord, "check_valid_at", expired)
+        assert bring_home(engine, left)
+        (asked,) = (one for one in again.operator.asked if one.topic is Topic.RESUME)
+        assert "the tracker is silent" in asked.value
+        assert "it expired in the night" in asked.value
+
+    @pytest.mark.hazard(2)
+    def test_another_arm_is_not_moved(self, cell: ClinicalCell) -> None:
+        again, engine, left = left_after(cell, f"positioning:{FIRST}")
+        other_arm(again)
+        with pytest.raises(RecoveryRefused, match="arm"):
+            bring_home(engine, left)
+        assert again.arm.motions == []
 
 
 def other_tool(cell: ClinicalCell) -> None:
