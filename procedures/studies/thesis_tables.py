@@ -41,8 +41,8 @@ TABLE_2: Mapping[str, Column] = {  # FLE in five image sets of the phantom; thei
 }
 
 # FRE of ten registrations; the FLE. Two printed figures do not follow from their rows: operator 3 is
-# truncated, and the average operator's is the mean of the four FLE, while the rows (the means of the four, in another
-# order) give 0.4601.
+# truncated, and the average operator's is the mean of the four FLE, while its rows (the means of the
+# four, in another order) give 0.4601.
 TABLE_3: Mapping[str, Column] = {
     "operator 1": Column(
         (0.3471, 0.5055, 0.504, 0.413, 0.7072, 0.5486, 0.3625, 0.3085, 0.459, 0.2483), 0.4583
