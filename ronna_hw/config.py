@@ -5,12 +5,12 @@ TOML, strict: unknown keys are errors, and all mistakes are reported at once.
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
+from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     Length,
     StereoHeadCalibration,
@@ -154,14 +154,12 @@ class TheatreFile(Strict):
 def read_theatre_file(path: Path) -> TheatreFile:
     """Read and check a theatre file; raises CFG-001 with every mistake in it."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = read_toml(path, BadTheatreFile)
     except OSError as error:
         raise BadTheatreFile(
             f"cannot read {path.name}: {error.strerror}",
             action="Give the path of a theatre file; ronna-sim theatre writes one to start from.",
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadTheatreFile(f"{path.name} is not TOML: {error}") from error
     theatre = parse_theatre(content, path.name)
     folder = path.resolve().parent
     return theatre.model_copy(

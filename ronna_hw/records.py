@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from ronna_hw.bounded_input import parse_json, read_json_bytes
 from ronna_hw.errors import DataError
 
 
@@ -105,7 +106,7 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False) -> None:
 def read_record(path: Path) -> Record:
     """Read a record back and check its hash; raises REC-001."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(read_json_bytes(path))
         claimed = content.pop("sha256")
         parents = dict(zip(content.pop("parents"), content.pop("parents_sha256"), strict=True))
         record = Record(**content, parents=parents)

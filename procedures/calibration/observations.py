@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 
 from procedures.calibration.errors import BadObservations
 from procedures.relocalization.sphere_image import SphereImage
+from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
 from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform
@@ -78,7 +79,7 @@ def read_observations(path: Path) -> ObservationSet:
 def read_strict(kind: type[S], path: Path) -> S:
     """Read one strict record from JSON; raises CAL-005 listing every error in it."""
     try:
-        return kind.model_validate_json(path.read_bytes())
+        return kind.model_validate_json(read_json_bytes(path))
     except OSError as error:
         raise BadObservations(f"cannot read {path}: {error.strerror}") from error
     except ValidationError as error:

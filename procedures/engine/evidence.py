@@ -11,9 +11,10 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from procedures.engine.journal import JOURNAL_FILE
+from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.records import canonical_json, write_whole
 
 SEAL_FILE = "seal.json"
@@ -88,9 +89,9 @@ def seal(folder: Path, closed: Mapping[str, str]) -> None:
 def read_seal(folder: Path) -> Seal | None:
     """The seal of a run; None where there is none, or it cannot be read or was changed."""
     try:
-        content = (folder / SEAL_FILE).read_bytes()
+        content = read_json_bytes(folder / SEAL_FILE)
         found = Seal.model_validate_json(content)
-    except (OSError, ValidationError):
+    except (OSError, ValueError):
         return None
     as_written = found.model_dump_json(by_alias=True, indent=1).encode()
     return found if found.whole and content == as_written else None

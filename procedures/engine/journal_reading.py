@@ -7,12 +7,12 @@ follow it. A whole line after a broken one means that somebody changed or remove
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from procedures.engine.errors import JournalCorrupt
+from ronna_hw.bounded_input import parse_json, read_json_lines
 
 FIRST = "0" * 64  # what the first line names as the one before it
 
@@ -32,7 +32,7 @@ class Chain:
 
 def read_chain(path: Path) -> Chain:
     """A journal's lines in order, and what is torn at its end; raises PRO-011 when the chain is broken."""
-    content = path.read_bytes()
+    content = read_json_lines(path)
     lines: list[Line] = []
     size = 0
     for line, end in _whole_lines(content, path.name):
@@ -44,7 +44,7 @@ def read_chain(path: Path) -> Chain:
 
 def read_journal(path: Path) -> Iterator[Line]:
     """The lines of a journal, in order, without a torn end; raises PRO-011 where the chain is broken."""
-    for line, _ in _whole_lines(path.read_bytes(), path.name):
+    for line, _ in _whole_lines(read_json_lines(path), path.name):
         yield line
 
 
@@ -70,7 +70,7 @@ def _hash(line: bytes) -> str:
 
 def _parsed(line: bytes) -> dict[str, JournalValue] | None:
     try:
-        entry = json.loads(line)
+        entry = parse_json(line)
     except ValueError:
         return None
     return entry if isinstance(entry, dict) else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.errors import PicksUnreadable
+from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 
 Array = NDArray[np.float64]
 
+LARGEST_FILE_BYTES = 1_000_000  # a point list of 3D Slicer takes a kilobyte per point
 COLUMNS = ("L_mm", "P_mm", "S_mm")  # as `--write FILE.csv` names them
 OWN_LISTS = ("spheres", "markers", "candidates")  # as `--write FILE.json` and `--json` name them
 LPS_FROM_RAS = np.array([-1.0, -1.0, 1.0])
@@ -22,11 +23,14 @@ LPS_FROM_RAS = np.array([-1.0, -1.0, 1.0])
 def read_picks(path: Path) -> Array:
     """Picks (n, 3) LPS mm from a .csv or .json file; raises CT-018."""
     try:
-        text = path.read_text(encoding="utf-8")
-        rows = _from_json(json.loads(text)) if path.suffix.lower() == ".json" else _from_csv(text)
+        content = read_bounded(path, LARGEST_FILE_BYTES)
+        is_json = path.suffix.lower() == ".json"
+        rows = _from_json(parse_json(content)) if is_json else _from_csv(content.decode())
         picks = np.array(rows, dtype=float)
     except OSError as error:
         raise PicksUnreadable(f"cannot read the picks in {path.name}: {error.strerror}") from error
+    except InputRefused as error:
+        raise PicksUnreadable(f"{path.name} is refused: {error.summary}") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise PicksUnreadable(f"{path.name} holds no picks: {error}") from error
     if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,22 +18,17 @@ from procedures.planning.errors import (
     raise_together,
 )
 from procedures.planning.plan import Plan
+from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import describe_mistakes
-
-LARGEST_FILE_BYTES = 1_000_000  # a hundred trajectories need some twenty thousand
 
 
 def read_plan(path: Path) -> Plan:
     """Read and check a plan. Raises PLAN-001, PLAN-002, PLAN-004, PLAN-005 with every mistake in it."""
     path = Path(path)
     try:
-        if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise PlanUnreadable(f"{path.name} is too large for a plan", limit=f"{LARGEST_FILE_BYTES} bytes")
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = read_toml(path, PlanUnreadable)
     except OSError as error:
         raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise PlanUnreadable(f"{path.name} is not TOML: {error}") from error
     return parse_plan(content, path.name)
 
 

@@ -8,11 +8,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import astuple, fields
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from procedures.reporting.outcome import Truth
 from procedures.reporting.target_table import TargetRow
 from procedures.reporting.timeline import Span
+from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.records import write_whole
 
 REPORT_FOLDER = "report"
@@ -31,8 +30,8 @@ def keep_truth(run: Path, truth: Truth) -> Path:
 def kept_truth(run: Path) -> Truth | None:
     """What `keep_truth` left; None without it, or where it cannot be read."""
     try:
-        return Truth.model_validate_json((run / REPORT_FOLDER / TRUTH_FILE).read_bytes())
-    except (OSError, ValidationError):
+        return Truth.model_validate_json(read_json_bytes(run / REPORT_FOLDER / TRUTH_FILE))
+    except (OSError, ValueError):
         return None
 
 

@@ -6,7 +6,6 @@ said in it and keeps nothing else from being shown.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from procedures.engine.errors import JournalCorrupt
 from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
 from procedures.engine.result import StepResult
 from procedures.engine.run_folder import RunFolder, typed
+from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.records import BadRecord, Record, read_record
@@ -103,12 +103,12 @@ def _record(folder: Path, line: Line, problems: list[str]) -> Record | None:
 def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:
     lines = []
     try:
-        text = (folder / LOG_FILE).read_text(encoding="utf-8", errors="replace")
-    except OSError:
+        text = read_json_lines(folder / LOG_FILE)
+    except (OSError, InputRefused):
         return ()
     for line in text.splitlines():
         try:
-            content = json.loads(line)
+            content = parse_json(line)
         except ValueError:
             continue
         if isinstance(content, dict):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from procedures.studies.errors import LedgerUnreadable, OtherStudy
 from procedures.studies.unit import Study, Sums, Unit
+from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.records import canonical_json
 
 FILE = "units.jsonl"
@@ -50,10 +51,10 @@ class Ledger:
                 yield unit, self.finished[key]
 
     def _read(self, head: Mapping[str, object]) -> None:
-        lines = self._path.read_text(encoding="utf-8").split("\n")
+        lines = read_json_lines(self._path).decode().split("\n")
         try:
-            there = json.loads(lines[0])
-            whole = [json.loads(line) for line in lines[1:-1]]  # a line without an end was truncated
+            there = parse_json(lines[0])
+            whole = [parse_json(line) for line in lines[1:-1]]  # a line without an end was truncated
             if there["fingerprint"] != head["fingerprint"]:
                 raise OtherStudy(f"{self._path.parent} holds a {there['study']} study with other parameters")
             self.finished = {line["unit"]: line["sums"] for line in whole if line["unit"] in self._units}

@@ -14,6 +14,7 @@ import socket
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from ronna_hw.bounded_input import parse_json
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError, ConnectError
 
@@ -107,7 +108,7 @@ class ControlPortClient:
     def _exchange(self, what: str, request: dict[str, Any]) -> None:
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
-            answer = json.loads(self._answers.readline(LONGEST_LINE) or b"{}")
+            answer = parse_json(self._answers.readline(LONGEST_LINE) or b"{}")
         except (OSError, ValueError) as error:
             raise self._silent(error) from error
         if not answer:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+from ronna_hw.bounded_input import parse_json
 from ronna_hw.devices.byte_sink import Direction
 
 BYTES_FOLDER = "bytes"
@@ -60,7 +61,7 @@ def _read(link: str, path: Path) -> Iterable[LinkLine]:
     with path.open(encoding="ascii", errors="replace") as file:
         for text in file:
             try:
-                content = json.loads(text)
+                content = parse_json(text)
                 yield LinkLine(
                     link,
                     datetime.fromisoformat(content["host_time"]),

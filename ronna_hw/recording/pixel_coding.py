@@ -11,8 +11,11 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.bounded_input import inflate
+
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 TYPES: dict[str, type[np.uint8 | np.uint16]] = {"uint8": np.uint8, "uint16": np.uint16}
+LARGEST_BYTES = 50_000_000  # ten times a whole sensor of ours
 CENTRE = 0x80  # small differences of either sign around it: their high byte is then all but constant
 
 
@@ -32,10 +35,7 @@ def unpack_pixels(packed: bytes, shape: tuple[int, int], kind: str) -> Pixels:
     if kind not in TYPES:
         raise ValueError(f"{kind} is no type of pixels")
     wanted = np.dtype(TYPES[kind])
-    try:
-        raw = np.frombuffer(zlib.decompress(packed), dtype=np.uint8)
-    except zlib.error as error:
-        raise ValueError(str(error)) from error
+    raw = np.frombuffer(inflate(packed, LARGEST_BYTES), dtype=np.uint8)
     planes = raw.reshape(wanted.itemsize, *shape)
     rows = np.moveaxis(planes, 0, -1).copy(order="C").view(wanted).reshape(shape)
     rows -= rows.dtype.type(CENTRE)

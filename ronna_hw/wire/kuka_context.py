@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from ronna_hw.bounded_input import parse_toml, read_toml
 from ronna_hw.errors import ConfigurationError
 
 DEFAULT_CONTEXT_FILE = "kuka_rsi_context.toml"
@@ -195,14 +195,13 @@ def load_context(path: Path | None = None) -> RsiContext:
     source = str(path) if path else DEFAULT_CONTEXT_FILE
     try:
         if path is None:
-            text = files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8")
+            content = parse_toml(files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8"))
         else:
-            text = path.read_text("utf-8-sig")
-        return _from_toml(text)
+            content = read_toml(path, ContextInvalid)
+        # JSON in between: in strict mode pydantic takes arrays as tuples from JSON only.
+        return RsiContext.model_validate_json(json.dumps(content, default=str))
     except OSError as error:
         raise ContextInvalid(f"cannot read the RSI context {source}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ContextInvalid(f"the RSI context {source} is not TOML: {error}") from error
     except ValidationError as error:
         mistakes = "; ".join(
             f"{'.'.join(str(part) for part in m['loc']) or 'file'}: {m['msg']}" for m in error.errors()
@@ -210,11 +209,6 @@ def load_context(path: Path | None = None) -> RsiContext:
         raise ContextInvalid(
             f"the RSI context {source} has {error.error_count()} mistakes: {mistakes}"
         ) from None
-
-
-def _from_toml(text: str) -> RsiContext:
-    # JSON in between: in strict mode pydantic takes arrays as tuples from JSON only.
-    return RsiContext.model_validate_json(json.dumps(tomllib.loads(text), default=str))
 
 
 def context_hash(context: RsiContext) -> str:

@@ -16,8 +16,9 @@ import socket
 import socketserver
 import threading
 import time
-from typing import Any, NoReturn
+from typing import Any
 
+from ronna_hw.bounded_input import parse_json
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from sim.theatre.control import Room
@@ -122,8 +123,8 @@ class _Conversation(socketserver.BaseRequestHandler):
             self._received += more
         line, _, self._received = self._received.partition(b"\n")
         try:
-            request = json.loads(line, parse_constant=_no_number) if len(line) <= LONGEST_LINE else None
-        except (ValueError, RecursionError):
+            request = parse_json(line, LONGEST_LINE)
+        except ValueError:
             raise _HangUp from None
         if not isinstance(request, dict):
             raise _HangUp
@@ -136,7 +137,3 @@ class _Conversation(socketserver.BaseRequestHandler):
 
 class _HangUp(Exception):
     """The conversation is over."""
-
-
-def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no JSON")

@@ -17,6 +17,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
+from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
@@ -86,7 +87,7 @@ def read_left_world(folder: Path) -> LeftWorld | None:
     if not path.exists():
         return None
     try:
-        return LeftWorld.model_validate_json(path.read_bytes(), strict=False)
+        return LeftWorld.model_validate_json(read_json_bytes(path), strict=False)
     except ValidationError as error:
         raise BadLeftWorld(f"{path.name}: {'; '.join(describe_mistakes(error))}") from error
 

@@ -8,13 +8,13 @@ the mount is where it is.
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.records import write_whole
 from sim.theatre.noise import noise
@@ -92,7 +92,7 @@ def write_theatre_file(content: dict[str, Any], path: Path) -> None:
 def calibrated_at(theatre_file: Path) -> datetime | None:
     """When the calibration records of a theatre file were made; None when there is no such file."""
     try:
-        content = tomllib.loads(theatre_file.read_text(encoding="utf-8"))
+        content = read_toml(theatre_file, InputRefused)
         made: datetime = content["calibration"]["stereo_head"]["created"]
     except (OSError, ValueError, KeyError):
         return None

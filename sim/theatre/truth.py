@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadTruth
@@ -58,7 +59,7 @@ def read_samples(folder: Path) -> list[TipSample]:
     if not path.exists():
         return []
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_json_lines(path).decode().splitlines()
     except UnicodeDecodeError as error:
         raise BadTruth(f"{path.name} is not text in UTF-8: {error.reason}") from error
     except OSError as error:

@@ -12,6 +12,7 @@ from typing import NoReturn
 from xml.etree import ElementTree
 
 from drivers.kuka_rsi.errors import BadEkiTelegram
+from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.wire.kuka_eki import ACK, STATE
 
 LONGEST_TELEGRAM = 16384  # the default BUFFSIZE of an EKI channel
@@ -102,6 +103,6 @@ def _name(tag: bytes) -> bytes:
 def parse_telegram(telegram: bytes) -> ElementTree.Element:
     """The root element; raises EKI-004 when the bytes are not well formed."""
     try:
-        return ElementTree.fromstring(telegram)
-    except ElementTree.ParseError as error:
-        raise BadEkiTelegram(f"not a well-formed telegram: {error}", wire=telegram) from error
+        return parse_xml(telegram, LONGEST_TELEGRAM)
+    except InputRefused as error:
+        raise BadEkiTelegram(f"not a well-formed telegram: {error.summary}", wire=telegram) from error

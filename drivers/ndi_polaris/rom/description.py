@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -19,6 +19,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from drivers.ndi_polaris.errors import BadToolFile
 from drivers.ndi_polaris.rom.definition import ToolDefinition, face_normal_of
+from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.devices.readings import Vector3
@@ -125,11 +126,9 @@ class ToolDescription(Strict):
 def read_description(path: Path) -> ToolDescription:
     """Read a description; raises NDI-011 listing every mistake."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = read_toml(path, partial(BadToolFile, action="Correct the description."))
     except OSError as error:
         raise BadToolFile(f"cannot read {path.name}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadToolFile(f"{path.name} is not TOML: {error}", action="Correct the description.") from error
     try:
         # via JSON: strict types, but lists are accepted for tuples and text for dates
         return ToolDescription.model_validate_json(json.dumps(content, default=str))

@@ -10,7 +10,6 @@ Without `default`, whoever answers without the file answers what is not listed.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -21,6 +20,7 @@ from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.errors import AnswersUnfit
 from procedures.engine.operator import Operator, Question, Topic, words
 from procedures.steps.answer_words import ANSWER_WORDS
+from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import describe_mistakes
 
 
@@ -49,11 +49,9 @@ class Answers(BaseModel):
 def read_answers(path: Path) -> Answers:
     """Read a file of answers. Raises PRO-026 with everything in it that does not fit, OSError."""
     try:
-        read = Answers.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        read = Answers.model_validate(read_toml(path, AnswersUnfit))
     except ValidationError as error:
         raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error))}") from error
-    except ValueError as error:  # no TOML, no text
-        raise AnswersUnfit(f"{path} is not TOML: {error}") from error
     if mistakes := [mistake for key, word in read.answers.items() if (mistake := _mistake(key, word))]:
         raise AnswersUnfit(f"{path}: {'; '.join(mistakes)}")
     return read

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine.errors import BadRequestFile, OtherProgram
+from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
 
@@ -69,7 +70,7 @@ def read_request(folder: Path) -> CaseRequest:
 
     path = folder / REQUEST_FILE
     try:
-        content = RequestFile.model_validate_json(path.read_bytes())
+        content = RequestFile.model_validate_json(read_json_bytes(path))
     except OSError as error:
         raise BadRequestFile(f"{path} cannot be read: {error.strerror}") from error
     except ValidationError as error:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+
+from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class SceneChoice:
         if not path.suffix:
             return self.seed
         try:
-            text = path.read_text(encoding="utf-8")
-            content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+            is_json = path.suffix == ".json"
+            content = parse_json(read_json_bytes(path)) if is_json else read_toml(path, InputRefused)
             return int(content.get("seed", 0))
-        except (OSError, ValueError, AttributeError, TypeError):
+        except (OSError, ValueError, AttributeError, TypeError, OverflowError):
             return self.seed

@@ -9,7 +9,6 @@ OUT/<id>/result.json         what `--json` prints
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,9 @@ from procedures.calibration import Baseline, CheckResult, HeadResult, Observatio
 from procedures.calibration.errors import BadObservations
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
+from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Strict
+from ronna_hw.config import BadTheatreFile
 from ronna_hw.records import write_whole
 
 CALIBRATION_FILE = "calibration.toml"
@@ -56,7 +57,7 @@ def write_theatre(source: Path, target: Path, result: HeadResult) -> None:
             f"{target} is not in the folder of {source.name}, where its relative paths begin",
             action="Name a file in the folder of the theatre file.",
         )
-    content = tomllib.loads(source.read_text(encoding="utf-8"))
+    content = read_toml(source, BadTheatreFile)
     content["calibration"] = {**content["calibration"], **records_of(result)}
     write_whole(target, tomli_w.dumps(content).encode())
 

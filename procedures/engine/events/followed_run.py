@@ -7,13 +7,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events.event import Event
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.events.happenings import VERSION, JournalLine
 from procedures.engine.events.present import Present
+from ronna_hw.bounded_input import check_json
 from ronna_hw.command_line.errors import PathProblem
 
 LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
@@ -59,8 +58,8 @@ class FollowedRun:
     def _event(self, line: bytes) -> Event:
         self._lines += 1
         try:
-            event = Event.model_validate_json(line)
-        except ValidationError as error:
+            event = Event.model_validate_json(check_json(line))
+        except ValueError as error:  # also a line out of bounds
             raise EventsUnreadable(f"line {self._lines} of {self._path} is not an event") from error
         if event.version != VERSION:
             raise EventsUnreadable(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.errors import NotRecorded
+from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, RonnaError, concrete_errors
 from ronna_hw.recording.device_calls import ANSWERS, PROPERTIES
@@ -94,7 +94,7 @@ def read_answers(run: Path) -> RecordedAnswers:
     sections: dict[int, dict[tuple[str, str], deque[Line]]] = defaultdict(lambda: defaultdict(deque))
     opening: Line | None = None
     try:
-        lines = (folder / READINGS_FILE).read_bytes().splitlines(keepends=True)
+        lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
     except OSError as error:
         raise NotRecorded(f"{folder} holds no readings: {error.strerror}") from error
     torn = 0
@@ -102,7 +102,7 @@ def read_answers(run: Path) -> RecordedAnswers:
         if not text.strip():
             continue
         try:
-            line = json.loads(text)
+            line = parse_json(text)
         except ValueError:
             torn = torn or number
             continue

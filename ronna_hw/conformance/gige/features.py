@@ -5,18 +5,17 @@ Independent of any driver, and much smaller: nodes with formulas are not support
 
 from __future__ import annotations
 
-import io
 import struct
-import zipfile
 from functools import cached_property
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+from ronna_hw.bounded_input import InputRefused, parse_xml, unzip
 from ronna_hw.conformance.case import Nonconformity, NotShown, check
 from ronna_hw.conformance.gige.link import GigeLink
 from ronna_hw.wire.gige_vision import TEXT_BYTES, URL_LOCAL, Bootstrap, GevStatus
 
 PIECE_BYTES = 512
+LARGEST_FILE_BYTES = 8 << 20  # descriptions are 20 kB to 1 MB
 DEPTH_LIMIT = 8
 
 
@@ -40,8 +39,8 @@ class GigeFeatures:
             for offset in range(0, count, PIECE_BYTES)
         )
         try:
-            return ElementTree.fromstring(_unpacked(name, data[:count]))
-        except (ElementTree.ParseError, zipfile.BadZipFile, IndexError) as error:
+            return parse_xml(_unpacked(name, data[:count]), LARGEST_FILE_BYTES)
+        except InputRefused as error:
             raise Nonconformity(f"expected XML in the {count} bytes of {url}, got {error}") from error
 
     @cached_property
@@ -152,8 +151,7 @@ class GigeFeatures:
 def _unpacked(name: str, data: bytes) -> bytes:
     if not name.lower().endswith(".zip"):
         return data.rstrip(b"\0")
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        return archive.read(archive.infolist()[0])
+    return unzip(data, LARGEST_FILE_BYTES)
 
 
 def _kind(node: Element) -> str:

@@ -10,11 +10,13 @@ import socket
 import time
 from xml.etree import ElementTree
 
+from ronna_hw.bounded_input import parse_xml
 from ronna_hw.conformance.case import NotShown, check
 from ronna_hw.endpoints import Endpoint
 
 ANSWER_LIMIT_S = 4.0  # as long as the vendor's client waits
 MOST_BYTES = 65536
+LONGEST_TELEGRAM = 16384  # the default BUFFSIZE of an EKI channel
 _ELEMENT = re.compile(rb"<([A-Za-z]\w*)\b[^>]*>.*?</\1>", re.DOTALL)
 
 
@@ -78,7 +80,7 @@ class EkiLine:
                     continue
                 check(bool(data), wanted, "the connection closed by the controller")
                 self._received += data
-            root = ElementTree.fromstring(raw)
+            root = parse_xml(raw, LONGEST_TELEGRAM)
             if root.tag == tag and root.get("Id") == identifier:
                 return root
 

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Protocol
 from xml.etree import ElementTree
 
+from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.endpoints import Endpoint
 from sim.errors import EndpointTaken
 
@@ -213,8 +214,8 @@ class EkiServer:
             self._next_read_s = now_s + self._spacing_s
             request = self._unread.popleft()
             try:
-                element = ElementTree.fromstring(request)
-            except ElementTree.ParseError:
+                element = parse_xml(request, BUFFER_LIMIT_BYTES)
+            except InputRefused:
                 continue
             if self._peer is not None:
                 self._peer.request(element)

@@ -13,12 +13,14 @@ from xml.etree import ElementTree
 
 from pydantic import ValidationError
 
+from ronna_hw.bounded_input import InputRefused, parse_xml, read_bounded
 from ronna_hw.config import describe_mistakes
 from ronna_hw.wire.kuka_context import RsiContext
 from sim.kuka.errors import EthernetFileInvalid
 
 SECTIONS = ("SEND", "RECEIVE")
 INTERNAL = "INTERNAL"
+LARGEST_FILE_BYTES = 1_000_000  # a line per element, of which there are up to 128
 AXIS_GROUPS = ("AK", "AKorr")
 FRAME_GROUPS = ("RKorr",)
 STOP_TAGS = ("Stop", "MoveStop")
@@ -88,11 +90,11 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
 
 def _root(path: Path) -> ElementTree.Element:
     try:
-        root = ElementTree.fromstring(path.read_bytes())
+        root = parse_xml(read_bounded(path, LARGEST_FILE_BYTES), LARGEST_FILE_BYTES)
     except OSError as error:
         raise EthernetFileInvalid(f"cannot read {path.name}: {error.strerror}") from error
-    except ElementTree.ParseError as error:
-        raise EthernetFileInvalid(f"{path.name} is not XML: {error}") from error
+    except InputRefused as error:
+        raise EthernetFileInvalid(f"{path.name} is not XML: {error.summary}") from error
     if root.tag != "ROOT" or root.find("CONFIG") is None:
         raise EthernetFileInvalid(f"{path.name} is not an Ethernet file", expected="ROOT > CONFIG")
     return root

@@ -6,12 +6,12 @@ Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Leng
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from ronna_hw.bounded_input import read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadScene
@@ -236,14 +236,11 @@ def parse_scene(content: dict[str, Any], name: str) -> Scene:
 def read_scene(path: Path) -> Scene:
     """Read a scene file (TOML or JSON); raises SIM-001 with every mistake in it."""
     try:
-        text = path.read_text(encoding="utf-8")
         if path.suffix == ".json":
-            return Scene.model_validate_json(text, strict=False)
-        content = tomllib.loads(text)
+            return Scene.model_validate_json(read_json_bytes(path), strict=False)
+        content = read_toml(path, BadScene)
     except OSError as error:
         raise BadScene(f"cannot read the scene {path.name}: {error.strerror}") from error
     except ValidationError as error:
         raise BadScene(f"{path.name}: " + "; ".join(describe_mistakes(error))) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadScene(f"{path.name} is not TOML: {error}") from error
     return parse_scene(content, path.name)

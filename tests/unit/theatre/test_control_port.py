@@ -77,6 +77,8 @@ def _said(line: socket.socket) -> bytes:
         b"TOKEN" + b"tea\n" + MOUNT,
         b"TOKEN" + b"[1]\n" + MOUNT,
         b"TOKEN" + b'{"do": "mount", "number": Infinity}\n' + MOUNT,
+        b"TOKEN" + b'{"do": "mount", "number": 1e400}\n' + MOUNT,
+        b"TOKEN" + b'{"do": "mount", "number": 1%s}\n' % (b"0" * 400) + MOUNT,
         b"TOKEN" + b"[" * (LONGEST_LINE - 1) + b"\n" + MOUNT,
         b"TOKEN" + b'{"do": "' + b"x" * LONGEST_LINE + b'"}\n' + MOUNT,
     ],
@@ -93,7 +95,7 @@ def test_a_connection_that_begins_or_goes_on_otherwise_carries_nothing_out_and_i
     assert "Traceback" not in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("number", ["1e400", "1" + "0" * 400, '"\\ud800"', "null", '{"a": 1}'])
+@pytest.mark.parametrize("number", ['"\\ud800"', "-1", "null", '{"a": 1}'])
 def test_a_request_with_a_strange_value_is_answered_with_the_reason(
     port: ControlPort, world: World, number: str
 ) -> None:

@@ -1,0 +1,29 @@
+"""What comes from outside, held to bounds before it is believed: size, depth, count, expansion.
+
+A file, a reply or a datagram may be damaged, or made by somebody who wishes us ill; a few bytes must not cost
+gigabytes or minutes. Everything here raises INP-001, which is also a ValueError, so that whoever reads a form
+of his own can refuse with his own code.
+"""
+
+from __future__ import annotations
+
+from ronna_hw.bounded_input.files import read_bounded
+from ronna_hw.bounded_input.json_text import check_json, parse_json, read_json_bytes, read_json_lines
+from ronna_hw.bounded_input.refusal import InputRefused
+from ronna_hw.bounded_input.toml_text import parse_toml, read_toml
+from ronna_hw.bounded_input.unpacking import inflate, unzip
+from ronna_hw.bounded_input.xml_tree import parse_xml
+
+__all__ = [
+    "InputRefused",
+    "check_json",
+    "inflate",
+    "parse_json",
+    "parse_toml",
+    "parse_xml",
+    "read_bounded",
+    "read_json_bytes",
+    "read_json_lines",
+    "read_toml",
+    "unzip",
+]

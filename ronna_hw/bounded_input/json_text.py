@@ -1,0 +1,82 @@
+"""JSON with a bounded number of values, of bounded depth, whose numbers are numbers.
+
+The bounds are checked on the text: a parsed document is up to thirty times as large.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from ronna_hw.bounded_input.files import read_bounded
+from ronna_hw.bounded_input.refusal import InputRefused
+
+LARGEST_JSON_BYTES = 100_000_000  # a journal of a case has one hundredth of it
+MOST_VALUES = 3_000_000  # up to 80 bytes each in memory
+DEEPEST = 64  # records nest some ten deep
+MOST_DIGITS = 20  # of a whole number: nanoseconds since 1970 have 19
+
+_STRING = re.compile(rb'"(?:[^"\\]|\\.)*+"', re.DOTALL)
+_NO_BRACKETS = re.compile(rb"[^\[\]{}]+")
+
+
+def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
+    """The value of a JSON text. Raises INP-001, and ValueError for what is no JSON."""
+    content = check_json(text.encode() if isinstance(text, str) else text, limit_bytes)
+    try:
+        return json.loads(content, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
+    except RecursionError as error:  # of brackets that never close
+        raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels") from error
+
+
+def read_json_bytes(path: Path, limit_bytes: int = LARGEST_JSON_BYTES) -> bytes:
+    """A JSON file as bytes, for a model to read. Raises INP-001, OSError."""
+    return check_json(read_bounded(path, limit_bytes), limit_bytes)
+
+
+def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES) -> bytes:
+    """A file of JSON lines, the last of which may be torn. Raises INP-001, OSError."""
+    return _check_count(read_bounded(path, limit_bytes))
+
+
+def check_json(content: bytes, limit_bytes: int = LARGEST_JSON_BYTES) -> bytes:
+    """The same bytes, if their bounds are kept; raises INP-001."""
+    if len(content) > limit_bytes:
+        raise InputRefused("too much JSON", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
+    _check_count(content)
+    if content.count(b"[") + content.count(b"{") > DEEPEST and _deeper_than_allowed(content):
+        raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels")
+    return content
+
+
+def _check_count(content: bytes) -> bytes:
+    if sum(content.count(mark) for mark in (b"[", b"{", b",", b":")) > MOST_VALUES:
+        raise InputRefused("too many values in JSON", limit=str(MOST_VALUES))
+    return content
+
+
+def _deeper_than_allowed(content: bytes) -> bool:
+    """Whether brackets remain when the innermost have been taken away once per level."""
+    brackets = _NO_BRACKETS.sub(b"", _STRING.sub(b"", content))
+    for _ in range(DEEPEST):
+        if not brackets:
+            return False
+        brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
+    return bool(brackets)
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MOST_DIGITS:
+        raise InputRefused("a whole number without end in JSON", limit=f"{MOST_DIGITS} digits")
+    return int(digits)
+
+
+def _finite(number: str) -> float:
+    """Of a fraction, and of the words that are none in JSON: NaN, Infinity."""
+    value = float(number)
+    if not math.isfinite(value):
+        raise InputRefused("a number in JSON that is not finite", got=number[:MOST_DIGITS])
+    return value

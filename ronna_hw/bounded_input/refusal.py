@@ -1,0 +1,12 @@
+"""The one refusal of everything that is out of bounds."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import DataError
+
+
+class InputRefused(DataError):
+    """A file or a message from outside is larger, deeper or denser than anything that belongs here."""
+
+    code = "INP-001"
+    action = "Find out where it comes from; what these programs write is far within the limit."

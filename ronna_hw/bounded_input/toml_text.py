@@ -1,0 +1,55 @@
+"""TOML of a bounded size, whose keys have a bounded number of parts.
+
+The standard library keeps every beginning of a key: what it needs grows with the square of the parts.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ronna_hw.bounded_input.files import read_bounded
+from ronna_hw.bounded_input.refusal import InputRefused
+from ronna_hw.errors import RonnaError
+
+LARGEST_TOML_BYTES = 300_000  # a plan of a hundred trajectories has twenty thousand
+DEEPEST = 32  # tables in tables and parts of a key; more parts than an identifier of DICOM can have
+
+_PART = r"(?:[A-Za-z0-9_-]++|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+')"
+_LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
+
+
+def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
+    """The content of a file; raises `refusal` with the reason when it is no TOML within bounds, OSError."""
+    try:
+        return parse_toml(read_bounded(path, LARGEST_TOML_BYTES).decode("utf-8-sig"))
+    except InputRefused as error:
+        raise refusal(f"{path.name} is refused: {error.summary}") from error
+    except ValueError as error:  # no TOML, no text
+        raise refusal(f"{path.name} is not TOML: {error}") from error
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The content of a TOML text. Raises INP-001, and ValueError for what is no TOML."""
+    if len(text) > LARGEST_TOML_BYTES:
+        raise InputRefused("too much TOML", limit=f"{LARGEST_TOML_BYTES} bytes")
+    if _LONG_KEY.search(text):
+        raise InputRefused("a key of too many parts", limit=str(DEEPEST))
+    try:
+        content = tomllib.loads(text)
+    except RecursionError as error:
+        raise InputRefused("TOML nested too deep", limit=f"{DEEPEST} levels") from error
+    level: list[Any] = [content]
+    for _ in range(DEEPEST):
+        level = [inner for outer in level for inner in _inside(outer)]
+        if not level:
+            return content
+    raise InputRefused("TOML nested too deep", limit=f"{DEEPEST} levels")
+
+
+def _inside(value: Any) -> Iterator[Any]:
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return (part for part in parts if isinstance(part, dict | list))

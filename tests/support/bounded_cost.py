@@ -1,0 +1,27 @@
+"""What a hostile input may cost: memory and processor time, held while a parser works."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+MEMORY_BYTES = 300 << 20
+LIMIT_S = 5.0
+
+
+@contextlib.contextmanager
+def bounded_cost(memory_bytes: int = MEMORY_BYTES, limit_s: float = LIMIT_S) -> Iterator[None]:
+    """Memory beyond the bound cannot be had inside; AssertionError for more processor time."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + memory_bytes, before[1]))
+    begun_s = time.thread_time()
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+    spent_s = time.thread_time() - begun_s
+    assert spent_s < limit_s, f"{spent_s:.1f} s of processor time"

@@ -1,0 +1,141 @@
+"""Files and messages from outside cost a bounded amount, and are refused with a code of ours."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bounded_cost import bounded_cost
+
+from drivers.ndi_polaris.errors import BadToolFile
+from drivers.ndi_polaris.rom.description import read_description
+from procedures.cli.case.answers import read_answers
+from procedures.engine.errors import AnswersUnfit, EventsUnreadable, JournalCorrupt
+from procedures.engine.events.followed_run import FollowedRun
+from procedures.engine.journal_reading import read_chain
+from procedures.imaging.errors import PicksUnreadable
+from procedures.imaging.pick_files import read_picks
+from procedures.planning.errors import PlanUnreadable
+from procedures.planning.plan_file import read_plan
+from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
+from ronna_hw.config import BadTheatreFile, read_theatre_file
+from ronna_hw.errors import RonnaError
+from ronna_hw.records import BadRecord, read_record
+from ronna_hw.wire.kuka_context import ContextInvalid, load_context
+from sim.errors import BadScene
+from sim.theatre.scene.model import read_scene
+
+TOML_FILES = [
+    (read_theatre_file, BadTheatreFile),
+    (read_scene, BadScene),
+    (read_plan, PlanUnreadable),
+    (load_context, ContextInvalid),
+    (read_description, BadToolFile),
+    (read_answers, AnswersUnfit),
+]
+HOSTILE_TOML = {
+    "a key of many parts": ".".join("a" * 100_000) + " = 1",  # cost fifteen gigabytes
+    "a quoted key of many parts": ".".join(['"a b"'] * 1000) + " = 1",
+    "a table of many parts": "[" + ".".join("a" * 1000) + "]",
+    "nested arrays": "a = " + "[" * 100_000,
+    "nested tables": "a = " + "{a = " * 60 + "1" + "}" * 60,
+    "many bytes": "# nothing\n" * 100_000,
+    "a whole number without end": "a = " + "1" * 100_000,
+    "another encoding": "a = 1".encode("utf-16").decode("latin-1"),
+}
+
+
+@pytest.mark.parametrize(("read", "error"), TOML_FILES, ids=lambda one: getattr(one, "__name__", ""))
+@pytest.mark.parametrize("content", HOSTILE_TOML.values(), ids=HOSTILE_TOML)
+def test_hostile_toml_is_refused_with_the_code_of_its_reader(
+    tmp_path: Path, read: Callable[[Path], Any], error: type[RonnaError], content: str
+) -> None:
+    path = tmp_path / "hostile.toml"
+    path.write_text(content, encoding="latin-1")
+    with bounded_cost(100 << 20, 1.0), pytest.raises(error, match=r"hostile\.toml"):
+        read(path)
+
+
+def test_toml_of_our_own_forms_passes() -> None:
+    assert parse_toml('series = "1.2.840.10008.5.1.4.1.1.2"\n"a.b".c."d.e" = [[1.5, [2]], {x = {y = 3}}]')
+
+
+HOSTILE_JSON = {
+    "brackets": b"[" * 100_000,
+    "nested lists": b"[" * 900 + b"1" + b"]" * 900,
+    "nested objects": b'{"a":' * 100 + b"1" + b"}" * 100,
+    "a number of 400 digits": b"[[" + b"1" * 400 + b",0,0]]",
+    "a number beyond all numbers": b"[[1e400,0,0]]",
+    "Infinity": b"[[Infinity,0,0]]",
+    "NaN": b"[[NaN,0,0]]",
+    "many values": b"[" + b"[]," * 1_600_000 + b"0]",
+}
+
+
+@pytest.mark.parametrize("content", HOSTILE_JSON.values(), ids=HOSTILE_JSON)
+def test_hostile_json_is_refused(content: bytes) -> None:
+    with bounded_cost(100 << 20, 1.0), pytest.raises(InputRefused, match="INP-001"):
+        parse_json(content)
+
+
+@pytest.mark.parametrize(
+    "text", ['"' + "[" * 1000 + '"', '["\\"[[{", ' + "[1], " * 1000 + "{}]", "[" * 60 + "]" * 60]
+)
+def test_json_whose_brackets_only_look_deep_passes(text: str) -> None:
+    parse_json(text)
+
+
+@pytest.mark.parametrize("content", HOSTILE_JSON.values(), ids=HOSTILE_JSON)
+def test_hostile_picks_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "picks.json").write_bytes(content)
+    with bounded_cost(100 << 20, 1.0), pytest.raises(PicksUnreadable, match=r"CT-018: picks\.json"):
+        read_picks(tmp_path / "picks.json")
+
+
+@pytest.mark.parametrize("name", ["nested lists", "nested objects", "a number of 400 digits"])
+def test_hostile_files_of_a_run_are_refused(tmp_path: Path, name: str) -> None:
+    content = b'{"entry":' + HOSTILE_JSON[name] + b"}\n"
+    for file in ("record.json", "journal.jsonl", "events.jsonl"):
+        (tmp_path / file).write_bytes(content)
+    with pytest.raises(BadRecord):
+        read_record(tmp_path / "record.json")
+    with pytest.raises(JournalCorrupt):
+        read_chain(tmp_path / "journal.jsonl")
+    with pytest.raises(EventsUnreadable):
+        next(FollowedRun(tmp_path).batches())
+
+
+def test_a_file_is_read_no_further_than_its_bound() -> None:
+    with (
+        bounded_cost(10 << 20, 1.0),
+        pytest.raises(InputRefused, match=r"zero is too large; limit 1000 bytes"),
+    ):
+        read_bounded(Path("/dev/zero"), 1000)  # without end, and of size 0 as the file system tells
+
+
+@pytest.mark.parametrize(
+    "packed", [zlib.compress(bytes(50_000_000)), zlib.compress(b"whole")[:-3], b"no such thing"]
+)
+def test_what_is_inflated_is_bounded_and_whole(packed: bytes) -> None:
+    with bounded_cost(20 << 20, 1.0), pytest.raises(InputRefused, match="deflated data"):
+        inflate(packed, 1_000_000)
+    assert inflate(zlib.compress(b"whole"), 5) == b"whole"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>',
+        b"<a>" * 1000,
+        b"<a/>" + bytes(100),
+        b'<?xml version="1.0" encoding="none"?><a/>',
+        b"",
+    ],
+    ids=["entities", "deep", "long", "encoding", "empty"],
+)
+def test_hostile_xml_is_refused(text: bytes) -> None:
+    with pytest.raises(InputRefused):
+        parse_xml(text, 100 if text.endswith(b"\0") else 16384)
