@@ -5,19 +5,23 @@ Only the form is checked here; what a node means is in `feature_map`.
 
 from __future__ import annotations
 
-import io
-import zipfile
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.etree import ElementTree
 
 from drivers.basler_stereo.control.channel import ControlChannel
 from drivers.basler_stereo.errors import BadDescription
+from ronna_hw.bounded_input import InputRefused, parse_xml, unzip
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 
 LARGEST_FILE_BYTES = 8 * 1024 * 1024  # descriptions are 20 kB to 1 MB
+LONGEST_SHOWN = 64  # characters of a text in a message
 ROOT = "RegisterDescription"
+MOST_FIELDS = 1000  # of one node
+MOST_SHARED_FIELDS = 32  # of a register that several nodes share: each of them gets all
+LARGEST_NUMBER = 1 << 64  # registers hold 64 bits
 CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that decide whether this one can be used
 
 
@@ -79,33 +83,20 @@ def parse_url(url: str) -> tuple[str, int, int]:
 def unpacked(data: bytes) -> bytes:
     """The one member of a ZIP file; raises GEV-009."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            member = archive.infolist()[0]
-            if member.file_size > LARGEST_FILE_BYTES:
-                raise BadDescription("the packed description is too large", got=str(member.file_size))
-            return archive.read(member)
-    except (zipfile.BadZipFile, IndexError, NotImplementedError, EOFError) as error:
-        raise BadDescription("the packed description cannot be read") from error
+        return unzip(data, LARGEST_FILE_BYTES)
+    except InputRefused as error:
+        raise BadDescription(f"the packed description is refused: {error.summary}") from error
 
 
 def parse_description(data: bytes) -> dict[str, Node]:
     """All named nodes by name; raises GEV-009 for XML that is broken or carries a document type."""
-    parser = ElementTree.XMLParser(target=_Builder())
     try:
-        parser.feed(data)
-        root: ElementTree.Element = parser.close()
-    except ElementTree.ParseError as error:
-        raise BadDescription(f"the description is not XML: {error}", wire=data[:32]) from error
+        root = parse_xml(data, LARGEST_FILE_BYTES)
+    except InputRefused as error:
+        raise BadDescription(f"the description is refused: {error.summary}", wire=data[:32]) from error
     if _local(root.tag) != ROOT:
         raise BadDescription("the description has the wrong root", expected=ROOT, got=_local(root.tag))
     return {node.name: node for node in _nodes(root)}
-
-
-class _Builder(ElementTree.TreeBuilder):
-    """Builds the tree and rejects a document type, since it can declare entities."""
-
-    def doctype(self, name: str, public: str | None, system: str | None) -> None:
-        raise BadDescription("the description declares a document type", got=name)
 
 
 def _nodes(group: ElementTree.Element) -> Iterator[Node]:
@@ -124,6 +115,8 @@ def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
     """The parts of one register, each with a name; a part inherits what it does not state itself."""
     entries = [child for child in shared if _local(child.tag) == "StructEntry"]
     common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
+    if len(common) > MOST_SHARED_FIELDS:
+        raise BadDescription("a shared register has too many fields", limit=str(MOST_SHARED_FIELDS))
     for entry in entries:
         node = _node(entry)
         yield Node("MaskedIntReg", node.name, node.fields + common)
@@ -143,6 +136,8 @@ def _node(element: ElementTree.Element) -> Node:
         value = next((part.text for part in parts if part.tag == "Value"), None)
         entries[entry] = whole_number(value, f"entry of {name}")
         conditions[entry] = tuple(part.text for part in parts if part.tag in CONDITIONS)
+    if len(fields) > MOST_FIELDS:
+        raise BadDescription(f"{name} has too many fields", limit=str(MOST_FIELDS))
     return Node(_local(element.tag), name, tuple(fields), entries, conditions)
 
 
@@ -151,11 +146,25 @@ def _field(element: ElementTree.Element) -> Field:
 
 
 def whole_number(text: str | None, what: str) -> int:
-    """A whole number, decimal or 0x hexadecimal; raises GEV-009."""
+    """A whole number of up to 64 bits, decimal or 0x hexadecimal; raises GEV-009."""
     try:
-        return int((text or "").strip(), 0)
+        number = int((text or "").strip(), 0)
     except ValueError as error:
-        raise BadDescription(f"{what} is not a whole number", got=str(text)) from error
+        raise BadDescription(f"{what} is not a whole number", got=str(text)[:LONGEST_SHOWN]) from error
+    if abs(number) >= LARGEST_NUMBER:
+        raise BadDescription(f"{what} is too large", limit="64 bits")
+    return number
+
+
+def real_number(text: str, what: str) -> float:
+    """A finite number; raises GEV-009."""
+    try:
+        number = float(text)
+    except ValueError as error:
+        raise BadDescription(f"{what} is not a number", got=text[:LONGEST_SHOWN]) from error
+    if not math.isfinite(number):
+        raise BadDescription(f"{what} is not finite", got=text[:LONGEST_SHOWN])
+    return number
 
 
 def _local(tag: str) -> str:

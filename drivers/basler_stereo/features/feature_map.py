@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.basler_stereo.errors import BadDescription, MissingFeature
-from drivers.basler_stereo.features.description import CONDITIONS, Field, Node, whole_number
+from drivers.basler_stereo.features.description import CONDITIONS, Field, Node, real_number, whole_number
 from drivers.basler_stereo.features.formula import Number, evaluate
 from drivers.basler_stereo.features.register_codec import (
     decode_register,
@@ -22,6 +22,11 @@ from drivers.basler_stereo.features.register_codec import (
 from ronna_hw.wire.gige_vision import REGISTER_BYTES
 
 DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
+ADDRESS_LIMIT = 1 << 32  # as GigE Vision counts
+# What one call may cost, since nodes that each name two others double it with every level: fields of the
+# nodes that are visited and characters of formulas. Features of real cameras take some hundreds.
+COST_LIMIT = 100_000
+REGISTER_COST = 100  # of a question to the camera: a thousand of them take a second
 
 _WHOLE = {"IntSwissKnife", "IntConverter"}
 _CONVERTERS = {"Converter", "IntConverter"}
@@ -56,13 +61,16 @@ class FeatureMap:
         self._nodes = nodes
         self._memory = memory
         self._held: dict[str, Number] = {}  # nodes with a value of their own and no register
+        self._left = COST_LIMIT
 
     def has(self, name: str) -> bool:
         """True when the camera has a feature of that name and it can be used now."""
+        self._left = COST_LIMIT
         return name in self._nodes and self._usable(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
         """Names and values of an enumeration's entries that can be chosen now."""
+        self._left = COST_LIMIT
         node = self._node(name)
         return {
             entry: value
@@ -72,11 +80,12 @@ class FeatureMap:
 
     def number(self, name: str) -> Number:
         """Current value of a feature."""
+        self._left = COST_LIMIT
         return self._read(name, 0)
 
     def whole(self, name: str) -> int:
         """Current value of an integer feature."""
-        return int(self._read(name, 0))
+        return int(self.number(name))
 
     def choice(self, name: str) -> str:
         """Current entry of an enumeration, by name."""
@@ -88,6 +97,7 @@ class FeatureMap:
 
     def set_number(self, name: str, value: Number) -> None:
         """Set a feature; the camera checks the value."""
+        self._left = COST_LIMIT
         self._write(name, value, 0)
 
     def choose(self, name: str, entry: str) -> None:
@@ -103,6 +113,7 @@ class FeatureMap:
 
     def command_write(self, name: str) -> tuple[int, bytes]:
         """Address and bytes that execute a command."""
+        self._left = COST_LIMIT
         node = self._node(name)
         if node.kind != "Command":
             raise MissingFeature(f"{name} is not a command", got=node.kind)
@@ -113,6 +124,7 @@ class FeatureMap:
 
     def limits(self, name: str) -> Limits:
         """What values a feature may take now: its own limits, within those of the nodes below it."""
+        self._left = COST_LIMIT
         node: Node | None = self._node(name)
         found: list[Number | None] = [None, None, None]
         depth = 0
@@ -148,7 +160,7 @@ class FeatureMap:
         own = node.text("Value")
         if own is None:
             raise BadDescription(f"{name} ({node.kind}) has no value")
-        return float(own) if node.kind == "Float" else whole_number(own, name)
+        return real_number(own, name) if node.kind == "Float" else whole_number(own, name)
 
     def _write(self, name: str, value: Number, depth: int) -> None:
         node = self._checked(name, depth)
@@ -168,7 +180,14 @@ class FeatureMap:
     def _checked(self, name: str, depth: int) -> Node:
         if depth > DEPTH_LIMIT:
             raise BadDescription(f"the nodes below {name} form a cycle")
-        return self._node(name)
+        node = self._node(name)
+        self._spend(1 + len(node.fields), name)
+        return node
+
+    def _spend(self, cost: int, name: str) -> None:
+        self._left -= cost
+        if self._left < 0:
+            raise BadDescription(f"too many nodes below {name}", limit=f"a cost of {COST_LIMIT}")
 
     def _final_register(self, name: str, depth: int) -> Node:
         node = self._checked(name, depth)
@@ -200,32 +219,35 @@ class FeatureMap:
         """The number in a field, or that of the node which its twin `p...` names; None without both."""
         own, other = node.text(tag), node.text(f"p{tag}")
         if own is not None:
-            return float(own) if node.kind == "Float" else whole_number(own, f"{tag} of {node.name}")
+            read = real_number if node.kind == "Float" else whole_number
+            return read(own, f"{tag} of {node.name}")
         return None if other is None else self._read(other, depth + 1)
 
     def _computed(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
         """The value of a node's formula over its variables, constants and expressions."""
-        whole, values = node.kind in _WHOLE, dict(given)
+        values = dict(given)
         for field in node.fields:
             name = field.attributes.get("Name", "")
             if field.tag == "pVariable":
                 values[name] = self._read(field.text.split(".")[0], depth + 1)
             elif field.tag in ("Constant", "Expression"):
-                values[name] = evaluate(field.text, values, whole=whole)
-        return evaluate(self._formula(node, tag), values, whole=whole)
-
-    @staticmethod
-    def _formula(node: Node, tag: str) -> str:
-        text = node.text(tag)
-        if text is None:
+                values[name] = self._evaluated(field.text, values, node)
+        formula = node.text(tag)
+        if formula is None:
             raise BadDescription(f"{node.name} has no {tag}")
-        return text
+        return self._evaluated(formula, values, node)
+
+    def _evaluated(self, formula: str, values: dict[str, Number], node: Node) -> Number:
+        self._spend(len(formula), node.name)
+        return evaluate(formula, values, whole=node.kind in _WHOLE)
 
     def _address(self, node: Node, depth: int) -> int:
         address = sum(whole_number(field.text, f"address of {node.name}") for field in node.all("Address"))
         address += sum(int(self._read(field.text, depth + 1)) for field in node.all("pAddress"))
         for field in node.all("pIndex"):
             address += int(self._read(field.text, depth + 1)) * self._index_step(field, node, depth)
+        if not 0 <= address < ADDRESS_LIMIT:
+            raise BadDescription(f"{node.name} lies at an impossible address", got=f"{address}")
         return address
 
     def _index_step(self, field: Field, node: Node, depth: int) -> int:
@@ -237,6 +259,7 @@ class FeatureMap:
 
     def _decoded(self, node: Node, depth: int) -> Number:
         length = register_length(node)
+        self._spend(REGISTER_COST, node.name)
         padded = -(-length // REGISTER_BYTES) * REGISTER_BYTES
         return decode_register(node, self._memory.read(self._address(node, depth), padded)[:length])
 

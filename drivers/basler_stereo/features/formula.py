@@ -12,8 +12,14 @@ from lark import Lark, Token, Tree
 from lark.exceptions import LarkError
 
 from drivers.basler_stereo.errors import BadDescription
+from drivers.basler_stereo.features.description import LONGEST_SHOWN
 
 Number = int | float
+
+LONGEST_FORMULA = 4000  # characters; real ones have some hundreds
+DEEPEST = 200  # operations within operations
+LARGEST_WHOLE = 1 << 64  # in the middle of a formula as in a register
+KEPT_FORMULAS = 64
 
 _GRAMMAR = r"""
 ?start: choice
@@ -39,12 +45,24 @@ NAME: /[A-Za-z_][A-Za-z0-9_.]*/
 %ignore WS
 """
 
+LARGEST_SHIFT = 64  # beyond it a value is out of range, or nothing is left of it
+
+
+def _power(base: Number, exponent: Number) -> Number:
+    """Exact for whole numbers; raises OverflowError for more than 64 bits."""
+    if not isinstance(base, int) or not isinstance(exponent, int) or exponent < 0:
+        return math.pow(base, exponent)
+    if abs(base) > 1 and exponent * base.bit_length() > 2 * LARGEST_SHIFT:  # 2 has two bits
+        raise OverflowError("a power of more than 64 bits")
+    return int(base**exponent)
+
+
 _BINARY: dict[str, Callable[[Any, Any], Number]] = {
     "bit_or": lambda a, b: int(a) | int(b),
     "bit_xor": lambda a, b: int(a) ^ int(b),
     "bit_and": lambda a, b: int(a) & int(b),
-    "lshift": lambda a, b: int(a) << int(b),
-    "rshift": lambda a, b: int(a) >> int(b),
+    "lshift": lambda a, b: int(a) << min(int(b), LARGEST_SHIFT),
+    "rshift": lambda a, b: int(a) >> min(int(b), LARGEST_SHIFT),
     "eq": operator.eq,
     "ne": operator.ne,
     "lt": operator.lt,
@@ -55,7 +73,7 @@ _BINARY: dict[str, Callable[[Any, Any], Number]] = {
     "sub": operator.sub,
     "mul": operator.mul,
     "mod": math.fmod,
-    "pow": operator.pow,
+    "pow": _power,
     "or_": lambda a, b: int(bool(a) or bool(b)),
     "and_": lambda a, b: int(bool(a) and bool(b)),
 }
@@ -80,9 +98,9 @@ def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Numb
     Raises GEV-009 for a formula that cannot be read, an unknown name, or a result that does not exist.
     """
     try:
-        result = _value(_parsed(formula), values, whole)
+        result = _value(_parsed(formula), values, whole, DEEPEST)
     except (ArithmeticError, ValueError, TypeError) as error:
-        raise BadDescription(f"formula {formula!r} has no value: {error}") from error
+        raise BadDescription(f"formula {formula[:LONGEST_SHOWN]!r} has no value: {error}") from error
     return int(result) if whole else float(result)
 
 
@@ -91,16 +109,30 @@ def _parser() -> Lark:
     return Lark(_GRAMMAR, parser="lalr")
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=KEPT_FORMULAS)
 def _parsed(formula: str) -> Tree[Token] | Token:
+    if len(formula) > LONGEST_FORMULA:
+        raise BadDescription("a formula is too long", limit=f"{LONGEST_FORMULA} characters")
     try:
         return _parser().parse(formula)
     except LarkError as error:
-        raise BadDescription(f"formula {formula!r} cannot be read") from error
+        raise BadDescription(f"formula {formula[:LONGEST_SHOWN]!r} cannot be read") from error
 
 
-def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool) -> Number:
+def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool, depth: int) -> Number:
     assert isinstance(node, Tree), "every rule of the grammar makes a tree"
+    if depth == 0:
+        raise BadDescription("a formula is nested too deep", limit=f"{DEEPEST} levels")
+    number = _number(node, values, whole, depth - 1)
+    if isinstance(number, int) and abs(number) >= LARGEST_WHOLE:
+        raise OverflowError("a number of more than 64 bits")
+    if not math.isfinite(number):
+        raise OverflowError("a number that is not finite")
+    return number
+
+
+def _number(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth: int) -> Number:
+    """The value of one operation, whatever its size."""
     kind, parts = str(node.data), node.children
     if kind == "number":
         text = str(parts[0])
@@ -115,15 +147,15 @@ def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool)
         function = _FUNCTIONS.get(str(parts[0]).upper())
         if function is None:
             raise BadDescription(f"formula uses the unknown function {parts[0]}")
-        return function(_value(parts[1], values, whole))
+        return function(_value(parts[1], values, whole, depth))
     if kind == "choose":
-        return _value(parts[1 if _value(parts[0], values, whole) else 2], values, whole)
-    first = _value(parts[0], values, whole)
+        return _value(parts[1 if _value(parts[0], values, whole, depth) else 2], values, whole, depth)
+    first = _value(parts[0], values, whole, depth)
     if kind == "neg":
         return -first
     if kind == "invert":
         return ~int(first)
-    second = _value(parts[1], values, whole)
+    second = _value(parts[1], values, whole, depth)
     if kind == "div":
         return math.trunc(first / second) if whole else first / second
     return _BINARY[kind](first, second)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Literal
 
@@ -29,7 +30,10 @@ def shares_register(node: Node) -> bool:
 def decode_register(node: Node, data: bytes) -> Number:
     """The value in the bytes of a register."""
     if node.kind == "FloatReg":
-        return float(struct.unpack(_float_layout(node, len(data)), data)[0])
+        number = float(struct.unpack(_float_layout(node, len(data)), data)[0])
+        if not math.isfinite(number):
+            raise BadDescription(f"{node.name} reads {number}", expected="a finite number")
+        return number
     low, width = register_bits(node, len(data))
     value = int.from_bytes(data, _byte_order(node)) >> low & (1 << width) - 1
     signed = (node.text("Sign") or "Unsigned") == "Signed"
@@ -40,7 +44,10 @@ def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
     """The bytes that set a register to a value; `current`: its bytes now, for the bits left unchanged."""
     length = register_length(node)
     if node.kind == "FloatReg":
-        return struct.pack(_float_layout(node, length), float(value))
+        try:
+            return struct.pack(_float_layout(node, length), float(value))
+        except OverflowError as error:
+            raise BadDescription(f"{node.name} cannot hold {value:g}", limit=f"{length} bytes") from error
     low, width = register_bits(node, length)
     mask = (1 << width) - 1
     others = int.from_bytes(current, _byte_order(node)) & ~(mask << low)

@@ -1,0 +1,133 @@
+"""A camera that wishes us ill: its description may cost neither memory nor time."""
+
+from __future__ import annotations
+
+import base64
+import io
+import zipfile
+
+import pytest
+from bounded_cost import bounded_cost
+
+from drivers.basler_stereo.errors import BadDescription
+from drivers.basler_stereo.features.description import parse_description, unpacked
+from drivers.basler_stereo.features.feature_map import FeatureMap
+from drivers.basler_stereo.features.formula import evaluate
+
+# 460 MB of zeros
+ZEROS = base64.b64decode(
+    "QlpoOTFBWSZTWQ4J4t8BX45AAMAAAAggADCATUZCoCWpCoCXMUFZJlNZDgni3wFfjkAAwAAACCAAMIBNRkKgJakKgJcxQVkm"
+    "U1kOCeLfAV+OQADAAAAIIAAwgE1GQqAlqQqAlzFBWSZTWQ4J4t8BX45AAMAAAAggADCATUZCoCWpCoCXMUFZJlNZDgni3wFf"
+    "jkAAwAAACCAAMIBNRkKgJakKgJcxQVkmU1kOCeLfAV+OQADAAAAIIAAwgE1GQqAlqQqAlzFBWSZTWQ4J4t8BX45AAMAAAAgg"
+    "ADCATUZCoCWpCoCXMUFZJlNZDgni3wFfjkAAwAAACCAAMIBNRkKgJakKgJcxQVkmU1kOCeLfAV+OQADAAAAIIAAwgE1GQqAl"
+    "qQqAlzFBWSZTWQ4J4t8BX45AAMAAAAggADCATUZCoCWpCoCXMUFZJlNZZczHRACy3UACwAAAQAAIIAAwzAmqaaQiUW1EIlF4"
+    "u5IpwoSFWYFgCA=="
+)
+
+
+class NoMemory:
+    def read(self, address: int, count: int) -> bytes:
+        return bytes(count)
+
+    def write(self, address: int, data: bytes) -> None:
+        pass
+
+
+def features(nodes: str) -> FeatureMap:
+    text = f"<RegisterDescription>{nodes}</RegisterDescription>"
+    return FeatureMap(parse_description(text.encode()), NoMemory())
+
+
+def packed_zeros(method: int, claimed: int, content: bytes) -> bytes:
+    """A ZIP file with that content as its one member's packed bytes, which claims to be small."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        archive.writestr("cam.xml", content)
+    stored = bytearray(file.getvalue())
+    for place, offset in ((0, 8), (stored.rindex(b"PK\x01\x02"), 10)):
+        stored[place + offset : place + offset + 2] = method.to_bytes(2, "little")
+        size = place + offset + 14
+        stored[size : size + 4] = claimed.to_bytes(4, "little")
+    return bytes(stored)
+
+
+def test_a_packed_description_of_a_few_bytes_does_not_fill_the_memory():
+    with bounded_cost(), pytest.raises(BadDescription, match=r"GEV-009.*stored or deflated"):
+        unpacked(packed_zeros(zipfile.ZIP_BZIP2, 1000, ZEROS))
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "9**9**9",
+        "(0-9)**9**9",
+        "1<<40000000000",
+        "1<<64<<64<<64",
+        "0x" + "F" * 3000,
+        "1e400",
+        "EXP(1e300)",
+        "-" * 50_000 + "1",
+        "-" * 3_000 + "1",
+        "ABS(" * 700 + "1" + ")" * 700,
+        "1" + "+1" * 1_500,
+    ],
+    ids=lambda formula: formula[:16],
+)
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_formula_costs_neither_memory_nor_time(formula, whole):
+    with bounded_cost(limit_s=1.0), pytest.raises(BadDescription, match="GEV-009"):
+        evaluate(formula, {}, whole=whole)
+
+
+def test_formulas_reach_the_ends_of_64_bits():
+    assert evaluate("2**63 - 1", {}, whole=True) == 2**63 - 1
+    assert evaluate("1 << 63", {}, whole=True) == 1 << 63
+    assert evaluate("3**40", {}, whole=True) == 3**40
+    assert evaluate("(0-1)**1000001", {}, whole=True) == -1
+    assert evaluate("1 >> 400", {}, whole=True) == 0
+
+
+def test_nodes_that_each_name_two_others_do_not_cost_a_power_of_two():
+    knives = "".join(
+        f'<IntSwissKnife Name="N{level}"><pVariable Name="A">N{level + 1}</pVariable>'
+        f'<pVariable Name="B">N{level + 1}</pVariable><Formula>A+B</Formula></IntSwissKnife>'
+        for level in range(23)
+    )
+    doubling = features(knives + '<Integer Name="N23"><Value>1</Value></Integer>')
+    with bounded_cost(limit_s=1.0), pytest.raises(BadDescription, match="too many nodes"):
+        doubling.number("N0")
+
+
+@pytest.mark.parametrize(
+    ("what", "content"),
+    [
+        ("nested too deep", "<Group>" * 50_000 + "</Group>" * 50_000),
+        ("too many elements", "<a/>" * 100_001),
+        ("too many fields", '<Integer Name="A">' + "<Value>1</Value>" * 2_000 + "</Integer>"),
+        ("too many fields", "<StructReg>" + "<Bit>1</Bit>" * 100 + "</StructReg>"),
+        (
+            "too many elements",
+            f'<a xmlns="{"u" * 100_000}">' + "".join(f"<b{n}/>" for n in range(500)) + "</a>",
+        ),
+    ],
+    ids=["groups", "elements", "fields", "shared fields", "namespaces"],
+)
+def test_a_description_is_neither_deep_nor_dense(what, content):
+    with bounded_cost(), pytest.raises(BadDescription, match=f"GEV-009.*{what}"):
+        features(content)
+
+
+@pytest.mark.parametrize(
+    "nodes",
+    [
+        '<IntReg Name="F"><Address>-4</Address><Length>4</Length></IntReg>',
+        '<IntReg Name="F"><Address>0x1FFFFFFFF</Address><Length>4</Length></IntReg>',
+        '<Float Name="F"><Value>nan</Value></Float>',
+        '<Float Name="F"><Value>five</Value></Float>',
+        f'<Integer Name="F"><Value>0x{"F" * 5_000}</Value></Integer>',
+    ],
+    ids=["before memory", "behind memory", "not a number", "a word", "a long number"],
+)
+def test_numbers_that_no_camera_has_are_refused(nodes):
+    with pytest.raises(BadDescription, match="GEV-009"):
+        features(nodes).number("F")
