@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import math
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from procedures.imaging.dicom.bounded_stream import (
+    DEFLATED,
+    EXPLICIT,
+    LONGEST_VALUE,
+    BoundedStream,
+    DataSetDeflated,
+)
 from procedures.imaging.errors import AttributeMissing, FileDamaged
+from ronna_hw.bounded_input import InputRefused, inflate, read_bounded
+
+LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels with room for what else a scanner tells
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset, FileDataset
@@ -20,15 +31,31 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # oddities in attributes that are not used here
-            if only is None:
-                return pydicom.dcmread(path)
-            return pydicom.dcmread(path, stop_before_pixels=True, specific_tags=list(only))
+            content = read_bounded(path, LARGEST_SLICE_BYTES)
+            longest = LARGEST_SLICE_BYTES if only is None else LONGEST_VALUE
+            read = partial(
+                pydicom.dcmread,
+                stop_before_pixels=only is not None,
+                specific_tags=None if only is None else list(only),
+            )
+            try:
+                return read(BoundedStream(content, longest))
+            except DataSetDeflated as deflated:
+                return read(BoundedStream(_inflated(content, deflated.begin), longest))
+    except InputRefused as problem:
+        raise FileDamaged(f"{path.name} is refused: {problem.summary}") from problem
     except OSError as problem:
         if problem.errno is None:
             raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
         raise
     except Exception as problem:  # a damaged file can break the parser in any way
         raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
+
+
+def _inflated(content: bytes, begin: int) -> bytes:
+    """The same file with its data set inflated, which pydicom would do without a limit."""
+    head = content[:begin].replace(DEFLATED, EXPLICIT)
+    return head + inflate(content[begin:], LARGEST_SLICE_BYTES, raw=True)
 
 
 def value(path: Path, header: Dataset, keyword: str) -> Any:

@@ -51,6 +51,9 @@ _LOSSY = "01"
 _HOUNSFIELD = frozenset({"", "HU"})
 _UNSPECIFIED = frozenset({"US", "HU_MOD"})  # perhaps HU: the reader is warned
 SLOPE_LIMITS = (0.0625, 10.0)  # 16 bits hold 4096 HU; steps no coarser than half the noise of a good scan
+SPACING_LIMITS_MM = (0.01, 10.0)  # between a scanner for teeth of mice and no picture at all
+LARGEST_SIDE = 2048  # pixels; the finest scanner for patients makes as many
+FARTHEST_MM = 1e5  # from the frame's origin: no hospital is larger
 INTERCEPT_LIMIT = 65536.0  # 16 bits, whichever sign
 
 _IMAGE_TAGS = ("SOPClassUID", "Rows", "Columns")  # by these an image is told from other objects
@@ -195,9 +198,19 @@ def _refuse_scouts(images: list[tuple[Path, FileDataset]]) -> None:
 
 def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
     spacing = numbers(path, header, "PixelSpacing", 2)
-    rows, columns = int(header.Rows), int(header.Columns)
-    if min(spacing) <= 0 or min(rows, columns) < 1:
-        raise AttributeMissing(f"{path.name}: pixel spacing {spacing} mm, {rows} rows, {columns} columns")
+    rows, columns = (int(numbers(path, header, keyword, 1)[0]) for keyword in ("Rows", "Columns"))
+    if not (SPACING_LIMITS_MM[0] <= min(spacing) and max(spacing) <= SPACING_LIMITS_MM[1]):
+        raise AttributeMissing(
+            f"{path.name}: pixel spacing of {spacing[0]:g} x {spacing[1]:g} mm",
+            limit=f"{SPACING_LIMITS_MM[0]:g} to {SPACING_LIMITS_MM[1]:g} mm",
+        )
+    if not 1 <= min(rows, columns) <= max(rows, columns) <= LARGEST_SIDE:
+        raise AttributeMissing(f"{path.name} has {rows} x {columns} pixels", limit=f"1 to {LARGEST_SIDE}")
+    position_mm = numbers(path, header, "ImagePositionPatient", 3)
+    if max(map(abs, position_mm)) > FARTHEST_MM:
+        raise AttributeMissing(
+            f"{path.name} lies {max(map(abs, position_mm)):g} mm away", limit=f"{FARTHEST_MM:g} mm"
+        )
     slope, intercept = _rescale(path, header)
     thickness = optional_number(path, header, "SliceThickness")
     return SliceHeader(
@@ -205,7 +218,7 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
         series_instance_uid=required_text(path, header, "SeriesInstanceUID"),
         frame_of_reference_uid=required_text(path, header, "FrameOfReferenceUID"),
         patient_position=text(path, header, "PatientPosition"),
-        position_mm=numbers(path, header, "ImagePositionPatient", 3),
+        position_mm=position_mm,
         orientation=numbers(path, header, "ImageOrientationPatient", 6),
         row_spacing_mm=spacing[0],
         column_spacing_mm=spacing[1],

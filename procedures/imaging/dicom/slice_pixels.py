@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.dicom.attributes import read_dicom
+from procedures.imaging.dicom.attributes import optional_number, read_dicom, text, value
+from procedures.imaging.dicom.compressed_frame import check_frame
 from procedures.imaging.dicom.slice_headers import SliceHeader
 from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
+from ronna_hw.bounded_input import InputRefused
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset
@@ -30,31 +32,44 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader) -> None:
     """
     data = read_dicom(header.path)
     name = header.path.name
-    if int(data.get("SamplesPerPixel", 1)) != 1 or int(data.get("NumberOfFrames") or 1) != 1:
+    if _whole(header, data, "SamplesPerPixel", 1) != 1 or _whole(header, data, "NumberOfFrames", 1) != 1:
         raise PixelsUnusable(f"{name} has colour or several frames")
-    if data.get("PhotometricInterpretation", "MONOCHROME2") != "MONOCHROME2":
-        raise PixelsUnusable(f"{name} has photometric interpretation {data.PhotometricInterpretation}")
+    if (photometry := text(header.path, data, "PhotometricInterpretation") or "MONOCHROME2") != "MONOCHROME2":
+        raise PixelsUnusable(f"{name} has photometric interpretation {photometry}")
     if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
         raise PixelsUnusable(f"{name} has pixels with a decimal point", expected="whole numbers")
     if "PixelData" not in data:
         raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
-    syntax = str(data.file_meta.get("TransferSyntaxUID", ""))
-    if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and data.get("BitsAllocated") == 16:
-        stored = _stored_16_bit(data, name, target.shape)
+    syntax = text(header.path, data.file_meta, "TransferSyntaxUID")
+    if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and _whole(header, data, "BitsAllocated", 0) == 16:
+        stored = _stored_16_bit(data, header, target.shape)
     else:
-        stored = _stored_by_library(data, name, target.shape)
+        stored = _stored_by_library(data, name, syntax, target.shape)
     _rescale_into(target, stored, header)
 
 
-def _stored_16_bit(data: FileDataset, name: str, shape: tuple[int, ...]) -> NDArray[np.integer]:
-    signed = bool(data.get("PixelRepresentation", 0))
-    pixels: bytes = data.PixelData
+def _whole(header: SliceHeader, data: FileDataset, keyword: str, missing: int) -> int:
+    number = optional_number(header.path, data, keyword)
+    return missing if number is None else int(number)
+
+
+def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...]) -> NDArray[np.integer]:
+    name = header.path.name
+    signed = bool(_whole(header, data, "PixelRepresentation", 0))
+    pixels = value(header.path, data, "PixelData")
     needed = 2 * shape[0] * shape[1]
-    if len(pixels) < needed:
-        raise FileDamaged(f"{name} is truncated", expected=f"{needed} bytes of pixels", got=f"{len(pixels)}")
+    if not isinstance(pixels, bytes) or len(pixels) < needed:
+        got = f"{len(pixels)}" if isinstance(pixels, bytes) else "none"
+        raise FileDamaged(f"{name} is truncated", expected=f"{needed} bytes of pixels", got=got)
+    if len(pixels) > needed:
+        raise FileDamaged(
+            f"{name} has more pixels than its header says",
+            expected=f"{needed} bytes",
+            got=f"{len(pixels)}",
+        )
     stored = np.frombuffer(pixels, dtype="<i2" if signed else "<u2", count=needed // 2).reshape(shape)
-    bits = int(data.get("BitsStored", 16))
-    high = int(data.get("HighBit", bits - 1))
+    bits = _whole(header, data, "BitsStored", 16)
+    high = _whole(header, data, "HighBit", bits - 1)
     if not 1 <= bits <= high + 1 <= 16:
         raise PixelsUnusable(f"{name} stores {bits} bits up to bit {high}")
     if bits == 16:
@@ -63,16 +78,24 @@ def _stored_16_bit(data: FileDataset, name: str, shape: tuple[int, ...]) -> NDAr
     return (stored << (15 - high)) >> (16 - bits)
 
 
-def _stored_by_library(data: FileDataset, name: str, shape: tuple[int, ...]) -> NDArray[np.integer]:
+def _stored_by_library(
+    data: FileDataset, name: str, stated: str, shape: tuple[int, ...]
+) -> NDArray[np.integer]:
     from pydicom import config
+    from pydicom.encaps import get_frame
     from pydicom.uid import UID
 
-    stated = str(data.file_meta.get("TransferSyntaxUID", ""))
     syntax = UID(stated, validation_mode=config.IGNORE)
     try:
+        if syntax.is_encapsulated:
+            check_frame(
+                stated, get_frame(data.PixelData, 0, number_of_frames=1), shape, data.BitsAllocated // 8
+            )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             stored = np.asarray(data.pixel_array)
+    except InputRefused as problem:
+        raise FileDamaged(f"{name} is refused: {problem.summary}") from problem
     except Exception as problem:
         if not _can_decode(syntax):
             raise CompressionUnknown(f"{name} is compressed with {syntax.name}") from problem

@@ -1,0 +1,140 @@
+"""DICOM files that wish us ill: a few bytes may cost neither memory nor time, and the program goes on."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from bounded_cost import bounded_cost
+from pydicom.dataset import Dataset
+from pydicom.encaps import encapsulate
+from pydicom.uid import (
+    DeflatedExplicitVRLittleEndian,
+    JPEG2000Lossless,
+    JPEGLosslessSV1,
+    JPEGLSLossless,
+    RLELossless,
+)
+from spoiled_slices import every, setting
+
+from procedures.imaging import errors, read_series
+
+Write = Callable[..., Path]
+FIRST = "0000.dcm"
+
+
+def stored_as(data: Dataset, syntax: str) -> None:
+    data.file_meta.TransferSyntaxUID = syntax
+
+
+def first(folder: Path) -> Path:
+    return folder / FIRST
+
+
+def test_a_deflated_slice_does_not_grow_without_limit(dicom_series: Write) -> None:
+    folder = dicom_series(edit=every(lambda data: stored_as(data, DeflatedExplicitVRLittleEndian)))
+    read_series(folder)
+    content = first(folder).read_bytes()
+    meta = 132 + 12 + struct.unpack_from("<I", content, 140)[0]
+    packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    packed = packer.compress(zlib.decompress(content[meta:], -zlib.MAX_WBITS))
+    packed += b"".join(packer.compress(bytes(1 << 20)) for _ in range(40)) + packer.flush()
+    first(folder).write_bytes(content[:meta] + packed)
+    with bounded_cost(200 << 20), pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*grow too large"):
+        read_series(folder)
+
+
+def test_zeros_behind_the_pixels_are_not_read_to_their_end(dicom_series: Write) -> None:
+    folder = dicom_series()
+    os.truncate(first(folder), 2_000_000_000)  # takes no place on the disk
+    with bounded_cost(100 << 20, 1.0), pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*too large"):
+        read_series(folder)
+
+
+def test_elements_without_end_are_not_counted_to_their_end(dicom_series: Write) -> None:
+    folder = dicom_series()
+    content = first(folder).read_bytes()
+    pixels = content.index(struct.pack("<HH", 0x7FE0, 0x0010))
+    empty = b"".join(struct.pack("<HH2sH", 0x0009, number, b"LO", 0) for number in range(0x10, 0x8000))
+    first(folder).write_bytes(content[:pixels] + 20 * empty + content[pixels:])
+    with (
+        bounded_cost(200 << 20, 2.0),
+        pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*too many elements"),
+    ):
+        read_series(folder)
+
+
+def test_a_value_as_long_as_the_file_is_not_taken_apart(dicom_series: Write) -> None:
+    folder = dicom_series()
+    content = first(folder).read_bytes()
+    spacing = content.index(struct.pack("<HH2s", 0x0028, 0x0030, b"DS"))
+    long = struct.pack("<HH2sxxI", 0x0028, 0x0030, b"UN", 4_000_000) + b"1\\" * 2_000_000
+    first(folder).write_bytes(content[:spacing] + long + content[spacing + 8 :])
+    with bounded_cost(100 << 20, 1.0), pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*too long"):
+        read_series(folder)
+
+
+@pytest.mark.parametrize(
+    "absurd",
+    [
+        {"PixelSpacing": ["1e300", "1e300"]},
+        {"PixelSpacing": ["1e-300", "0.5"]},
+        {"ImagePositionPatient": ["1e300", "0", "0"]},
+        {"Rows": 65535, "Columns": 65535},
+    ],
+    ids=["huge pixels", "tiny pixels", "far away", "a huge matrix"],
+)
+def test_sizes_that_no_scanner_makes_are_refused(dicom_series: Write, absurd: dict[str, object]) -> None:
+    folder = dicom_series(edit=every(setting(**absurd)))
+    with bounded_cost(100 << 20, 1.0), pytest.raises(errors.AttributeMissing, match=rf"CT-012: {FIRST}"):
+        read_series(folder)
+
+
+def test_pixels_beyond_what_the_header_says_are_refused(dicom_series: Write) -> None:
+    folder = dicom_series(edit=every(lambda data: setattr(data, "PixelData", data.PixelData + bytes(1000))))
+    with pytest.raises(errors.FileDamaged, match=rf"{FIRST} has more pixels than its header says"):
+        read_series(folder)
+
+
+def lossless_jpeg(kind: int, rows: int, columns: int) -> bytes:
+    head = struct.pack(">BBHBHHB3s", 0xFF, kind, 11, 16, rows, columns, 1, b"\x01\x11\x00")
+    return b"\xff\xd8" + head + b"\xff\xda\x00\x08\x01\x01\x00\x01\x00\x00" + bytes(100) + b"\xff\xd9"
+
+
+def jpeg_2000(side: int, tile: int) -> bytes:
+    size = struct.pack(">HH8IH3B", 41, 0, side, side, 0, 0, tile, tile, 0, 0, 1, 15, 1, 1)
+    return b"\xff\x4f\xff\x51" + size + bytes(100)
+
+
+def runs(count: int) -> bytes:
+    return struct.pack("<16I", 2, 64, 64 + 2 * count, *[0] * 13) + b"\x81\0" * (2 * count)
+
+
+@pytest.mark.parametrize(
+    ("syntax", "frame"),
+    [
+        (JPEGLosslessSV1, lossless_jpeg(0xC3, 60_000, 60_000)),
+        (JPEGLSLossless, lossless_jpeg(0xF7, 60_000, 60_000)),  # its decoder ended the whole program
+        (JPEG2000Lossless, jpeg_2000(60_000, 60_000)),
+        (JPEG2000Lossless, jpeg_2000(7, 1) + bytes(3)),
+        (RLELossless, runs(100_000)),
+        (RLELossless, b"\0\0"),
+        (JPEGLSLossless, b"\xff\xd8\xff"),
+    ],
+    ids=["JPEG", "JPEG-LS", "JPEG 2000", "another size", "runs", "empty", "cut off"],
+)
+def test_a_compressed_frame_is_measured_before_it_is_decoded(
+    dicom_series: Write, syntax: str, frame: bytes
+) -> None:
+    def compress(data: Dataset) -> None:
+        data.PixelData = encapsulate([frame])
+        data["PixelData"].VR = "OB"
+        stored_as(data, syntax)
+
+    folder = dicom_series(edit=every(compress))
+    with bounded_cost(), pytest.raises(errors.FileDamaged, match=rf"CT-005: {FIRST}"):
+        read_series(folder)
