@@ -12,6 +12,7 @@ from enum import IntEnum, StrEnum
 
 PROJECT_PORT = 54602  # EKI gives a KR C4 the ports 54600 to 54615; 54600 is the control SDK's
 STATE_PERIOD_MS = 100
+FIRST_REQUEST_LIMIT_MS = 10_000  # who has asked for nothing since it connected is hung up on
 
 CMD = "Cmd"
 ACK = "Ack"

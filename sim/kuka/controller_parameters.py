@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+from ronna_hw.wire.kuka_eki import FIRST_REQUEST_LIMIT_MS
 from sim.kuka.errors import UnknownParameter
 from sim.named_parameters import Most, changed
 
@@ -109,6 +110,9 @@ class ControllerParameters:
 
     # EKI
     eki_loss_cancels: Annotated[bool, "An EKI connection that is lost ends the RSI program."] = False
+    first_request_s: Annotated[
+        float, "Host time after which a client of our EKI program is hung up on that has asked for nothing."
+    ] = FIRST_REQUEST_LIMIT_MS / 1000.0
     longest_text: Annotated[int, "Longest KRL string in an EKI element, in characters."] = 512
     inverted_status: Annotated[int, "Bits of S in E6POS with the opposite meaning.", Most(7)] = 0
     line_acceleration_mm_s2: Annotated[float, "Of a LIN of the EKI program."] = 1000.0

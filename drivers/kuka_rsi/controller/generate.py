@@ -80,6 +80,7 @@ def render(context: RsiContext) -> dict[str, str]:
         "eki_port": kuka_eki.PROJECT_PORT,
         "state_attributes": list(kuka_eki.StateAttribute),
         "codes": kuka_eki.AckCode,
+        "first_request_limit_ms": kuka_eki.FIRST_REQUEST_LIMIT_MS,
         "connected_flag": CONNECTED_FLAG,
         "received_flag": RECEIVED_FLAG,
         "whole_values": WHOLE_VALUES,

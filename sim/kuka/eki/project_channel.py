@@ -45,6 +45,7 @@ class ProjectChannel:
         self._controller = controller
         self._autostart = autostart
         self._next_state_s = 0.0
+        self._idle_until_s = inf  # of a client that has not asked for anything yet
         self._sent: tuple[str, ...] = ()
         self._motion_name = self._motion_id = ""
         moves = EkiMoves(controller, self._motion_ended)
@@ -68,6 +69,7 @@ class ProjectChannel:
     def opened(self) -> None:
         """A client has connected and is sent the state at once."""
         self._sent = ()
+        self._idle_until_s = time.monotonic() + self._controller.parameters.first_request_s
         self.tick(time.monotonic())
 
     def closed(self) -> None:
@@ -79,6 +81,7 @@ class ProjectChannel:
         """Answer one command; anything else is skipped."""
         if element.tag != CMD:
             return
+        self._idle_until_s = inf
         identifier, name = element.get("Id", UNASKED), element.get("Name", "")
         if name == CommandName.STATUS:
             self._server.send(self._state(identifier))
@@ -109,6 +112,8 @@ class ProjectChannel:
 
     def tick(self, now_s: float) -> float:
         """Send the state when it has changed or its period is over; returns when to call again."""
+        if self._server.connected and now_s > self._idle_until_s:
+            self._server.drop()
         if not self._server.connected:
             return inf
         facts = self._facts()

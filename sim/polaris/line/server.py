@@ -6,6 +6,7 @@ import os
 import select
 import socket
 import time
+from math import inf
 
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from sim.errors import EndpointTaken
@@ -16,6 +17,7 @@ from sim.polaris.line.line_faults import LineFaults
 from sim.polaris.line.pseudo_terminal import PseudoTerminal
 
 WAITING_HOSTS = 4  # hosts that may queue for the connection
+WAITING_LOOK_S = 0.2  # a silent host has given way so long after the next one came
 
 
 class EndSignal:
@@ -40,6 +42,8 @@ class Server:
     def __init__(self, interpreter: CommandInterpreter, end: EndSignal) -> None:
         self._interpreter = interpreter
         self._end = end
+        self._listener: socket.socket | None = None
+        self._silent_until_s = inf  # host time from which the present host gives way to one that waits
 
     def serve_line(self, line: PseudoTerminal) -> None:
         """Serve a serial line."""
@@ -47,6 +51,7 @@ class Server:
 
     def serve_network(self, listener: socket.socket) -> None:
         """Serve connections one after another; the unit's state outlives them."""
+        self._listener = listener
         waiting = self._poll(listener.fileno())
         while (ready := self._wait(waiting)) is not None:
             if not ready:
@@ -56,6 +61,7 @@ class Server:
             try:
                 self._converse(connection)
             finally:
+                self._silent_until_s = inf
                 connection.close()
 
     def _converse(self, channel: Channel) -> None:
@@ -63,7 +69,10 @@ class Server:
         faults = LineFaults(interpreter.unit)
         lines = LineBuffer(interpreter.unit.model.longest_command)
         waiting = self._poll(*channel.files())
+        self._hears()
         while (ready := self._wait(waiting)) is not None:
+            if self._gives_way():
+                return
             if unasked := interpreter.unasked():
                 channel.send(unasked, interpreter.reply_line)
             received = channel.receive(ready) if ready else b""
@@ -72,11 +81,24 @@ class Server:
             if not received:
                 continue
             for line in lines.feed(received, time.monotonic()):
+                self._hears()
                 channel.let_arrive(len(line) + 1, interpreter.line)
                 line = faults.to_unit(line)
                 reply = faults.to_host(line, interpreter.reply(line))
                 if reply:
                     channel.send(reply, interpreter.reply_line)
+
+    def _hears(self) -> None:
+        """The host has given a command, or has just come."""
+        if self._listener is not None:
+            self._silent_until_s = time.monotonic() + self._interpreter.unit.behaviour.silent_host_s
+
+    def _gives_way(self) -> bool:
+        now_s = time.monotonic()
+        if self._listener is None or now_s < self._silent_until_s:
+            return False
+        self._silent_until_s = now_s + WAITING_LOOK_S
+        return bool(select.select([self._listener], [], [], 0.0)[0])
 
     def _poll(self, *files: int) -> select.poll:
         poll = select.poll()
@@ -86,7 +108,8 @@ class Server:
 
     def _wait(self, poll: select.poll) -> Ready | None:
         """Wait for a host or until the unit has something to send; None when asked to end."""
-        wait_ms = max(0.0, self._interpreter.due_s() - time.monotonic()) * 1000.0
+        until_s = min(self._interpreter.due_s(), self._silent_until_s)
+        wait_ms = max(0.0, until_s - time.monotonic()) * 1000.0
         ready = poll.poll(wait_ms)
         return None if self._end.given else ready
 

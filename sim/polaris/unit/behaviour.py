@@ -37,6 +37,11 @@ class UnitBehaviour:
         float, "Silence after such a flush that makes it a break; a host that only flushes goes on to send."
     ] = 0.1
     break_deaf_s: Annotated[float, "Time after an open during which such a flush is not a break."] = 0.05
+    silent_host_s: Annotated[
+        float,
+        "A network host that has given no command for so long gives way to one that waits; how many a unit "
+        "serves at a time, and for how long, is not public.",
+    ] = 10.0
     reset_s: Annotated[
         float,
         "Time from a break, a power-up in mid-run or a watchdog reset to RESET; seconds on a real unit.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
@@ -23,6 +24,7 @@ from sim.theatre.scene.model import ArmTruth
 
 # Ways of the simulation alone, about which nobody could tell anything on a real controller.
 OF_THE_SIMULATION = {
+    "first_request_s",  # of our own program on the controller
     "rest_error_deg",
     "reversal_deg",
     "motion_speed_deg_s",
@@ -279,10 +281,9 @@ def test_a_lost_eki_connection_may_end_the_run(bench_with: Callable[..., Any], c
 class Heard:
     """An EKI channel that keeps what the program says."""
 
-    connected = True
-
     def __init__(self) -> None:
         self.texts: list[str] = []
+        self.connected = True
 
     def attach(self, _peer: object) -> None:
         pass
@@ -290,12 +291,33 @@ class Heard:
     def send(self, text: str) -> None:
         self.texts.append(text)
 
+    def drop(self) -> None:
+        self.connected = False
+
 
 def _ask(bench: Any, request: str) -> list[ElementTree.Element]:
     heard: Any = Heard()
     channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, wanted=False))
     channel.request(ElementTree.fromstring(request))
     return [ElementTree.fromstring(text) for text in heard.texts]
+
+
+@pytest.mark.parametrize("asks", [False, True])
+def test_a_client_that_asks_for_nothing_does_not_keep_the_channel(
+    make_bench: Callable[..., Any], asks: bool
+) -> None:
+    bench = make_bench(parameters=ControllerParameters(first_request_s=3.0), start=False)
+    heard: Any = Heard()
+    channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, wanted=False))
+    channel.opened()
+    if asks:
+        channel.request(ElementTree.fromstring('<Cmd Id="1" Name="STATUS"></Cmd>'))
+    channel.request(ElementTree.fromstring("<Tea/>"))
+    now_s = time.monotonic()
+    channel.tick(now_s + 2.0)
+    assert heard.connected
+    channel.tick(now_s + 4.0)
+    assert heard.connected is asks
 
 
 @pytest.mark.parametrize("inverted", [0, 2, 7])

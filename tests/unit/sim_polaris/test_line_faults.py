@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 OKAY = b"OKAYA896\r"
 NO_HANDLES = b"001414\r"
+SILENT_HOST_S = 0.2
 HANG_GUARD_S = 30.0
 
 
@@ -115,7 +116,7 @@ def test_a_late_reply_comes_after_all(bench: Bench, monkeypatch: pytest.MonkeyPa
 @pytest.fixture
 def host(make_bench: Callable[..., Bench]) -> Iterator[tuple[Bench, socket.socket]]:
     """A unit behind its server, and a host connected to it."""
-    bench = make_bench(reset_s=0.0)
+    bench = make_bench(reset_s=0.0, silent_host_s=SILENT_HOST_S)
     end = EndSignal()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         server = threading.Thread(target=Server(bench.interpreter, end).serve_network, args=(listener,))
@@ -132,6 +133,28 @@ def read_until(connection: socket.socket, ending: bytes) -> bytes:
     while not received.endswith(ending):
         received += connection.recv(4096)
     return received
+
+
+@pytest.mark.parametrize("drip", [b"", b"INIT"])
+def test_a_host_that_gives_no_command_gives_way_to_one_that_waits(
+    host: tuple[Bench, socket.socket], drip: bytes
+) -> None:
+    _, silent = host
+    with socket.create_connection(silent.getpeername(), timeout=HANG_GUARD_S) as waiting:
+        silent.sendall(drip)
+        waiting.sendall(b"INIT \r")
+        assert read_until(waiting, b"\r") == OKAY
+        assert silent.recv(1) == b""
+
+
+def test_a_silent_host_stays_while_nobody_waits(host: tuple[Bench, socket.socket]) -> None:
+    _, silent = host
+    silent.settimeout(2 * SILENT_HOST_S)
+    with pytest.raises(TimeoutError):
+        silent.recv(1)
+    silent.settimeout(HANG_GUARD_S)
+    silent.sendall(b"INIT \r")
+    assert read_until(silent, b"\r") == OKAY
 
 
 def test_faults_act_on_a_link_that_stays_open(host: tuple[Bench, socket.socket]) -> None:
