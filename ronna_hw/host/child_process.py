@@ -18,6 +18,7 @@ from queue import Empty, SimpleQueue
 from typing import IO, Any
 
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.host.descendants import descendants_of, kill_all
 from ronna_hw.logs import logger
 
 READY_TIMEOUT_S = 10.0  # the contract of every command that prints READY
@@ -68,14 +69,16 @@ class ChildProcess:
         if timeout_s is not None:
             self.await_ready(timeout_s)
 
-    def await_ready(self, timeout_s: float = READY_TIMEOUT_S) -> dict[str, Any]:
-        """Wait for the READY line; raises PRC-001 with the child's last messages, and ends it."""
+    def await_ready(
+        self, timeout_s: float = READY_TIMEOUT_S, stop_s: float = STOP_TIMEOUT_S
+    ) -> dict[str, Any]:
+        """Wait for the READY line; raises PRC-001 with the child's last messages, and ends it in `stop_s`."""
         deadline = time.monotonic() + timeout_s
         while True:
             try:
                 line = self._lines.get(timeout=max(0.0, deadline - time.monotonic()))
             except Empty:
-                self.stop()
+                self.stop(stop_s)
                 raise ChildNotReady(
                     f"{self.name} did not become ready", expected="READY", limit=f"{timeout_s:g} s"
                 ) from None
@@ -101,7 +104,7 @@ class ChildProcess:
         return tuple(self._messages)
 
     def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
-        """End the process: SIGTERM, then SIGKILL. Never raises; may be called twice."""
+        """End the process: SIGTERM, then SIGKILL, also of all below it. Never raises; may be called twice."""
         ended_before = not self.alive
         if not ended_before:
             self.process.terminate()
@@ -109,8 +112,10 @@ class ChildProcess:
             self.process.wait(timeout_s)
         if self.alive:
             self._log.warning("killed: SIGTERM did not end it", limit_s=timeout_s)
+            below = descendants_of(self.process.pid)
             self.process.kill()
             self.process.wait()
+            kill_all(below)
         for reader in self._readers:
             reader.join(timeout=1.0)
         for stream in (self.process.stdout, self.process.stderr):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.child_process import READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.polaris.tools.definition import write_definition
@@ -22,6 +22,9 @@ from sim.theatre.truth import SCENE_FILE
 from sim.theatre.world import World
 
 THEATRE_FILE = "theatre.toml"
+# In all: whoever started the theatre gives it READY_TIMEOUT_S, and is to hear which device does not come.
+DEVICES_READY_LIMIT_S = READY_TIMEOUT_S - 2.0
+STOP_LIMIT_S = 0.5  # for a device that does not become ready: it keeps nothing yet
 CLOSE_LIMIT_S = 1.0  # for all devices; one that is halted is then ended hard, before this process must go
 REST_LIMIT_S = 0.3  # host time
 REST_LOOK_S = 0.005
@@ -133,8 +136,9 @@ class Theatre:
             for name, more in arguments.items()
         ]
         endpoints: dict[str, Any] = {}
+        deadline = time.monotonic() + DEVICES_READY_LIMIT_S
         for name, child in zip(arguments, self._children, strict=True):
-            ready = child.await_ready()
+            ready = child.await_ready(max(0.0, deadline - time.monotonic()), STOP_LIMIT_S)
             endpoints[name] = ready["endpoint"] if "endpoint" in ready else ready["endpoints"]
         return endpoints
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 
 from ronna_hw.errors import EXIT_FAILED
+from ronna_hw.host.descendants import descendants_of, kill_all
 from ronna_hw.host.parent_process import PARENT
 from sim.theatre.control import Room
 from sim.theatre.control_port import ControlPort
@@ -24,6 +25,7 @@ from sim.theatre.scene.named_scenes import SCENES, named_scene
 from sim.theatre.world import World
 
 PARENT_GONE = "stopping: the process that started this simulator has ended\n"
+END_LIMIT_S = 1.5  # then what hangs in a system call, or waits for a halted child, is ended hard
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
 
 
@@ -40,15 +42,19 @@ def announce(device: str, endpoint: str | None = None, control: str | None = Non
 def end_with_parent(end: Callable[[], None]) -> None:
     """Call `end` once on SIGTERM or SIGINT, or when the parent process is gone.
 
-    `end` must make the process leave its main loop; if it is still there 1.5 s later, it is ended hard.
+    `end` must make the process leave its main loop; if it is still there 1.5 s later, it is ended hard, and
+    everything that it has started.
     """
 
     def leave() -> None:
         end()
-        # A main loop that hangs in a system call must not outlive the promise of 2 s.
-        timer = threading.Timer(1.5, os._exit, args=(0,))
+        timer = threading.Timer(END_LIMIT_S, end_hard)
         timer.daemon = True
         timer.start()
+
+    def end_hard() -> None:
+        kill_all(descendants_of(os.getpid()))
+        os._exit(0)
 
     def on_signal(_number: int, _frame: FrameType | None) -> None:
         leave()
