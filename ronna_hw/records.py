@@ -1,8 +1,8 @@
 """Results with ancestors: every result is an immutable record with an identifier and its parents.
 
-Change one and everything after it is invalid. A record's hash covers what it says and where it came from:
-kind, version, trajectory, payload, and the identifiers and hashes of its parents. The date does not enter it,
-so the same inputs and the same result give the same hash.
+Change one and everything after it is invalid. A record's hash covers all of it: what it says, what it was
+made from, which run, series and trajectory it belongs to, its own identifier and its date. So no record can
+stand in for another, not even for one that says the same.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from typing import Any
 
 from ronna_hw.bounded_input import parse_json, read_json_bytes
 from ronna_hw.errors import DataError
+
+PARTIAL = ".partial"  # how the name of a file ends while it is written
 
 
 class BadRecord(DataError):
@@ -43,22 +45,25 @@ class OtherVersion(DataError):
 
 @dataclass(frozen=True)
 class Record:
-    """One result: `kind` says what it is, `parents` maps the identifiers of its parents to their hashes."""
+    """One result: `kind` says what it is, `parents` maps the identifiers of its parents to their hashes.
+
+    `series` is the DICOM UID of the CT that the case works on.
+    """
 
     identifier: str
     kind: str
     parents: Mapping[str, str]
     payload: Mapping[str, Any]
     version: int = 1
+    run: str = ""
+    series: str | None = None
     trajectory: str | None = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
 
     @property
     def sha256(self) -> str:
-        """Hash of what the result says and where it came from."""
-        content = asdict(self)
-        del content["identifier"], content["created"]
-        return hashlib.sha256(canonical_json(content)).hexdigest()
+        """Hash of everything in it."""
+        return hashlib.sha256(canonical_json(asdict(self))).hexdigest()
 
 
 def canonical_json(content: Any) -> bytes:
@@ -69,17 +74,21 @@ def canonical_json(content: Any) -> bytes:
 def write_record(record: Record, folder: Path) -> Path:
     """Write `<identifier>.json` whole or not at all; raises REC-002 rather than write a record twice."""
     path = folder / f"{record.identifier}.json"
+    try:
+        write_whole(path, _as_written(record), exclusive=True)
+    except FileExistsError as error:
+        raise RecordExists(f"{path.name} exists already") from error
+    return path
+
+
+def _as_written(record: Record) -> bytes:
+    """The one form of a record's file."""
     content = {
         **asdict(record),
         "parents": list(record.parents),
         "parents_sha256": list(record.parents.values()),
     }
-    text = json.dumps({**content, "sha256": record.sha256}, indent=1, allow_nan=False)
-    try:
-        write_whole(path, text.encode(), exclusive=True)
-    except FileExistsError as error:
-        raise RecordExists(f"{path.name} exists already") from error
-    return path
+    return json.dumps({**content, "sha256": record.sha256}, indent=1, allow_nan=False).encode()
 
 
 def write_whole(path: Path, content: bytes, *, exclusive: bool = False) -> None:
@@ -87,7 +96,7 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False) -> None:
 
     With `exclusive` an existing file is never replaced: raises FileExistsError.
     """
-    temporary = path.with_name(f".{path.name}.partial")
+    temporary = path.with_name(f".{path.name}{PARTIAL}")
     try:
         with temporary.open("wb") as file:
             file.write(content)
@@ -104,14 +113,20 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False) -> None:
 
 
 def read_record(path: Path) -> Record:
-    """Read a record back and check its hash; raises REC-001."""
+    """Read a record back and check its hash and its form, to the byte; raises REC-001."""
     try:
-        content = parse_json(read_json_bytes(path))
+        found = read_json_bytes(path, linked=False)
+        content = parse_json(found)
         claimed = content.pop("sha256")
         parents = dict(zip(content.pop("parents"), content.pop("parents_sha256"), strict=True))
         record = Record(**content, parents=parents)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        written = _as_written(record)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadRecord(f"{path.name} is not a record: {error}") from error
     if record.sha256 != claimed:
-        raise BadRecord(f"{path.name} does not match its hash", got=record.sha256[:12], expected=claimed[:12])
+        raise BadRecord(
+            f"{path.name} does not match its hash", got=record.sha256[:12], expected=str(claimed)[:12]
+        )
+    if found != written:
+        raise BadRecord(f"{path.name} is not as it was written: the same content in another form")
     return record

@@ -225,11 +225,9 @@ def export_command(
     as_json: JsonOption = False,
 ) -> None:
     """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON; no identity in them."""
-    from procedures.engine.verification import require_whole
     from procedures.exchange.run_export import export_run
     from ronna_hw.command_line.console import print_json, tell
 
-    require_whole(run_folder)
     written = export_run(run_folder, out or run_folder / "export")
     if as_json:
         print_json({"files": [str(path) for path in written]})

@@ -16,10 +16,8 @@ from typing import Generic, TypeVar, cast
 from procedures.engine.errors import StepRefused
 from procedures.engine.result import StepResult
 from procedures.engine.step import LeftOut, StepKey
+from ronna_hw.evidence.inspection import RECORDS_FOLDER
 from ronna_hw.records import BadRecord, Record, read_record, write_record
-
-RECORDS_FOLDER = "records"
-PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 
 R = TypeVar("R", bound=StepResult)
 
@@ -35,8 +33,10 @@ class Stored(Generic[R]):
 class Case:
     """The run folder and its results: those that stand, and those that a repeated step has superseded."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, run: str | None = None) -> None:
+        """`run` is the name that the run was begun with, where its folder has another one by now."""
         self.folder = folder
+        self.run = run or folder.name
         self._standing: dict[StepKey, Stored[StepResult]] = {}
         self._superseded: list[Record] = []
         self._doubts: dict[str, str] = {}  # identifier of a record -> the fault that came after it
@@ -58,10 +58,17 @@ class Case:
             parents={parent.identifier: parent.sha256 for parent in parents},
             payload=result.model_dump(mode="json", by_alias=True),
             version=result.version,
+            run=self.run,
+            series=result.names_series() or self._series,
             trajectory=key.trajectory,
         )
         write_record(record, self.folder / RECORDS_FOLDER)
         return Stored(record, result)
+
+    @property
+    def _series(self) -> str | None:
+        named = (stored.result.names_series() for stored in self._standing.values())
+        return next((series for series in named if series), None)
 
     def superseded_by(self, key: StepKey) -> tuple[Record, ...]:
         """What a new result of that step supersedes: its former result and whatever descends from it."""

@@ -6,10 +6,11 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from procedures.engine.case import PICTURES_FOLDER, Case
+from procedures.engine.case import Case
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed, WrongResult
 from procedures.engine.events import Happening, Progress
@@ -21,6 +22,7 @@ from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.inspection import PICTURES_FOLDER
 from ronna_hw.records import Record, write_whole
 
 if TYPE_CHECKING:
@@ -147,11 +149,14 @@ class StepContext:
         return self.workcell.device(name, interface)
 
     def keep_picture(self, name: str, png: bytes) -> None:
-        """Write a picture for people into the run folder."""
+        """Write a picture for people into the run folder; one of that name is kept, and a number added."""
         folder = self._case.folder / PICTURES_FOLDER
         folder.mkdir(exist_ok=True)
-        write_whole(folder / name, png)
-        self._pictures[name] = hashlib.sha256(png).hexdigest()
+        first = folder / name
+        numbered = (first.with_stem(f"{first.stem}-{number}") for number in count(2))
+        path = next(path for path in chain((first,), numbered) if not path.exists())
+        write_whole(path, png, exclusive=True)
+        self._pictures[path.name] = hashlib.sha256(png).hexdigest()
 
     @property
     def pictures(self) -> dict[str, str]:

@@ -16,7 +16,6 @@ from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
-from procedures.engine.evidence import hashes_at_closing, hashes_outside
 from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.machine import RECOVERY, ProcedureMachine
 from procedures.engine.operator import Topic
@@ -26,6 +25,7 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, StepKey
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.seal import hashes_at_closing, hashes_outside
 from ronna_hw.logs import logger
 from ronna_hw.records import Record
 

@@ -58,13 +58,6 @@ class GateFailed(RefusedError):
     action = "Look at the value and its limit; repeat the step or correct its inputs."
 
 
-class JournalCorrupt(RonnaError):
-    """A journal's chain is broken: a line was changed, lost or torn in the middle."""
-
-    code = "PRO-011"
-    action = "Do not rely on this run; keep the folder as it is for analysis."
-
-
 class NotYet(RonnaError):
     """The command accepts this option, but this version does not implement it."""
 
@@ -148,13 +141,6 @@ class RecoveryRefused(RonnaError):
     code = "PRO-032"
     action = "Restore what it names and resume again, or start a new run. Nothing was moved."
     exit_code = EXIT_RECOVERY_NEEDED
-
-
-class RunChanged(RefusedError):
-    """The files of a run are not those that the run left."""
-
-    code = "PRO-033"
-    action = "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything."
 
 
 class BadRequestFile(RonnaError):

@@ -11,42 +11,23 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple
 
 from procedures.engine.errors import JournalNotWritable
-from procedures.engine.journal_reading import FIRST, Chain, JournalValue, Line, read_journal
+from ronna_hw.evidence.journal_reading import (
+    FIRST,
+    JOURNAL_FILE,
+    Chain,
+    Entry,
+    JournalValue,
+    Line,
+    read_journal,
+)
 
 __all__ = ["JOURNAL_FILE", "TORN_FILE", "Entry", "Journal", "JournalValue", "Line", "read_journal"]
 
-JOURNAL_FILE = "journal.jsonl"
 TORN_FILE = "journal.torn"  # what a crash left at the end of the journal, cut off when it is taken up again
-
-
-class Entry(StrEnum):
-    """Kinds of journal lines."""
-
-    OPENED = "opened"
-    INTENT = "intent"
-    RESULT = "result"
-    REFUSED = "refused"
-    CONFIRMATION = "confirmation"
-    MOTION = "motion"  # the intent of one motion
-    MOVED = "moved"  # what came of it
-    FAILED = "failed"
-    INTERRUPTED = "interrupted"
-    VOIDED = "voided"  # results that no longer hold: something has moved
-    FINDING = "finding"  # something the operator should know that stops nothing
-    RESTED = "rested"  # paused, or suspended by a guard; with the reason
-    RESUMED = "resumed"  # goes on after a rest
-    DOUBTED = "doubted"  # the arm was in fault: where the head is must be confirmed before it is used
-    ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, by whom
-    HOME = "home"  # the intent to leave the head and park, outside the steps
-    RESTARTED = "restarted"  # a program took up a run that had ended or broken off
-    FOUND = "found"  # what was read again and compared after a restart
-    ACCEPTED = "accepted"  # the operator accepted it: motion may follow
-    CLOSED = "closed"
 
 
 class _Chain(NamedTuple):
@@ -95,7 +76,7 @@ class Journal:
         self._pending = b""  # a line that is being written
         self.closed = False
         try:
-            self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | how, 0o644)
+            self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | how, 0o666)
         except OSError as error:
             raise JournalNotWritable(f"cannot open {self.path.name}: {error.strerror}") from error
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from procedures.engine.case import RECORDS_FOLDER, Case, Stored
-from procedures.engine.errors import JournalCorrupt
+from procedures.engine.case import Case, Stored
 from procedures.engine.journal import JOURNAL_FILE, Entry, JournalValue, Line
-from procedures.engine.journal_reading import Chain, read_chain
 from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.engine.step import StepKey
+from ronna_hw.evidence.errors import JournalCorrupt
+from ronna_hw.evidence.inspection import RECORDS_FOLDER, inspected
+from ronna_hw.evidence.journal_reading import Chain
 from ronna_hw.records import BadRecord
 
 ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
@@ -77,7 +78,7 @@ class LeftRun:
 
     def restored(self, order: CaseOrder) -> Case:
         """The case as it stood. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
-        case = Case(self.run.path)
+        case = Case(self.run.path, self.run.name)
         records = iter(self.run.records)
         for line in self.run.journal:
             if line["entry"] == Entry.RESULT:
@@ -99,11 +100,10 @@ class LeftRun:
 def read_left_run(folder: Path) -> LeftRun:
     """Read a run that is to be taken up again; one without a journal has none of all that.
 
-    Raises PRO-011 for a broken journal, REC-001 for a record that is missing or changed.
+    Raises PRO-033 for one that was changed.
     """
-    path = folder / JOURNAL_FILE
-    chain = read_chain(path) if path.exists() else Chain()
-    return LeftRun(run_of(folder, chain.lines), chain)
+    found = inspected(folder).require_unchanged()
+    return LeftRun(run_of(found), found.chain)
 
 
 def step_key(line: Line) -> StepKey:

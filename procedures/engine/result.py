@@ -38,6 +38,10 @@ class StepResult(Values):
         """Trajectories that this result leaves out of the case, and why; no later step is done for them."""
         return {}
 
+    def names_series(self) -> str | None:
+        """DICOM UID of the CT series, of the result that decides on which one the case works."""
+        return None
+
 
 class FramedPose(Values):
     """A rigid pose with its frames: `target <- source`."""

@@ -9,12 +9,12 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from procedures.engine.case import RECORDS_FOLDER, Stored
-from procedures.engine.errors import JournalCorrupt
-from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from procedures.engine.case import Stored
+from procedures.engine.journal import Entry, Line
 from procedures.engine.result import StepResult
 from ronna_hw.config import describe_mistakes
-from ronna_hw.records import BadRecord, OtherVersion, Record, read_record
+from ronna_hw.evidence.inspection import Inspection, inspected
+from ronna_hw.records import BadRecord, OtherVersion, Record
 
 R = TypeVar("R", bound=StepResult)
 
@@ -32,6 +32,11 @@ class RunFolder:
     def opened(self) -> Line:
         """The first line: theatre, banner, strategy, seed. Empty when there is none."""
         return self.journal[0] if self.journal else {}
+
+    @property
+    def name(self) -> str:
+        """That the run was begun with; its folder may have another one by now."""
+        return str(self.opened.get("run") or self.path.resolve().name)
 
     def lines(self, entry: Entry) -> tuple[Line, ...]:
         """The journal's lines of one kind."""
@@ -52,15 +57,13 @@ class RunFolder:
 
 
 def read_run(folder: Path) -> RunFolder:
-    """Read a run. Raises PRO-011 for a broken journal, REC-001 for a record that is missing or changed."""
-    return run_of(folder, tuple(read_journal(folder / JOURNAL_FILE)))
+    """Read a run; raises PRO-033 for one that was changed."""
+    return run_of(inspected(folder).require_unchanged())
 
 
-def run_of(folder: Path, journal: tuple[Line, ...]) -> RunFolder:
-    """A run by the lines of its journal. Raises REC-001 for a record that is missing or changed."""
-    results = [line for line in journal if line["entry"] == Entry.RESULT]
-    superseded = frozenset(name for line in journal for name in _texts(line, "supersedes"))
-    return RunFolder(folder, journal, tuple(_named_by(line, folder) for line in results), superseded)
+def run_of(found: Inspection) -> RunFolder:
+    """What was found of a run."""
+    return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
 
 
 def typed(record: Record, model: type[R]) -> R:
@@ -76,30 +79,3 @@ def typed(record: Record, model: type[R]) -> R:
     except ValidationError as error:
         mistakes = "; ".join(describe_mistakes(error))
         raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error
-
-
-def _named_by(line: Line, folder: Path) -> Record:
-    path = folder / RECORDS_FOLDER / f"{_text(line, 'record')}.json"
-    if not path.exists():
-        raise BadRecord(f"{path.name} is missing: the journal names it")
-    record = read_record(path)
-    named = _text(line, "sha256")
-    if record.sha256 != named:
-        raise BadRecord(
-            f"{path.name} is not the record that the journal names",
-            expected=named[:12],
-            got=record.sha256[:12],
-        )
-    return record
-
-
-def _text(line: Line, key: str) -> str:
-    value = line.get(key)
-    if not isinstance(value, str):
-        raise JournalCorrupt(f"line {line.get('sequence')} of {JOURNAL_FILE} has no {key}")
-    return value
-
-
-def _texts(line: Line, key: str) -> tuple[str, ...]:
-    values = line.get(key, ())
-    return tuple(str(value) for value in values) if isinstance(values, list) else ()

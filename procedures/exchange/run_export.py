@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from procedures.engine.case import Stored
 from procedures.engine.result import StepResult
-from procedures.engine.run_folder import RunFolder, read_run
+from procedures.engine.run_folder import RunFolder, run_of
 from procedures.exchange.allowed_fields import (
     REGISTRATION_FIELDS,
     SPHERE_FIELDS,
@@ -35,6 +35,7 @@ from procedures.exchange.spatial_registration import spatial_registration
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.registration import RegisteredRobot
+from ronna_hw.evidence.inspection import inspected
 
 R = TypeVar("R", bound=StepResult)
 ALL = "all"  # name of a registration that is for every trajectory
@@ -53,9 +54,9 @@ class Located(Protocol):
 def export_run(run: Path, out: Path) -> list[Path]:
     """Write what a run found, as far as it may leave the folder, into `out`; returns the files.
 
-    Raises EXC-002, EXC-003, EXC-004, PRO-011, REC-001, REC-003.
+    Raises EXC-002, EXC-003, EXC-004, REC-003, and PRO-033 before anything is written.
     """
-    folder = read_run(run)
+    folder = run_of(inspected(run).require_whole())
     imported, found = _only(folder, ImportedCt), _only(folder, LocalizedFiducials)
     spheres = fiducials(found.result.markers)
     origin = Origin(

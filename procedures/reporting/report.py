@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from procedures.engine.case import PICTURES_FOLDER
 from procedures.engine.journal import Entry
 from procedures.reporting import numbers
 from procedures.reporting.ending import ending_of
@@ -37,6 +36,7 @@ from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
+from ronna_hw.evidence.inspection import PICTURES_FOLDER, hashes_in
 from ronna_hw.records import write_whole
 
 REPORT_FILE = "report.html"
@@ -86,13 +86,14 @@ def write_report(
         "lines": len(reading.run.journal),
         "records": reading.run.records,
         "superseded": reading.run.superseded,
-        "ct_pictures": _pictures(run, "ct-"),
-        "stereo_pictures": _pictures(run, "stereo-"),
+        "ct_pictures": _pictures(reading, "ct-"),
+        "stereo_pictures": _pictures(reading, "stereo-"),
         **_figures(reading, files, rows, [health for _, health in links]),
         **_read_twice(reading, files, rows, out),
         "files": files.written,
         "findings": _findings(reading),
         "left_out": _left_out(reading),
+        "changes": reading.changes,
         "problems": reading.problems,
     }
     path = out / REPORT_FILE
@@ -173,14 +174,21 @@ def _moment(reading: RunReading, place: int) -> str:
     return str(lines[place].get("host_time", ""))[:19].replace("T", " ") if lines else ""
 
 
-def _pictures(run: Path, prefix: str) -> list[tuple[str, str]]:
-    """Name and picture, as it stands inside a page."""
+def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
+    """Name and picture, as it stands inside a page; without those of superseded results."""
+    gone = {
+        name
+        for line in reading.run.lines(Entry.RESULT)
+        if line.get("record") in reading.run.superseded
+        for name in hashes_in(line, "pictures")
+    }
     return [
         (
             path.stem.removeprefix(prefix),
             "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode(),
         )
-        for path in sorted((run / PICTURES_FOLDER).glob(f"{prefix}*.png"))
+        for path in sorted((reading.folder / PICTURES_FOLDER).glob(f"{prefix}*.png"))
+        if path.is_file() and path.name not in gone
     ]
 
 

@@ -1,6 +1,6 @@
 """A run read for its report: as far as it can be read, with a note of everything that cannot.
 
-A report is wanted most of the run that went wrong; a journal that breaks off or a record that was changed is
+A report is wanted most of the run that went wrong; a journal that breaks off or a file that was changed is
 said in it and keeps nothing else from being shown.
 """
 
@@ -11,25 +11,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from procedures.engine.case import RECORDS_FOLDER, Stored
-from procedures.engine.errors import JournalCorrupt
-from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from procedures.engine.case import Stored
 from procedures.engine.result import StepResult
-from procedures.engine.run_folder import RunFolder, typed
+from procedures.engine.run_folder import RunFolder, run_of, typed
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.log_output import LOG_FILE
-from ronna_hw.records import BadRecord, Record, read_record
 
 R = TypeVar("R", bound=StepResult)
 
 
 @dataclass(frozen=True)
 class RunReading:
-    """What a run folder holds, and in `problems` what of it cannot be relied on."""
+    """What a run folder holds; `changes`: what is not as the run left it; `problems`: what cannot be told."""
 
     run: RunFolder
     log: tuple[Mapping[str, Any], ...]  # lines of log.jsonl
+    changes: tuple[str, ...] = ()
     problems: list[str] = field(default_factory=list)
 
     @property
@@ -59,45 +58,18 @@ class RunReading:
             self.problems.append(problem)
 
 
-def read_for_report(folder: Path) -> RunReading:
-    """Read a run folder; raises nothing that its content can cause."""
-    problems: list[str] = []
-    journal = _journal(folder, problems)
-    results = [line for line in journal if line["entry"] == Entry.RESULT]
-    records = [record for line in results if (record := _record(folder, line, problems)) is not None]
-    gone = [line["supersedes"] for line in journal if isinstance(line.get("supersedes"), list)]
-    superseded = frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
-    return RunReading(RunFolder(folder, tuple(journal), tuple(records), superseded), _log(folder), problems)
+def read_for_report(folder: Path, *, every_file: bool = True) -> RunReading:
+    """Read a run folder; raises nothing that its content can cause.
 
-
-def _journal(folder: Path, problems: list[str]) -> list[Line]:
-    lines: list[Line] = []
-    path = folder / JOURNAL_FILE
-    try:
-        lines.extend(read_journal(path))  # what comes before a broken line is kept
-    except FileNotFoundError:
-        problems.append("There is no journal: the run ended before its theatre was open.")
-    except JournalCorrupt as error:
-        problems.append(f"{error}. What follows that line is not shown.")
-    except OSError as error:
-        problems.append(f"{path.name} cannot be read: {error.strerror}")
-    else:
-        if path.stat().st_size and not path.read_bytes().endswith(b"\n"):
-            problems.append("The last line of the journal is torn: the program ended while it wrote it.")
-    return lines
-
-
-def _record(folder: Path, line: Line, problems: list[str]) -> Record | None:
-    name = str(line.get("record"))
-    try:
-        record = read_record(folder / RECORDS_FOLDER / f"{name}.json")
-    except (BadRecord, OSError) as error:
-        problems.append(f"{name}: {error}")
-        return None
-    if record.sha256 != line.get("sha256"):
-        problems.append(f"{name}.json is not the record that the journal names; it is left out.")
-        return None
-    return record
+    Without `every_file` journal and records alone are held against each other, which takes milliseconds.
+    """
+    found = inspected(folder, every_file=every_file)
+    notes = []
+    if not found.chain.lines:
+        notes.append("There is no journal: the run ended before its theatre was open.")
+    if found.chain.torn:
+        notes.append("The last line of the journal is torn: the program ended while it wrote it.")
+    return RunReading(run_of(found), _log(folder), tuple(map(str, found.changes)), notes)
 
 
 def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:

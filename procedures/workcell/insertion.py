@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from procedures.engine.journal_reading import JournalValue
 from procedures.engine.result import FramedPose, Values
 from procedures.strategies.orientation import back_along_axis
 from procedures.workcell.errors import TipOffAxis
+from ronna_hw.evidence.journal_reading import JournalValue
 from ronna_hw.frames import Transform
 
 # Nominal tip against the axis. A settled arm is within 0.05 mm; ten times that is no rounding any more, and

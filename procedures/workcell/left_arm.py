@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import cast
 
-from procedures.engine.errors import JournalCorrupt
 from procedures.engine.journal import Entry, Line
 from procedures.workcell.insertion import Insertion
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.evidence.errors import JournalCorrupt
 
 
 @dataclass(frozen=True)

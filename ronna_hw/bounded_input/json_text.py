@@ -32,14 +32,14 @@ def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
         raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels") from error
 
 
-def read_json_bytes(path: Path, limit_bytes: int = LARGEST_JSON_BYTES) -> bytes:
-    """A JSON file as bytes, for a model to read. Raises INP-001, OSError."""
-    return check_json(read_bounded(path, limit_bytes), limit_bytes)
+def read_json_bytes(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked: bool = True) -> bytes:
+    """A JSON file as bytes, for a model to read; `linked` as in `read_bounded`. Raises INP-001, OSError."""
+    return check_json(read_bounded(path, limit_bytes, linked=linked), limit_bytes)
 
 
-def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES) -> bytes:
-    """A file of JSON lines, the last of which may be torn. Raises INP-001, OSError."""
-    return _check_count(read_bounded(path, limit_bytes))
+def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked: bool = True) -> bytes:
+    """A file of JSON lines, the last of which may be torn; `linked` as there. Raises INP-001, OSError."""
+    return _check_count(read_bounded(path, limit_bytes, linked=linked))
 
 
 def check_json(content: bytes, limit_bytes: int = LARGEST_JSON_BYTES) -> bytes:

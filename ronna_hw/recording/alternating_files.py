@@ -36,4 +36,4 @@ class AlternatingFiles:
         os.close(self._file)
 
     def _open(self, how: int) -> int:
-        return os.open(self._paths[self._which], os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | how, 0o644)
+        return os.open(self._paths[self._which], os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | how, 0o666)

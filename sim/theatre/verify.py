@@ -10,20 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from ronna_hw.records import Record, read_record
+from ronna_hw.evidence.inspection import Inspection, inspected
+from ronna_hw.records import Record
 from sim.errors import NothingToVerify
 from sim.theatre.rigid import apply, matrix_of
 from sim.theatre.scene.model import Scene, read_scene
 from sim.theatre.truth import SCENE_FILE, TipSample, read_samples
 
 THEATRE_FOLDER = "theatre"
-RECORDS_FOLDER = "records"
 SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; spheres are 11.5 mm wide
 
 
 def verify_run(run: Path) -> dict[str, Any]:
     """Compare a run folder with its theatre's truth; raises SIM-006 when there is nothing to compare,
-    SIM-007 when the truth cannot be read.
+    SIM-007 when the truth cannot be read, PRO-033 for a run that was changed.
 
     Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
     lateral_mm, axial_mm, axis_error_rad), as plain data.
@@ -31,32 +31,31 @@ def verify_run(run: Path) -> dict[str, Any]:
     theatre = run / THEATRE_FOLDER
     if not (theatre / SCENE_FILE).exists():
         raise NothingToVerify(f"{run} has no simulated theatre")
+    found = inspected(run).require_unchanged()
     scene = read_scene(theatre / SCENE_FILE)
     samples = {sample.target: sample for sample in read_samples(theatre)}  # the last sample of each target
-    localization = _record(run, "fiducial_localization")
+    localization = _standing(found, "fiducial_localization")
     if localization is None and not samples:
         raise NothingToVerify(f"{run} has neither located a sphere nor reached a target")
     return {
         "ct": _verify_ct(scene, localization),
         "targets": [
             _verify_target(scene, trajectory, samples[trajectory["id"]])
-            for trajectory in _planned(run)
+            for trajectory in _planned(found)
             if trajectory["id"] in samples
         ],
     }
 
 
-def _planned(run: Path) -> list[dict[str, Any]]:
+def _planned(found: Inspection) -> list[dict[str, Any]]:
     """The trajectories of the plan that the run followed; the scene may know others by other names."""
-    plan = _record(run, "plan_check")
+    plan = _standing(found, "plan_check")
     return list(plan.payload["plan"]["trajectories"]) if plan is not None else []
 
 
-def _record(run: Path, kind: str) -> Record | None:
-    paths = (run / RECORDS_FOLDER).glob(f"*{kind}*.json")
-    records = [read_record(path) for path in sorted(paths, key=lambda path: int(path.name.split("-")[0]))]
-    found = [record for record in records if record.kind == kind]
-    return found[-1] if found else None
+def _standing(found: Inspection, kind: str) -> Record | None:
+    standing = (one for one in reversed(found.records) if one.identifier not in found.superseded)
+    return next((one for one in standing if one.kind == kind), None)
 
 
 def _verify_ct(scene: Scene, localization: Record | None) -> dict[str, Any] | None:

@@ -8,7 +8,7 @@ from kills import LARGEST_CHANGE_MM, killed_at, taken_up
 from user_commands import Commands
 
 from procedures.engine.journal import JOURNAL_FILE
-from procedures.engine.journal_reading import read_chain
+from ronna_hw.evidence.journal_reading import read_chain
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(300)]
 

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.truth import truth_if_any
-from procedures.engine.evidence import seal
-from procedures.engine.journal import JOURNAL_FILE, Entry
-from procedures.engine.journal_reading import read_chain
-from procedures.engine.verification import closed_files, problems_of
+from procedures.engine.journal import JOURNAL_FILE
+from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.errors import PathProblem, as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.inspection import closed_files, inspected, is_closed
+from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.seal import seal
 from ronna_hw.log_output import LOG_FILE
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def seal_run(folder: Path) -> None:
         return
     try:
         chain = read_chain(folder / JOURNAL_FILE)
-        if chain.lines and chain.lines[-1]["entry"] == Entry.CLOSED:
+        if is_closed(chain.lines):
             seal(folder, closed_files(chain.lines))
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
@@ -79,15 +80,16 @@ def leaving_report(folder: Path) -> Iterator[None]:
 
 
 def make_report(run: Path, out: Path | None = None) -> Path:
-    """The report of any run folder, made anew. Raises CLI-005 for what is no run, OSError."""
+    """The report of any run folder, made anew. Raises CLI-005 for what is no run, PRO-030, OSError."""
     if not any((run / part).exists() for part in RUN_PARTS):
         raise PathProblem(f"{run} is not the folder of a run", expected="a folder with journal.jsonl")
     from procedures.reporting.report import write_report
 
-    problems = problems_of(run)
-    for problem in problems:
-        tell(f"this run is not whole: {problem}")
-    path = write_report(run, truth=truth_if_any(run), out=out)
-    if out is None and not problems:
-        seal_run(run)
+    with contextlib.nullcontext() if out else held_run(run):
+        found = inspected(run)
+        for problem in found.problems:
+            tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
+        path = write_report(run, truth=truth_if_any(run), out=out)
+        if out is None and not found.changes:
+            seal_run(run)
     return path

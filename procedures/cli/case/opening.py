@@ -205,7 +205,7 @@ def order_of_case(request: CaseRequest, folder: Path) -> CaseOrder:
 
 def request_hash(folder: Path) -> dict[str, str]:
     """Of the request that a run began with, for the first line of its journal."""
-    from procedures.engine.evidence import sha256_of
+    from ronna_hw.evidence.seal import sha256_of
 
     path = folder / REQUEST_FILE
     return {"request_sha256": sha256_of(path)} if path.exists() else {}
@@ -277,6 +277,7 @@ def _make_engine(
         theatre.clock.now_s(),
         **({} if left is None else left.as_plain()),
         **request_hash(folder),
+        run=case.run,
         theatre=theatre.file.theatre,
         banner=theatre.file.banner,
         strategy=None if wanted.clinical is None else wanted.clinical.strategy.name,

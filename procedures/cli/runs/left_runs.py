@@ -10,12 +10,12 @@ from pathlib import Path
 
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import read_request
-from procedures.engine.errors import JournalNotWritable, RunChanged
+from procedures.engine.errors import JournalNotWritable
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.run_lock import held_run
-from procedures.engine.verification import changed_since_closing
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.messages import tell
+from ronna_hw.records import PARTIAL
 
 PROBE_FILE = ".writable"
 PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
@@ -41,14 +41,11 @@ def request_of(folder: Path, *, accept: bool = False, answers: Path | None = Non
 def held_left_run(folder: Path) -> Iterator[LeftRun]:
     """What a run left, with its folder held for this program.
 
-    Raises PRO-030 while another program has it open, PRO-033, PRO-011 and REC-001 for one that was changed.
+    Raises PRO-030 while another program has it open, PRO-033 for one that was changed.
     """
     folder = folder.resolve()
     with held_run(folder):
-        left = read_left_run(folder)
-        if changed := changed_since_closing(folder, left.run.journal):
-            raise RunChanged(f"{folder.name} was changed since it was closed: {'; '.join(map(str, changed))}")
-        yield left
+        yield read_left_run(folder)
 
 
 def make_ready(left: LeftRun) -> None:
@@ -77,5 +74,5 @@ def _check_writable(folder: Path) -> None:
 
 def _remove_half_written(folder: Path) -> None:
     """What a program that was killed had not finished writing was never part of the run."""
-    for path in folder.rglob(".*.partial"):
+    for path in folder.rglob(f".*{PARTIAL}"):
         path.unlink(missing_ok=True)

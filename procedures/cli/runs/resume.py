@@ -11,10 +11,10 @@ from procedures.cli.case.opening import Resumption, Watcher, order_of_case
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
-from procedures.engine.evidence import SEAL_FILE, hashes_at_closing
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.reporting.report import REPORT_FILE
+from ronna_hw.evidence.seal import SEAL_FILE, hashes_at_closing
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import FinishedRun
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, verbose: bool) -> None:
     """Take a run up again and finish it; a finished one is shown.
 
-    Raises PRO-030 to PRO-034, PRO-003 where nothing can be written, PRO-011 and REC-001 for a run that was
-    changed, and what devices and steps raise.
+    Raises PRO-030 to PRO-034, PRO-003 where nothing can be written, and what devices and steps raise.
     """
     request = request_of(folder, accept=accept, answers=answers)
     with held_left_run(folder) as left:

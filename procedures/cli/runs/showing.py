@@ -19,7 +19,7 @@ from ronna_hw.records import Record
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
     """Print the runs of a folder, oldest first."""
-    rows = [_summary(read_for_report(run)) for run in runs_in(folder)]
+    rows = [_summary(read_for_report(run, every_file=False)) for run in runs_in(folder)]
     if as_json:
         print_json({"runs": rows})
         return
@@ -46,9 +46,11 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     reading = read_for_report(folder)
     row = _summary(reading)
     if as_json:
-        print_json(row | {"problems": reading.problems})
+        print_json(row | {"problems": [*reading.changes, *reading.problems]})
         return
     out = sys.stdout
+    for change in reading.changes:
+        out.write(f"NOT AS THE RUN LEFT IT: {change}\n")
     seed = "" if row["seed"] is None else f", seed {row['seed']}"
     out.write(f"{row['run']}: {row['theatre'] or 'no theatre'}{seed}, strategy {row['strategy'] or '-'}\n")
     out.write(f"began {row['began'] or '-'}; {row['sentence']}\n")
@@ -68,7 +70,7 @@ def show_run(folder: Path, *, as_json: bool) -> None:
 
 
 def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
-    """Print results and their ancestors. Raises PRO-011, REC-001 for a run that was changed."""
+    """Print results and their ancestors. Raises PRO-033 for a run that was changed."""
     from procedures.engine.lineage import lineage_mermaid, lineage_text
     from procedures.engine.run_folder import read_run
 

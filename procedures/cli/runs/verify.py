@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 from procedures.cli.runs.folders import require_run
-from procedures.engine.evidence import files_of
-from procedures.engine.verification import problems_of
 from ronna_hw.command_line.console import print_json
 from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.seal import files_of
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
     """Print what is changed, missing or added; ends with exit code 3 when anything is."""
     require_run(folder)
-    problems = problems_of(folder)
+    problems = inspected(folder).problems
     checked = sum(1 for _ in files_of(folder))
     if as_json:
         print_json(
@@ -23,7 +24,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
                 "run": folder.resolve().name,
                 "whole": not problems,
                 "files": checked,
-                "problems": [{"file": one.file, "what": one.what} for one in problems],
+                "problems": [asdict(one) for one in problems],
             }
         )
     else:

@@ -48,7 +48,7 @@ class EventFile:
 
     def _open(self) -> int | None:
         try:
-            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             content = self._path.read_bytes()  # of a session that was killed the last line may be torn
             os.ftruncate(file, content.rfind(b"\n") + 1)

@@ -46,6 +46,10 @@ class ImportedCt(StepResult, kind="ct_import"):
             warnings=tuple(volume.warnings),
         )
 
+    def names_series(self) -> str:
+        """The one that was read."""
+        return self.series_instance_uid
+
 
 def run(context: StepContext) -> Outcome[ImportedCt]:
     """Read and check the series; the record names it and holds the hash of its voxels."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from user_commands import in_this_process, one_error
 
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.request import CaseRequest, new_run_folder
-from procedures.cli.case.request_file import REQUEST_FILE, read_request
+from procedures.cli.case.request_file import REQUEST_FILE, read_request, write_request
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.procedure import app
 from procedures.engine.errors import BadRequestFile, OtherProgram
@@ -30,7 +31,7 @@ def run(tmp_path: Path) -> Path:
     folder = tmp_path / "runs" / "20260101T000000-abcd"
     folder.parent.mkdir()
     cell = RecordingCell(folder)
-    (folder / REQUEST_FILE).write_text("{}")
+    write_request(CaseRequest(out=folder.parent), folder)
     cell.journal.write(Entry.OPENED, 0.0, theatre="a test", banner="", strategy="ocs", seed=None)
     engine = cell.engine(plain_order("T1"))
     engine.run_to(engine.order.find("fit:T1"))
@@ -96,13 +97,35 @@ def test_verify_says_that_a_run_is_whole_or_names_what_is_not(run: Path) -> None
     assert files == {"records/01-image.json", "note.txt"}
 
 
-@pytest.mark.hazard(1)
-def test_a_run_that_was_changed_is_not_exported(run: Path) -> None:
+def foreign_record(run: Path) -> str:
+    (run / "records" / "01-image.json").write_bytes(
+        (run / "records" / "02-localization-T1.json").read_bytes()
+    )
+    return "records/01-image.json"
+
+
+def line_removed(run: Path) -> str:
     lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    (run / "journal.jsonl").write_bytes(b"".join(lines[:-1]))
-    refused = in_this_process(app, "export", run)
-    assert refused.returncode == EXIT_REFUSED
-    assert "PRO-033" in refused.stderr
+    (run / "journal.jsonl").write_bytes(b"".join([*lines[:5], *lines[6:]]))
+    return "journal.jsonl"
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("spoil", [foreign_record, line_removed], ids=lambda spoil: spoil.__name__)
+def test_every_command_names_what_was_changed_in_a_run(run: Path, spoil: Callable[[Path], str]) -> None:
+    name = spoil(run)
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    for command in ("export", "resume", "lineage", "replay"):
+        refused = in_this_process(app, command, run)
+        assert (command, refused.returncode) == (command, EXIT_REFUSED)
+        assert f"PRO-033: {run.name} is not as it was left: {name}: " in refused.stderr
+        assert refused.stdout == ""
+    assert f"NOT AS THE RUN LEFT IT: {name}" in in_this_process(app, "show", run).stdout
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    reported = in_this_process(app, "report", run, "--out", run.parent / "report")
+    assert name in reported.stderr
+    page = (run.parent / "report" / "report.html").read_text()
+    assert f"This folder is not as the run left it. Rely on nothing below.</strong><ul><li>{name}" in page
 
 
 def test_lineage_draws_every_result_with_what_it_was_made_from(run: Path) -> None:

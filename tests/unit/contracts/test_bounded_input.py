@@ -13,9 +13,8 @@ from bounded_cost import bounded_cost
 from drivers.ndi_polaris.errors import BadToolFile
 from drivers.ndi_polaris.rom.description import read_description
 from procedures.cli.case.answers import read_answers
-from procedures.engine.errors import AnswersUnfit, EventsUnreadable, JournalCorrupt
+from procedures.engine.errors import AnswersUnfit, EventsUnreadable
 from procedures.engine.events.followed_run import FollowedRun
-from procedures.engine.journal_reading import read_chain
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.errors import PlanUnreadable
@@ -23,6 +22,8 @@ from procedures.planning.plan_file import read_plan
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
 from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.errors import JournalCorrupt
+from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.records import BadRecord, read_record
 from ronna_hw.wire.kuka_context import ContextInvalid, load_context
 from sim.errors import BadScene

@@ -1,5 +1,8 @@
 import json
+import os
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,7 +24,7 @@ def test_a_changed_record_is_refused(tmp_path: Path) -> None:
         read_record(path)
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"identifier": 1'])
+@pytest.mark.parametrize("text", ["", "{}", '{"identifier": 1', '"text"', "[" * 100_000, '{"sha256": NaN'])
 def test_a_torn_record_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "torn.json"
     path.write_text(text)
@@ -30,11 +33,38 @@ def test_a_torn_record_is_refused(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.hazard(1)
-def test_the_hash_covers_parents_and_payload_but_not_the_date() -> None:
-    one = Record("a", "k", {"p": "1"}, {"x": 1}, created="2026-01-01")
-    assert one.sha256 == Record("b", "k", {"p": "1"}, {"x": 1}, created="2026-02-02").sha256
-    assert one.sha256 != Record("a", "k", {"q": "1"}, {"x": 1}).sha256
-    assert one.sha256 != Record("a", "k", {"p": "1"}, {"x": 2}).sha256
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"identifier": "b"},
+        {"kind": "l"},
+        {"parents": {"q": "1"}},
+        {"payload": {"x": 2}},
+        {"run": "another"},
+        {"series": "1.2.4"},
+        {"trajectory": "T2"},
+        {"created": "2026-02-02"},
+        {"version": 2},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_the_hash_covers_everything_in_a_record(change: dict[str, Any]) -> None:
+    one = Record("a", "k", {"p": "1"}, {"x": 1}, 1, "run", "1.2.3", "T1", "2026-01-01")
+    assert replace(one, **change).sha256 != one.sha256
+
+
+@pytest.mark.hazard(1)
+def test_the_same_record_in_another_form_is_refused(tmp_path: Path) -> None:
+    path = write_record(Record("a", "k", {}, {"x": 1}), tmp_path)
+    path.write_text(path.read_text() + " ")
+    with pytest.raises(BadRecord, match="not as it was written"):
+        read_record(path)
+
+
+def test_a_pipe_in_place_of_a_record_holds_nobody_up(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.json")
+    with pytest.raises(BadRecord, match=r"REC-001.*not a regular file"):
+        read_record(tmp_path / "a.json")
 
 
 def test_a_file_that_cannot_be_written_whole_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from procedures.engine.errors import JournalCorrupt, JournalNotWritable
+from procedures.engine.errors import JournalNotWritable
 from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from ronna_hw.evidence.errors import JournalCorrupt
 
 
 def _written(folder: Path) -> Path:

@@ -9,11 +9,9 @@ from plain_steps import Approach, Image, plain_order
 from recording_cell import RecordingCell
 from run_again import broken_off, opened_again
 
-from procedures.engine.case import RECORDS_FOLDER
 from procedures.engine.engine import Engine
-from procedures.engine.errors import JournalCorrupt, RunInUse, StepRefused
+from procedures.engine.errors import RunInUse, StepRefused
 from procedures.engine.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
-from procedures.engine.journal_reading import read_chain
 from procedures.engine.left_run import read_left_run
 from procedures.engine.result import StepResult
 from procedures.engine.run_lock import held_run
@@ -21,6 +19,9 @@ from procedures.engine.step import Outcome, StepKey
 from procedures.workcell.left_arm import left_arm
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.evidence.errors import JournalCorrupt
+from ronna_hw.evidence.inspection import RECORDS_FOLDER
+from ronna_hw.evidence.journal_reading import read_chain
 
 BLOCK_BYTES = 512
 

@@ -22,10 +22,11 @@ from procedures.engine.replay.recorded_answers import read_answers
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.replay.replayed_device import KEPT
 from procedures.engine.replay.sections import section_follower
-from procedures.engine.run_folder import read_run
+from procedures.engine.run_folder import run_of
 from procedures.engine.step import Outcome
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.recording.taped_device import taped
 
@@ -79,7 +80,7 @@ class Recorded:
         self.engine.close("left")
         clinical = ClinicalInput(self.cell.series, self.cell.plan, self.cell.strategy)
         given = ReplayInput(order or self.order, clinical, self.cell.theatre)
-        return list(replay(read_run(self.folder), given, read_answers(self.folder)))
+        return list(replay(run_of(inspected(self.folder)), given, read_answers(self.folder)))
 
     def edit(self, change: Callable[[dict[str, Any]], None]) -> None:
         """Change every recorded answer."""

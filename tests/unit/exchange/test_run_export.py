@@ -20,8 +20,10 @@ from procedures.exchange.errors import NothingToExport, NotWritable, UnknownForm
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.steps.clinical.registration import RegisteredRobot
+from ronna_hw.evidence.errors import RunChanged
+from ronna_hw.evidence.seal import hashes_at_closing, seal
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.records import BadRecord, OtherVersion
+from ronna_hw.records import OtherVersion
 
 IMPORTED = imported_ct()
 SPHERES = localized_fiducials(np.array([[1.0, 2.0, 3.0]]))
@@ -44,7 +46,10 @@ def record(run: Path, *results: tuple[StepKey, StepResult]) -> Path:
         names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
         journal.write(Entry.RESULT, 0.0, step=str(key), supersedes=gone, **names)
         case.accept(key, stored)
+    files = hashes_at_closing(run)
+    journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
     journal.close()
+    seal(run, files)
     return run
 
 
@@ -114,13 +119,13 @@ def test_a_run_without_a_registration_is_refused(tmp_path: Path) -> None:
 def test_a_changed_record_is_not_exported(finished: Path) -> None:
     path = finished / "records" / "04-registration-T2.json"
     path.write_text(path.read_text().replace("0.95", "0.99"))
-    with pytest.raises(BadRecord, match="REC-001"):
+    with pytest.raises(RunChanged, match=r"PRO-033: .*04-registration-T2"):
         export_run(finished, finished / "export")
 
 
 def test_a_missing_record_is_named_and_nothing_is_exported(finished: Path) -> None:
     (finished / "records" / "04-registration-T2.json").unlink()
-    with pytest.raises(BadRecord, match=r"REC-001: 04-registration-T2\.json is missing"):
+    with pytest.raises(RunChanged, match=r"PRO-033: .*04-registration-T2\.json: missing"):
         export_run(finished, finished / "export")
     assert not (finished / "export").exists()
 
@@ -132,9 +137,9 @@ def test_a_record_of_another_version_is_not_exported(finished: Path, monkeypatch
 
 
 def test_a_place_that_is_a_file_is_refused(finished: Path) -> None:
-    (finished / "export").touch()
+    (finished.parent / "export").touch()
     with pytest.raises(NotWritable, match="EXC-002"):
-        export_run(finished, finished / "export")
+        export_run(finished, finished.parent / "export")
 
 
 def test_an_unknown_form_is_refused_before_the_work() -> None:

@@ -92,7 +92,8 @@ def test_what_stands_before_a_broken_line_is_shown_and_the_break_is_said(registe
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join([*lines[:-3], *lines[-2:]]))
     text = write_report(registered).read_text()
-    assert "PRO-011" in text
+    assert "This folder is not as the run left it" in text
+    assert "does not follow the line before it" in text
     assert "01-ct_import" in text
 
 
@@ -107,5 +108,5 @@ def test_a_changed_record_is_left_out_and_named(registered: Path) -> None:
     (changed,) = (registered / "records").glob("*-registration-T1.json")
     changed.write_text(changed.read_text().replace('"confidence": 0.95', '"confidence": 0.99'))
     text = write_report(registered).read_text()
-    assert "What cannot be relied on" in text
-    assert f"{changed.stem}: REC-001" in text
+    assert "This folder is not as the run left it" in text
+    assert f"<li>records/{changed.name}: " in text

@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from procedures.engine.journal import JOURNAL_FILE, Entry, Journal
+from ronna_hw.evidence.errors import RunChanged
+from ronna_hw.evidence.inspection import RECORDS_FOLDER
+from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.records import Record, write_record
 from sim.errors import NothingToVerify
 from sim.theatre.rigid import apply, inverse, matrix_of
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.truth import SCENE_FILE, TipSample, append_sample
-from sim.theatre.verify import RECORDS_FOLDER, THEATRE_FOLDER, verify_run
+from sim.theatre.verify import THEATRE_FOLDER, verify_run
 
 SCENE = named_scene("mini")
 TRAJECTORY = "left-STN"  # by the plan; no trajectory of the scene has this name
@@ -30,8 +34,17 @@ def run(tmp_path: Path) -> Path:
     ct_from_robot = inverse(matrix_of(SCENE.head.robot_from_ct))
     entry_mm, target_mm = (apply(ct_from_robot, end).tolist() for end in (ENTRY_MM, TARGET_MM))
     plan = {"trajectories": [{"id": TRAJECTORY, "entry_mm": entry_mm, "target_mm": target_mm}]}
-    write_record(Record("01-plan_check", "plan_check", {}, {"plan": plan}), tmp_path / RECORDS_FOLDER)
+    leave(tmp_path, Record("01-plan_check", "plan_check", {}, {"plan": plan}))
     return tmp_path
+
+
+def leave(run: Path, record: Record) -> None:
+    """A record and its line of the journal, as a run leaves them before it is closed."""
+    write_record(record, run / RECORDS_FOLDER)
+    path = run / JOURNAL_FILE
+    journal = Journal.taken_up(run, read_chain(path)) if path.exists() else Journal(run)
+    journal.write(Entry.RESULT, 0.0, step=record.kind, record=record.identifier, sha256=record.sha256)
+    journal.close()
 
 
 @pytest.fixture
@@ -60,9 +73,7 @@ def localize(run: Path) -> Callable[[Sequence[Sequence[float]]], None]:
 
     def record(centres_mm: Sequence[Sequence[float]]) -> None:
         payload = {"markers": [{"centre_mm": list(centre)} for centre in centres_mm]}
-        write_record(
-            Record("02-fiducial_localization", "fiducial_localization", {}, payload), run / RECORDS_FOLDER
-        )
+        leave(run, Record("02-fiducial_localization", "fiducial_localization", {}, payload))
 
     return record
 
@@ -124,4 +135,17 @@ def test_a_folder_without_a_theatre_cannot_be_verified(tmp_path: Path) -> None:
 
 def test_a_run_that_came_nowhere_cannot_be_verified(run: Path) -> None:
     with pytest.raises(NothingToVerify, match="neither located a sphere nor reached a target"):
+        verify_run(run)
+
+
+@pytest.mark.hazard(39)
+def test_a_record_that_the_run_did_not_leave_is_not_compared_with_the_truth(
+    run: Path, localize: Callable[[Sequence[Sequence[float]]], None]
+) -> None:
+    localize(FIDUCIALS_MM)
+    (run / RECORDS_FOLDER / "99-fiducial_localization.json").write_text("{}")  # nobody asks for it
+    assert verify_run(run)["ct"]["found"] == len(FIDUCIALS_MM)
+    path = run / RECORDS_FOLDER / "02-fiducial_localization.json"
+    path.write_text(path.read_text().replace('"created": "2', '"created": "1'))
+    with pytest.raises(RunChanged, match=r"PRO-033: .*02-fiducial_localization"):
         verify_run(run)

@@ -1,7 +1,7 @@
 """What holds a run's files to what they were: hashes in the journal's last line, and a seal over the rest.
 
 The journal's chain covers its lines, its last line every file that was there when the run was closed. What is
-written after that (the log's end, the theatre's own files, the report) the seal covers, and the journal as a
+written after that (the log's end, how the theatre was left, the report) the seal covers, and the journal as a
 whole with it, so that a removed last line shows.
 """
 
@@ -13,14 +13,15 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from procedures.engine.journal import JOURNAL_FILE
 from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+from ronna_hw.host.regular_file import open_regular
 from ronna_hw.records import canonical_json, write_whole
 
 SEAL_FILE = "seal.json"
-# Written also after the run is closed; names of files, and folders with everything in them.
-LATER_FILES = ("log.jsonl", "events.jsonl", "report.html")  # and with a number behind
-LATER_FOLDERS = ("theatre", "report")
+# Written also after the run is closed: how the names of files begin, and folders with everything in them.
+LATER_FILES = ("log.jsonl", "events.jsonl", "report.html", "theatre/world.json", "theatre/.world.json")
+LATER_FOLDERS = ("report",)
 EXPORT_FOLDER = "export"  # made from the run at any time, and no part of it
 CHUNK_BYTES = 1 << 20
 
@@ -30,26 +31,30 @@ class Seal(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    schema_version: int = Field(default=1, alias="schema")
+    schema_version: int = Field(default=2, alias="schema")
+    journal_bytes: int = Field(description="Length of the journal that was sealed.")
     journal_sha256: str
     files: dict[str, str] = Field(description="Files that the journal does not name, with their SHA-256.")
-    own_sha256: str
-
-    @classmethod
-    def over(cls, journal_sha256: str, files: Mapping[str, str]) -> Seal:
-        """A seal with its own hash."""
-        return cls(journal_sha256=journal_sha256, files=dict(files), own_sha256=_own(journal_sha256, files))
+    own_sha256: str = ""
 
     @property
     def whole(self) -> bool:
         """Whether it is as it was made."""
-        return self.own_sha256 == _own(self.journal_sha256, self.files)
+        return self.own_sha256 == self._own()
+
+    def signed(self) -> Seal:
+        """The same with its own hash."""
+        return self.model_copy(update={"own_sha256": self._own()})
+
+    def _own(self) -> str:
+        content = [self.schema_version, self.journal_bytes, self.journal_sha256, self.files]
+        return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
 def sha256_of(path: Path) -> str:
-    """Of a file's content. Raises OSError."""
+    """Of a file's content. Raises OSError, also for what is no regular file."""
     found = hashlib.sha256()
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         while part := file.read(CHUNK_BYTES):
             found.update(part)
     return found.hexdigest()
@@ -65,7 +70,7 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
 
 def hashes_at_closing(folder: Path) -> dict[str, str]:
     """Hashes of the files that are complete when a run is closed. Raises OSError."""
-    return {name: sha256_of(path) for name, path in files_of(folder) if not _is_later(name)}
+    return {name: sha256_of(path) for name, path in files_of(folder) if not is_later(name)}
 
 
 def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
@@ -75,35 +80,35 @@ def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
         if folder.resolve() in given.resolve().parents or not given.exists():
             continue
         paths = [path for path in sorted(given.rglob("*")) if path.is_file()] if given.is_dir() else [given]
-        hashes.update({str(path.resolve()): sha256_of(path) for path in paths})
+        hashes.update({str(path.resolve()): sha256_of(path.resolve()) for path in paths})
     return hashes
 
 
 def seal(folder: Path, closed: Mapping[str, str]) -> None:
     """Write the seal over what the last line of the journal (`closed`) does not name. Raises OSError."""
     later = {name: sha256_of(path) for name, path in files_of(folder) if name not in closed}
-    made = Seal.over(sha256_of(folder / JOURNAL_FILE), later)
-    write_whole(folder / SEAL_FILE, made.model_dump_json(by_alias=True, indent=1).encode())
+    journal = folder / JOURNAL_FILE
+    made = Seal(journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later).signed()
+    write_whole(folder / SEAL_FILE, _as_written(made))
 
 
 def read_seal(folder: Path) -> Seal | None:
     """The seal of a run; None where there is none, or it cannot be read or was changed."""
     try:
-        content = read_json_bytes(folder / SEAL_FILE)
+        content = read_json_bytes(folder / SEAL_FILE, linked=False)
         found = Seal.model_validate_json(content)
     except (OSError, ValueError):
         return None
-    as_written = found.model_dump_json(by_alias=True, indent=1).encode()
-    return found if found.whole and content == as_written else None
+    return found if found.whole and content == _as_written(found) else None
 
 
-def _own(journal_sha256: str, files: Mapping[str, str]) -> str:
-    return hashlib.sha256(canonical_json([journal_sha256, dict(files)])).hexdigest()
+def is_later(name: str) -> bool:
+    """Whether a file of that name is written also after the run is closed."""
+    return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)
 
 
-def _is_later(name: str) -> bool:
-    top = name.split("/", 1)[0]
-    return top in LATER_FOLDERS or name.startswith(LATER_FILES)
+def _as_written(made: Seal) -> bytes:
+    return made.model_dump_json(by_alias=True, indent=1).encode()
 
 
 def _is_apart(name: str) -> bool:

@@ -9,15 +9,42 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
-from procedures.engine.errors import JournalCorrupt
 from ronna_hw.bounded_input import parse_json, read_json_lines
+from ronna_hw.evidence.errors import JournalCorrupt
 
+JOURNAL_FILE = "journal.jsonl"
 FIRST = "0" * 64  # what the first line names as the one before it
 
 JournalValue = str | float | bool | None | Sequence["JournalValue"] | Mapping[str, "JournalValue"]
 Line = Mapping[str, JournalValue]  # one line, as it is read back
+
+
+class Entry(StrEnum):
+    """Kinds of journal lines."""
+
+    OPENED = "opened"
+    INTENT = "intent"
+    RESULT = "result"
+    REFUSED = "refused"
+    CONFIRMATION = "confirmation"
+    MOTION = "motion"  # the intent of one motion
+    MOVED = "moved"  # what came of it
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+    VOIDED = "voided"  # results that no longer hold: something has moved
+    FINDING = "finding"  # something the operator should know that stops nothing
+    RESTED = "rested"  # paused, or suspended by a guard; with the reason
+    RESUMED = "resumed"  # goes on after a rest
+    DOUBTED = "doubted"  # the arm was in fault: where the head is must be confirmed before it is used
+    ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, by whom
+    HOME = "home"  # the intent to leave the head and park, outside the steps
+    RESTARTED = "restarted"  # a program took up a run that had ended or broken off
+    FOUND = "found"  # what was read again and compared after a restart
+    ACCEPTED = "accepted"  # the operator accepted it: motion may follow
+    CLOSED = "closed"
 
 
 @dataclass(frozen=True)
@@ -32,19 +59,32 @@ class Chain:
 
 def read_chain(path: Path) -> Chain:
     """A journal's lines in order, and what is torn at its end; raises PRO-011 when the chain is broken."""
-    content = read_json_lines(path)
+    chain, broken = chain_until_broken(path)
+    if broken is not None:
+        raise broken
+    return chain
+
+
+def chain_until_broken(path: Path) -> tuple[Chain, JournalCorrupt | None]:
+    """As `read_chain`, with what comes before a broken line, and the break. Raises INP-001, OSError."""
+    content = read_json_lines(path, linked=False)
     lines: list[Line] = []
-    size = 0
-    for line, end in _whole_lines(content, path.name):
-        lines.append(line)
-        size = end
+    size, broken = 0, None
+    try:
+        for line, end in _whole_lines(content, path.name):
+            lines.append(line)
+            size = end
+    except JournalCorrupt as problem:
+        broken = problem
     last = content[:size].rfind(b"\n", 0, max(0, size - 1)) + 1
-    return Chain(tuple(lines), size, _hash(content[last:size]) if lines else FIRST, content[size:])
+    return Chain(
+        tuple(lines), size, _hash(content[last:size]) if lines else FIRST, b"" if broken else content[size:]
+    ), broken
 
 
 def read_journal(path: Path) -> Iterator[Line]:
     """The lines of a journal, in order, without a torn end; raises PRO-011 where the chain is broken."""
-    for line, _ in _whole_lines(read_json_lines(path), path.name):
+    for line, _ in _whole_lines(read_json_lines(path, linked=False), path.name):
         yield line
 
 
@@ -57,7 +97,7 @@ def _whole_lines(content: bytes, name: str) -> Iterator[tuple[Line, int]]:
         if entry is None or entry.get("previous") != previous or entry.get("sequence") != number:
             if _is_torn(content[begin:]):
                 return
-            what = "is not JSON" if entry is None else "does not follow the line before it"
+            what = "is no line of a journal" if entry is None else "does not follow the line before it"
             raise JournalCorrupt(f"line {number + 1} of {name} {what}")
         yield entry, end
         previous = _hash(content[begin:end])
@@ -73,7 +113,7 @@ def _parsed(line: bytes) -> dict[str, JournalValue] | None:
         entry = parse_json(line)
     except ValueError:
         return None
-    return entry if isinstance(entry, dict) else None
+    return entry if isinstance(entry, dict) and isinstance(entry.get("entry"), str) else None
 
 
 def _is_torn(rest: bytes) -> bool:

@@ -1,0 +1,247 @@
+"""The one check of a run's folder: nothing in it is changed, missing, added, exchanged or foreign.
+
+Journal and seal say how the run left its folder. A run that was killed has neither its last line nor a seal:
+it is checked as far as it goes, and what only its end could tell is `unfinished`, not changed.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, cast
+
+from ronna_hw.bounded_input import InputRefused
+from ronna_hw.evidence.errors import RunChanged
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
+from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, read_seal, sha256_of
+from ronna_hw.host.regular_file import open_regular
+from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
+
+REQUEST_FILE = "request.json"
+RECORDS_FOLDER = "records"
+PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
+LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # what a run that goes on does not change any more
+SHOWN = 3  # problems that an error names; verify lists all
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One file that is not as the run left it, and how.
+
+    `unfinished` where no more is wrong than that the run did not come to its end.
+    """
+
+    file: str
+    what: str
+    unfinished: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.what}"
+
+
+class Parent(NamedTuple):
+    """What a line of the journal says of a record that others may be made from."""
+
+    sha256: str
+    series: str | None
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """A run's journal, those of its records that are as the journal names them, and everything wrong."""
+
+    folder: Path
+    chain: Chain
+    records: tuple[Record, ...]
+    problems: tuple[Problem, ...]
+
+    @property
+    def superseded(self) -> frozenset[str]:
+        """Identifiers of the records that no longer stand."""
+        gone = (line.get("supersedes") for line in self.chain.lines)
+        return frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
+
+    @property
+    def changes(self) -> tuple[Problem, ...]:
+        """What is wrong beyond a run that did not come to its end."""
+        return tuple(problem for problem in self.problems if not problem.unfinished)
+
+    def require_unchanged(self) -> Inspection:
+        """This, or PRO-033 where anything was changed; a run that did not come to its end passes."""
+        return self._require(self.changes)
+
+    def require_whole(self) -> Inspection:
+        """This, or PRO-033 unless the folder is as a run left it that was closed and sealed."""
+        return self._require(self.problems)
+
+    def _require(self, problems: tuple[Problem, ...]) -> Inspection:
+        if problems:
+            more = f" and {len(problems) - SHOWN} more" if len(problems) > SHOWN else ""
+            named = "; ".join(map(str, problems[:SHOWN]))
+            raise RunChanged(f"{self.folder.name} is not as it was left: {named}{more}")
+        return self
+
+
+def inspected(folder: Path, *, every_file: bool = True) -> Inspection:
+    """Check the folder of a run; raises nothing that its content can cause.
+
+    Without `every_file` journal and records alone are checked, which takes milliseconds.
+    """
+    problems: list[Problem] = []
+    chain = _chain(folder, problems)
+    records = tuple(_records(folder, chain.lines, problems))
+    if every_file and chain.lines:
+        problems += _files(folder, chain)
+    return Inspection(folder, chain, records, tuple(dict.fromkeys(problems)))
+
+
+def closed_files(lines: tuple[Line, ...]) -> dict[str, str]:
+    """Files and hashes of the journal's last `closed` line."""
+    closed = next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
+    return hashes_in(closed, "files")
+
+
+def is_closed(lines: tuple[Line, ...]) -> bool:
+    """Whether a journal ends as a run ends."""
+    return bool(lines) and lines[-1]["entry"] == Entry.CLOSED
+
+
+def _chain(folder: Path, problems: list[Problem]) -> Chain:
+    try:
+        chain, broken = chain_until_broken(folder / JOURNAL_FILE)
+    except FileNotFoundError:
+        began = any((folder / name).exists() for name in (RECORDS_FOLDER, SEAL_FILE))
+        problems.append(Problem(JOURNAL_FILE, "missing", unfinished=not began))
+        return Chain()
+    except (OSError, InputRefused) as error:
+        problems.append(Problem(JOURNAL_FILE, _why_unread(error)))
+        return Chain()
+    if broken is not None:
+        problems.append(Problem(JOURNAL_FILE, broken.what))
+    if chain.torn:
+        what = f"torn: {len(chain.torn)} bytes after line {len(chain.lines)}"
+        problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
+    if not is_closed(chain.lines) and broken is None:
+        what = "not closed: the run was killed, still runs, or its last lines are gone"
+        problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
+    return chain
+
+
+def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> Iterator[Record]:
+    """The records that are as their lines say, with parents that came before them."""
+    known: dict[str, Parent] = {}
+    run = lines[0].get("run") if lines else None
+    for line in lines:
+        if line["entry"] != Entry.RESULT:
+            continue
+        name = f"{RECORDS_FOLDER}/{line.get('record')}.json"
+        try:
+            record = read_record(folder / name)
+        except BadRecord as problem:
+            there = (folder / name).exists()
+            problems.append(Problem(name, problem.what if there else "missing: the journal names it"))
+            series = None
+        else:
+            wrong = [Problem(name, what) for what in _unlike(record, line, run, known)]
+            problems += wrong
+            if not wrong:
+                yield record
+            series = record.series
+        known[str(line.get("record"))] = Parent(str(line.get("sha256")), series)
+
+
+def _unlike(record: Record, line: Line, run: object, known: Mapping[str, Parent]) -> Iterator[str]:
+    step, _, trajectory = str(line.get("step")).partition(":")
+    if record.sha256 != line.get("sha256"):
+        yield "not the record that the journal names"
+    if record.identifier != line.get("record"):
+        yield f"says that it is {record.identifier}"
+    if (record.kind, record.trajectory) != (step, trajectory or None):
+        yield f"is of {record.kind} {record.trajectory or ''}, not of {line.get('step')}"
+    if run is not None and record.run != run:
+        yield f"is of the run {record.run}"
+    for identifier, sha256 in record.parents.items():
+        parent = known.get(identifier)
+        if parent is None or parent.sha256 != sha256:
+            yield f"its parent {identifier} is not an earlier record of this run"
+        elif parent.series is not None and parent.series != record.series:
+            yield f"is of another CT series than its parent {identifier}"
+
+
+def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
+    """Request, pictures, and every file that the journal's end and the seal name."""
+    lines, closed, named = chain.lines, is_closed(chain.lines), closed_files(chain.lines)
+    request = lines[0].get("request_sha256")
+    if isinstance(request, str):
+        yield from _against(folder, {REQUEST_FILE: request})
+    for line in lines:
+        pictures = hashes_in(line, "pictures")
+        yield from _against(folder, {f"{PICTURES_FOLDER}/{name}": of for name, of in pictures.items()})
+    there = [name for name, _ in files_of(folder)]
+    seal = read_seal(folder)
+    if closed:
+        yield from _against(folder, named)
+        yield from _against(Path("/"), hashes_in(lines[-1], "inputs"))
+    else:
+        yield from _against(folder, {name: of for name, of in named.items() if name.startswith(LASTING)})
+    if seal is None:
+        if (folder / SEAL_FILE).exists() or (folder / SEAL_FILE).is_symlink():
+            yield Problem(SEAL_FILE, "changed")
+        elif closed:
+            yield Problem(SEAL_FILE, "missing: the run's end was not sealed", unfinished=True)
+            unnamed = [name for name in there if name not in named and not is_later(name)]
+            yield from _added(unnamed, sealed=False)
+        return
+    whole = yield from _against_seal(folder, chain, seal)
+    if whole:
+        yield from _against(folder, seal.files)
+        yield from _added([name for name in there if name not in named and name not in seal.files])
+
+
+def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:
+    """The journal as it was sealed, and what came after; returns whether the seal is over all of it."""
+    with open_regular(folder / JOURNAL_FILE) as file:
+        sealed, after = file.read(seal.journal_bytes), file.read()
+    if hashlib.sha256(sealed).hexdigest() != seal.journal_sha256:
+        yield Problem(JOURNAL_FILE, "not the journal that was sealed: lines were changed, added or removed")
+        return False
+    went_on = chain.lines[sealed.count(b"\n") :]
+    if went_on and went_on[0]["entry"] != Entry.RESTARTED:
+        yield Problem(JOURNAL_FILE, "goes on after its seal, and nobody took the run up again")
+    return not after
+
+
+def _against(folder: Path, hashes: Mapping[str, str]) -> Iterator[Problem]:
+    for name, recorded in hashes.items():
+        try:
+            if sha256_of(folder / name) != recorded:
+                yield Problem(name, "changed")
+        except FileNotFoundError:
+            yield Problem(name, "missing")
+        except OSError as error:
+            yield Problem(name, _why_unread(error))
+
+
+def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
+    for name in names:
+        if not sealed and name.endswith(PARTIAL):
+            yield Problem(name, "half written: the program was killed", unfinished=True)
+        else:
+            yield Problem(name, "added: no part of the run")
+
+
+def _why_unread(error: OSError | InputRefused) -> str:
+    if isinstance(error, InputRefused):
+        return error.summary
+    if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO):
+        return "exchanged: no regular file"
+    return f"cannot be read: {error.strerror}"
+
+
+def hashes_in(line: Line, field: str) -> dict[str, str]:
+    """Names of files and their hashes in a field of a line; empty where it has none."""
+    found = line.get(field)
+    return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}

@@ -1,0 +1,256 @@
+"""Whatever is changed in a run, byte or file, is found and named, and told from what a kill may leave."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from plain_steps import Image, plain_order
+from recording_cell import RecordingCell
+from spoilt_runs import files_in, with_another_byte
+
+from procedures.engine.context import StepContext
+from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome
+from ronna_hw.evidence.errors import RunChanged
+from ronna_hw.evidence.inspection import closed_files, inspected
+from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.seal import SEAL_FILE, seal
+from ronna_hw.records import read_record, write_record
+
+REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
+
+
+def seen(context: StepContext) -> Outcome[StepResult]:
+    context.keep_picture("ct-1.png", b"a picture")
+    return Outcome(Image())
+
+
+def finished_run(folder: Path) -> Path:
+    """A small run with all that a run can leave: records, pictures, case, log, theatre, report."""
+    cell = RecordingCell(folder)
+    (folder / "case").mkdir()
+    (folder / "case" / "plan.toml").write_text("schema = 1\n")
+    (folder / "request.json").write_text("{}")
+    cell.journal.write(Entry.OPENED, 0.0, run=folder.name, request_sha256=REQUEST_HASH)
+    engine = cell.engine(plain_order("T1", image=seen))
+    (folder / "theatre").mkdir()
+    (folder / "theatre" / "truth.jsonl").write_text("where the tip was\n")
+    engine.run_to()
+    engine.close("done")
+    for name in ("log.jsonl", "report.html", "theatre/world.json", "report/targets.csv"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(f"{name}, written after the end\n")
+    sealed(folder)
+    return folder
+
+
+def sealed(folder: Path) -> None:
+    seal(folder, closed_files(tuple(read_journal(folder / JOURNAL_FILE))))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return finished_run(tmp_path_factory.mktemp("finished") / "run")
+
+
+@pytest.fixture
+def run(finished: Path, tmp_path: Path) -> Path:
+    """A copy to spoil."""
+    return shutil.copytree(finished, tmp_path / "a copy")
+
+
+@pytest.fixture
+def killed(run: Path) -> Path:
+    """The same run, killed before it was closed."""
+    (run / SEAL_FILE).unlink()
+    without_last_lines(run, 1)
+    return run
+
+
+def without_last_lines(folder: Path, count: int) -> None:
+    journal = folder / JOURNAL_FILE
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-count]))
+
+
+def changed_files(folder: Path) -> set[str]:
+    return {problem.file for problem in inspected(folder).changes}
+
+
+def test_a_run_that_was_left_alone_is_whole(finished: Path) -> None:
+    assert inspected(finished).require_whole().problems == ()
+
+
+@pytest.mark.hazard(39)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_changed_byte_is_found(finished: Path, data: st.DataObject) -> None:
+    path = data.draw(st.sampled_from(files_in(finished)))
+    place = data.draw(st.integers(0, path.stat().st_size - 1))
+    with with_another_byte(path, place, data.draw(st.integers(1, 255))):
+        assert path.relative_to(finished).as_posix() in {one.file for one in inspected(finished).problems}
+        with pytest.raises(RunChanged, match="PRO-033"):
+            inspected(finished).require_whole()
+
+
+@pytest.mark.hazard(39)
+def test_any_file_that_is_gone_is_named(finished: Path, tmp_path: Path) -> None:
+    for path in files_in(finished):
+        aside = path.rename(tmp_path / "aside")
+        try:
+            named = {problem.file for problem in inspected(finished).problems}
+            assert path.relative_to(finished).as_posix() in named
+        finally:
+            aside.rename(path)
+
+
+@pytest.mark.hazard(39)
+def test_any_two_files_that_were_exchanged_are_named(run: Path) -> None:
+    for one, other in combinations(files_in(run), 2):
+        contents = one.read_bytes(), other.read_bytes()
+        one.write_bytes(contents[1])
+        other.write_bytes(contents[0])
+        named = {problem.file for problem in inspected(run).problems}
+        exchanged = {path.relative_to(run).as_posix() for path in (one, other)}
+        # Without journal and seal nothing can be said of the rest.
+        assert (exchanged & {JOURNAL_FILE} or exchanged & {SEAL_FILE} or exchanged) <= named
+        one.write_bytes(contents[0])
+        other.write_bytes(contents[1])
+
+
+@pytest.mark.parametrize("name", ["records/08-image.json", "pictures/more.png", "note.txt", "theatre/a/b"])
+def test_any_file_that_came_is_named(run: Path, name: str) -> None:
+    (run / name).parent.mkdir(parents=True, exist_ok=True)
+    (run / name).write_text("from elsewhere")
+    assert changed_files(run) == {name}
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_last_lines_that_are_gone_are_missed_by_the_seal(run: Path, count: int) -> None:
+    without_last_lines(run, count)
+    assert JOURNAL_FILE in changed_files(run)
+
+
+@pytest.mark.hazard(39)
+def test_a_record_of_another_run_is_named(run: Path, tmp_path: Path) -> None:
+    name = "records/02-localization-T1.json"
+    shutil.copy(finished_run(tmp_path / "another") / name, run / name)
+    what = " ".join(problem.what for problem in inspected(run).changes if problem.file == name)
+    assert "not the record that the journal names" in what
+    assert "is of the run another" in what
+
+
+def other_date(folder: Path) -> None:
+    path = folder / "records" / "02-localization-T1.json"
+    record = read_record(path)
+    path.unlink()
+    write_record(replace(record, created="2020-01-01T00:00:00.000+00:00"), path.parent)
+
+
+def exchanged_identifiers(folder: Path) -> None:
+    path = folder / "records" / "02-localization-T1.json"
+    path.write_text(path.read_text().replace("02-localization", "03-localization"))
+
+
+def other_request(folder: Path) -> None:
+    (folder / "request.json").write_text('{"seed": 4}')
+
+
+def other_picture(folder: Path) -> None:
+    (folder / "pictures" / "ct-1.png").write_bytes(b"of somebody else")
+
+
+def link_to_the_same(folder: Path) -> None:
+    path = folder / "pictures" / "ct-1.png"
+    path.rename(folder.parent / "elsewhere.png")
+    path.symlink_to(folder.parent / "elsewhere.png")
+
+
+def pipe(folder: Path) -> None:
+    path = folder / "pictures" / "ct-1.png"
+    path.unlink()
+    os.mkfifo(path)
+
+
+SPOILED = {
+    other_date: "records/02-localization-T1.json",
+    exchanged_identifiers: "records/02-localization-T1.json",
+    other_request: "request.json",
+    other_picture: "pictures/ct-1.png",
+    link_to_the_same: "pictures/ct-1.png",
+    pipe: "pictures/ct-1.png",
+}
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("spoil", SPOILED, ids=lambda spoil: spoil.__name__)
+def test_what_was_changed_after_a_kill_is_told_from_the_kill(
+    killed: Path, spoil: Callable[[Path], None]
+) -> None:
+    assert changed_files(killed) == set()
+    assert [problem.what.partition(":")[0] for problem in inspected(killed).problems] == ["not closed"]
+    spoil(killed)
+    assert changed_files(killed) == {SPOILED[spoil]}
+
+
+@pytest.mark.hazard(39)
+def test_the_truth_is_held_from_the_moment_the_run_is_closed(run: Path) -> None:
+    (run / SEAL_FILE).unlink()
+    assert changed_files(run) == set()
+    (run / "theatre" / "truth.jsonl").write_text("elsewhere\n")
+    (run / "records" / "99-image.json").write_text("{}")
+    assert changed_files(run) == {"theatre/truth.jsonl", "records/99-image.json"}
+
+
+@pytest.mark.hazard(39)
+def test_a_run_that_was_taken_up_again_is_held_against_its_first_end(run: Path) -> None:
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.RESTARTED, 1.0)
+    journal.close()
+    (run / "log.jsonl").write_text("goes on\n")
+    assert changed_files(run) == set()
+    (run / "case" / "plan.toml").write_text("another")
+    assert changed_files(run) == {"case/plan.toml"}
+
+
+def test_nobody_adds_a_line_to_a_sealed_run(run: Path) -> None:
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.FINDING, 1.0, text="all is well")
+    journal.close()
+    assert changed_files(run) == {JOURNAL_FILE}
+
+
+def test_a_line_of_endless_brackets_is_found_like_any_other(run: Path) -> None:
+    with (run / JOURNAL_FILE).open("ab") as journal:
+        journal.write(b"[" * 100_000 + b"\n")
+    assert changed_files(run) == {JOURNAL_FILE}
+
+
+def test_a_repeated_step_leaves_the_pictures_of_the_first(cell: RecordingCell) -> None:
+    order = plain_order("T1", image=seen)
+    engine = cell.engine(order)
+    for _ in range(3):
+        engine.run_step(order.find("image"))
+    engine.close("left")
+    assert sorted(os.listdir(cell.folder / "pictures")) == ["ct-1-2.png", "ct-1-3.png", "ct-1.png"]
+    assert inspected(cell.folder).changes == ()
+
+
+def test_records_name_the_run_and_stay_with_it_under_another_name(run: Path) -> None:
+    assert {json.loads(path.read_text())["run"] for path in (run / "records").iterdir()} == {"run"}
+    assert run.name != "run"
+    assert inspected(run).problems == ()
+
+
+def test_exports_are_made_at_any_time_and_are_no_part_of_the_run(run: Path) -> None:
+    (run / "export").mkdir()
+    (run / "export" / "spheres.csv").write_text("M1")
+    assert inspected(run).problems == ()
