@@ -1,7 +1,7 @@
 """Hazard 5: stopped anywhere, a case goes on by a way that is planned anew and stays clear of everything.
 
-The arm is driven in process by the planner and the clearance check of the real driver; what it passes is
-looked at again, densely, by the sweep alone.
+The arm is driven in process, planned and checked by the driver's own planner; what it passes is looked at
+again, densely, by the sweep alone. Without the planner's check the arm would pass the post too near.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import contextlib
 import random
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -27,6 +28,9 @@ from clinical_case import (
 )
 from recording_cell import RecordingArm
 
+from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.motion_planning import MotionPlanner
+from drivers.kuka_rsi.options import KukaOptions
 from procedures.engine.engine import Engine
 from procedures.engine.errors import StepRefused
 from procedures.engine.machine import FINISHED
@@ -43,8 +47,7 @@ from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
-from ronna_hw.arm.clearance.swept_path import sweep_path
-from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.motion.line_target import LineTarget
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.collision_config import BodyFrame, RoomBody
@@ -53,15 +56,17 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
+from ronna_hw.wire.kuka_eki import OperationMode
 
 STOPS = 200
 STOPPED_SHARE = 0.5  # of the motions, until there were enough stops
 SENT_HOME_SHARE = 0.3  # of the stops: the step fails, the arm is sent home, the case goes on from there
 LOOKED_AT = 25  # places on every way that was driven
 ROUNDING_MM = 0.3  # the way is checked at samples, and looked at between them
-# A thin post among the spheres: the ways of the case pass it, some short cuts between its places do not.
-POST_FROM_SPHERES_MM = np.array([-60.0, 0.0, 0.0])
+# A thin post beside the spheres: some of the short cuts between the places of the case pass it too near.
+POST_FROM_SPHERES_MM = np.array([-130.0, 15.0, 0.0])
 POST_MM = 120.0
+FEWEST_REFUSED = 3  # short cuts, or this test would not notice a check that is gone
 STEPS = (
     path_check.STEP, relocalization.STEP, registration.STEP, tool_change.STEP, positioning.STEP,
     at_target.STEP, retreat.STEP,
@@ -75,25 +80,38 @@ class PlanningArm(RecordingArm):
     chosen: random.Random = field(default_factory=lambda: random.Random(5))
     stopped_at: list[JointVector] = field(default_factory=list)
     least_mm: float = np.inf  # from any surface to any other, where nothing may be nearer than the margin
-    surroundings: Surroundings = field(default_factory=Surroundings)
+    refused: int = 0
+
+    def __post_init__(self) -> None:
+        self.planner = MotionPlanner(self.name, self.kinematics, KukaOptions())
+        self.link = cast("LinkClient", SimpleNamespace(surroundings=None))  # reads no more than these
+        self.limits = self.planner.limits(OperationMode.EXT)
+
+    @property
+    def surroundings(self) -> Surroundings:
+        return self.planner.surroundings
 
     def surround(self, surroundings: object) -> None:
         assert isinstance(surroundings, Surroundings)
-        self.surroundings = surroundings
+        self.planner.surroundings = surroundings
 
     def move_joints(self, target_rad: JointVector, **_more: Any) -> ArmReading:
-        limits = working_limits(self.kinematics)
-        return self._drive(plan_joint_move(self.kinematics, self.joints_rad, target_rad, limits))
+        return self._drive(plan_joint_move(self.kinematics, self.joints_rad, target_rad, self.limits))
 
     def move_linear(
         self, target: Transform, *, flange_from_tool: Transform | None = None, **_more: Any
     ) -> ArmReading:
-        line, limits = LineTarget.of(target, flange_from_tool), working_limits(self.kinematics)
-        way = plan_line(self.kinematics, self.joints_rad, line.flange, limits, line.point_in_flange_mm)
+        line = LineTarget.of(target, flange_from_tool)
+        start_rad, limits = self.joints_rad, self.limits
+        way = plan_line(self.kinematics, start_rad, line.flange, limits, line.point_in_flange_mm)
         return self._drive(way)
 
     def _drive(self, plan: MotionPlan) -> ArmReading:
-        sweep_path(self.kinematics, plan, self.surroundings).require("the way")
+        try:
+            self.planner.clear(plan, self.link, OperationMode.EXT)
+        except NotClear:
+            self.refused += 1
+            raise
         stops = len(self.stopped_at) < STOPS and self.chosen.random() < STOPPED_SHARE
         until = self.chosen.random() if stops else 1.0
         path = plan.path(self.kinematics)
@@ -170,3 +188,4 @@ def test_stopped_at_two_hundred_random_places_the_case_ends_and_nothing_came_nea
         cell.journal.close()
     assert len(arm.stopped_at) == STOPS
     assert arm.least_mm >= arm.surroundings.margin_mm - ROUNDING_MM
+    assert arm.refused >= FEWEST_REFUSED
