@@ -30,7 +30,7 @@ class Guard(Protocol):
         ...
 
     def unmet(self) -> str | None:
-        """Why the case cannot go on now, in plain words, or None. Quick, and never raises."""
+        """Why the case cannot go on now, in plain words, or None. Quick; raises only what ends the step."""
         ...
 
 

@@ -15,6 +15,16 @@ class BaseShifted(RefusedError):
     )
 
 
+class InputChanged(RefusedError):
+    """CT or plan is no longer what the case was computed from."""
+
+    code = "PRO-021"
+    action = (
+        "Find out who changed it. What was computed from it is superseded: run the steps again, or with the "
+        "guide mounted go home and begin a new run."
+    )
+
+
 class PatientMoved(RefusedError):
     """The spheres on the head are not where they were localized."""
 

@@ -19,14 +19,12 @@ def compare_inputs(engine: Engine, comparison: Comparison) -> None:
     if imported := engine.case.find(ImportedCt, None):
         try:
             volume = read_series(clinical.series)
-            now = ImportedCt.of(volume)
         except (RonnaError, OSError) as problem:
             comparison.differs("CT series", imported.result.series_instance_uid, problem)
         else:
             then = imported.result
-            changed = [name for name in type(now).model_fields if getattr(now, name) != getattr(then, name)]
-            if changed:
-                comparison.differs("CT series", then.series_instance_uid, f"another {', '.join(changed)}")
+            if changed := then.differences(volume):
+                comparison.differs("CT series", then.series_instance_uid, f"another {changed}")
             else:
                 comparison.same("CT series")
                 if engine.case.find(CheckedPlan, None) is None:

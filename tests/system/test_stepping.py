@@ -1,6 +1,7 @@
 """`ronna-procedure step --sim`: the case by hand."""
 
 import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from user_commands import Commands, in_this_process, one_error
 
 from procedures.cli.procedure import app as ronna_procedure
+from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
 
 
 def _step(
@@ -82,3 +84,24 @@ def test_answers_that_do_not_fit_are_refused_before_anything_starts(tmp_path: Pa
     assert done.returncode == 2
     assert one_error(done.stderr)[0].startswith("PRO-026")
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.hazard(1)
+def test_a_plan_that_is_changed_in_the_middle_of_a_case_moves_nothing_any_more(
+    commands: Commands, tmp_path: Path
+) -> None:
+    options = ("--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path))
+    process = commands.start("ronna-procedure", "step", *options, stdin=subprocess.PIPE)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write("to registration:T1\n")
+    process.stdin.flush()
+    assert any(line.startswith("done registration:T1") for line in process.stdout)
+    (run,) = tmp_path.iterdir()
+    plan = run / "case" / "plan.toml"
+    plan.write_text(re.sub(r"(target_mm = \[\s*-?\d+\.)", r"\g<1>9", plan.read_text(), count=1))
+    _, errors = process.communicate("next\nquit\n", timeout=60)
+    assert "PRO-021" in errors
+    (voided,) = [line for line in read_journal(run / JOURNAL_FILE) if line["entry"] == Entry.VOIDED]
+    assert any("registration-T1" in str(name) for name in voided["supersedes"])

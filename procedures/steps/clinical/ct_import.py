@@ -50,6 +50,13 @@ class ImportedCt(StepResult, kind="ct_import"):
         """The one that was read."""
         return self.series_instance_uid
 
+    def differences(self, volume: Volume) -> str:
+        """In what a series differs from this one, such as `voxels_sha256`; empty when in nothing."""
+        now = ImportedCt.of(volume)
+        return ", ".join(
+            name for name in type(self).model_fields if getattr(now, name) != getattr(self, name)
+        )
+
 
 def run(context: StepContext) -> Outcome[ImportedCt]:
     """Read and check the series; the record names it and holds the hash of its voxels."""
@@ -74,13 +81,11 @@ def volume_of(context: StepContext) -> Volume:
     if kept is not None:
         return kept
     volume = read_series(context.clinical.series)
-    now = ImportedCt.of(volume)
-    changed = [name for name in ImportedCt.model_fields if getattr(now, name) != getattr(imported, name)]
-    if changed:
+    if changed := imported.differences(volume):
         raise GateFailed(
-            f"the CT series has changed since it was imported: {', '.join(changed)}",
+            f"the CT series has changed since it was imported: {changed}",
             expected=imported.series_instance_uid,
-            got=now.series_instance_uid,
+            got=volume.series_instance_uid,
             action="Import the series again: run ct_import.",
         )
     return volume

@@ -1,0 +1,73 @@
+"""Before every step and motion: CT and plan are still those that the standing results were computed from.
+
+A file that nobody touched is not read again; one that somebody did is compared by its content.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from procedures.engine.context import ClinicalInput
+from procedures.engine.engine import Engine
+from procedures.engine.result import StepResult
+from procedures.engine.step import StepKey
+from procedures.guards.errors import InputChanged
+from procedures.imaging.series import read_series
+from procedures.planning.plan_file import read_plan
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.errors import RonnaError
+
+Stamps = tuple[tuple[str, int, int, int], ...]  # of each file: name, inode, bytes, time of the last change
+
+
+class UnchangedInputs:
+    """A guard. A change ends the running step and supersedes everything that descends from what was read."""
+
+    name = "CT and plan"
+
+    def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
+        """Raises OSError."""
+        self._engine = engine
+        self._inputs: dict[Path, type[StepResult]] = {clinical.series: ImportedCt, clinical.plan: CheckedPlan}
+        self._seen = {path: _stamps(path) for path in self._inputs}
+
+    def unmet(self) -> str | None:
+        """Why they cannot be looked at. Raises PRO-021 when one has changed."""
+        for path, model in self._inputs.items():
+            try:
+                stamps = _stamps(path)
+            except OSError as error:
+                return f"{path.name} cannot be read ({error.strerror}): bring it back"
+            stored = self._engine.case.find(model, None)
+            if stored is None or stamps == self._seen[path]:
+                continue
+            self._seen[path] = stamps
+            if changed := _changed(stored.result, path):
+                key = StepKey(model.kind)
+                problem = InputChanged(f"{path.name} has changed since {key}: {changed}")
+                self._engine.context(key).void(model, problem)
+                raise problem
+        return None
+
+
+def _changed(result: StepResult, path: Path) -> str:
+    """What is different now, or why it cannot be read; empty when it is the same."""
+    try:
+        if isinstance(result, ImportedCt):
+            return result.differences(read_series(path))
+        same = isinstance(result, CheckedPlan) and read_plan(path) == result.plan
+        return "" if same else "another plan"
+    except (RonnaError, OSError) as problem:
+        return str(problem)
+
+
+def _stamps(path: Path) -> Stamps:
+    return tuple(sorted(_each(path)))
+
+
+def _each(path: Path) -> Iterator[tuple[str, int, int, int]]:
+    for file in path.iterdir() if path.is_dir() else (path,):
+        seen = file.stat()
+        yield file.name, seen.st_ino, seen.st_size, seen.st_mtime_ns

@@ -1,0 +1,155 @@
+"""Hazard 1: CT or plan change on disk while a case runs, and nothing moves by what was computed from them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from clinical_case import (
+    FIRST,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    coarse,
+    given,
+    localized_fiducials,
+    mounted_guide,
+    plan,
+    registered_robot,
+)
+from painted_ct import write_series
+
+from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
+from procedures.engine.errors import StepRefused
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, StepSpec
+from procedures.guards.errors import InputChanged
+from procedures.imaging.series import read_series
+from procedures.planning.plan import Plan
+from procedures.steps.clinical import positioning
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
+from procedures.workcell import MountedTool
+
+POSITIONING = f"positioning:{FIRST}"
+VOXELS_HU = np.arange(4 * 6 * 6, dtype=np.int16).reshape(4, 6, 6)
+
+
+def made_from(model: type[StepResult], result: StepResult) -> StepSpec[StepResult]:
+    """A step that leaves this result, made from another."""
+
+    def run(context: StepContext) -> Outcome[StepResult]:
+        context.result(model)
+        return Outcome(result)
+
+    return replace(given(result), run=run, reads=(model,))
+
+
+def write_plan(path: Path, content: Plan) -> None:
+    path.write_text(tomli_w.dumps(content.model_dump(mode="json", by_alias=True)))
+
+
+@pytest.fixture
+def engine(tmp_path: Path) -> Engine:
+    """A case that stands before the first approach, computed from a CT and a plan on disk."""
+    cell = ClinicalCell(tmp_path).carrying(MountedTool.GUIDE)
+    write_series(cell.series, VOXELS_HU)
+    write_plan(cell.plan, plan())
+    engine = cell.begin(
+        ImportedCt.of(read_series(cell.series)),
+        made_from(ImportedCt, localized_fiducials()),
+        made_from(LocalizedFiducials, checked_plan()),
+        made_from(CheckedPlan, registered_robot()),
+        *(mounted_guide(), checked_paths(cell), *coarse(), positioning.STEP),
+    )
+    assert engine.setting.clinical is not None
+    engine.checkpoint.guards.append(UnchangedInputs(engine, engine.setting.clinical))
+    while str(engine.upcoming) != POSITIONING:
+        engine.run_to(engine.upcoming)
+    return engine
+
+
+def another_series(engine: Engine) -> None:
+    write_series(series_of(engine), VOXELS_HU + 1)
+
+
+def one_slice_less(engine: Engine) -> None:
+    next(series_of(engine).iterdir()).unlink()
+
+
+def another_target(engine: Engine) -> None:
+    first, *others = plan().trajectories
+    x, y, z = first.target_mm
+    moved = first.model_copy(update={"target_mm": (x + 1.0, y, z)})
+    write_plan(plan_of(engine), plan().model_copy(update={"trajectories": (moved, *others)}))
+
+
+def series_of(engine: Engine) -> Path:
+    assert engine.setting.clinical is not None
+    return engine.setting.clinical.series
+
+
+def plan_of(engine: Engine) -> Path:
+    assert engine.setting.clinical is not None
+    return engine.setting.clinical.plan
+
+
+def motions(engine: Engine) -> list[object]:
+    return engine.setting.workcell.arm.motions  # type: ignore[attr-defined, no-any-return]
+
+
+@pytest.mark.hazard(1)
+@pytest.mark.parametrize("change", [another_series, one_slice_less, another_target])
+def test_what_was_computed_from_another_ct_or_plan_moves_nothing(
+    engine: Engine, change: Callable[[Engine], None]
+) -> None:
+    change(engine)
+    with pytest.raises(InputChanged, match="PRO-021"):
+        engine.run_step(engine.order.find(POSITIONING))
+    with pytest.raises(StepRefused):
+        engine.run_step(engine.order.find(POSITIONING))
+    assert motions(engine) == []
+    assert engine.status(engine.order.find(RegisteredRobot.kind)) == "superseded"
+
+
+@pytest.mark.hazard(1)
+def test_a_plan_that_changes_during_an_approach_is_noticed_before_the_next_motion(engine: Engine) -> None:
+    def change_on_the_way(_start: object, _target: object) -> bool:
+        another_target(engine)
+        return False  # the way is clear
+
+    engine.setting.workcell.arm.blocked = change_on_the_way  # type: ignore[attr-defined]
+    with pytest.raises(InputChanged):
+        engine.run_step(engine.order.find(POSITIONING))
+    assert [kind for kind, _ in motions(engine)] == ["joints"]  # type: ignore[misc]
+    engine.retreat_home()
+    assert engine.setting.workcell.at_home
+
+
+@pytest.mark.hazard(1)
+def test_files_that_were_only_touched_or_copied_have_not_changed(engine: Engine) -> None:
+    os.utime(plan_of(engine), (0, 0))
+    copy = shutil.copytree(series_of(engine), series_of(engine).with_name("copy"))
+    shutil.rmtree(series_of(engine))
+    copy.rename(series_of(engine))
+    engine.run_step(engine.order.find(POSITIONING))
+
+
+@pytest.mark.hazard(1)
+def test_files_that_are_out_of_reach_suspend_the_case_until_they_are_back(engine: Engine) -> None:
+    (guard,) = engine.checkpoint.guards
+    hidden = series_of(engine).rename(series_of(engine).with_name("hidden"))
+    assert "cannot be read" in (guard.unmet() or "")
+    hidden.rename(series_of(engine))
+    assert guard.unmet() is None
+    assert engine.case.stands(engine.order.find(RegisteredRobot.kind))
