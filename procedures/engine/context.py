@@ -14,7 +14,7 @@ from procedures.engine.case import Case
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed, WrongResult
 from procedures.engine.events import Happening, Progress
-from procedures.engine.operator import YES, Operator, Question, Room, Topic
+from procedures.engine.operator import YES, Operator, Question, ReadBack, Room, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepKey, StepSpec
 from procedures.engine.workspace import Workspace
@@ -180,9 +180,16 @@ class StepContext:
         """A result no longer holds: it is superseded, and all that descends from it, without a new one."""
         self._void(StepKey(model.kind), reason)
 
-    def confirm(self, topic: Topic, subject: str, value: str, trajectory: str | None = None) -> None:
+    def confirm(
+        self,
+        topic: Topic,
+        subject: str,
+        value: str,
+        trajectory: str | None = None,
+        read_back: ReadBack | None = None,
+    ) -> None:
         """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""
-        if self.choose(Question(topic, subject, value, trajectory=trajectory)) != YES:
+        if self.choose(Question(topic, subject, value, trajectory=trajectory, read_back=read_back)) != YES:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
     def choose(self, question: Question) -> str:

@@ -7,7 +7,7 @@ never goes on. Only one of the listed words answers; anything else is asked agai
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
@@ -41,6 +41,21 @@ class Topic(StrEnum):
 
 
 @dataclass(frozen=True)
+class ReadBack:
+    """What a person types after the answer that goes on: nobody who did not look knows it.
+
+    `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
+    """
+
+    what: str
+    value: str = field(repr=False)
+
+    def fits(self, typed: str) -> bool:
+        """Whether that was typed, whatever its capitals and the space around it."""
+        return typed.strip().casefold() == self.value.strip().casefold()
+
+
+@dataclass(frozen=True)
 class Question:
     """What is asked. The first of `answers` goes on, the last is what silence means.
 
@@ -53,6 +68,7 @@ class Question:
     answers: tuple[str, ...] = (YES, NO)
     trajectory: str | None = None
     timeout_s: float | None = 300.0
+    read_back: ReadBack | None = None
 
     @property
     def name(self) -> str:

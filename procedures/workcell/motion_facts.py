@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from procedures.engine.operator import ReadBack
 from ronna_hw.arm.preview import PathPreview
 
 
@@ -31,6 +32,11 @@ class MotionFacts:
             f"{math.degrees(self.largest_turn_rad):.0f} deg, in {self.preview.duration_s:.1f} s "
             f"at up to {self.preview.largest_speed_mm_s:.0f} mm/s; {near}"
         )
+
+    @property
+    def read_back(self) -> ReadBack:
+        """The distance, which only who reads the line knows."""
+        return ReadBack("how many mm it moves first", f"{self.travel_mm:.0f}")
 
 
 def in_sequence(motions: Sequence[MotionFacts]) -> str:

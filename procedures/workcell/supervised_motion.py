@@ -6,12 +6,13 @@ motion since the arm was last stopped or its stream ended is confirmed by the op
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed
 from procedures.engine.journal import JournalValue
 from procedures.engine.operator import YES, Question, Topic
+from procedures.workcell.motion_facts import MotionFacts, in_sequence
 from procedures.workcell.motion_log import MotionLog
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.readings import ArmReading
@@ -40,23 +41,28 @@ class SupervisedMotion:
         """The arm was stopped or its stream ended: the next motion is a first one again."""
         self._confirmed = False
 
-    def confirm(self, topic: Topic, subject: str, value: str, trajectory: str | None = None) -> None:
-        """Have a motion confirmed; raises PRO-002 unless the answer is yes."""
-        if self._ask is None:
-            return
-        if self._ask(Question(topic, subject, value, trajectory=trajectory)) != YES:
-            raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
-        self._confirmed = True
+    def confirm(
+        self, topic: Topic, subject: str, motions: Sequence[MotionFacts], trajectory: str | None = None
+    ) -> None:
+        """Have motions confirmed, in two steps where a person answers; raises PRO-002 unless it is a yes."""
+        read_back = motions[0].read_back if motions else None
+        question = Question(topic, subject, in_sequence(motions), trajectory=trajectory, read_back=read_back)
+        self._confirmed = self._require_yes(question) or self._confirmed
 
     def confirm_start(self, words: str) -> bool:
         """Have confirmed what a driver asks before the arm starts; False when there is nobody to ask.
 
         Raises PRO-002 unless the answer is yes.
         """
+        self._confirmed = False
+        return self._require_yes(Question(Topic.UNVERIFIED, "start the arm", words))
+
+    def _require_yes(self, question: Question) -> bool:
+        """False when there is nobody to ask; raises PRO-002 unless the answer is yes."""
         if self._ask is None:
             return False
-        self.confirm(Topic.UNVERIFIED, "start the arm", words)
-        self._confirmed = False  # this was no motion of ours
+        if self._ask(question) != YES:
+            raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value)
         return True
 
     def carry_out(
@@ -65,21 +71,21 @@ class SupervisedMotion:
         to: list[float],
         move: Move,
         *,
-        value: Callable[[], str],
+        facts: Callable[[], MotionFacts],
         resume: Callable[[], None],
         trajectory: str | None = None,
         **more: JournalValue,
     ) -> ArmReading:
         """Carry out a motion to joints in rad or a position in mm; after a stop anew if the operator says so.
 
-        `value` says what it will do, for the question; `resume` takes the arm out of HOLD; `more` is written
+        `facts` says what it will do, for the question; `resume` takes the arm out of HOLD; `more` is written
         with its intent. Raises PRO-002, PRO-004, what a guard or a watch found, and what the motion raises.
         """
         while True:
             if self._checkpoint is not None:
                 self._checkpoint.here(f"before the motion {what!r}")
             if self._ask is not None and not self._confirmed:
-                self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", value(), trajectory)
+                self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", [facts()], trajectory)
             resume()
             try:
                 with self._log.motion(what, to, trajectory, **more) as reached:

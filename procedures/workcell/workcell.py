@@ -19,7 +19,7 @@ from procedures.workcell.arm_view import ArmView
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.left_arm import LeftArm
-from procedures.workcell.motion_facts import MotionFacts, in_sequence
+from procedures.workcell.motion_facts import MotionFacts
 from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
 from procedures.workcell.starting import start
@@ -208,7 +208,7 @@ class Workcell:
         self, topic: Topic, subject: str, motions: Sequence[MotionFacts], trajectory: str | None = None
     ) -> None:
         """Have the operator confirm motions that follow; raises PRO-002 unless the answer is yes."""
-        self._motion.confirm(topic, subject, in_sequence(motions), trajectory)
+        self._motion.confirm(topic, subject, motions, trajectory)
 
     def facts(self, goal: JointVector | Transform) -> MotionFacts:
         """What a joint move to joints, or a line of the mounted tool to a pose, would do from here."""
@@ -369,7 +369,7 @@ class Workcell:
             what,
             pose.translation_mm.tolist(),
             move,
-            value=lambda: str(self.facts(pose)),
+            facts=lambda: self.facts(pose),
             resume=self._resume,
             trajectory=insertion.trajectory,
             axis=insertion.as_plain(),
@@ -378,9 +378,7 @@ class Workcell:
     def _move(self, what: str, goal: JointVector | Transform, move: Move) -> ArmReading:
         self._require_outside(what)
         to = goal.translation_mm.tolist() if isinstance(goal, Transform) else list(goal)
-        reached = self._motion.carry_out(
-            what, to, move, value=lambda: str(self.facts(goal)), resume=self._resume
-        )
+        reached = self._motion.carry_out(what, to, move, facts=lambda: self.facts(goal), resume=self._resume)
         self._trail.append(reached.joints_rad)
         return reached
 

@@ -1,4 +1,4 @@
-"""Hazard 36: only one of the listed words, typed whole and in time, answers a question."""
+"""Hazards 9 and 36: only a listed word, whole and in time, answers; motions and the patient are read back."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from collections.abc import Iterator
 import pytest
 
 from procedures.cli.case.operators import TerminalOperator
-from procedures.engine.operator import Question, Topic
+from procedures.engine.operator import Question, ReadBack, Topic
 
+READ_BACK = ReadBack("how many mm it moves first", "62")
 VALUE = "predicted target error 0.21 mm rms"
 
 
@@ -37,12 +38,12 @@ class Screen(io.StringIO):
         return self.getvalue().count("Type yes or no: ")
 
     def flush(self) -> None:
-        if self.getvalue().endswith("Type yes or no: ") and self._typed:
+        if self.getvalue().endswith(": ") and self._typed:
             os.write(self._keyboard, self._typed.pop(0))
 
 
-def ask(timeout_s: float = 5.0) -> str:
-    question = Question(Topic.REGISTRATION, "accept the registration", VALUE, timeout_s=timeout_s)
+def ask(timeout_s: float = 5.0, read_back: ReadBack | None = None) -> str:
+    question = Question(Topic.APPROACH, "over T1", VALUE, timeout_s=timeout_s, read_back=read_back)
     return TerminalOperator().ask(question)
 
 
@@ -82,3 +83,41 @@ def test_without_a_terminal_nothing_is_confirmed(monkeypatch: pytest.MonkeyPatch
     with os.fdopen(reader, "r") as stream:
         monkeypatch.setattr("sys.stdin", stream)
         assert ask() == "no"
+
+
+@pytest.mark.hazard(36)
+def test_a_motion_is_confirmed_by_a_yes_and_its_distance(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n", b" 62\n"))
+    assert ask(read_back=READ_BACK) == "yes"
+
+
+@pytest.mark.hazard(36)
+def test_who_types_yes_to_everything_confirms_no_motion(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, *[b"yes\n"] * 50))
+    assert ask(0.3, READ_BACK) == "no"
+    assert screen.prompts > 1
+
+
+@pytest.mark.hazard(36)
+def test_who_does_not_read_back_in_time_has_not_confirmed(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n"))
+    assert ask(0.1, READ_BACK) == "no"
+
+
+@pytest.mark.hazard(9)
+def test_another_patients_identifier_confirms_nothing_and_the_right_one_is_not_shown(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wristband = ReadBack("the patient's identifier", "Case-17")
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n", b"case-18\n", b"no\n"))
+    assert ask(read_back=wristband) == "no"
+    assert "17" not in screen.getvalue()
+    assert "17" not in repr(wristband)
+    monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n", b"case-17\n"))
+    assert ask(read_back=wristband) == "yes"

@@ -18,6 +18,15 @@ from ronna_hw.errors import EXIT_REFUSED
 from sim.cli import app as ronna_sim
 
 CASE_S = 100.0
+PROMPT = r"Type (yes or no|done|how many mm|the patient's identifier)[^:]*: "
+PATIENT = "mini-4"  # scene and seed
+
+
+def answer(asked: str, text: str) -> str:
+    """What a person types who has read the text."""
+    if asked == "how many mm":
+        return re.findall(r"moves\s+(\d+)\s+mm", text)[-1]
+    return PATIENT if asked.startswith("the patient") else asked.split()[0]
 
 
 @pytest.mark.slow
@@ -48,13 +57,13 @@ def test_a_person_confirms_each_value_and_exchanges_the_tool(commands: Commands,
                 text += os.read(primary, 65536).decode(errors="replace")
             except OSError:
                 break
-            asked = re.findall(r"Type (yes or no|done): ", text)
+            asked = re.findall(PROMPT, text)
             if len(asked) > answered:
                 answered += 1
                 if text.rfind("Mount the surgical guide") > mounted_at:
                     mounted_at = len(text)
                     assert commands.run("ronna-sim", "mount", "2", "--control", control).returncode == 0
-                os.write(primary, asked[-1].split()[0].encode() + b"\n")
+                os.write(primary, answer(asked[-1], text).encode() + b"\n")
         assert process.wait(5) == 0, text[-1500:]
     finally:
         if process.poll() is None:

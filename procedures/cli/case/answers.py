@@ -5,7 +5,8 @@
     registration = "yes"
     "approach:T1" = "no"
 
-Without `default`, whoever answers without the file answers what is not listed.
+Without `default`, whoever answers without the file answers what is not listed. On configured endpoints a file
+answers nothing that a person is to read back: the patient and what moves the arm.
 """
 
 from __future__ import annotations
@@ -66,14 +67,18 @@ def _mistake(key: str, word: str) -> str | None:
 
 
 class AnsweringOperator:
-    """Answers by a file; `otherwise` answers what is not in it."""
+    """Answers by a file; `otherwise` answers what is not in it, and `reads_back` what is to be read back."""
 
-    def __init__(self, answers: Answers, otherwise: Operator) -> None:
+    def __init__(self, answers: Answers, otherwise: Operator, reads_back: Operator | None = None) -> None:
+        """Without `reads_back`, as in a simulated theatre, the file answers these questions as well."""
         self._answers = answers
+        self._reads_back = reads_back
         self._otherwise = ScriptedOperator() if answers.default == "first" else otherwise
 
     def ask(self, question: Question) -> str:
         """The word of the file."""
+        if question.read_back is not None and self._reads_back is not None:
+            return self._reads_back.ask(question)
         word = self._answers.word_for(question)
         if word is not None:
             return word

@@ -166,6 +166,8 @@ def operator_of(
 ) -> Operator:
     """Who answers: the file of answers, then the script of a simulated case or the person at the terminal.
 
+    On configured endpoints the person reads back what is to be read back, whatever the file says.
+
     The script takes no run up again unless it was told to accept what is found.
     """
     person: Operator = TerminalOperator(watcher.asking)
@@ -180,7 +182,7 @@ def operator_of(
         return operator
     from procedures.cli.case.answers import AnsweringOperator
 
-    return AnsweringOperator(answers, operator)
+    return AnsweringOperator(answers, operator, reads_back=None if request.config is None else person)
 
 
 def case_folder(request: CaseRequest, folder: Path) -> Path:
@@ -236,6 +238,7 @@ def _make_engine(
     from procedures.engine.journal import Entry, Journal
     from procedures.engine.replay.sections import opening_line, section_follower
     from procedures.guards import standing_guards
+    from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
     from procedures.workcell import Workcell
     from ronna_hw.recording.byte_lines import BYTES_FOLDER
     from ronna_hw.recording.flight_recorder import FlightRecorder
@@ -304,4 +307,6 @@ def _make_engine(
     )
     engine.checkpoint.beside = tape.beside
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
+    if wanted.clinical is not None:
+        engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
     return engine

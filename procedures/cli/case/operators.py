@@ -80,22 +80,24 @@ class TerminalOperator:
         self._asking = asking
 
     def ask(self, question: Question) -> str:
-        """Show the value and wait for one of the answers, typed whole; anything else is asked again."""
+        """Show the value and wait for one of the answers, typed whole; anything else is asked again.
+
+        The answer that goes on counts only with what is to be read back, in the same time.
+        """
         if not sys.stdin.isatty():
             return question.silence
         ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
+        read_back = question.read_back
         with self._asking():
-            # What was typed before the question was seen answers nothing.
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
             sys.stderr.write(f"{question.subject}\n  {question.value}\n")
-            while True:
-                sys.stderr.write(f"Type {words(question.answers)}: ")
-                sys.stderr.flush()
-                line = _line_within(None if ends_s is None else max(0.0, ends_s - time.monotonic()))
-                if not line:  # out of time, or the terminal is gone
-                    return question.silence
-                if (answer := line.strip().lower()) in question.answers:
+            while answer := _typed(words(question.answers), ends_s).lower():
+                if answer not in question.answers:
+                    continue
+                if answer != question.answers[0] or read_back is None:
                     return answer
+                if read_back.fits(_typed(read_back.what, ends_s)):
+                    return answer
+            return question.silence
 
 
 class TerminalRoom:
@@ -114,8 +116,19 @@ class TerminalRoom:
             sys.stderr.flush()
 
 
-def _line_within(timeout_s: float | None) -> str:
+def _typed(what: str, ends_s: float | None) -> str:
+    """What is typed, without the space around it; a blank line is asked again.
+
+    Nothing when it is out of time or the terminal is gone. What was typed before it was asked for is lost.
+    """
     import select
 
-    ready, _, _ = select.select([sys.stdin], [], [], timeout_s)
-    return sys.stdin.readline() if ready else ""
+    termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    while True:
+        sys.stderr.write(f"Type {what}: ")
+        sys.stderr.flush()
+        remaining_s = None if ends_s is None else max(0.0, ends_s - time.monotonic())
+        ready, _, _ = select.select([sys.stdin], [], [], remaining_s)
+        line = sys.stdin.readline() if ready else ""
+        if not line or line.strip():
+            return line.strip()

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from procedures.imaging.dicom.attributes import text
-from procedures.imaging.dicom.slice_headers import read_images
+from procedures.imaging.dicom.slice_headers import images_of, read_images
 
 _TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
 
@@ -32,6 +32,12 @@ class PatientIdentity:
         if self.sex:
             told.append(f"sex {self.sex}")
         return ", ".join(told)
+
+
+def patient_identifier(directory: Path) -> str:
+    """The identifier that the slices in `directory` bear; empty when none does. Raises CT-001, CT-005."""
+    borne = (text(path, header, "PatientID") for path, header in images_of(directory, ("PatientID",)))
+    return next(filter(None, borne), "")
 
 
 def read_identity(directory: Path) -> PatientIdentity:

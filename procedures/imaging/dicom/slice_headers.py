@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -119,17 +119,23 @@ def read_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> list[tuple[Path, FileDataset]]:
     """Those attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
-    images = []
+    images = list(images_of(directory, tags, progress))
+    if not images:
+        raise SeriesEmpty(f"no DICOM image in {directory}")
+    return images
+
+
+def images_of(
+    directory: Path, tags: tuple[str, ...], progress: Progress | None = None
+) -> Iterator[tuple[Path, FileDataset]]:
+    """As `read_images`, one after the other; none is no error."""
     files = _files_in(directory)
     for number, path in enumerate(files):
         header = read_dicom(path, only=_IMAGE_TAGS + tags) if _is_dicom(path) else None
         if header is not None and _is_image(path, header):
-            images.append((path, header))
+            yield path, header
         if progress is not None:
             progress((number + 1) / len(files))
-    if not images:
-        raise SeriesEmpty(f"no DICOM image in {directory}")
-    return images
 
 
 def _files_in(directory: Path) -> list[Path]:

@@ -10,9 +10,10 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
-from procedures.engine.operator import Topic
+from procedures.engine.operator import ReadBack, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.imaging.dicom.patient_identity import patient_identifier
 from procedures.imaging.volume import Volume
 from procedures.planning.check import PlanCheck, check_plan
 from procedures.planning.errors import WrongMarkerCount
@@ -58,7 +59,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     check = check_plan(plan, volume, fiducials_mm=localization.centres_mm)
     check, spheres = _counted(context, check, localization.markers)
     check.require()
-    context.confirm(Topic.PATIENT, "this is the patient, and this the plan", _shown(plan))
+    _confirm_patient(context, plan)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
     context.setting.workspace.drop(Volume)  # the largest input is not needed after this
@@ -71,6 +72,19 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
         ),
         summary="; ".join((summary, *check.warnings)),
     )
+
+
+def _confirm_patient(context: StepContext, plan: Plan) -> None:
+    """Raises PRO-002 unless the operator confirms, and reads the patient's identifier back.
+
+    The CT has it, and the wristband; neither the question nor any record does.
+    """
+    identifier = patient_identifier(context.clinical.series)
+    if not identifier:
+        context.find("the CT series bears no identifier of a patient: there is nothing to read back")
+    subject = "this is the patient, and this the plan"
+    wristband = ReadBack("the patient's identifier, as on the wristband", identifier)
+    context.confirm(Topic.PATIENT, subject, _shown(plan), read_back=wristband if identifier else None)
 
 
 def _shown(plan: Plan) -> str:

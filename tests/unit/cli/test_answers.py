@@ -1,12 +1,13 @@
 """A scripted operator by a file: what fits is answered, what does not is refused before anything starts."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
 from procedures.engine.errors import AnswersUnfit
-from procedures.engine.operator import Question, Topic
+from procedures.engine.operator import Question, ReadBack, Topic
 from procedures.steps.answer_words import ANSWER_WORDS
 
 APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
@@ -59,3 +60,11 @@ def test_a_trajectory_that_the_plan_does_not_have_is_refused() -> None:
 
 def test_every_topic_has_its_words() -> None:
     assert set(ANSWER_WORDS) == set(Topic)
+
+
+@pytest.mark.hazard(36)
+def test_what_a_person_is_to_read_back_no_file_answers() -> None:
+    moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
+    operator = AnsweringOperator(Answers(default="first", answers={"approach": "yes"}), Person(), Person())
+    assert operator.ask(moves) == "person"
+    assert operator.ask(APPROACH) == "yes"

@@ -38,7 +38,9 @@ def test_the_first_motion_is_asked_about_with_what_will_move_the_second_is_not(
     cell.workcell.go(turned(0.1))
     cell.workcell.go(turned(0.2))
     assert topics(cell) == [Topic.FIRST_MOTION]
-    assert cell.operator.asked[0].value.startswith("the stereo head moves ")
+    (asked,) = cell.operator.asked
+    assert asked.read_back is not None
+    assert asked.value.startswith(f"the stereo head moves {asked.read_back.value} mm, ")
 
 
 @pytest.mark.hazard(36)

@@ -5,6 +5,8 @@ import pytest
 import tomli_w
 from clinical_case import CENTRES_CT_MM, SCENE, SERIES, ClinicalCell, imported_ct, localized_fiducials, plan
 from numpy.typing import NDArray
+from painted_ct import SeriesEdit, write_series
+from pydicom.dataset import Dataset
 from recording_cell import RecordingOperator
 
 from procedures.engine.errors import GateFailed
@@ -19,6 +21,7 @@ Array = NDArray[np.float64]
 STRANGER_MM = CENTRES_CT_MM.mean(axis=0) + np.array([0.0, 0.0, 40.0])
 SHAPE, VOXEL_MM = (56, 64, 52), 4.0
 SOFT_HU, AIR_HU = 40, -1000
+ONE_SLICE = np.zeros((1, 4, 4), dtype=np.int16)  # for whose it is
 
 
 def head_volume(series: str) -> Volume:
@@ -38,8 +41,10 @@ def checked(
     *,
     spheres_mm: Array = CENTRES_CT_MM,
     series: str = SERIES,
+    edit: SeriesEdit | None = None,
 ) -> CheckedPlan:
     """The result of the step on the head of the scene."""
+    write_series(cell.series, ONE_SLICE, edit=edit)
     cell.plan.write_text(tomli_w.dumps((planned or plan()).model_dump(mode="json", by_alias=True)))
     engine = cell.begin(imported_ct(), localized_fiducials(spheres_mm), STEP)
     engine.setting.workspace.keep(head_volume(series))
@@ -122,3 +127,22 @@ def test_patient_and_plan_are_confirmed_without_a_name_or_an_identifier(cell: Cl
     assert question.topic is Topic.PATIENT
     assert all(f"{one.id} {one.depth_mm:.1f} mm deep" in question.value for one in plan().trajectories)
     assert SERIES not in question.value
+
+
+@pytest.mark.hazard(9)
+def test_the_identifier_that_the_ct_bears_is_read_back_and_nowhere_written(cell: ClinicalCell) -> None:
+    checked(cell)
+    (question,) = cell.operator.asked
+    assert question.read_back is not None
+    assert question.read_back.value == "SECRET-ID"
+    assert all("SECRET" not in path.read_text() for path in cell.folder.rglob("*.json*"))
+
+
+@pytest.mark.hazard(9)
+def test_a_ct_without_an_identifier_is_a_finding(cell: ClinicalCell) -> None:
+    def anonymous(data: Dataset, _number: int) -> None:
+        data.PatientID = ""
+
+    checked(cell, edit=anonymous)
+    assert cell.operator.asked[0].read_back is None
+    assert len(cell.entries("finding")) == 1
