@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import hazard_matrix
 import pytest
-from hazard_ledger import HazardLedger
+from hazard_ledger import OPTION
 
+PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 GIVEN = 38  # rows of the list that the project began with
 
 
@@ -18,30 +21,42 @@ def test_the_hazards_are_numbered_without_gaps() -> None:
     assert len(numbers) >= GIVEN
 
 
-def test_every_hazard_with_a_control_has_a_test_that_make_test_all_runs() -> None:
+def test_every_hazard_has_a_test_that_make_test_all_runs() -> None:
     run = {test.number for test in hazard_matrix.bound_tests() if test.runs_in != "make soak"}
-    demanded = {h.number for h in hazard_matrix.read_hazards() if h.status != hazard_matrix.Status.PLANNED}
-    assert demanded - run == set()
+    assert {hazard.number for hazard in hazard_matrix.read_hazards()} - run == set()
 
 
-def test_a_hazard_without_a_passing_test_fails_the_run() -> None:
-    ledger = HazardLedger(frozenset({1, 2, 3}))
-    for outcome, number in (("passed", 1), ("skipped", 2), ("failed", 3)):
-        report = SimpleNamespace(
-            when="call", passed=outcome == "passed", user_properties=[("hazard", number)]
-        )
-        ledger.pytest_runtest_logreport(report)  # type: ignore[arg-type]
-    session = SimpleNamespace(exitstatus=pytest.ExitCode.OK)
-    ledger.pytest_sessionfinish(session)  # type: ignore[arg-type]
-    assert ledger.without_a_passing_test == [2, 3]
-    assert session.exitstatus == pytest.ExitCode.TESTS_FAILED
+SAMPLE = """
+import pytest
+from hazard_matrix import read_hazards
+
+NUMBERS = [hazard.number for hazard in read_hazards()]
+MARKS = {7: [pytest.mark.skip], 11: [pytest.mark.soak], 13: [pytest.mark.xfail]}
+
+@pytest.mark.parametrize(
+    "number", [pytest.param(n, marks=[pytest.mark.hazard(n), *MARKS.get(n, [])]) for n in NUMBERS]
+)
+def test_sample(number):
+    assert number != 13
+"""
 
 
-def test_every_hazard_with_a_control_has_a_test_and_every_bound_test_names_a_hazard() -> None:
+def test_hazards_whose_tests_are_all_skipped_deselected_or_fail_fail_the_run(tmp_path: Path) -> None:
+    sample = tmp_path / "test_sample.py"
+    sample.write_text(SAMPLE)
+    program = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "hazard_ledger")
+    line = (*program, "-c", str(PROJECT), "--rootdir", str(tmp_path), "-m", "not soak", str(sample))
+    paths = os.pathsep.join(str(PROJECT.parent / folder) for folder in ("tests/support", "tools/docs"))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run((*line, OPTION), env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == pytest.ExitCode.TESTS_FAILED, done.stdout + done.stderr
+    assert "hazards without a passing test" in done.stdout
+    assert "7, 11, 13" in done.stdout.splitlines()
+
+
+def test_every_bound_test_names_a_hazard() -> None:
     bound = {test.number for test in hazard_matrix.bound_tests()}
-    hazards = hazard_matrix.read_hazards()
-    assert {h.number for h in hazards if h.status != hazard_matrix.Status.PLANNED} - bound == set()
-    assert bound - {hazard.number for hazard in hazards} == set()
+    assert bound - {hazard.number for hazard in hazard_matrix.read_hazards()} == set()
 
 
 def test_marks_are_found_on_functions_classes_modules_and_parameters(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import pytest
-from hazard_matrix import Status, read_hazards
+from hazard_matrix import read_hazards
 
 OPTION = "--every-hazard"
 PROPERTY = "hazard"  # travels with a report from the worker that ran the test
@@ -47,7 +47,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption(OPTION) and not hasattr(config, "workerinput"):
-        demanded = frozenset(one.number for one in read_hazards() if one.status != Status.PLANNED)
+        demanded = frozenset(one.number for one in read_hazards())
         config.pluginmanager.register(HazardLedger(demanded), "hazard_ledger_of_all_workers")
 
 

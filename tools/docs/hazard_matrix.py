@@ -24,7 +24,6 @@ class Status(StrEnum):
 
     COVERED = "covered"
     PARTLY = "partly"
-    PLANNED = "planned"
 
 
 @dataclass(frozen=True)

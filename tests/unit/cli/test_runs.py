@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
 from user_commands import in_this_process, one_error
 
+from procedures.cli.case import display, stepping
+from procedures.cli.case.display import follow_case
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.request import CaseRequest, new_run_folder
 from procedures.cli.case.request_file import REQUEST_FILE, read_request, write_request
 from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
-from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.engine.errors import BadRequestFile, OperatorAborted, OtherProgram
 from procedures.engine.journal import Entry
 from procedures.engine.run_lock import held_run
 from ronna_hw.devices.errors import WrongState
@@ -72,12 +76,36 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None)
         read_request(tmp_path)
 
 
+@pytest.mark.hazard(42)
 def test_a_run_that_another_program_has_open_is_refused(tmp_path: Path) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
     with held_run(folder):
         refused = in_this_process(app, "resume", folder, "--accept")
     assert refused.returncode == EXIT_REFUSED
     assert "PRO-030" in refused.stderr
+
+
+@pytest.mark.hazard(42)
+@pytest.mark.parametrize(
+    ("lead", "options"), [(follow_case, {"as_json": False, "verbose": False}), (step_through, {})]
+)
+def test_who_leads_a_case_holds_its_run_from_before_anything_is_opened(
+    tmp_path: Path,
+    lead: Callable[..., None],
+    options: dict[str, bool],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refused: list[int] = []
+
+    def opened(_request: CaseRequest, folder: Path, *_: object) -> NoReturn:
+        refused.append(in_this_process(app, "resume", folder, "--accept").returncode)
+        raise OperatorAborted("seen enough")
+
+    monkeypatch.setattr(display, "run_case", opened)
+    monkeypatch.setattr(stepping, "opened_case", opened)
+    with pytest.raises(OperatorAborted):
+        lead(CaseRequest(out=tmp_path), **options)
+    assert refused == [EXIT_REFUSED]
 
 
 def test_nothing_is_accepted_unseen_on_real_devices(tmp_path: Path) -> None:

@@ -181,6 +181,7 @@ def test_the_step_that_had_begun_is_known(cell: RecordingCell) -> None:
     assert read_left_run(cell.folder).begun == StepKey(Approach.kind, "T1")
 
 
+@pytest.mark.hazard(42)
 def test_a_run_is_open_to_one_program_at_a_time(tmp_path: Path) -> None:
     with held_run(tmp_path), pytest.raises(RunInUse, match="PRO-030"), held_run(tmp_path):
         pass
