@@ -15,7 +15,7 @@ from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.imaging import Candidate, Localization, PatientIdentity
+    from procedures.imaging import Candidate, Localization, Marker, PatientIdentity
 
 
 class Method(StrEnum):
@@ -165,6 +165,46 @@ def localize(
     _print_markers(result)
     if candidates is not None:
         _print_candidates(candidates)
+
+
+@app.command()
+def view(
+    series_dir: Annotated[
+        Path, typer.Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="The page to write; open it in a browser.")
+    ] = Path("ct.html"),
+    diameter_mm: Annotated[
+        float, typer.Option("--diameter-mm", help="Diameter of the marker spheres in mm.")
+    ] = 11.5,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Write one HTML page of a CT: three planes to scroll, markers and candidates with their reasons.
+
+    A click shows a place in LPS mm; picked places can be given to localize --pick. The page is complete in
+    itself, needs no network, and names no patient. A series without markers has a page as well.
+    """
+    console.set_up_logging(verbose)
+    import procedures.imaging as imaging
+    from procedures.imaging.errors import MarkerCountWrong
+    from procedures.imaging.page.ct_page import ct_page
+
+    with console.progress_bar("reading and localizing") as advance:
+        volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
+        markers: Sequence[Marker] = ()
+        try:
+            result = imaging.localize(volume, diameter_mm=diameter_mm)
+            markers, candidates = result.markers, result.candidates
+        except MarkerCountWrong as error:
+            candidates = error.candidates
+        likely = imaging.likeliest_first(candidates)
+        rejected = sum(not one.accepted for one in likely)
+        outcome = f"{len(markers)} markers found, {rejected} other places looked at."
+        page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, likely, outcome)
+    out.write_text(page, encoding="utf-8")
+    console.tell(f"{outcome} Page {out}")
 
 
 def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:

@@ -133,6 +133,15 @@ def test_nobody_is_named_unless_asked_for(series: Path, tmp_path: Path) -> None:
         assert b"secret" not in shown.lower()
 
 
+@pytest.mark.hazard(35)
+def test_a_series_is_shown_on_one_page_that_names_nobody(series: Path, tmp_path: Path) -> None:
+    done = ronna_ct("view", series, "--out", tmp_path / "ct.html")
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "ct.html").read_text()
+    assert "marker 2" in page
+    assert "secret" not in page.lower()
+
+
 def test_the_patient_is_named_to_who_asks(series: Path, tmp_path: Path) -> None:
     asked = ronna_ct("localize", series, "--identity", "--json", "--write", tmp_path / "spheres.dcm")
     patient = json.loads(asked.stdout)["patient"]

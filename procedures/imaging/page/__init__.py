@@ -1,0 +1,1 @@
+"""A CT as one page to look at in a browser."""

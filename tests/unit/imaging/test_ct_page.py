@@ -1,0 +1,69 @@
+"""The page of a CT stands alone, and a click on it means the same place as the series does."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from procedures.imaging import Volume, VoxelGeometry, localize
+from procedures.imaging.page.ct_page import ct_page
+from procedures.imaging.page.view_volume import BRIGHTEST_HU, DARKEST_HU, LEVELS, view_volume
+
+SHAPE = (40, 300, 600)  # more rows and columns than a page shows
+
+
+def ramp_volume() -> Volume:
+    """HU that grow along every axis, in a turned patient."""
+    voxels = np.add.outer(np.add.outer(np.arange(40) * 20, np.arange(300)), np.arange(600)) - 1000
+    axes = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+    geometry = VoxelGeometry(SHAPE, np.array([5.0, -7.0, 11.0]), axes, np.array([1.5, 0.5, 0.5]))
+    return Volume(voxels.astype(np.int16), geometry, "1.2.3", "1.2.4")
+
+
+def test_a_voxel_of_the_page_is_where_the_voxels_are_that_it_stands_for() -> None:
+    volume = ramp_volume()
+    view = view_volume(volume)
+    assert max(view.grey.shape) <= 256
+    for index in ((0, 0, 0), (39, 149, 199), (17, 80, 33)):
+        here = volume.geometry.to_index(view.geometry.to_patient_mm(index))
+        hu = float(here @ (20, 1, 1)) - 1000.0  # the ramp, at fractions of an index
+        shown_hu = DARKEST_HU + view.grey[index] / LEVELS * (BRIGHTEST_HU - DARKEST_HU)
+        assert shown_hu == pytest.approx(hu, abs=0.51 * (BRIGHTEST_HU - DARKEST_HU) / LEVELS)
+
+
+def content_of(page: str) -> dict[str, Any]:
+    (found,) = re.findall(r'<script type="application/json" id="content">(.*?)</script>', page, re.DOTALL)
+    return dict(json.loads(found))
+
+
+def test_the_page_holds_every_slice_and_what_was_found(make_scan: Callable[..., Any]) -> None:
+    scan = make_scan(shape=(40, 80, 140))
+    scan.ball(np.array([20.0, 20.0, 20.0]))
+    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
+    volume = Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+    found = localize(volume)
+    content = content_of(ct_page(volume, "series", found.markers, found.candidates, "1 marker found."))
+    assert [one["centre_mm"] for one in content["found"]] == found.centres_mm.tolist()
+    mosaic = cv2.imdecode(np.frombuffer(base64.b64decode(content["mosaic"]), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert mosaic is not None
+    slices, rows, columns = content["shape"]
+    grey = view_volume(volume).grey
+    for number in (0, 13, slices - 1):
+        down, across = divmod(number, content["across"])
+        tile = mosaic[down * rows : (down + 1) * rows, across * columns : (across + 1) * columns]
+        assert np.abs(tile.astype(int) - grey[number]).mean() < 2.0
+
+
+def test_nothing_is_fetched_and_names_are_no_markup(make_scan: Callable[..., Any]) -> None:
+    page = ct_page(ramp_volume(), "<b>x</b>", (), (), "</script><script>alert(1)")
+    assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:)|url\(|https?:|@import", page)
+    assert "<b>x" not in page
+    assert "alert(1)" in page
+    assert "<script>alert" not in page
