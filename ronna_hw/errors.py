@@ -20,6 +20,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import ClassVar
 
+from ronna_hw.text.printable import printable
+
 EXIT_DONE = 0
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -55,11 +57,11 @@ class RonnaError(Exception):
         action: str | None = None,
         wire: bytes = b"",
     ) -> None:
-        self.what = what
-        self.expected = expected
-        self.limit = limit
-        self.got = got
-        self.advice = action or self.action
+        self.what = printable(what)
+        self.expected = expected and printable(expected)
+        self.limit = limit and printable(limit)
+        self.got = got and printable(got)
+        self.advice = printable(action or self.action)
         self.wire = bytes(wire[-LAST_BYTES_KEPT:])
         self.attachments: dict[str, str] = {}  # file name -> text: evidence for the folder of a run
         super().__init__(self._one_line())

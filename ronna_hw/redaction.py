@@ -24,6 +24,7 @@ from ronna_hw.errors import (
     RonnaError,
     StateError,
 )
+from ronna_hw.text.printable import without_controls
 
 REDACTED = "[redacted]"
 TEXT_LIMIT = 1000  # characters of one value: a line stays a line
@@ -88,7 +89,7 @@ def scrubbed(text: str) -> str:
     text = _TOKEN.sub(rf"\1{REDACTED}", text)
     text = _WORD_WITH_SLASH.sub(_path_out, text)
     text = _FILE_NAME.sub(REDACTED, text)
-    return _UID.sub(REDACTED, text)[:TEXT_LIMIT]
+    return without_controls(_UID.sub(REDACTED, text)[:TEXT_LIMIT])
 
 
 def error_text(error: BaseException) -> str:

@@ -38,6 +38,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from ronna_hw.evidence.inspection import PICTURES_FOLDER, hashes_in
 from ronna_hw.records import write_whole
+from ronna_hw.text.printable import without_controls
 
 REPORT_FILE = "report.html"
 NUMBERS_FILE = "numbers.txt"
@@ -192,6 +193,11 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
     ]
 
 
+def _without_controls(value: Any) -> Any:
+    """Text as it may stand in a page; what is marked as safe is ours, and stays as it is."""
+    return "\n".join(map(without_controls, value.split("\n"))) if type(value) is str else value
+
+
 def _rendered(page: dict[str, Any]) -> str:
     import jinja2
 
@@ -201,6 +207,7 @@ def _rendered(page: dict[str, Any]) -> str:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=_without_controls,
     )
     environment.filters.update(
         mm=numbers.millimetres, tenths=numbers.tenths, um=numbers.micrometres, s=numbers.seconds

@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
@@ -27,10 +27,11 @@ from ronna_hw.command_line.logging_options import (
     set_log_levels_from_environment,
     set_up_logging,
 )
-from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, tell
+from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, say, tell
 from ronna_hw.command_line.progress import Progress, progress_bar
 from ronna_hw.command_line.tables import print_table
 from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
+from ronna_hw.host.file_access import own_files
 from ronna_hw.host.own_packages import require_own_packages
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "print_table",
     "progress_bar",
     "run",
+    "say",
     "set_up_logging",
     "tell",
 ]
@@ -75,7 +77,8 @@ def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
     try:
         require_own_packages()
         set_log_levels_from_environment()
-        code = _invoke(app, arguments)
+        with _own_files():
+            code = _invoke(app, arguments)
         sys.stdout.flush()
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
@@ -103,6 +106,16 @@ def print_json(document: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
+@contextlib.contextmanager
+def _own_files() -> Iterator[None]:
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(own_files())
+        except ValueError as mistake:
+            raise UsageMistake(str(mistake), action="Correct it or unset it.") from mistake
+        yield
+
+
 def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
     command = typer.main.get_command(app)
     try:
@@ -110,7 +123,7 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
     except _USAGE_ERROR as mistake:
         message = mistake.format_message() if hasattr(mistake, "format_message") else str(mistake)
         if isinstance(mistake, _NOTHING_ASKED):
-            tell(message)
+            sys.stderr.write(message + "\n")
             return EXIT_USAGE
         context = getattr(mistake, "ctx", None)
         where = context.command_path if context is not None else command.name

@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING, TextIO
 
 from ronna_hw.errors import RonnaError
+from ronna_hw.text.printable import printable, printable_lines
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,8 +24,14 @@ def on_terminal(stream: TextIO) -> bool:
 def tell(line: str) -> None:
     """Print a message of one line on standard error, if that is still open."""
     with contextlib.suppress(OSError, ValueError):
-        sys.stderr.write(line + "\n")
+        sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()
+
+
+def say(line: str = "") -> None:
+    """Print one line, or several, for a person on standard output."""
+    sys.stdout.write(printable_lines(line) + "\n")
+    sys.stdout.flush()
 
 
 def fail_with(error: RonnaError) -> None:

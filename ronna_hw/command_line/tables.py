@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from ronna_hw.command_line.messages import on_terminal
+from ronna_hw.text.printable import printable, printable_lines
 
 FRAME_WIDTH = 3  # of a table's frame, per column
 
@@ -17,7 +18,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     Cells and headings wrap between words only. Where the frame would split a word or a number, lines are
     printed instead.
     """
-    table_rows = [list(columns), *([str(cell) for cell in row] for row in rows)]
+    table_rows = [list(columns), *([printable_lines(str(cell)) for cell in row] for row in rows)]
     widths = _column_widths(table_rows, _terminal_width()) if on_terminal(sys.stdout) else None
     if widths is None:
         for row in table_rows:
@@ -27,7 +28,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=title, title_justify="left")
+    table = Table(title=printable(title), title_justify="left")
     for column, width in zip(columns, widths, strict=True):
         table.add_column(Text(column), width=width, overflow="fold")
     for row in table_rows[1:]:

@@ -69,19 +69,19 @@ class Inspection:
         """What is wrong beyond a run that did not come to its end."""
         return tuple(problem for problem in self.problems if not problem.unfinished)
 
-    def require_unchanged(self) -> Inspection:
+    def require_unchanged(self, action: str | None = None) -> Inspection:
         """This, or PRO-033 where anything was changed; a run that did not come to its end passes."""
-        return self._require(self.changes)
+        return self._require(self.changes, action)
 
     def require_whole(self) -> Inspection:
         """This, or PRO-033 unless the folder is as a run left it that was closed and sealed."""
         return self._require(self.problems)
 
-    def _require(self, problems: tuple[Problem, ...]) -> Inspection:
+    def _require(self, problems: tuple[Problem, ...], action: str | None = None) -> Inspection:
         if problems:
             more = f" and {len(problems) - SHOWN} more" if len(problems) > SHOWN else ""
             named = "; ".join(map(str, problems[:SHOWN]))
-            raise RunChanged(f"{self.folder.name} is not as it was left: {named}{more}")
+            raise RunChanged(f"{self.folder.name} is not as it was left: {named}{more}", action=action)
         return self
 
 
@@ -187,6 +187,10 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         yield from _against(Path("/"), hashes_in(lines[-1], "inputs"))
     else:
         yield from _against(folder, {name: of for name, of in named.items() if name.startswith(LASTING)})
+        told = {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
+        for name in there:
+            if name.startswith(f"{RECORDS_FOLDER}/") and name not in told:
+                yield Problem(name, "not in the journal: written as the run was killed, or added", True)
     if seal is None:
         if (folder / SEAL_FILE).exists() or (folder / SEAL_FILE).is_symlink():
             yield Problem(SEAL_FILE, "changed")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -201,3 +202,17 @@ def test_the_example_prints_the_centres(series: Path) -> None:
     assert len(lines) == 2
     words = lines[0].split()
     np.testing.assert_allclose([float(words[index]) for index in (2, 4, 6)], CENTRES_MM[1], atol=0.02)
+
+
+def test_the_name_of_a_slice_cannot_steer_the_terminal(series: Path, tmp_path: Path) -> None:
+    spoiled = shutil.copytree(series, tmp_path / "\x1b]0;owned\x07")
+    slices = sorted(spoiled.iterdir())
+    for place, name in ((3, "\x1b[2Jsecond\nline"), (4, "\u202egnp.exe")):
+        content = slices[place].read_bytes()
+        slices[place].unlink()
+        (spoiled / name).write_bytes(content[: len(content) // 2])
+    refused = ronna_ct("localize", spoiled)
+    assert refused.returncode == 1
+    (line,) = refused.stderr.splitlines()
+    assert line.isprintable()
+    assert "\\x1b[2Jsecond line" in line

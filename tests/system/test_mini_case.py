@@ -71,6 +71,11 @@ def test_the_run_makes_one_folder_and_nothing_else(finished: MiniRun) -> None:
     assert [entry.name for entry in finished.out.iterdir()] == [finished.folder.name]
 
 
+def test_nobody_else_may_read_anything_of_the_run(finished: MiniRun) -> None:
+    for path in (finished.folder, *finished.folder.rglob("*")):
+        assert (path, path.stat().st_mode & 0o077) == (path, 0)
+
+
 def test_every_result_is_a_record_whose_parents_exist(finished: MiniRun) -> None:
     records = records_of(finished.folder)
     known = {record.identifier for record in records}

@@ -20,6 +20,7 @@ from procedures.engine.events import (
     Refusal,
     StepState,
 )
+from ronna_hw.text.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -109,7 +110,10 @@ class CaseView:
         from rich.console import Group
         from rich.text import Text
 
-        rows = [Text(f"  {text}", style, no_wrap=True, overflow="ellipsis") for style, text in self.lines()]
+        rows = [
+            Text(f"  {printable(text)}", style, no_wrap=True, overflow="ellipsis")
+            for style, text in self.lines()
+        ]
         return Group(*rows)
 
     def _device(self, seen: DeviceState) -> str:

@@ -18,7 +18,7 @@ from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, new_run_folder
 from procedures.engine.events import Event, StepState
 from procedures.engine.run_lock import held_run
-from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, tell
+from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, say, tell
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -99,7 +99,7 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
         ],
     )
     for name, reason in outcome.left_out.items():
-        sys.stdout.write(f"without {name}: {reason}\n")
+        say(f"without {name}: {reason}")
     if known:
         sys.stdout.write(
             f"mean {mean_mm:.3f} mm, largest {largest_mm:.3f} mm; "

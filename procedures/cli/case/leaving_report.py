@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from procedures.reporting.outcome import RunError
 
 RUN_PARTS = ("journal.jsonl", "records", "request.json", LOG_FILE)  # one of them makes a folder a run
+NOT_INTO_IT = "The folder is kept as it is; with --out DIR its report shows what can still be read."
 
 
 def error_of(problem: BaseException) -> RunError | None:
@@ -80,16 +81,22 @@ def leaving_report(folder: Path) -> Iterator[None]:
 
 
 def make_report(run: Path, out: Path | None = None) -> Path:
-    """The report of any run folder, made anew. Raises CLI-005 for what is no run, PRO-030, OSError."""
+    """The report of any run folder, made anew.
+
+    Raises CLI-005 for what is no run; without `out` PRO-030 where another program has it open, PRO-033 for
+    one that was changed; OSError.
+    """
     if not any((run / part).exists() for part in RUN_PARTS):
         raise PathProblem(f"{run} is not the folder of a run", expected="a folder with journal.jsonl")
     from procedures.reporting.report import write_report
 
     with contextlib.nullcontext() if out else held_run(run):
         found = inspected(run)
+        if out is None:
+            found.require_unchanged(NOT_INTO_IT)
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
         path = write_report(run, truth=truth_if_any(run), out=out)
-        if out is None and not found.changes:
+        if out is None:
             seal_run(run)
     return path

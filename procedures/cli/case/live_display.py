@@ -12,6 +12,7 @@ from rich.text import Text
 
 from procedures.cli.case.case_view import CaseView, entry_of
 from procedures.engine.events import Event
+from ronna_hw.text.printable import printable
 
 
 class LiveDisplay:
@@ -28,19 +29,21 @@ class LiveDisplay:
 
     def status(self, text: str) -> None:
         """What is being done before there is a case."""
-        self._bar.update(self._task, description=text)
+        self._bar.update(self._task, description=printable(text))
 
     def tell(self, text: str) -> None:
         """One line that stays, as it is: it may be copied."""
-        self._console.print(text, soft_wrap=True, markup=False, highlight=False)
+        self._console.print(printable(text), soft_wrap=True, markup=False, highlight=False)
 
     def show(self, events: Sequence[Event]) -> None:
         """Take these events in."""
         for event in events:
             self.view.take_in(event)
             if (entry := entry_of(event)) is not None:
-                self._console.print(Text.assemble((entry.mark, entry.style), f" {entry.text}"))
-        self._bar.update(self._task, completed=self.view.share, description=self.view.doing or "starting")
+                self._console.print(Text.assemble((entry.mark, entry.style), f" {printable(entry.text)}"))
+        self._bar.update(
+            self._task, completed=self.view.share, description=printable(self.view.doing) or "starting"
+        )
 
     @contextlib.contextmanager
     def shown(self) -> Iterator[None]:

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, nullcontext
 
 from procedures.engine.operator import Operator, Question, Topic, words
 from ronna_hw.host.control_port import ask_control_port
+from ronna_hw.text.printable import printable, printable_lines
 
 
 class ScriptedOperator:
@@ -89,7 +90,7 @@ class TerminalOperator:
         ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
         with self._asking():
-            sys.stderr.write(f"{question.subject}\n  {question.value}\n")
+            sys.stderr.write(f"{printable(question.subject)}\n  {printable_lines(question.value)}\n")
             while answer := _typed(words(question.answers), ends_s).lower():
                 if answer not in question.answers:
                     continue
@@ -112,7 +113,7 @@ class TerminalRoom:
     def change_tool(self, number: int, description: str) -> None:
         """Say what to mount; that it is done is confirmed, and recorded, by the step."""
         with self._asking():
-            sys.stderr.write(f"Mount {description} (tool {number}).\n")
+            sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
             sys.stderr.flush()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 from procedures.cli.case.commands import COMMANDS
@@ -14,7 +13,7 @@ from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
 from procedures.engine.events import Event, StepState
 from procedures.engine.run_lock import held_run
-from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.messages import say, tell
 
 
 def step_through(request: CaseRequest) -> None:
@@ -28,21 +27,16 @@ def step_through(request: CaseRequest) -> None:
             for follower in followers:
                 follower.catch_up()
 
-        prompt = Prompt("step> ", _say, asking=interrupts.asking, after=catch_up)
+        prompt = Prompt("step> ", say, asking=interrupts.asking, after=catch_up)
         watcher = Watcher(room_open=tell, opened=interrupts.attach, asking=interrupts.asking, at_pause=prompt)
         with opened_case(request, folder, watcher) as engine:
             followers.append(EventFollower(engine.events, _tell_done))
             followers[0].start()
-            _say(f"run {folder.name}; {' | '.join(COMMANDS)} | quit")
+            say(f"run {folder.name}; {' | '.join(COMMANDS)} | quit")
             prompt.follow(engine)
 
 
 def _tell_done(events: Sequence[Event]) -> None:
     for event in events:
         if isinstance(event.what, StepState) and event.what.state == "done":
-            _say(f"done {event.what.step}: {event.what.summary}")
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
+            say(f"done {event.what.step}: {event.what.summary}")

@@ -10,6 +10,7 @@ from procedures.cli.case.case_view import entry_of
 from procedures.engine.events import CaseState, Event, Fault, Questioned, Refusal
 from procedures.engine.events.followed_run import FollowedRun
 from ronna_hw.command_line.console import message_console, on_terminal, tell
+from ronna_hw.text.printable import printable
 
 
 def watch(run: Path, *, as_json: bool) -> None:
@@ -27,7 +28,7 @@ def watch(run: Path, *, as_json: bool) -> None:
         for _style, line in display.view.lines():
             tell(line)
     else:
-        _write(followed, _line)
+        _write(followed, _shown)
     if not followed.closed:
         tell("the run was ended without being closed")
 
@@ -38,6 +39,11 @@ def _write(followed: FollowedRun, line_of: Callable[[Event], str | None]) -> Non
             if (line := line_of(event)) is not None:
                 sys.stdout.write(line + "\n")
         sys.stdout.flush()
+
+
+def _shown(event: Event) -> str | None:
+    line = _line(event)
+    return line and printable(line)
 
 
 def _line(event: Event) -> str | None:

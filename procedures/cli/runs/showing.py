@@ -13,7 +13,7 @@ from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.steps.clinical.registration import RegisteredRobot
-from ronna_hw.command_line.console import print_json, print_table
+from ronna_hw.command_line.console import print_json, print_table, say
 from ronna_hw.records import Record
 
 
@@ -48,25 +48,24 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     if as_json:
         print_json(row | {"problems": [*reading.changes, *reading.problems]})
         return
-    out = sys.stdout
     for change in reading.changes:
-        out.write(f"NOT AS THE RUN LEFT IT: {change}\n")
+        say(f"NOT AS THE RUN LEFT IT: {change}")
     seed = "" if row["seed"] is None else f", seed {row['seed']}"
-    out.write(f"{row['run']}: {row['theatre'] or 'no theatre'}{seed}, strategy {row['strategy'] or '-'}\n")
-    out.write(f"began {row['began'] or '-'}; {row['sentence']}\n")
+    say(f"{row['run']}: {row['theatre'] or 'no theatre'}{seed}, strategy {row['strategy'] or '-'}")
+    say(f"began {row['began'] or '-'}; {row['sentence']}")
     if row["restarts"]:
-        out.write(f"taken up again {row['restarts']} times\n")
+        say(f"taken up again {row['restarts']} times")
     if row["instrument_in"]:
-        out.write(f"the instrument was still in {row['instrument_in']}\n")
-    out.write(f"done: {', '.join(row['done']) or 'nothing'}\n")
+        say(f"the instrument was still in {row['instrument_in']}")
+    say(f"done: {', '.join(row['done']) or 'nothing'}")
     if row["superseded"]:
-        out.write(f"superseded: {', '.join(row['superseded'])}\n")
+        say(f"superseded: {', '.join(row['superseded'])}")
     for target in row["targets"]:
         error_mm = target["application_error_mm"]
         known = "" if error_mm is None else f", error {error_mm:.3f} mm"
-        out.write(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}\n")
+        say(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}")
     for problem in reading.problems:
-        out.write(f"not to be relied on: {problem}\n")
+        say(f"not to be relied on: {problem}")
 
 
 def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:

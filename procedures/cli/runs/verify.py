@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
 from procedures.cli.runs.folders import require_run
-from ronna_hw.command_line.console import print_json
+from ronna_hw.command_line.console import print_json, say
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import files_of
@@ -29,8 +28,8 @@ def verify(folder: Path, *, as_json: bool) -> None:
         )
     else:
         for problem in problems:
-            sys.stdout.write(f"{problem}\n")
+            say(str(problem))
         if not problems:
-            sys.stdout.write(f"{folder.resolve().name}: whole, {checked} files are as the run left them\n")
+            say(f"{folder.resolve().name}: whole, {checked} files are as the run left them")
     if problems:
         raise SystemExit(EXIT_REFUSED)

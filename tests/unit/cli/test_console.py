@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import signal
+import stat
 import subprocess
 import sys
 from collections.abc import Callable
@@ -291,3 +292,60 @@ def test_a_heading_too_wide_for_the_frame_gives_tab_separated_lines(
     monkeypatch.setenv("COLUMNS", "20")
     console.print_table("title", ["a-long-heading", "note"], [[1, "text"]])
     assert capsys.readouterr().out == "a-long-heading\tnote\n1\ttext\n"
+
+
+ESCAPES = "\x1b[2J\x1b]0;owned\x07 \u202egnp.exe\r\nforged line"
+
+
+def test_names_from_outside_neither_steer_a_terminal_nor_forge_a_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    console.fail_with(TooFar(f"no series in {ESCAPES}"))
+    console.tell(f"patient: {ESCAPES}")
+    console.print_table("title", ["name"], [[ESCAPES]])
+    printed = "".join(capsys.readouterr())
+    assert all(line.replace("\t", "").isprintable() for line in printed.splitlines())
+    assert len(printed.splitlines()) == 5  # a table keeps the line ends of its cells
+    assert "\\x1b[2J" in printed
+    assert "\\u202e" in printed
+
+
+def test_numbers_and_paths_are_never_longer_than_a_line() -> None:
+    path = f"/patients/{'a' * 300}/slice.dcm"
+    told = str(TooFar(f"cannot read {path}", got="9" * 400))
+    assert max(len(word.rstrip(".:")) for word in told.split()) <= 160
+    assert "/patients/aaa" in told
+    assert "aaa/slice.dcm: 999" in told
+    assert len(str(TooFar("word " * 10_000))) < 5000
+
+
+@pytest.mark.parametrize(
+    ("access", "folder", "file"), [(None, 0o700, 0o600), ("owner", 0o700, 0o600), ("group", 0o770, 0o660)]
+)
+def test_what_a_command_writes_is_its_users_whatever_the_umask(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, access: str | None, folder: int, file: int
+) -> None:
+    monkeypatch.delenv("RONNA_ACCESS", raising=False)
+    if access:
+        monkeypatch.setenv("RONNA_ACCESS", access)
+
+    def body() -> None:
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / "journal.jsonl").touch()
+
+    before = os.umask(0)
+    try:
+        assert console.exit_code_of(app_that(body), []) == 0
+        assert os.umask(0) == 0
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "run").stat().st_mode) == folder
+    assert stat.S_IMODE((tmp_path / "run" / "journal.jsonl").stat().st_mode) == file
+
+
+def test_another_word_for_the_access_is_a_usage_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RONNA_ACCESS", "everybody")
+    assert console.exit_code_of(app_that(lambda: None), []) == 2
+    assert "CLI-001: RONNA_ACCESS is 'everybody'; expected owner or group" in capsys.readouterr().err

@@ -143,7 +143,7 @@ def line_removed(run: Path) -> str:
 def test_every_command_names_what_was_changed_in_a_run(run: Path, spoil: Callable[[Path], str]) -> None:
     name = spoil(run)
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    for command in ("export", "resume", "lineage", "replay"):
+    for command in ("export", "resume", "lineage", "replay", "report"):
         refused = in_this_process(app, command, run)
         assert (command, refused.returncode) == (command, EXIT_REFUSED)
         assert f"PRO-033: {run.name} is not as it was left: {name}: " in refused.stderr

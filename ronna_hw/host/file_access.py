@@ -1,0 +1,27 @@
+"""Who may read what a command writes: a run's folder holds a patient's CT, plan, journal and report."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+ACCESS_VARIABLE = "RONNA_ACCESS"
+_UMASKS = {"owner": 0o077, "group": 0o007}  # folders 0700 and files 0600, or 0770 and 0660
+
+
+@contextmanager
+def own_files() -> Iterator[None]:
+    """Inside the block this process and its children write for their user alone, whatever the umask.
+
+    `RONNA_ACCESS=group` also lets the group of the folder in: a folder that a lab shares. Raises ValueError
+    for another word.
+    """
+    access = os.environ.get(ACCESS_VARIABLE, "owner")
+    if access not in _UMASKS:
+        raise ValueError(f"{ACCESS_VARIABLE} is {access!r}; expected owner or group")
+    before = os.umask(_UMASKS[access])
+    try:
+        yield
+    finally:
+        os.umask(before)
