@@ -20,10 +20,10 @@ Flags = NDArray[np.bool_]
 
 
 class Body(Protocol):
-    """An opaque body."""
+    """Something opaque."""
 
-    def hides(self, eye_mm: Vectors, points_mm: Vectors) -> Flags:
-        """Which of the points (n, 3) this body hides from an eye (3,)."""
+    def hides(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
+        """Which of the points (n, 3) it hides from each of the eyes (m, 3): (m, n)."""
         ...
 
 
@@ -33,31 +33,32 @@ class Ellipsoid:
 
     unit_from_tracker: Matrix
 
-    def hides(self, eye_mm: Vectors, points_mm: Vectors) -> Flags:
-        eye = apply(self.unit_from_tracker, eye_mm)
+    def hides(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
+        eyes = apply(self.unit_from_tracker, eyes_mm)[:, None]
         points = apply(self.unit_from_tracker, points_mm)
-        ways = points - eye
+        ways = points - eyes
         # the point of each segment nearest to the centre
-        share = np.clip(-(ways @ eye) / (ways * ways).sum(axis=1), 0.0, 1.0)
-        nearest = eye + share[:, None] * ways
-        blocked = (nearest * nearest).sum(axis=1) < 1.0
-        mounted = (points * points).sum(axis=1) < 1.0
+        share = np.clip(-(ways * eyes).sum(axis=-1) / (ways * ways).sum(axis=-1), 0.0, 1.0)
+        nearest = eyes + share[..., None] * ways
+        blocked = (nearest * nearest).sum(axis=-1) < 1.0
+        mounted = (points * points).sum(axis=-1) < 1.0
         hidden: Flags = blocked & ~mounted
         return hidden
 
 
 @dataclass(frozen=True)
-class Capsule:
-    """A link of the arm: everything within `radius_mm` of the segment from `start_mm` to `end_mm`."""
+class Capsules:
+    """The links of an arm: everything within `radii_mm` (c,) of the segments between two (c, 3)."""
 
-    start_mm: Vectors
-    end_mm: Vectors
-    radius_mm: float
+    starts_mm: Vectors
+    ends_mm: Vectors
+    radii_mm: Vectors
 
-    def hides(self, eye_mm: Vectors, points_mm: Vectors) -> Flags:
-        blocked = _distances(self.start_mm, self.end_mm, eye_mm, points_mm) < self.radius_mm
-        mounted = _distances(self.start_mm, self.end_mm, points_mm, points_mm) < self.radius_mm
-        hidden: Flags = blocked & ~mounted
+    def hides(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
+        starts, ends, radii = self.starts_mm[:, None], self.ends_mm[:, None], self.radii_mm[:, None]
+        blocked = _distances(starts, ends, eyes_mm[:, None, None], points_mm) < radii
+        mounted = _distances(starts, ends, points_mm, points_mm) < radii
+        hidden: Flags = np.logical_or.reduce(blocked & ~mounted, axis=1)
         return hidden
 
 
@@ -73,25 +74,28 @@ def visible(eyes_mm: Vectors, points_mm: Vectors, bodies: tuple[Body, ...]) -> F
     """Which points (n, 3) each of the eyes (m, 3) sees past all bodies: (m, n)."""
     seen = np.ones((len(eyes_mm), len(points_mm)), dtype=bool)
     if len(points_mm):
-        for row, eye in zip(seen, eyes_mm, strict=True):
-            for body in bodies:
-                row &= ~body.hides(eye, points_mm)
+        for body in bodies:
+            seen &= ~body.hides(eyes_mm, points_mm)
     return seen
 
 
-def _distances(start: Vectors, end: Vectors, eyes: Vectors, points: Vectors) -> Vectors:
-    """Distance (n,) between segment start-end and each segment eye-point (Ericson 2005, 5.1.9)."""
-    along, ways, offsets = end - start, points - eyes, start - eyes
-    a = float(along @ along) or 1.0
+def _distances(starts: Vectors, ends: Vectors, eyes: Vectors, points: Vectors) -> Vectors:
+    """Distance between each segment start-end and each segment eye-point (Ericson 2005, 5.1.9).
+
+    All four (..., 3), broadcast against each other.
+    """
+    along, ways, offsets = ends - starts, points - eyes, starts - eyes
+    a = (along * along).sum(axis=-1)
+    a = np.where(a > 0.0, a, 1.0)
     e = np.maximum((ways * ways).sum(axis=-1), np.finfo(float).tiny)
-    b = ways @ along
-    c = (np.broadcast_to(offsets, ways.shape)) @ along
+    b = (ways * along).sum(axis=-1)
+    c = (offsets * along).sum(axis=-1)
     f = (ways * offsets).sum(axis=-1)
     denominator = a * e - b * b
     parallel = denominator < 1e-9 * a * e
     s = np.clip(np.where(parallel, 0.0, (b * f - c * e) / np.where(parallel, 1.0, denominator)), 0.0, 1.0)
     t = np.clip((b * s + f) / e, 0.0, 1.0)
     s = np.clip((b * t - c) / a, 0.0, 1.0)
-    between = start + s[:, None] * along - (eyes + t[:, None] * ways)
-    distances: Vectors = np.sqrt((between * between).sum(axis=1))
+    between = starts + s[..., None] * along - (eyes + t[..., None] * ways)
+    distances: Vectors = np.sqrt((between * between).sum(axis=-1))
     return distances

@@ -8,7 +8,7 @@ from math import radians
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.polaris.scene.arm_capsules import arm_capsules
+from sim.polaris.scene.arm_capsules import ArmBody
 from sim.polaris.scene.disturbance import Disturbance
 from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
 from sim.polaris.tools.definition import ToolDefinition
@@ -48,6 +48,7 @@ class TrueScene:
         centres = np.array([fiducial.centre_ct_mm for fiducial in fiducials], dtype=float).reshape(-1, 3)
         self._centres_mm = apply(matrix_of(scene.head.robot_from_ct), centres)  # robot frame
         self.fiducials_mm: Vectors = self.fiducials_at(NOTHING_MOVED)
+        self._arm_body = ArmBody(scene)
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
     def arm(self) -> ArmState | None:
@@ -70,7 +71,7 @@ class TrueScene:
         head = self._head if self.fiducial_numbers else ()
         if arm is None:
             return head
-        return (*head, *arm_capsules(self._world.scene, arm, mounted_tool, self._tracker_from(room)))
+        return (*head, self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room)))
 
     def hangs_on_mount(self, definition: ToolDefinition) -> bool:
         """True for the reference frame M, as long as there is an arm that carries it."""

@@ -9,7 +9,7 @@ from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.robot_description import description
 from sim.polaris.optics.marker_noise import eyes_mm
 from sim.polaris.scene.disturbance import NONE
-from sim.polaris.scene.line_of_sight import Capsule, Ellipsoid, visible
+from sim.polaris.scene.line_of_sight import Capsules, Ellipsoid, visible
 from sim.polaris.scene.true_scene import TrueScene
 from sim.theatre.rigid import matrix_of
 from sim.theatre.scene.named_scenes import SceneName, named_scene
@@ -57,7 +57,7 @@ def test_a_ball_hides_what_is_behind_it(point: tuple[float, float, float], seen:
     ],
 )
 def test_a_limb_hides_what_is_behind_it(point: tuple[float, float, float], seen: bool) -> None:
-    limb = Capsule(np.array([-500.0, 0.0, -1000.0]), np.array([500.0, 0.0, -1000.0]), 50.0)
+    limb = Capsules(np.array([[-500.0, 0.0, -1000.0]]), np.array([[500.0, 0.0, -1000.0]]), np.array([50.0]))
     assert visible(EYE, np.array([point]), (limb,)).item() is seen
 
 
@@ -71,7 +71,8 @@ def test_the_nearest_distance_of_two_segments_agrees_with_trying_all_places() ->
         for radius_mm, hidden in ((least_mm + 3.0, True), (least_mm - 3.0, False)):
             mounted = np.linalg.norm(limb_places - point, axis=1).min() < radius_mm
             if not mounted:
-                assert Capsule(start, end, radius_mm).hides(eye, point[None]).item() is hidden
+                limb = Capsules(start[None], end[None], np.array([radius_mm]))
+                assert limb.hides(eye[None], point[None]).item() is hidden
 
 
 @pytest.mark.parametrize("name", ["default", "mini"])
