@@ -96,7 +96,7 @@ class SharedClock:
         layout.VERSION.write(memory, layout.LAYOUT_VERSION)
         layout.PACED.write(memory, int(paced))
         layout.TIME_NS.write(memory, begins_ns)
-        for word in (layout.STREAM_HOST_NS, layout.WANTED_NS):
+        for word in (layout.STREAM_HOST_NS, layout.WANTED_NS, layout.UNREAD_NS):
             word.write(memory, 0)
         layout.EPOCH_NS.write(memory, time.monotonic_ns() - begins_ns)
 
@@ -150,6 +150,17 @@ class SharedClock:
             moment = layout.TIME_NS.read(self._memory) + duration_ns
             layout.TIME_NS.write(self._memory, moment)
             return moment
+
+    def expect_reader(self, moment_ns: int) -> None:
+        """For a device that is read measurement by measurement: the next is due then; 0 ends it."""
+        layout.UNREAD_NS.write(self._memory, moment_ns)
+
+    def must_wait_for_reader(self, duration_ns: int) -> bool:
+        """For the cyclic device: whether its next cycle would pass a measurement that nobody awaits yet."""
+        due_ns = layout.UNREAD_NS.read(self._memory)
+        if due_ns == 0 or self._paced or self.has_waiters():
+            return False
+        return layout.TIME_NS.read(self._memory) + duration_ns >= due_ns
 
     def end_stream(self) -> None:
         """For the cyclic device: give the pace of time back."""

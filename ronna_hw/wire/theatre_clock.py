@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from ronna_hw.host.memory_map import MemoryMap
 
-LAYOUT_VERSION = 2
+LAYOUT_VERSION = 3
 
 CLOCK = MemoryMap(b"RONNACLK")
 VERSION = CLOCK.word("I")
@@ -16,6 +16,7 @@ TIME_NS = CLOCK.word("q")  # meaningful when not paced
 EPOCH_NS = CLOCK.word("q")  # host monotonic time at theatre time 0, meaningful when paced
 STREAM_HOST_NS = CLOCK.word("q")  # host monotonic time of the last cycle of a cyclic device, 0 when none
 WANTED_NS = CLOCK.word("q")  # the latest theatre time that any process waits for
+UNREAD_NS = CLOCK.word("q")  # when the next measurement of a tracker that is being read is due, 0 for none
 
 # A cyclic device that has not run a cycle for this long no longer owns the pace of time: it waits two
 # seconds for a missing reply (see the robot simulator), so the limit is above that.

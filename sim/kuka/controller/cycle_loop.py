@@ -15,6 +15,7 @@ import select
 import socket
 import time
 
+from ronna_hw.clock import WAIT_STEP_S
 from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.controller.autostart import Autostart
 from sim.kuka.controller.controller import Controller
@@ -33,6 +34,7 @@ from sim.theatre.world import World
 
 IDLE_WAIT_S = 0.02  # longest wait without looking at the fault script, and whether the process should end
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
+READER_WAIT_S = 1.0  # ... and for whoever reads the tracker frame by frame; below the client's patience
 LOOK_S = 0.001  # host time between two looks whether somebody waits for theatre time
 SERVE_S = 0.005  # host time between two looks at the EKI channels while lock-step hurries
 UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
@@ -147,7 +149,7 @@ class CycleLoop:
             self._autostart.tick(time.monotonic())
         self._notice_change()
         if not self._clock.paced:
-            self._clock.advance_cycle(run.settings.cycle_ms * 1_000_000)
+            self._advance(run.settings.cycle_ms * 1_000_000)
         if lock_step:
             self._pace(run, began_s + cycle_s)
 
@@ -217,7 +219,7 @@ class CycleLoop:
                 self._deadline_s = max(self._deadline_s + cycle_s, time.monotonic())
                 self._wait(self._deadline_s)
             else:
-                self._clock.advance_cycle(round(cycle_s * 1e9))
+                self._advance(round(cycle_s * 1e9))
                 self._end_stream_at_rest()  # before the motion is reported as done
                 self._wait_once(0.0, None)  # a motion may be stopped on its way
         self._end_stream_at_rest()
@@ -226,6 +228,16 @@ class CycleLoop:
     def _end_stream_at_rest(self) -> None:
         if not self._controller.moving:
             self._clock.end_stream()
+
+    def _advance(self, cycle_ns: int) -> None:
+        """Let a cycle's time pass, once whoever reads the tracker frame by frame has asked for the next."""
+        limit_s = time.monotonic() + READER_WAIT_S
+        while self._clock.must_wait_for_reader(cycle_ns) and not self._ending:
+            if time.monotonic() > limit_s:
+                self._clock.expect_reader(0)  # it reads no more
+                break
+            time.sleep(WAIT_STEP_S)
+        self._clock.advance_cycle(cycle_ns)
 
     def _show(self) -> None:
         run = self._controller.run

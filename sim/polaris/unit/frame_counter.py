@@ -1,7 +1,8 @@
 """Frame numbers: 60 counts per second of theatre time, whatever the illuminator rate.
 
 On a clock that follows the host, a request gets the latest frame, and the same one again when it comes too
-soon. On a clock that its users advance, each request waits for the next frame, so it gets exactly one.
+soon. On a clock that its users advance, each request waits for the next frame, so it gets exactly one; from
+the first request to the end of tracking, cycles of the robot do not pass a frame before it is asked for.
 """
 
 from __future__ import annotations
@@ -41,7 +42,12 @@ class FrameCounter:
         latest = self._measured(max(self.last, self._count_at(self._clock.now_ns())))
         self.last = latest + self._step
         self._clock.wait_until_ns(self._moment_ns(self.last))
+        self._clock.expect_reader(self._moment_ns(self.last + self._step))
         return self.last
+
+    def stop(self) -> None:
+        """Tracking ends: frames pass unread."""
+        self._clock.expect_reader(0)
 
     def pass_one(self) -> None:
         """A request repeated the last frame; a clock that its users advance moves on all the same."""

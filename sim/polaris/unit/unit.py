@@ -56,6 +56,7 @@ class Unit:
 
     def initialise(self) -> None:
         """INIT: to setup mode; passive handles are freed, plugged-in tools get theirs."""
+        self.frames.stop()
         self.mode = Mode.SETUP
         self.infrared_checked = False
         if self.behaviour.init_forgets_handles:
@@ -67,6 +68,7 @@ class Unit:
         """Power-up or break: saved settings, default line, not initialised."""
         self.mode = Mode.NOT_INITIALISED
         self.line = DEFAULT_LINE
+        self.frames.stop()
         self.frames = FrameCounter(self.clock)
         self.ports.free_all()
         self.alerts.reset()
@@ -91,6 +93,7 @@ class Unit:
 
     def stop(self) -> None:
         """From tracking or diagnostic mode back to setup mode; handles stay as they are."""
+        self.frames.stop()
         self.mode = Mode.SETUP
 
     def take_time(self, duration_s: float) -> None:

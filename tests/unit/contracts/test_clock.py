@@ -79,3 +79,21 @@ def test_a_file_that_is_no_clock_is_refused(tmp_path: object) -> None:
 def test_a_clock_that_has_gone_is_refused() -> None:
     with pytest.raises(ClockUnavailable):
         open_clock("shm:///proc/self/fd/9999")
+
+
+def test_cycles_wait_for_the_reader_of_a_measurement_and_go_on_once_it_waits(path: str) -> None:
+    robot, tracker = SharedClock(path), SharedClock(path)
+    robot.advance_cycle(CYCLE_NS)
+    assert not robot.must_wait_for_reader(CYCLE_NS)  # nobody reads
+    tracker.expect_reader(3 * CYCLE_NS)
+    assert not robot.must_wait_for_reader(CYCLE_NS)  # it is not due yet
+    robot.advance_cycle(CYCLE_NS)
+    assert robot.must_wait_for_reader(CYCLE_NS)
+    waiting = threading.Thread(target=tracker.wait_until_ns, args=(3 * CYCLE_NS,), daemon=True)
+    waiting.start()
+    while robot.must_wait_for_reader(CYCLE_NS):
+        pass
+    robot.advance_cycle(CYCLE_NS)
+    waiting.join(5.0)
+    tracker.expect_reader(0)
+    assert not robot.must_wait_for_reader(CYCLE_NS)
