@@ -17,6 +17,7 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.result import FramedPose, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
@@ -60,6 +61,8 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     """Measure all strays in the robot frame by way of the reference frame M."""
     context.result(CheckedSetUp)
     workcell = context.workcell
+    if workcell.tool is MountedTool.GUIDE:  # what was localized before is void
+        exchange_for(context, MountedTool.STEREO_HEAD)
     tracker = workcell.tracker
     tracker.activate()
     try:
@@ -194,11 +197,20 @@ def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
     return "", "Clear the line of sight between tracker and tool"
 
 
+def _localizable_from_here(context: StepContext) -> tuple[str, ...]:
+    """The arm carries the stereo head; or the guide, and is parked where the tools can be exchanged."""
+    workcell = context.workcell
+    unmet = carries(MountedTool.STEREO_HEAD)(context)
+    if not unmet or workcell.insertion is not None or workcell.tool is not MountedTool.GUIDE:
+        return unmet
+    return () if workcell.at_home else (*unmet, "send it home: there the stereo head is mounted again")
+
+
 STEP = StepSpec(
     GlobalLocalization,
     "Localize all spheres with the tracker",
     Phase.PREPARATION,
     run,
     reads=(CheckedSetUp,),
-    preconditions=carries(MountedTool.STEREO_HEAD),
+    preconditions=_localizable_from_here,
 )

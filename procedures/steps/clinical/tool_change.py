@@ -5,17 +5,16 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.operator import YES, Topic
+from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.link_health import LinkHealth, link_health
 from procedures.steps.clinical.room_check import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
-from procedures.workcell.errors import WrongTool
 
 
 class MountedGuide(StepResult, kind="tool_change"):
@@ -33,8 +32,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     if workcell.identify_mounted() is MountedTool.STEREO_HEAD or workcell.streaming or not workcell.at_home:
         _park(context)  # else an exchange was begun, and not ended
     link = link_health(context)
-    workcell.rest()
-    mounted = _mounted_guide(context)
+    mounted = exchange_for(context, MountedTool.GUIDE)
     context.confirm(
         Topic.TOOL_TIP,
         "tip calibration of the guide",
@@ -56,25 +54,6 @@ def _park(context: StepContext) -> None:
     to_home = [workcell.facts(workcell.home_rad)]
     workcell.confirm_motion(Topic.PARK, "park the arm for the exchange of tools", to_home)
     workcell.return_home()
-
-
-def _mounted_guide(context: StepContext) -> int:
-    """Have the guide mounted until it is; its number. Raises PRO-002, or PRO-009 when it is not mounted."""
-    workcell, number = context.workcell, context.workcell.calibrations.tool_tip.tool_number
-    guide = f"the surgical guide, tool {number}"
-    context.setting.room.change_tool(number, "the surgical guide")
-    context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", guide)
-    for mounting in range(1, MOUNTINGS + 1):
-        try:
-            return workcell.check_mounted(MountedTool.GUIDE)
-        except WrongTool as problem:
-            if mounting == MOUNTINGS:
-                raise
-            context.setting.room.change_tool(number, "the surgical guide")
-            again = WRONG_TOOL.question("another tool is mounted: mount again", f"{guide}; {problem.summary}")
-            if context.choose(again) != YES:
-                raise
-    raise AssertionError("the last mounting has returned or raised")
 
 
 def _exchangeable(context: StepContext) -> tuple[str, ...]:

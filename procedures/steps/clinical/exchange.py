@@ -1,0 +1,36 @@
+"""People exchange the tool on the parked arm; the controller's inputs say when the right one hangs there."""
+
+from __future__ import annotations
+
+from procedures.engine.context import StepContext
+from procedures.engine.operator import YES, Topic
+from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
+from procedures.workcell import MountedTool
+from procedures.workcell.errors import WrongTool
+from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
+
+
+def exchange_for(context: StepContext, tool: MountedTool) -> int:
+    """End the correction stream and have a tool mounted until it is; its number.
+
+    Raises PRO-002, or PRO-009 when it is not mounted.
+    """
+    workcell = context.workcell
+    workcell.rest()
+    number, name = STEREO_HEAD_NUMBER, "the stereo head"
+    if tool is MountedTool.GUIDE:
+        number, name = workcell.calibrations.tool_tip.tool_number, "the surgical guide"
+    value = f"{name}, tool {number}"
+    context.setting.room.change_tool(number, name)
+    context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", value)
+    for mounting in range(1, MOUNTINGS + 1):
+        try:
+            return workcell.check_mounted(tool)
+        except WrongTool as problem:
+            if mounting == MOUNTINGS:
+                raise
+            context.setting.room.change_tool(number, name)
+            again = WRONG_TOOL.question("another tool is mounted: mount again", f"{value}; {problem.summary}")
+            if context.choose(again) != YES:
+                raise
+    raise AssertionError("the last mounting has returned or raised")
