@@ -5,6 +5,7 @@ TOML, strict: unknown keys are errors, and all mistakes are reported at once.
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -96,6 +97,14 @@ class Calibrations(Strict):
     )
 
 
+class WatchPatient(StrEnum):
+    """Which motions the tracker watches the patient's spheres in."""
+
+    INSTRUMENT = "instrument"  # those with the guide mounted, and the hold at the target
+    ALWAYS = "always"  # also those of the stereo head
+    NEVER = "never"  # only at rest, before and after motions
+
+
 class ProcedureSettings(Strict):
     """Assumptions and settings of the procedure in this theatre."""
 
@@ -111,6 +120,10 @@ class ProcedureSettings(Strict):
     coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = Field(
         default=3.0,
         description="Largest difference between stereo head and tracker for one and the same sphere.",
+    )
+    watch_patient: WatchPatient = Field(
+        default=WatchPatient.INSTRUMENT,
+        description="In which motions the tracker watches the spheres on the head: a shift stops the arm.",
     )
 
 

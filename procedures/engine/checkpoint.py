@@ -47,6 +47,8 @@ class Checkpoint:
         """`rest` is held, with state and reason, while the case rests; `sleep` takes theatre time."""
         self.guards = list(guards)
         self.beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while guards look
+        # Held, with what is done, while the arm moves and while an instrument is at its target.
+        self.watching: Callable[[str], AbstractContextManager[None]] = lambda _what: nullcontext()
         self._ask = ask
         self._rest = rest
         self._sleep = sleep

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import chain, count
@@ -167,6 +168,10 @@ class StepContext:
         """Say how far the step is, 0..1, and what it is doing; rests here when the operator wants a pause."""
         self._publish(Progress(step=str(self.key), share=share, text=text))
         self._checkpoint.here(f"{self.key}, {text}")
+
+    def watching(self, what: str) -> AbstractContextManager[None]:
+        """Watch the patient meanwhile, as during a motion."""
+        return self._checkpoint.watching(what)
 
     def find(self, text: str) -> None:
         """Record something that the operator should know and that stops nothing."""

@@ -345,7 +345,7 @@ class Engine:
             self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
         return stored
 
-    def _void(self, key: StepKey, reason: RonnaError) -> None:
+    def void(self, key: StepKey, reason: RonnaError) -> None:
         """A standing result no longer holds, nor what descends from it."""
         gone = [record.identifier for record in self.case.superseded_by(key)]
         self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
@@ -383,7 +383,7 @@ class Engine:
             _checkpoint=self.checkpoint,
             _publish=self.events.publish,
             _find=self.find,
-            _void=self._void,
+            _void=self.void,
         )
 
     def _logged(self, text: str) -> str:

@@ -11,7 +11,7 @@ class BaseShifted(RefusedError):
     code = "PRO-019"
     action = (
         "Find out what was moved and lock it, then localize again from global_localization on; with the "
-        "guide mounted retreat home and end the case."
+        "guide mounted send the arm home first."
     )
 
 
@@ -31,5 +31,5 @@ class PatientMoved(RefusedError):
     code = "PRO-020"
     action = (
         "Check clamp and spheres, then localize again from global_localization on; with the guide mounted "
-        "retreat home and end the case."
+        "send the arm home first."
     )

@@ -6,9 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from procedures.engine.checkpoint import Guard
+from procedures.engine.engine import Engine
+from procedures.engine.events import Finding
+from procedures.engine.step import StepKey
 from procedures.guards.arm_link import ArmLink
 from procedures.guards.disk_space import DiskSpace
 from procedures.guards.line_of_sight import LineOfSight
+from procedures.guards.motion_watch import MotionWatch
 from procedures.guards.mounted_tool import ToolStillMounted
 from procedures.guards.wall_clock import WallClock
 from procedures.workcell import Workcell
@@ -25,4 +29,18 @@ def standing_guards(
         ArmLink(workcell),
         ToolStillMounted(workcell),
         LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
+    )
+
+
+def patient_watch(engine: Engine, localization: StepKey) -> MotionWatch:
+    """The watch of the patient while the arm moves; that localization is void when it sees the head move."""
+    setting = engine.setting
+    return MotionWatch(
+        setting.workcell,
+        setting.clock,
+        setting.workspace,
+        setting.settings.watch_patient,
+        find=engine.find,
+        tell=lambda text: engine.events.publish(Finding(text=text)),
+        void=lambda moved: engine.void(localization, moved),
     )

@@ -12,6 +12,7 @@ from enum import StrEnum
 from procedures.engine.checkpoint import LEAVE, WAIT
 from procedures.engine.errors import GateFailed, GuardUnmet, OperatorAborted
 from procedures.engine.operator import NO, YES, Question, Topic
+from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.registration.errors import NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
@@ -131,6 +132,16 @@ FIT_DISAGREES = Branch(
     Ending.HOLD,
     (GateFailed,),
 )
+REFERENCE_MOVED = Branch(
+    "the patient's reference has moved: head, cart or tracker",
+    "known spheres and the frame on the arm, at rest before and after motions; the spheres also while the "
+    "guide moves and while it is at its target",
+    ("relocalization", "tool_change", "positioning", "at_target", "retreat"),
+    "the arm stops; localization and registration are void: home, the stereo head is mounted again, and the "
+    "tracker localizes anew",
+    Ending.HOLD,
+    (BaseShifted, PatientMoved),
+)
 BEYOND_MARGIN = Branch(
     "the predicted error at a target exceeds the plan's margin",
     "propagation of all errors to the target",
@@ -178,9 +189,9 @@ KEPT_REGISTRATION = Branch(
     (YES, NO),
 )
 WRONG_TOOL = Branch(
-    "another tool than the guide is mounted after the exchange",
+    "another tool than the one that was asked for is mounted after an exchange",
     "the controller's inputs",
-    ("tool_change",),
+    ("tool_change", "global_localization"),
     f"it is mounted again and read again, {MOUNTINGS} times at most; nothing moves",
     Ending.ASK,
     (WrongTool,),
@@ -198,6 +209,6 @@ ABORTED = Branch(
 
 BRANCHES = (
     *(SPHERE_COUNT, CT_DISAGREEMENT, SIGHT_LOST, GUARD_UNMET, AMBIGUOUS, SPHERE_FAILED, WRONG_SPHERE),
-    *(MOVED_SPHERE, FIT_DISAGREES, BEYOND_MARGIN, UNREACHABLE, NOT_CLEAR_NOW, ARM_FAULT),
+    *(REFERENCE_MOVED, MOVED_SPHERE, FIT_DISAGREES, BEYOND_MARGIN, UNREACHABLE, NOT_CLEAR_NOW, ARM_FAULT),
     *(KEPT_REGISTRATION, WRONG_TOOL, ABORTED),
 )

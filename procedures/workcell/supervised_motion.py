@@ -7,6 +7,7 @@ motion since the arm was last stopped or its stream ended is confirmed by the op
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed
@@ -88,7 +89,7 @@ class SupervisedMotion:
                 self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", [facts()], trajectory)
             resume()
             try:
-                with self._log.motion(what, to, trajectory, **more) as reached:
+                with self._log.motion(what, to, trajectory, **more) as reached, self._watching(what):
                     move(reached)
                 return reached[-1]
             except MotionInterrupted:
@@ -96,3 +97,7 @@ class SupervisedMotion:
                 if self._checkpoint is None:
                     raise
                 self._checkpoint.stopped(f"the motion {what!r}", "plans it anew from where the arm stands")
+
+    def _watching(self, what: str) -> AbstractContextManager[None]:
+        checkpoint = self._checkpoint
+        return nullcontext() if checkpoint is None else checkpoint.watching(f"the motion {what!r}")

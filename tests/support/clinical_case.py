@@ -125,9 +125,11 @@ class SeeingTracker(RecordingDevice):
     cell: ClinicalCell | None = None
     spheres_mm: Array = field(default_factory=SPHERES_MM.copy)
     frame_shift_mm: Numbers3 = (0.0, 0.0, 0.0)
+    frames_read: int = 0
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         assert self.cell is not None
+        self.frames_read += 1
         records = self.cell.calibrations
         tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         marker = records.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)

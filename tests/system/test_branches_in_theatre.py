@@ -8,7 +8,9 @@ import pytest
 import tomli_w
 from user_commands import Commands
 
+from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
+from procedures.guards.errors import PatientMoved
 from sim.theatre.scene.named_scenes import named_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
@@ -63,3 +65,27 @@ def test_a_trajectory_beyond_its_margin_is_left_out_and_the_other_is_done(
     assert f"positioning:{first.identifier}" not in done
     report = (tmp_path / outcome["run"] / "report.html").read_text()
     assert f"{first.identifier} was left out" in report
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.branch("REFERENCE_MOVED")
+def test_a_head_that_moves_while_the_guide_is_withdrawn_stops_the_arm_within_twelve_frames(
+    commands: Commands, tmp_path: Path
+) -> None:
+    faults = tmp_path / "faults.txt"
+    faults.write_text("when step == retreat: room shift head 0.3 0.4 0 mm\n")
+    case = ("--seed", "3", "--scene", "mini", "--faults", str(faults), "--out", str(tmp_path / "runs"))
+    ran = commands.run("ronna-procedure", "run", "--sim", *case, timeout_s=300)
+    assert ran.returncode == PatientMoved.exit_code
+    assert "PRO-020" in ran.stderr
+    (folder,) = (tmp_path / "runs").iterdir()
+    lines = list(read_journal(folder / JOURNAL_FILE))
+    began_s = next(line["theatre_time_s"] for line in lines if line.get("what") == "withdraw")
+    told = [json.loads(line) for line in (folder / EVENTS_FILE).read_text().splitlines()]
+    alarm_s = next(
+        line["theatre_time_s"] for line in told if "the arm is stopped" in line["what"].get("text", "")
+    )
+    assert alarm_s - began_s <= 12 / 60
+    stopped = next(line for line in lines if line.get("error") == "PRO-020")
+    assert stopped["theatre_time_s"] > alarm_s  # on its way: the motion takes 2.5 s
+    assert not [line for line in lines if line["entry"] == "result" and line["step"] == "retreat:T1"]

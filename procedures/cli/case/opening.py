@@ -237,7 +237,9 @@ def _make_engine(
     from procedures.engine.events.event_file import EventFile
     from procedures.engine.journal import Entry, Journal
     from procedures.engine.replay.sections import opening_line, section_follower
-    from procedures.guards import standing_guards
+    from procedures.engine.step import StepKey
+    from procedures.guards import patient_watch, standing_guards
+    from procedures.steps.clinical.global_localization import GlobalLocalization
     from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
     from procedures.workcell import Workcell
     from ronna_hw.recording.byte_lines import BYTES_FOLDER
@@ -309,4 +311,5 @@ def _make_engine(
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
     if wanted.clinical is not None:
         engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
+    engine.checkpoint.watching = patient_watch(engine, StepKey(GlobalLocalization.kind)).watching
     return engine

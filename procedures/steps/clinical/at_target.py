@@ -45,7 +45,9 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         trajectory=context.trajectory,
         timeout_s=None,
     )
-    if context.choose(question) != DONE:
+    with context.watching(f"the hold at {context.trajectory}"):
+        answer = context.choose(question)
+    if answer != DONE:
         raise NotConfirmed(f"nobody said that the work at {context.trajectory} is done", action=STAYS)
     return Outcome(
         ReachedTarget(tool_pose=FramedPose.of(reached), nominal_error_mm=error_mm),

@@ -30,6 +30,7 @@ def check_room(context: StepContext, where: str) -> None:
     try:
         findings = watch.check(_read(context, watch))
     except (BaseShifted, PatientMoved) as moved:
+        context.setting.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
         context.void(GlobalLocalization, moved)
         raise
     for finding in findings:

@@ -1,0 +1,168 @@
+"""Watches the patient with the tracker while the arm moves, and while an instrument is at its target.
+
+A thread of its own reads the tracker; it stops the arm when the spheres on the head are not where they were
+localized. It reads every third frame, and every frame while there is doubt. What it saw is told by the thread
+that moves, when the motion has ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from procedures.engine.workspace import Workspace
+from procedures.guards.errors import PatientMoved
+from procedures.guards.head_frames import HeadFrames
+from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomWatch
+from procedures.workcell import MountedTool, Workcell
+from ronna_hw.clock import Clock
+from ronna_hw.config import WatchPatient
+from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import Validity
+from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError
+
+FRAME_S = 1 / 60  # of the tracker's frame counter
+PASSED_FRAMES = 2  # unread, while there is no doubt
+PASSED_S = (PASSED_FRAMES - 0.5) * FRAME_S  # theatre time
+LONGEST_UNSEEN_S = 5.0  # theatre time under way; then the operator is told
+FIRST_FRAME_S = 1.0  # host time to wait for the first frame; without it the motion begins all the same
+READ_LIMIT_S = 3.0  # host time: above what a simulated controller waits for a reply
+
+
+@dataclass
+class MotionWatch:
+    """One for a run. `find` and `void` write to the journal, `tell` shows at once, from any thread."""
+
+    workcell: Workcell
+    clock: Clock
+    workspace: Workspace
+    when: WatchPatient
+    find: Callable[[str], None]
+    tell: Callable[[str], object]
+    void: Callable[[RonnaError], None]
+    _room: RoomWatch | None = None
+    _head: HeadFrames = field(init=False)
+    _unseen_s: float = 0.0
+
+    @contextmanager
+    def watching(self, what: str) -> Iterator[None]:
+        """Around a motion or a wait. Raises PRO-020 when the head has moved; the arm is at rest then."""
+        room = self.workspace.find(RoomWatch)
+        if room is None or not self._wanted:
+            yield
+            return
+        if self._room is not room:
+            self._room, self._head, self._unseen_s = room, HeadFrames(room.spheres_mm), 0.0
+        looking = _Looking(self.workcell, self.clock, self._head, lambda: self._alarm(what))
+        looking.begin()
+        try:
+            yield
+        except MotionInterrupted:
+            self._conclude(looking.end(), what)
+            raise
+        except BaseException as error:
+            if not isinstance(error, RonnaError):
+                self.workcell.stop()  # first: the last frame may take its time
+            looking.end()
+            raise
+        self._conclude(looking.end(), what)
+
+    @property
+    def _wanted(self) -> bool:
+        if self.when is WatchPatient.NEVER or self.workcell.tracker.state is not Lifecycle.CONFIGURED:
+            return False
+        return self.when is WatchPatient.ALWAYS or self.workcell.tool is MountedTool.GUIDE
+
+    def _alarm(self, what: str) -> None:
+        self.tell(f"the head, or the tracker, has moved during {what}: the arm is stopped")
+        self.workcell.stop()
+
+    def _conclude(self, seen: _Looking, what: str) -> None:
+        if seen.moved_mm is not None:
+            self.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
+            moved = PatientMoved(
+                f"the head, or the tracker, has moved during {what}",
+                limit=f"{PATIENT_LIMIT_MM:g} mm",
+                got=f"{seen.moved_mm:.2f} mm",
+            )
+            self.void(moved)
+            raise moved
+        if seen.problem is not None:
+            self.find(f"nothing watched the head during {what}: {seen.problem.summary}")
+        told = self._unseen_s > LONGEST_UNSEEN_S
+        self._unseen_s = seen.unseen_s + (0.0 if seen.has_seen else self._unseen_s)
+        if self._unseen_s > LONGEST_UNSEEN_S and not told:
+            self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
+
+
+@dataclass
+class _Looking:
+    """Reads frames until it is told to end. `unseen_s` is theatre time since the head was seen last."""
+
+    workcell: Workcell
+    clock: Clock
+    head: HeadFrames
+    alarm: Callable[[], None]
+    moved_mm: float | None = None
+    problem: RonnaError | None = None
+    has_seen: bool = False
+    unseen_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._ending, self._first = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
+        # Stopping waits for the arm to rest; in lock-step it does not come to rest while no frame is read.
+        self._stopping = threading.Thread(target=self.alarm, name="stop by the patient watch", daemon=True)
+
+    def begin(self) -> None:
+        """Start; returns when the first frame has been read."""
+        self._thread.start()
+        self._first.wait(FIRST_FRAME_S)
+
+    def end(self) -> _Looking:
+        """Stop looking; what was seen stands in the fields."""
+        self._ending.set()
+        self._thread.join()
+        if self.moved_mm is not None:
+            self._stopping.join()
+        return self
+
+    def _run(self) -> None:
+        tracker = self.workcell.tracker
+        try:
+            tracker.activate()
+            self._read()
+        except RonnaError as problem:  # told when the motion ends; what lasts is latched by the tracker
+            self.problem = problem
+        finally:
+            self._first.set()
+            if tracker.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
+                with contextlib.suppress(RonnaError):
+                    tracker.deactivate()
+
+    def _read(self) -> None:
+        tracker, began_s = self.workcell.tracker, self.clock.now_s()
+        while not self._ending.is_set():
+            try:
+                frame = tracker.read_frame(READ_LIMIT_S)
+            except (LinkTimeout, ProtocolError):  # costs one frame
+                if tracker.state is not Lifecycle.ACTIVE:
+                    raise
+                continue
+            if frame.validity is Validity.STALE:
+                self._ending.wait(FRAME_S / 2)
+                continue
+            self.head.take(frame)
+            self._first.set()
+            if self.head.seen:
+                self.has_seen, began_s = True, self.clock.now_s()
+            self.unseen_s = self.clock.now_s() - began_s
+            if self.moved_mm is None and (self.head.moved_mm or 0.0) >= PATIENT_LIMIT_MM:
+                self.moved_mm = self.head.moved_mm
+                self._stopping.start()
+            if not self.head.doubtful:
+                self.clock.sleep(PASSED_S)

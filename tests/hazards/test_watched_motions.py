@@ -1,0 +1,200 @@
+"""Hazard 12: the head moves while the guide moves or waits at its target, and the arm stops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import (
+    FIRST,
+    SPHERES_MM,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    checked_set_up,
+    coarse,
+    localized_fiducials,
+    mounted_guide,
+    registered_robot,
+)
+from frame_trials import frames_to_alarm
+from recording_cell import STEREO_HEAD
+from waiting import eventually
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import StepRefused
+from procedures.engine.events import Finding
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.engine.operator import Question, Topic
+from procedures.engine.step import StepKey
+from procedures.guards import motion_watch, patient_watch
+from procedures.guards.errors import PatientMoved
+from procedures.steps.clinical import at_target, global_localization, positioning
+from procedures.workcell import MountedTool
+from ronna_hw.config import WatchPatient
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import DeviceError
+
+pytestmark = pytest.mark.hazard(12)
+
+MOVED_MM = np.add(SPHERES_MM, (0.0, 0.5, 0.0))
+MOST_FRAMES = 12
+TRIALS = 40
+
+
+@pytest.fixture(autouse=True)
+def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+
+
+def watched(cell: ClinicalCell) -> Engine:
+    """An engine that stands before the first positioning, with the guide mounted."""
+    cell.carrying(MountedTool.GUIDE)
+    engine = cell.begin(
+        *(checked_set_up(cell), *coarse(), registered_robot(), mounted_guide(), checked_paths(cell)),
+        *(checked_plan(), localized_fiducials(), positioning.STEP, at_target.STEP),
+    )
+    engine.checkpoint.watching = patient_watch(engine, StepKey("global_localization")).watching
+    engine.run_to(engine.order.sequence[7])
+    return engine
+
+
+def on_the_way(cell: ClinicalCell, meanwhile: Callable[[], None]) -> None:
+    """Do something while the first motion is under way."""
+    clear = cell.arm.blocked
+
+    def under_way(_start: JointVector, _target: JointVector) -> bool:
+        cell.arm.blocked = clear
+        meanwhile()
+        return False
+
+    cell.arm.blocked = under_way
+
+
+def head_moves(cell: ClinicalCell) -> Callable[[], None]:
+    """The head moves, and the motion goes on until somebody stops it."""
+
+    def move() -> None:
+        cell.tracker.spheres_mm = MOVED_MM
+        eventually(lambda: cell.arm.stops > 0)
+        cell.arm.interruptions = 1
+
+    return move
+
+
+def findings(cell: ClinicalCell) -> list[str]:
+    lines = read_journal(cell.folder / JOURNAL_FILE)
+    return [str(line["text"]) for line in lines if line["entry"] == "finding"]
+
+
+def positioned(engine: Engine) -> None:
+    engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+
+
+@pytest.mark.branch("REFERENCE_MOVED")
+def test_a_head_that_moves_on_the_way_stops_the_arm_and_voids_what_was_localized(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    on_the_way(cell, head_moves(cell))
+    with pytest.raises(PatientMoved, match="has moved during the motion 'go'"):
+        positioned(engine)
+    assert cell.arm.motions == []  # it has not arrived
+    assert cell.entries("voided", "failed") == [
+        ("voided", "global_localization"),
+        ("failed", f"positioning:{FIRST}"),
+    ]
+    assert engine.machine.state == "held"
+    engine.retreat_home()  # not stopped by the same shift
+    assert cell.workcell.at_home
+
+
+def test_a_head_that_moves_while_the_surgeon_works_is_told_at_once(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    positioned(engine)
+    reader, answer = engine.events.subscribe(), cell.operator.ask
+
+    def told() -> bool:
+        return any(isinstance(one.what, Finding) for one in reader.read(0.1).events)
+
+    def move_and_answer(question: Question) -> str:
+        if question.topic is Topic.AT_TARGET:
+            cell.tracker.spheres_mm = MOVED_MM
+            eventually(told)
+        return answer(question)
+
+    cell.operator.ask = move_and_answer  # type: ignore[method-assign]
+    with pytest.raises(PatientMoved, match=f"the hold at {FIRST}"):
+        engine.run_step(engine.order.find(f"at_target:{FIRST}"))
+
+
+def test_a_head_out_of_sight_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motion_watch, "LONGEST_UNSEEN_S", 0.05)
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+
+    def hide() -> None:
+        cell.tracker.spheres_mm = SPHERES_MM[:2]
+        read = cell.tracker.frames_read
+        eventually(lambda: cell.tracker.frames_read > read + 4)
+
+    on_the_way(cell, hide)
+    positioned(engine)
+    assert len([text for text in findings(cell) if "has not seen the head" in text]) == 1
+
+
+def test_a_tracker_that_fails_on_the_way_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    read = cell.tracker.read_frame
+
+    def fail(_timeout_s: float = 1.0) -> None:
+        cell.tracker.read_frame = read  # type: ignore[method-assign]
+        raise DeviceError("it is too hot")
+
+    def break_it() -> None:
+        cell.tracker.read_frame = fail  # type: ignore[assignment,method-assign]
+        eventually(lambda: cell.tracker.state is Lifecycle.CONFIGURED)
+
+    on_the_way(cell, break_it)
+    positioned(engine)
+    assert any("nothing watched the head" in text for text in findings(cell))
+
+
+@pytest.mark.parametrize(("when", "watches"), [(WatchPatient.NEVER, False), (WatchPatient.INSTRUMENT, True)])
+def test_the_watch_is_a_setting(tmp_path: Path, when: WatchPatient, watches: bool) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    watch = patient_watch(engine, StepKey("global_localization"))
+    watch.when = when
+    engine.checkpoint.watching = watch.watching
+    seen: list[Lifecycle] = []
+    on_the_way(cell, lambda: seen.append(cell.tracker.state))
+    positioned(engine)
+    assert (seen == [Lifecycle.ACTIVE]) is watches
+
+
+def test_home_the_stereo_head_is_mounted_again_and_the_case_begins_with_the_tracker(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path).carrying(MountedTool.GUIDE)
+    engine = cell.begin(checked_set_up(cell), global_localization.STEP)
+    engine.run_to(engine.order.sequence[0])
+    home = cell.arm.joints_rad
+    A1, *others = home
+    cell.arm.joints_rad = (A1 + 0.2, *others)
+    with pytest.raises(StepRefused, match="send it home"):
+        engine.run_to()
+    engine.retreat_home()
+    engine.run_to()
+    assert cell.room.changed == [(STEREO_HEAD, Lifecycle.CONFIGURED, home)]
+    assert cell.operator.asked[-1].value == f"the stereo head, tool {STEREO_HEAD}"
+    assert cell.workcell.tool is MountedTool.STEREO_HEAD
+    assert engine.upcoming is None
+
+
+def test_half_a_millimetre_is_noticed_within_twelve_frames_and_quiet_motions_raise_no_alarm() -> None:
+    noticed = [frames_to_alarm(trial, 0.5) for trial in range(TRIALS)]
+    assert max(noticed, key=lambda count: count or 99) in range(1, MOST_FRAMES + 1), noticed
+    assert {frames_to_alarm(trial, 0.0) for trial in range(TRIALS)} == {None}
