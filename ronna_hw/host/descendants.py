@@ -17,9 +17,10 @@ def descendants_of(number: int) -> list[psutil.Process]:
     import psutil  # not before it is needed: device processes import little
 
     try:
-        return psutil.Process(number).children(recursive=True)
+        below: list[psutil.Process] = psutil.Process(number).children(recursive=True)
     except psutil.Error:
         return []
+    return below
 
 
 def kill_all(processes: list[psutil.Process]) -> None:

@@ -27,7 +27,8 @@ READ_BYTES = 65536
 GARBAGE = b"\xff\x00 what? />\r\n"
 PADDING = b"\0" * 64
 
-_TAG = re.compile(rb"<(/?)([A-Za-z_][\w.:-]*)(?:[^<>\"']|\"[^\"<]*\"|'[^'<]*')*?(/?)>")
+# Nothing is given back that was matched (*+): a tag without an end must not cost the square of its length.
+_TAG = re.compile(rb"<(/?)([A-Za-z_][\w.:-]*+)(?:[^<>\"'/]|/(?!>)|\"[^\"<]*+\"|'[^'<]*+')*+(/?)>")
 _OPENING = re.compile(rb"<[A-Za-z_]")
 
 

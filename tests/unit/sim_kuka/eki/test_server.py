@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterator
+from time import process_time
 from typing import Any
 from xml.etree import ElementTree
 
@@ -13,7 +14,17 @@ from ronna_hw.endpoints import Endpoint
 from sim.kuka.controller.autostart import Autostart
 from sim.kuka.eki import server as eki_server
 from sim.kuka.eki.sdk_channel import SdkChannel
-from sim.kuka.eki.server import GARBAGE, PADDING, UNREAD_LIMIT, EkiServer, after_garbage, half, padded
+from sim.kuka.eki.server import (
+    GARBAGE,
+    PADDING,
+    READ_BYTES,
+    UNREAD_LIMIT,
+    EkiServer,
+    after_garbage,
+    cut_requests,
+    half,
+    padded,
+)
 
 LOOP_S = 0.012
 
@@ -191,3 +202,11 @@ def test_the_sdks_client_is_told_the_status_once_and_again_when_it_changes(
         line.loop()
         told.append(line.heard().count(b"<Status "))
     assert told == [1, 0, 1, 0]
+
+
+@pytest.mark.parametrize("tail", [b"9", b"a ", b"'", b'"', b"/", b"<a ", b"<a>", b'<a "'])
+def test_a_request_without_an_end_costs_no_more_than_its_length(tail: bytes) -> None:
+    began_s = process_time()
+    found, _ = cut_requests(b'<Cmd Id="1"></Cmd><Cmd' + tail * (READ_BYTES // len(tail)))
+    assert found == [b'<Cmd Id="1"></Cmd>']
+    assert process_time() - began_s < 1.0

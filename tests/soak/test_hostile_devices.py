@@ -1,0 +1,263 @@
+"""A device that means harm: the driver says so with a code, in time, and nothing grows."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any
+
+import psutil
+import pytest
+from faulty_cameras import AREA
+from hostile_devices import HostileCamera, HostileLine, HostileTelegrams, free_camera_addresses
+from waiting import eventually
+
+from drivers.basler_stereo import BaslerStereoPair
+from drivers.kuka_rsi import KukaRsiArm
+from drivers.ndi_polaris import PolarisTracker
+from ronna_hw.clock import HostClock, open_clock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import RonnaError, StateError
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.loopback import own_udp_endpoint
+from sim.theatre.process import load_scene
+from sim.theatre.world import World
+
+LIMIT_S = 3.0  # given to each call
+MOST_S = 8.0  # what it may take on these machines, which stall
+CLOSES_IN_S = 12.0
+WARM_SHARE = 0.3  # of the time; then what is kept is full
+GROWTH_LIMIT_BYTES = 24 << 20
+BEHIND_THE_TAP = 1
+lengths = pytest.mark.parametrize(
+    "duration_s", [pytest.param(25.0, marks=pytest.mark.slow), pytest.param(600.0, marks=pytest.mark.soak)]
+)
+pytestmark = [pytest.mark.timeout(1500), pytest.mark.hazard(16)]
+
+
+@dataclass
+class Stand:
+    """One driver before its hostile device. Each session is `calls` in turn, to the first error."""
+
+    make: Callable[[], Any]
+    calls: Callable[[Any], list[Callable[[], Any]]]
+    turn: Callable[[], str]  # another malice; tells which
+    ended: Callable[[], None] = lambda: None  # after each session
+    codes: Counter[str] = field(default_factory=Counter)
+    sessions: int = 0
+
+    def session(self) -> None:
+        malice = self.turn()
+        device = self.make()
+        self.sessions += 1
+        try:
+            for call in self.calls(device):
+                with at_most(MOST_S, f"{malice}: {call}"):
+                    call()
+        except RonnaError as error:
+            self.codes[error.code] += 1  # an error without one is counted below
+        else:
+            self.codes["none"] += 1
+        finally:
+            with at_most(CLOSES_IN_S, f"{malice}: close"):
+                device.close()
+        self.ended()
+
+    def last(self, duration_s: float) -> None:
+        began_s = time.monotonic()
+        before: Usage | None = None
+        while (passed_s := time.monotonic() - began_s) < duration_s:
+            self.session()
+            if before is None and passed_s > WARM_SHARE * duration_s:
+                before = Usage.now()
+        assert before is not None
+        after = Usage.now()
+        print(f"{self.sessions} sessions, {dict(self.codes)}, {before} -> {after}")
+        assert after.descriptors <= before.descriptors
+        assert after.threads <= before.threads
+        assert after.children <= before.children
+        assert after.resident_bytes - before.resident_bytes < GROWTH_LIMIT_BYTES
+        assert len(self.codes) > 1
+        assert "" not in self.codes
+
+
+@dataclass(frozen=True)
+class Usage:
+    """Of this process."""
+
+    resident_bytes: int
+    descriptors: int
+    threads: int
+    children: int
+
+    @classmethod
+    def now(cls) -> Usage:
+        gc.collect()
+        own = psutil.Process()
+        return cls(
+            own.memory_info().rss,
+            len(os.listdir("/proc/self/fd")),
+            threading.active_count(),
+            len(own.children(recursive=True)),
+        )
+
+
+@contextlib.contextmanager
+def at_most(limit_s: float, what: str) -> Iterator[None]:
+    began_s = time.monotonic()
+    yield
+    took_s = time.monotonic() - began_s
+    assert took_s < limit_s, f"{what} took {took_s:.1f} s"
+
+
+@lengths
+def test_tracker(duration_s: float) -> None:
+    with ExitStack() as stack:
+        words = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0")
+        unit = stack.enter_context(ChildProcess("ronna-sim polaris", words))
+        line = stack.enter_context(HostileLine(parse_endpoint(unit.ready["endpoint"]), seed=1))
+
+        def turn() -> str:
+            line.silence(False)
+            return line.choose()
+
+        def make() -> PolarisTracker:
+            tools = [{"name": "robot_frame", "rom": "robot_frame.rom"}]
+            config = DeviceConfig(driver="ndi_polaris", endpoint=line.endpoint, options={"tools": tools})
+            return PolarisTracker("tracker", config, HostClock())
+
+        def calls(tracker: PolarisTracker) -> list[Callable[[], Any]]:
+            return [
+                lambda: tracker.connect(LIMIT_S),
+                lambda: tracker.configure(LIMIT_S),
+                lambda: tracker.activate(LIMIT_S),
+                *[tracker.read_frame] * 20,
+                lambda: tracker.deactivate(LIMIT_S),
+            ]
+
+        Stand(make, calls, turn).last(duration_s)
+
+
+@pytest.fixture
+def controller() -> Iterator[tuple[World, dict[str, str]]]:
+    world = World.create(load_scene("bench"), paced=False)
+    free = "tcp://127.0.0.1:0"
+    options = (
+        "--rsi",
+        own_udp_endpoint(),
+        "--eki",
+        free,
+        "--eki-project",
+        free,
+        "--set",
+        "first_request_s=1",
+    )
+    words = command("sim.cli", "kuka", "--world", world.endpoint, *options)
+    with ChildProcess("ronna-sim kuka", words) as child:
+        yield world, child.ready["endpoints"]
+
+
+def _arm(world: World, rsi: str, eki: str) -> KukaRsiArm:
+    endpoints = {"rsi": rsi, "eki_project": eki}
+    config = DeviceConfig(driver="kuka_rsi", endpoints=endpoints)
+    return KukaRsiArm("robot.master", config, open_clock(world.clock_endpoint))
+
+
+def _arm_calls(arm: KukaRsiArm) -> list[Callable[[], Any]]:
+    def move() -> None:
+        A1, A2, A3, A4, A5, A6 = arm.read_state(LIMIT_S).joints_rad
+        arm.move_joints((A1 + (0.05 if A1 < 0.0 else -0.05), A2, A3, A4, A5, A6), timeout_s=LIMIT_S)
+
+    def acknowledge() -> None:
+        with contextlib.suppress(StateError):  # the session before left no message
+            arm.recover("tester", LIMIT_S)
+
+    return [
+        lambda: arm.connect(LIMIT_S),
+        acknowledge,
+        lambda: arm.configure(LIMIT_S),
+        lambda: arm.activate(LIMIT_S),
+        move,
+        move,
+        lambda: arm.deactivate(LIMIT_S),
+    ]
+
+
+@lengths
+def test_arm_by_its_command_channel(controller: tuple[World, dict[str, str]], duration_s: float) -> None:
+    world, endpoints = controller
+    with HostileLine(parse_endpoint(endpoints["eki_project"]), seed=2) as line:
+
+        def turn() -> str:
+            line.silence(False)
+            return line.choose()
+
+        def rests() -> None:
+            eventually(lambda: world.arm().at_rest)
+
+        make = lambda: _arm(world, endpoints["rsi"], line.endpoint)  # noqa: E731
+        Stand(make, _arm_calls, turn, rests).last(duration_s)
+
+
+@lengths
+def test_arm_by_its_real_time_link(controller: tuple[World, dict[str, str]], duration_s: float) -> None:
+    world, endpoints = controller
+    behind = own_udp_endpoint(BEHIND_THE_TAP)
+    tap = HostileTelegrams(parse_endpoint(endpoints["rsi"]), parse_endpoint(behind), seed=3)
+    with tap:
+        shares = (0.0, 0.001, 0.02, 0.5)
+
+        def turn() -> str:
+            tap.share = tap._chosen.choice(shares)
+            return f"{tap.share:.1%} of the telegrams"
+
+        def rests() -> None:
+            tap.share = 0.0
+            eventually(lambda: world.arm().at_rest)
+
+        make = lambda: _arm(world, behind, endpoints["eki_project"])  # noqa: E731
+        Stand(make, _arm_calls, turn, rests).last(duration_s)
+
+
+@lengths
+def test_cameras(duration_s: float) -> None:
+    with ExitStack() as stack:
+        child = stack.enter_context(ChildProcess("ronna-sim basler", command("sim.cli", "basler")))
+        true = [child.ready["endpoints"][side].removeprefix("gev://") for side in ("left", "right")]
+        ours = free_camera_addresses()
+        cameras = [HostileCamera(*pair, seed=seed) for seed, pair in enumerate(zip(true, ours, strict=True))]
+        for camera in cameras:
+            stack.callback(camera.close)
+        draw = cameras[0]._chosen
+
+        def turn() -> str:
+            share = draw.choice((0.0, 0.002, 0.02, 0.3))
+            for camera in cameras:
+                camera.share = share
+            return f"{share:.1%} of the datagrams"
+
+        def make() -> BaslerStereoPair:
+            sides = zip(("left", "right"), ours, strict=True)
+            endpoints = {side: f"gev://{address}" for side, address in sides}
+            config = DeviceConfig(driver="basler_stereo", endpoints=endpoints)
+            return BaslerStereoPair("stereo", config, HostClock())
+
+        def calls(pair: BaslerStereoPair) -> list[Callable[[], Any]]:
+            return [
+                lambda: pair.connect(LIMIT_S),
+                lambda: pair.configure(LIMIT_S),
+                lambda: pair.set_areas(AREA, AREA, LIMIT_S),
+                lambda: pair.activate(LIMIT_S),
+                *[lambda: pair.grab_pair(LIMIT_S)] * 5,
+                lambda: pair.deactivate(LIMIT_S),
+            ]
+
+        Stand(make, calls, turn).last(duration_s)

@@ -1,0 +1,75 @@
+"""A client of a simulator that means harm: on a stream, or by datagrams."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import socket
+import struct
+import time
+from collections.abc import Iterator, Sequence
+
+from mutations import mutations
+
+from ronna_hw.wire.gige_vision import GVCP_COMMAND_HEADER, GVCP_KEY, GvcpCommand
+
+RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # linger for 0 s
+GIVES_UP_S = 0.3  # of a send that nobody takes
+DRIP_S = 0.005
+DRIPS = 60
+ENDLESS_BYTES = 1 << 20
+ASKED_UNREAD = 3000  # requests, whose answers are not read
+MUTANTS = 200
+BRACKETS = (b"[", b"{", b"<a>", b"<!DOCTYPE a [<!ENTITY b 'c'>", b"(", b"\0", b"\xff", b"9", b"GET ", b"\r\n")
+
+
+def maltreat(line: socket.socket, good: Sequence[bytes], chosen: random.Random) -> str:
+    """One malice on a fresh connection, by requests that would be `good`; tells which."""
+    line.settimeout(GIVES_UP_S)
+    kind = chosen.choice(("idle", "drip", "endless", "mutants", "unread", "reset", "half"))
+    with contextlib.suppress(OSError):  # the simulator may well hang up, or take nothing more
+        match kind:
+            case "drip":
+                for byte in (chosen.choice(good) * DRIPS)[:DRIPS]:
+                    line.sendall(bytes((byte,)))
+                    time.sleep(DRIP_S)
+            case "endless":
+                what = chosen.choice(BRACKETS)
+                line.sendall(
+                    chosen.choice((b"", chosen.choice(good)[:-1])) + what * (ENDLESS_BYTES // len(what))
+                )
+            case "mutants":
+                for mutant in mutations(good, MUTANTS, chosen.randrange(2**32)):
+                    line.sendall(mutant)
+            case "unread":
+                line.sendall(chosen.choice(good) * ASKED_UNREAD)
+            case "reset":
+                request = chosen.choice(good)
+                line.sendall(request[: chosen.randrange(len(request) + 1)])
+                line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
+                line.close()
+            case "half":
+                request = chosen.choice(good)
+                line.sendall(request[: chosen.randrange(len(request))])
+    return kind
+
+
+def camera_commands(chosen: random.Random, count: int) -> Iterator[bytes]:
+    """Commands to a camera with any code, length, address and content, and what is no command."""
+    for _ in range(count):
+        code = chosen.choice((*GvcpCommand, chosen.randrange(0x10000)))
+        address = chosen.choice(
+            (0, 0x0A00, 0x0D00, 0x0D18, 0x200, 0x938, 0xFFFFFFFC, chosen.randrange(2**32))
+        )
+        body = struct.pack(">I", address) + chosen.choice(
+            (
+                b"",
+                struct.pack(">HH", 0, chosen.choice((0, 3, 536, 0xFFFF))),
+                struct.pack(">I", chosen.randrange(2**32)),
+                chosen.randbytes(chosen.choice((1, 8, 536, 8000))),
+            )
+        )
+        length = chosen.choice((len(body), 0, 0xFFFF)) & 0xFFFF
+        head = (chosen.choice((GVCP_KEY, GVCP_KEY, 0)), chosen.choice((1, 0x11, 0x80, 0)), code, length)
+        yield struct.pack(GVCP_COMMAND_HEADER, *head, chosen.randrange(0x10000)) + body
+        yield chosen.randbytes(chosen.choice((0, 1, 7, 60_000)))
