@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,7 @@ class Method(StrEnum):
     THESIS_SPHERE = "thesis-sphere"
 
 
+X_FRAME = "xframe"  # a layout that needs no file
 READING_SHARE = 0.4  # of the progress bar
 PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look at
 
@@ -61,6 +63,14 @@ def localize(
             help="combined is ours; the other two are the thesis methods, for comparison.",
         ),
     ] = Method.COMBINED,
+    layout: Annotated[
+        str | None,
+        typer.Option(
+            "--layout",
+            metavar="xframe|FILE",
+            help="Keep this layout, in its order, or fail: the x-shaped frame, or points as for --pick.",
+        ),
+    ] = None,
     pick: Annotated[
         Path | None,
         typer.Option(
@@ -105,7 +115,7 @@ def localize(
     sigma is the predicted 3-D error of a centre (rms), agree the distance between its two estimates, in mm.
     elapsed_s is the localization time, without reading the files.
     Exit codes: 0 markers found, 1 the series is unusable or a file cannot be written, 2 usage,
-    3 no markers, or another number than expected (the candidates are listed), 130 interrupted.
+    3 no markers, another number than expected (the candidates are listed) or not the layout, 130 interrupted.
     """
     console.set_up_logging(verbose)
     import procedures.imaging as imaging
@@ -116,6 +126,7 @@ def localize(
     if pick is not None and method is not Method.COMBINED:
         raise UsageMistake("--pick works with the combined method only; leave --method out")
     picks_mm = None if pick is None else imaging.read_picks(pick)
+    layout_mm = None if layout is None else _layout_mm(layout)
     refused: MarkerCountWrong | None = None
     with console.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
@@ -153,6 +164,12 @@ def localize(
 
             _write_pictures(pictures, "candidate", candidate_pictures(volume, likely[:PICTURED_CANDIDATES]))
         raise refused
+    found = None
+    if layout_mm is not None:
+        from procedures.registration import find_layout
+
+        found = find_layout(layout_mm, result.centres_mm)
+        result = replace(result, markers=tuple(result.markers[place] for place in found.order))
     if pictures is not None:
         from procedures.imaging.pictures import marker_pictures
 
@@ -160,8 +177,15 @@ def localize(
     write_spheres(result, write or (), patient)
     candidates = imaging.likeliest_first(result.candidates) if show_candidates else None
     if as_json:
-        console.print_json(_document(result, elapsed_s, patient, candidates))
+        document = _document(result, elapsed_s, patient, candidates)
+        if found is not None:
+            document["layout"] = {"residual_rms_mm": found.residual_rms_mm, "others": len(found.others)}
+        console.print_json(document)
         return
+    if found is not None:
+        console.tell(
+            f"the layout is there, to {found.residual_rms_mm:.3f} mm rms; other spheres: {len(found.others)}"
+        )
     _print_markers(result)
     if candidates is not None:
         _print_candidates(candidates)
@@ -205,6 +229,14 @@ def view(
         page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, likely, outcome)
     out.write_text(page, encoding="utf-8")
     console.tell(f"{outcome} Page {out}")
+
+
+def _layout_mm(layout: str) -> Any:
+    """Spheres of the layout (k, 3) mm, in its own frame."""
+    from procedures.imaging import read_picks
+    from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+    return SPHERE_CENTRES_MM if layout == X_FRAME else read_picks(Path(layout))
 
 
 def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:

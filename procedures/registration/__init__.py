@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         fre_gate,
         fre_limit_mm,
     )
+    from procedures.registration.layout import FoundLayout, find_layout
     from procedures.registration.matching import match
     from procedures.registration.point_registration import (
         Caveat,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Caveat",
     "CloudFit",
+    "FoundLayout",
     "FreGate",
     "Hypothesis",
     "Match",
@@ -48,6 +50,7 @@ __all__ = [
     "TargetError",
     "TwoWayTable",
     "drop_one_explanations",
+    "find_layout",
     "fle_from_fre_mm",
     "fle_of_one_space_mm",
     "fre_gate",
@@ -70,6 +73,7 @@ _HOMES = {
     ),
     "point_registration": ("Caveat", "Registration", "TargetError", "drop_one_explanations", "register"),
     "correspondence": ("Hypothesis", "Match", "MatchStatus", "Prior"),
+    "layout": ("FoundLayout", "find_layout"),
     "matching": ("match",),
     "template": ("match_by_template",),
     "verification": ("RoomPoint", "TwoWayTable", "verify_two_way"),

@@ -82,3 +82,10 @@ class SymmetricCloud(DataError):
 
     code = "REG-011"
     action = "Give an approximate transform as the start, or register paired fiducials."
+
+
+class LayoutNotFound(RefusedError):
+    """The spheres of a scan do not show the layout that was asked for, or show it in more ways than one."""
+
+    code = "REG-012"
+    action = "Check that scan and layout belong together; without --layout every sphere is listed."

@@ -68,6 +68,12 @@ def test_rough_picks_are_refined_and_flagged(series: Path, tmp_path: Path) -> No
     assert [one["accepted"] for one in document["candidates"]] == [True, True]
 
 
+def test_a_scan_without_the_layout_is_refused(series: Path) -> None:
+    done = ronna_ct("localize", series, "--layout", "xframe")
+    assert done.returncode == 3
+    assert "REG-012: the scan shows the layout not, or not whole" in done.stderr
+
+
 def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> None:
     done = ronna_ct("localize", series, "--method", "thesis-sphere", "--expected", 2)
     assert (done.returncode, done.stderr) == (0, "")

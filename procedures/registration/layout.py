@@ -1,0 +1,56 @@
+"""A layout of spheres that is known beforehand, found among the spheres of a scan, or refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.errors import LayoutNotFound
+from procedures.registration.matching import match
+from procedures.registration.points import checked_points
+from procedures.registration.template import TEMPLATE_SIGMA_MM
+
+# Per axis: scale and table feed of a scanner over the width of a frame (0.1 % of 100 mm), beside the noise.
+SCAN_SIGMA_MM = 0.12
+
+
+@dataclass(frozen=True, eq=False)
+class FoundLayout:
+    """Where a layout is: `order` (k,) holds, for each of its spheres, the index of the scan's."""
+
+    order: NDArray[np.intp]
+    scan_from_layout: RigidTransform
+    residual_rms_mm: float
+    others: tuple[int, ...]
+
+
+def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
+    """Find a layout (k, 3), k at least 3, among the spheres (n, 3) of a scan, both in mm.
+
+    Every sphere of the layout must be there, in one way only, each where the others say within what a scanner
+    makes of it. Raises REG-012, REG-001.
+    """
+    layout, spheres = checked_points(layout_mm, "layout"), checked_points(spheres_mm, "scan")
+    found = match(
+        layout,
+        spheres,
+        sigma_image_mm=TEMPLATE_SIGMA_MM,
+        sigma_physical_mm=SCAN_SIGMA_MM,
+        expected=len(layout),
+    )
+    if found.transform is None or found.status is not MatchStatus.UNIQUE:
+        how = "in more ways than one" if found.status is MatchStatus.AMBIGUOUS else "not, or not whole"
+        raise LayoutNotFound(
+            f"the scan shows the layout {how}",
+            expected=f"all {len(layout)} spheres of the layout",
+            got=f"{len(spheres)} spheres",
+        )
+    order = found.pairs[np.argsort(found.pairs[:, 0]), 1]
+    residuals_mm = np.linalg.norm(found.transform.apply(layout) - spheres[order], axis=1)
+    return FoundLayout(
+        order, found.transform, float(np.sqrt(np.mean(np.square(residuals_mm)))), found.unmatched_physical
+    )

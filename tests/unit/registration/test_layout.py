@@ -1,0 +1,46 @@
+"""A layout is found among the spheres of a scan whole and in one way, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.registration import find_layout
+from procedures.registration.errors import LayoutNotFound
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+FRAME_MM = np.array(SPHERE_CENTRES_MM)
+OTHERS_MM = np.array([[80.0, 20.0, -40.0], [-70.0, 66.0, -20.0], [10.0, -90.0, -60.0]])
+
+
+def scan_of(spheres_mm: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The spheres in any pose and order, with the scale error of a scanner; and where each of them went."""
+    random = np.random.default_rng(seed)
+    pose = RigidTransform.from_components(random.uniform(-300, 300, 3), Rotation.random(rng=random))
+    seen = pose.apply(spheres_mm * random.uniform(0.999, 1.001)) + 0.02 * random.normal(size=spheres_mm.shape)
+    order = random.permutation(len(seen))
+    return seen[order], np.argsort(order)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_frame_is_found_among_other_spheres_in_its_own_order(seed: int) -> None:
+    spheres, where = scan_of(np.vstack([FRAME_MM, OTHERS_MM]), seed)
+    found = find_layout(FRAME_MM, spheres)
+    assert found.order.tolist() == where[:4].tolist()
+    assert sorted(found.others) == sorted(where[4:].tolist())
+    assert found.residual_rms_mm < 0.15
+
+
+@pytest.mark.parametrize(
+    "spheres_mm",
+    [
+        FRAME_MM[:3],  # one is missing
+        FRAME_MM + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [1.5, 0, 0]]),  # one was bent
+        np.vstack([FRAME_MM[:3], OTHERS_MM]),
+        np.vstack([FRAME_MM, FRAME_MM + np.array([0.0, 0.0, 60.0])]),  # two frames
+    ],
+)
+def test_a_scan_without_the_whole_frame_or_with_two_is_refused(spheres_mm: np.ndarray) -> None:
+    with pytest.raises(LayoutNotFound, match="REG-012"):
+        find_layout(FRAME_MM, scan_of(spheres_mm, 1)[0])
