@@ -44,7 +44,7 @@ class Recorder(Protocol):
 class Engine:
     """One run of a procedure. A step that fails leaves the case held: the arm at rest, every result standing.
 
-    `on_ending` is called before the arm is stopped for good.
+    `on_ending` is called before the arm is stopped for good, `before_result` before a result stands.
     """
 
     def __init__(
@@ -56,6 +56,7 @@ class Engine:
         *,
         events: EventStream | None = None,
         on_ending: Callable[[], None] = lambda: None,
+        before_result: Callable[[], None] = lambda: None,
         recorders: Sequence[Recorder] = (),
         recovering: bool = False,
         latest: StepKey | None = None,
@@ -73,6 +74,7 @@ class Engine:
         self.checkpoint = Checkpoint(self.questions.ask, self._resting, setting.clock.sleep)
         self._journal = journal
         self._on_ending = on_ending
+        self._before_result = before_result
         self._recorders = recorders
         self._latest = latest  # the step that was done last
         setting.workcell.ask_before_motion(self.checkpoint, self.questions.ask)
@@ -333,6 +335,7 @@ class Engine:
         more: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
         if context.pictures:
             more["pictures"] = context.pictures
+        self._before_result()
         self._write(
             Entry.RESULT,
             step=str(key),

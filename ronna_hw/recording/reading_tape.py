@@ -71,6 +71,7 @@ class ReadingTape:
         self._waiting_bytes = 0
         self._full = False
         self._ending = threading.Event()
+        self._writing = threading.Lock()
         if self._lines.tell():
             self._lines.write(b"\n")  # ends a line that was torn
         self._write_line({"opening": dict(opening)})
@@ -121,22 +122,33 @@ class ReadingTape:
         self._ending.set()
         self._writer.join(CLOSE_LIMIT_S)
 
-    def _run(self) -> None:
-        try:
-            while not self._ending.wait(WRITE_PERIOD_S):
+    def settle(self) -> None:
+        """Write all that was kept so far: a kill after this costs none of it. Never raises."""
+        with self._writing:
+            if self._lines.closed:
+                return
+            try:
                 self._write_waiting()
-            self._write_waiting()
-            if self._full:
-                self._write_line({"full": True})
-            self._lines.close()
-            self._pixels.close()
-        except (OSError, TypeError, ValueError) as error:  # the disk, or a driver's answer of no known form
-            self._full = True
-            self._queue.clear()
-            logger(part="reading tape").warning("readings are no longer kept", cause=error)
-            for file in (self._lines, self._pixels):
+            except (OSError, TypeError, ValueError) as error:  # the disk, or an answer of no known form
+                self._full = True
+                self._queue.clear()
+                logger(part="reading tape").warning("readings are no longer kept", cause=error)
+                self._close_files()
+
+    def _run(self) -> None:
+        while not self._ending.wait(WRITE_PERIOD_S):
+            self.settle()
+        self.settle()
+        with self._writing:
+            if self._full and not self._lines.closed:
                 with suppress(OSError):
-                    file.close()
+                    self._write_line({"full": True})
+            self._close_files()
+
+    def _close_files(self) -> None:
+        for file in (self._lines, self._pixels):
+            with suppress(OSError):
+                file.close()
 
     def _write_waiting(self) -> None:
         while self._queue:

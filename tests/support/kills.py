@@ -13,6 +13,7 @@ from user_commands import Commands
 from waiting import eventually
 
 from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from procedures.engine.verification import problems_of
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
 
@@ -56,7 +57,7 @@ def killed_at(commands: Commands, case: tuple[str, ...], out: Path, line: int) -
 
 
 def taken_up(commands: Commands, killed: Killed) -> dict[str, Any]:
-    """What `resume` printed; nothing lives after it, and nothing that was recorded is lost."""
+    """What `resume` printed; nothing lives after it, nothing that was recorded is lost, the run is whole."""
     done = commands.run("ronna-procedure", "resume", str(killed.folder), "--accept", "--json")
     assert done.returncode == 0, done.stderr
     assert commands.await_no_survivors() == []
@@ -66,6 +67,7 @@ def taken_up(commands: Commands, killed: Killed) -> dict[str, Any]:
     assert all(now[record.identifier] == record for record in killed.records)
     assert_no_motion_before_acceptance(lines)
     assert_no_byte_before_acceptance(killed.folder, lines)
+    assert problems_of(killed.folder) == ()
     printed: dict[str, Any] = json.loads(done.stdout)
     return printed
 
@@ -76,6 +78,9 @@ def assert_no_byte_before_acceptance(folder: Path, lines: tuple[Line, ...]) -> N
     accepted = [line for line in lines if line["entry"] == Entry.ACCEPTED]
     if not restarts:
         return
+    number = lines.index(restarts[-1])
+    if not any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in lines[:number]):
+        return  # it was begun anew: there was nothing to accept
     began = datetime.fromisoformat(str(restarts[-1]["host_time"]))
     ended = datetime.fromisoformat(str(accepted[-1]["host_time"])) if accepted else None
     for passed in read_link(folder / BYTES_FOLDER, MOTION_LINK):

@@ -303,6 +303,7 @@ def _make_engine(
         journal,
         events=events,
         on_ending=ignore_further_signals,
+        before_result=tape.settle,  # what stands can be computed again, also after a kill
         recorders=(flight_recorder, tape),
         recovering=left is not None and not left.untouched,
         latest=None if left is None else left.latest,

@@ -227,3 +227,14 @@ def test_what_records_beside_the_engine_is_closed_before_the_journal_says_so(cel
     engine.close("left")
     assert lines_then == ["intent", "result"] * 2
     assert cell.entries()[-1][0] == "closed"
+
+
+def test_what_a_result_stands_on_is_kept_before_the_result_stands(cell: RecordingCell) -> None:
+    lines_then: list[str] = []
+
+    def settle() -> None:
+        lines_then.extend(kind for kind, _ in cell.entries())
+
+    engine = Engine(plain_order(), cell.case, cell.setting(), cell.journal, before_result=settle)
+    engine.run_step(engine.order.sequence[0])
+    assert lines_then == ["intent"]

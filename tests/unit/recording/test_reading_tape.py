@@ -123,6 +123,15 @@ def test_a_device_on_tape_is_of_the_same_kinds_as_before(tape: ReadingTape) -> N
             assert isinstance(on_tape, kind) == isinstance(device, kind)
 
 
+def test_what_is_settled_outlives_the_program(tape: ReadingTape, tmp_path: Path) -> None:
+    arm: Any = taped(RecordingArm("arm"), tape)
+    tape.begin(0)
+    for _ in range(100):
+        arm.read_state()
+    tape.settle()
+    assert (tmp_path / READINGS_FILE).read_bytes().count(b"read_state") == 100
+
+
 def test_a_full_tape_ends_and_says_so(tmp_path: Path) -> None:
     tape = ReadingTape(tmp_path, lambda: 0.0, {}, most_bytes=100)
     arm: Any = taped(RecordingArm("arm"), tape)
