@@ -105,6 +105,8 @@ class _Replay:
             for one in following:
                 if one["entry"] == Entry.ACKNOWLEDGED:
                     self._engine.acknowledge(str(one["by"]))
+                elif one["entry"] in (Entry.RESTARTED, Entry.FOUND):  # nothing streams, also after the look
+                    self._engine.setting.workcell.stop()
         self._engine.close("replayed")
 
     def _computed(self, step: str, recorded: Record) -> ReplayedRecord:

@@ -110,6 +110,20 @@ def test_a_run_is_equal_to_itself_also_where_a_way_was_blocked(tmp_path: Path) -
     assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
 
 
+@pytest.mark.hazard(2)
+def test_a_run_that_was_taken_up_again_is_equal_to_itself(tmp_path: Path) -> None:
+    def moves_and_looks(context: StepContext) -> Outcome[Localization]:
+        moves(context)
+        return looks(context)
+
+    recorded = Recorded(tmp_path, localization=moves_and_looks)
+    recorded.run("image", "localization:T1")
+    recorded.cell.workcell.stop()  # the next motion is a first one, and asked about, as in a new program
+    recorded.cell.journal.write(Entry.RESTARTED, 0.0)
+    recorded.run("localization:T1")
+    assert {one.verdict for one in recorded.replayed()} == {EQUAL}
+
+
 def test_an_edited_reading_shows_in_its_step_and_in_what_was_made_from_it(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE)
