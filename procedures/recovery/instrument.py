@@ -9,7 +9,6 @@ from procedures.engine.engine import Engine
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.errors import TipOffAxis
 
@@ -19,7 +18,7 @@ AT_STANDOFF_MM = 1.0  # the tip at the stand-off itself is outside; the arm arri
 def instrument_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
     """The trajectory on whose axis the guide's tip is, and how far it is beyond the stand-off in mm."""
     workcell, case = engine.setting.workcell, engine.case
-    if workcell.tool is not MountedTool.GUIDE or case.find(MountedGuide, None) is None:
+    if workcell.tool is not MountedTool.GUIDE:
         return None
     tool = workcell.tool_pose()
     for key in engine.order.sequence:

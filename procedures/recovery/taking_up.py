@@ -113,10 +113,16 @@ def _conclude(engine: Engine, comparison: Comparison) -> None:
 
 
 def _exchange_begun(engine: Engine, left: LeftRun) -> bool:
-    """Whether somebody was asked to change the tool, and no result says that it was done."""
-    name = MountedGuide.kind
-    begun = any(line["entry"] == Entry.INTENT and step_key(line).name == name for line in left.run.journal)
-    return begun and not engine.case.stands(StepKey(name))
+    """Whether somebody was asked to change the tool, and no result says that it was done.
+
+    Where the journal's end is lost and every sphere is localized, the lost lines can have said so.
+    """
+    exchange = StepKey(MountedGuide.kind)
+    if engine.case.stands(exchange):
+        return False
+    begun = any(line["entry"] == Entry.INTENT and step_key(line) == exchange for line in left.run.journal)
+    looks = [key for key in engine.order.sequence if key.name == Relocalization.kind]
+    return begun or (bool(left.chain.torn) and all(map(engine.case.stands, looks)))
 
 
 def _first(engine: Engine) -> tuple[str, ...]:
@@ -138,28 +144,23 @@ def _then(engine: Engine) -> str:
 def _surround(engine: Engine) -> None:
     """Say where the head is, before anything moves. Where that is not known yet, the arm is still home."""
     workcell, case = engine.setting.workcell, engine.case
-    if case.find(Correspondence, None) is None:
-        if not workcell.at_home:
-            raise RecoveryRefused(
-                "the arm is not home, and no result says where the head is",
-                action="Move the arm home by hand at the controller, then resume again.",
-            )
-        return
     keys = engine.order.sequence
+    if workcell.tool is MountedTool.STEREO_HEAD and case.find(Correspondence, None) is not None:
+        surround_stereo_head(engine.context(next(key for key in keys if key.name == Relocalization.kind)))
+        return
     if workcell.tool is MountedTool.GUIDE:
         inside = engine.instrument_in
         for key in keys:
             wanted = key.name == PositionedGuide.kind and inside in (None, key.trajectory)
-            if (
-                wanted
-                and case.stands(StepKey(MountedGuide.kind))
-                and case.find(RegisteredRobot, key.trajectory)
-            ):
+            if wanted and case.find(RegisteredRobot, key.trajectory):
                 context = engine.context(key)
                 surround_guide(context, context.result(RegisteredRobot).robot_from_ct.transform)
                 return
-    elif workcell.tool is MountedTool.STEREO_HEAD:
-        surround_stereo_head(engine.context(next(key for key in keys if key.name == Relocalization.kind)))
+    if not workcell.at_home:
+        raise RecoveryRefused(
+            "the arm is not home, and no result says where the head is",
+            action="Move the arm home by hand at the controller, then resume again.",
+        )
 
 
 def _way_out(engine: Engine) -> bool:

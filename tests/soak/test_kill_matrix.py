@@ -1,21 +1,25 @@
 """Kills at every line of the journal of a mini case, at ten of a full one, and power cuts at some of them."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from kills import LARGEST_CHANGE_MM, taken_up
+from run_folders import run_folder
 from shared_by_workers import made_once
 from snapshots import snapshot_at, take_snapshots
 from user_commands import Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
+from sim.cli import app as ronna_sim
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 
 MINI = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
 MINI_ERRORS_MM = [0.18021067547021166]  # of an uninterrupted run
 MINI_LINES = 93
+FULL_LINES = (5, 41, 77, 95, 113, 149, 185, 203, 239, 257)  # of 275
 FULL = ("run", "--sim", "--seed", "7", "--json")
 # A sphere is centred, the tool is exchanged, the instrument goes in, is inside, and comes out, among others.
 POWER_CUTS = (5, 12, 17, 31, 45, 58, 64, 73, 76, 79, 83, 87)
@@ -40,10 +44,50 @@ def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("line", range(MINI_LINES))
-def test_killed_at_any_line_a_case_reaches_its_target(commands: Commands, mini: Path, line: int) -> None:
-    snapshot = snapshot_at(mini, line)
+def test_killed_at_any_line_the_case_reaches_its_target(
+    commands: Commands, mini: Path, tmp_path: Path, line: int
+) -> None:
+    snapshot = snapshot_at(mini, line, tmp_path)
     outcome = taken_up(commands, snapshot.killed())
     errors_mm = [one["application_error_mm"] for one in outcome["targets"]]
     assert errors_mm == pytest.approx(MINI_ERRORS_MM, abs=LARGEST_CHANGE_MM)
     replayed = in_this_process(ronna_procedure, "replay", snapshot.folder, "--json")
     assert replayed.returncode == 0, replayed.stdout
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize("zeroed", [False, True], ids=["torn", "zeroed"])
+@pytest.mark.parametrize("line", POWER_CUTS)
+def test_a_power_cut_tears_every_file_that_was_being_written(
+    commands: Commands, mini: Path, tmp_path: Path, line: int, zeroed: bool
+) -> None:
+    snapshot = snapshot_at(mini, line, tmp_path)
+    snapshot.cut_power(zeroed=zeroed)
+    outcome = taken_up(commands, snapshot.killed())
+    errors_mm = [one["application_error_mm"] for one in outcome["targets"]]
+    assert errors_mm == pytest.approx(MINI_ERRORS_MM, abs=LARGEST_CHANGE_MM)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[float]]:
+    """Snapshots of a full case at ten of its lines, and its target errors without a kill."""
+
+    def take(folder: Path) -> str:
+        return json.dumps(take_snapshots(Commands(), FULL, folder, FULL_LINES.__contains__))
+
+    folder, _ = made_once(tmp_path_factory, "full", take)
+    finished = run_folder(folder / "runs")
+    assert finished is not None
+    verified = in_this_process(ronna_sim, "verify", finished, "--json")
+    return folder, [row["application_error_mm"] for row in json.loads(verified.stdout)["targets"]]
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize("line", FULL_LINES)
+def test_killed_at_ten_lines_a_full_case_reaches_its_targets(
+    commands: Commands, full: tuple[Path, list[float]], tmp_path: Path, line: int
+) -> None:
+    folder, uninterrupted_mm = full
+    outcome = taken_up(commands, snapshot_at(folder, line, tmp_path).killed())
+    errors_mm = [one["application_error_mm"] for one in outcome["targets"]]
+    assert errors_mm == pytest.approx(uninterrupted_mm, abs=LARGEST_CHANGE_MM)

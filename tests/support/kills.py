@@ -13,7 +13,7 @@ from user_commands import Commands
 from waiting import eventually
 
 from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
-from procedures.engine.verification import problems_of
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
 
@@ -67,7 +67,7 @@ def taken_up(commands: Commands, killed: Killed) -> dict[str, Any]:
     assert all(now[record.identifier] == record for record in killed.records)
     assert_no_motion_before_acceptance(lines)
     assert_no_byte_before_acceptance(killed.folder, lines)
-    assert problems_of(killed.folder) == ()
+    assert inspected(killed.folder).problems == ()
     printed: dict[str, Any] = json.loads(done.stdout)
     return printed
 

@@ -23,7 +23,7 @@ from run_folders import records_of, run_folder
 from user_commands import Commands
 
 from procedures.engine.journal import JOURNAL_FILE
-from procedures.engine.journal_reading import read_chain
+from ronna_hw.evidence.journal_reading import read_chain
 from sim.theatre.left_world import write_left_world
 from sim.theatre.world import World
 
@@ -84,8 +84,10 @@ def take_snapshots(
     return lines
 
 
-def snapshot_at(folder: Path, line: int) -> Snapshot:
-    found = run_folder(folder / f"{line:03d}" / "runs")
+def snapshot_at(folder: Path, line: int, into: Path) -> Snapshot:
+    """A copy of the snapshot at that line, which may be gone on with."""
+    shutil.copytree(folder / f"{line:03d}", into, copy_function=_linked_or_copied, dirs_exist_ok=True)
+    found = run_folder(into / "runs")
     assert found is not None
     return Snapshot(found)
 

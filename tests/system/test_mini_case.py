@@ -15,6 +15,7 @@ from user_commands import Commands, in_this_process
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
 from sim.cli import app as ronna_sim
 
@@ -133,6 +134,17 @@ def test_a_reading_that_was_edited_afterwards_is_found_in_what_was_made_from_it(
     verdicts = {one["step"]: one["verdict"] for one in json.loads(done.stdout)["records"]}
     assert verdicts["set_up"] == "equal"
     assert verdicts["global_localization"] == verdicts["path_check"] == "different"
+
+
+def test_a_run_that_was_killed_after_its_last_line_gets_its_report_and_its_seal(
+    finished: MiniRun, tmp_path: Path
+) -> None:
+    copy = tmp_path / finished.folder.name
+    shutil.copytree(finished.folder, copy, ignore=shutil.ignore_patterns("report*", "seal.json"))
+    resumed = in_this_process(ronna_procedure, "resume", copy, "--accept", "--json")
+    assert json.loads(resumed.stdout)["targets"] == finished.outcome["targets"]
+    assert Path(json.loads(resumed.stdout)["report"]).exists()
+    assert inspected(copy).problems == ()
 
 
 @pytest.mark.hazard(31)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.display import follow, show_outcome
-from procedures.cli.case.leaving_report import seal_run
+from procedures.cli.case.leaving_report import leave_report, seal_run
 from procedures.cli.case.opening import Resumption, Watcher, order_of_case
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CaseRequest
@@ -28,9 +28,12 @@ def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, v
     request = request_of(folder, accept=accept, answers=answers)
     with held_left_run(folder) as left:
         if left.finished:
-            if not (left.run.path / SEAL_FILE).exists():
+            outcome = _as_it_ended(request, left)
+            if not (left.run.path / SEAL_FILE).exists():  # it was killed between its last line and its seal
+                report = leave_report(left.run.path)
                 seal_run(left.run.path)
-            show_outcome(_as_it_ended(request, left), as_json=as_json)
+                outcome = outcome.model_copy(update={"report": report and str(report)})
+            show_outcome(outcome, as_json=as_json)
             return
         make_ready(left)
         follow(

@@ -22,6 +22,7 @@ from procedures.engine.replay.replayed_device import replayed
 from procedures.engine.replay.sections import BEGINS, ENDS
 from procedures.engine.run_folder import RunFolder
 from procedures.workcell import Workcell
+from procedures.workcell.left_arm import left_arm
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
@@ -105,8 +106,11 @@ class _Replay:
             for one in following:
                 if one["entry"] == Entry.ACKNOWLEDGED:
                     self._engine.acknowledge(str(one["by"]))
-                elif one["entry"] in (Entry.RESTARTED, Entry.FOUND):  # nothing streams, also after the look
-                    self._engine.setting.workcell.stop()
+                elif one["entry"] == Entry.RESTARTED:
+                    self._rest()
+                    self._take_up(_sequence(one))
+                elif one["entry"] == Entry.FOUND:  # the tracker looked while nothing streamed
+                    self._rest()
         self._engine.close("replayed")
 
     def _computed(self, step: str, recorded: Record) -> ReplayedRecord:
@@ -122,6 +126,19 @@ class _Replay:
             self._uncomputed = Verdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
         return compared(step, recorded, again)
+
+    def _rest(self) -> None:
+        """Every device as it is when it was just configured; the next motion is a first one."""
+        workcell = self._engine.setting.workcell
+        for device in workcell.devices.values():
+            device.recover("")
+        workcell.stop()
+
+    def _take_up(self, line: int) -> None:
+        """As a new program takes up the arm that the lines before this one left."""
+        workcell = self._engine.setting.workcell
+        with suppress(StepRefused):  # it had no home yet, and had not moved
+            workcell.take_up(left_arm(self._run.journal[:line]), workcell.home_rad)
 
     def _sections(self) -> Iterator[tuple[Line, list[Line]]]:
         """Each line that something begins with, and the lines up to the next such one."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
-from recording_cell import RecordingArm, RecordingCell, RecordingTheatre
+from recording_cell import GUIDE, RecordingArm, RecordingCell, RecordingTheatre
 
 from procedures.engine.context import ClinicalInput, StepContext
 from procedures.engine.errors import GateFailed, NotRecorded
@@ -24,6 +24,7 @@ from procedures.engine.replay.replayed_device import KEPT
 from procedures.engine.replay.sections import section_follower
 from procedures.engine.run_folder import run_of
 from procedures.engine.step import Outcome
+from procedures.workcell import Insertion, MountedTool
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.evidence.inspection import inspected
@@ -110,17 +111,55 @@ def test_a_run_is_equal_to_itself_also_where_a_way_was_blocked(tmp_path: Path) -
     assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
 
 
+class Killed(BaseException):
+    """The program ends without a word."""
+
+
+def restarted(recorded: Recorded) -> None:
+    """As a new program finds the devices: connected and configured, and nothing confirmed."""
+    recorded.cell.arm.state = Lifecycle.CONFIGURED
+    recorded.cell.workcell.stop()
+    recorded.engine.machine.hold()
+    recorded.cell.journal.write(Entry.RESTARTED, 0.0)
+
+
 @pytest.mark.hazard(2)
 def test_a_run_that_was_taken_up_again_is_equal_to_itself(tmp_path: Path) -> None:
-    def moves_and_looks(context: StepContext) -> Outcome[Localization]:
+    def rests_and_moves(context: StepContext) -> Outcome[Localization]:
+        if context.done_before:
+            context.workcell.rest()  # nothing streams in a new program
         moves(context)
         return looks(context)
 
-    recorded = Recorded(tmp_path, localization=moves_and_looks)
+    recorded = Recorded(tmp_path, localization=rests_and_moves)
     recorded.run("image", "localization:T1")
-    recorded.cell.workcell.stop()  # the next motion is a first one, and asked about, as in a new program
-    recorded.cell.journal.write(Entry.RESTARTED, 0.0)
+    restarted(recorded)
     recorded.run("localization:T1")
+    assert {one.verdict for one in recorded.replayed()} == {EQUAL}
+
+
+@pytest.mark.hazard(2)
+def test_a_run_that_was_killed_with_its_instrument_inside_is_equal_to_itself(tmp_path: Path) -> None:
+    def moves_with_the_guide(context: StepContext) -> Outcome[Localization]:
+        context.workcell.check_mounted(MountedTool.GUIDE)
+        moves(context)
+        return looks(context)
+
+    def goes_in_or_out(context: StepContext) -> Outcome[Approach]:
+        cell = context.workcell
+        if cell.insertion is None:
+            cell.insert(Insertion("T1", cell.tool_pose(), depth_mm=5.0, standoff_mm=5.0))
+            raise Killed
+        cell.withdraw("T1")
+        return Outcome(Approach(number=1))
+
+    recorded = Recorded(tmp_path, localization=moves_with_the_guide, approach=goes_in_or_out)
+    recorded.cell.arm.mounted = GUIDE
+    recorded.run(*CASE[:4])
+    with pytest.raises(Killed):
+        recorded.run("approach:T1")
+    restarted(recorded)
+    recorded.run("approach:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
 

@@ -124,14 +124,17 @@ def test_an_instrument_inside_comes_out_before_anything_else(cell: ClinicalCell)
 
 
 @pytest.mark.hazard(2)
-def test_an_instrument_whose_lines_were_lost_is_found_by_where_its_tip_is(cell: ClinicalCell) -> None:
+@pytest.mark.parametrize("lost_from", [b'"what":"insert"', b'"step":"tool_change"'])
+def test_an_instrument_whose_lines_were_lost_is_found_by_where_its_tip_is(
+    cell: ClinicalCell, lost_from: bytes
+) -> None:
     order = case_order(cell)
     cell.engine(order).run_to(order.find(f"positioning:{FIRST}"))
     broken_off(cell)
     path = cell.folder / JOURNAL_FILE
     lines = path.read_bytes().splitlines(keepends=True)
-    inserted = next(number for number, line in enumerate(lines) if b'"what":"insert"' in line)
-    path.write_bytes(b"".join(lines[:inserted]) + bytes(sum(map(len, lines[inserted:]))))
+    lost = next(number for number, line in enumerate(lines) if lost_from in line)
+    path.write_bytes(b"".join(lines[:lost]) + bytes(sum(map(len, lines[lost:]))))
     again, engine, left = opened_again(cell, order)
     recover(engine, left)
     assert len(again.motions("withdraw")) == 1

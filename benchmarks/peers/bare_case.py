@@ -1,0 +1,67 @@
+"""A mini case through real wires: with journal, events and recorders (`kept`), or without them (`bare`).
+
+    python -P bare_case.py kept|bare SPEED SEED FOLDER
+
+Prints one JSON line: wall seconds, and CPU seconds of the program with all that it started.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from procedures.cli.case import opening
+from procedures.cli.case.request import CaseRequest, new_run_folder
+from procedures.cli.case.scene_choice import SceneChoice
+from procedures.engine import engine as engine_module
+from procedures.engine import journal
+from procedures.engine.events import event_file, stream
+from ronna_hw.recording import flight_recorder, reading_tape, taped_device
+from ronna_hw.theatre import Theatre
+
+
+class _Nothing:
+    """Takes everything and does nothing."""
+
+    def __init__(self, *_given: object) -> None: ...
+
+    def __getattr__(self, _name: str) -> Any:
+        return lambda *_words, **_more: None
+
+
+def keep_nothing() -> None:
+    """Replace everything that writes a run's history while it happens."""
+    journal.Journal._append = lambda *_words, **_more: None  # type: ignore[method-assign]
+    stream.EventStream.publish = lambda *_words: None  # type: ignore[method-assign,assign,return-value]
+    event_file.EventFile = flight_recorder.FlightRecorder = _Nothing  # type: ignore[assign,misc]
+    reading_tape.ReadingTape = _Tape  # type: ignore[assign,misc]
+    taped_device.taped = lambda device, _tape: device
+    Theatre.record_bytes = lambda *_words: None  # type: ignore[method-assign]
+    engine_module.hashes_at_closing = lambda _folder: {}
+
+
+class _Tape(_Nothing):
+    def beside(self) -> Any:
+        return opening.contextlib.nullcontext()
+
+
+def main(kept: str, speed: str, seed: str, folder: str) -> None:
+    """Run the case to its end, and tell what it took."""
+    if kept == "bare":
+        keep_nothing()
+    request = CaseRequest(out=Path(folder), choice=SceneChoice("mini", int(seed), None, None), speed=speed)
+    began = time.perf_counter()
+    with opening.opened_case(request, new_run_folder(request), opening.Watcher()) as engine:
+        engine.run_to()
+    wall_s = time.perf_counter() - began
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    cpu_s = sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    print(json.dumps({"wall_s": wall_s, "cpu_s": cpu_s}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:5])

@@ -1,0 +1,137 @@
+"""Two hundred mini cases in a row, each with faults at random, in one process.
+
+However a case ends, it ends in a known state, the arm does nothing after a stop, no process is left, and this
+process holds no more than before.
+"""
+
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import threading
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from kills import MOTION_LINK
+from single_faults import FAULTS, STEPS
+from user_commands import TOKEN, Commands, in_this_process
+
+from procedures.cli.procedure import app as ronna_procedure
+from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
+from sim.theatre.faults import parse_faults
+
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(5400)]
+
+CASES = 200
+CASE_S = 34.0  # theatre time of a case without faults
+LARGEST_ERROR_MM = 1.5
+PROGRAM_FAULT = "CLI-002"
+WARM_UP = 10  # cases until every module is imported and every cache is full
+LARGEST_GROWTH = 0.05  # of the resident memory, from there to the end
+CORRECTIONS = re.compile(rb"<[AR]K(orr)? [^>]*>")
+
+
+def random_script(seed: int) -> str:
+    """One to three faults that begin with a step or at a moment, and end after a while or never."""
+    chosen = random.Random(seed)
+    lines = []
+    for _ in range(chosen.randint(1, 3)):
+        device, faults = chosen.choice(FAULTS)
+        fault = chosen.choice(sorted(faults))
+        step, at_s = chosen.choice(STEPS[device]), chosen.uniform(0.0, CASE_S)
+        begin = chosen.choice((f"when step == {step}", f"at {at_s:.3f} s"))
+        lasting = "" if " for " in fault else chosen.choice(("", f" for {chosen.uniform(0.05, 5.0):.3f} s"))
+        if parse_faults(f"now: {device} {fault}")[0].kind.momentary:
+            lasting = ""
+        lines.append(f"{begin}: {device} {fault}{lasting}\n")
+    return "".join(lines)
+
+
+@pytest.fixture
+def processes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Commands]:
+    """Everything that this process starts can be found again; its signals are as before in the end."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    found = Commands()
+    monkeypatch.setenv(TOKEN, found.token)
+    try:
+        yield found
+    finally:
+        found.end_all()
+        for number, handler in kept.items():
+            signal.signal(number, handler)
+
+
+def assert_known_state(run: Path, outcome: dict[str, object], journal: list[Line]) -> None:
+    """Done or failed with a code of ours; every step that began has an end; the folder is whole."""
+    kinds = [line["entry"] for line in journal]
+    assert kinds[-1] == Entry.CLOSED
+    ends = sum(kinds.count(end) for end in (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED))
+    assert kinds.count(Entry.INTENT) == ends
+    if outcome["outcome"] == "done":
+        error_mm = outcome["max_application_error_mm"]
+        assert isinstance(error_mm, float)
+        assert error_mm <= LARGEST_ERROR_MM
+    else:
+        error = outcome["error"]
+        assert isinstance(error, dict)
+        assert error["code"] != PROGRAM_FAULT, error
+        assert kinds.count(Entry.FAILED) == 1
+    assert inspected(run).problems == ()
+
+
+def assert_nothing_moved_after_a_stop(run: Path, journal: list[Line]) -> None:
+    """No motion in the journal, and on the arm's link no other correction than the last one."""
+    failed = next((number for number, line in enumerate(journal) if line["entry"] == Entry.FAILED), None)
+    if failed is None:
+        return
+    assert all(line["entry"] != Entry.MOTION for line in journal[failed:])
+    since = datetime.fromisoformat(str(journal[failed]["host_time"]))
+    sent = {
+        found.group()
+        for passed in read_link(run / BYTES_FOLDER, MOTION_LINK)
+        if passed.direction is Direction.SENT and passed.host_time > since
+        if (found := CORRECTIONS.search(passed.data))
+    }
+    assert len(sent) <= 1
+
+
+def held() -> tuple[int, int, int]:
+    """Resident pages, open files and threads of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages, len(os.listdir("/proc/self/fd")), threading.active_count()
+
+
+def test_two_hundred_cases_with_random_faults_end_in_a_known_state(
+    processes: Commands, tmp_path: Path
+) -> None:
+    held_after, failures = [], []
+    for seed in range(CASES):
+        script = tmp_path / "faults.txt"
+        script.write_text(random_script(seed))
+        out = tmp_path / str(seed)
+        case = ("--scene", "mini", "--seed", seed % 8, "--faults", script, "--out", out)
+        ended = in_this_process(ronna_procedure, "run", "--sim", *case, "--json")
+        try:
+            outcome = json.loads(ended.stdout)
+            run = out / outcome["run"]
+            journal = list(read_journal(run / JOURNAL_FILE))
+            assert_known_state(run, outcome, journal)
+            assert_nothing_moved_after_a_stop(run, journal)
+            assert processes.await_no_survivors() == []
+        except Exception as problem:  # all of them are run, and told together
+            failures.append(f"case {seed}: {random_script(seed)}{ended.stderr}{problem!r}")
+        else:
+            shutil.rmtree(out)
+        held_after.append(held())
+    assert not failures, "\n\n".join(failures)
+    memory, files, threads = zip(*held_after[WARM_UP:], strict=True)
+    assert max(memory) <= (1 + LARGEST_GROWTH) * memory[0]
+    assert max(files) == files[0]
+    assert max(threads) == threads[0]
