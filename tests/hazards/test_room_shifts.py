@@ -15,12 +15,15 @@ from clinical_case import (
     checked_plan,
     coarse,
     localized_fiducials,
+    mounted_guide,
+    registered_robot,
 )
 from room_trials import STILL, TrackedCase
 
+from procedures.engine.engine import Engine
 from procedures.engine.result import StepResult
 from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.steps.clinical import relocalization
+from procedures.steps.clinical import positioning, relocalization
 from procedures.workcell import MountedTool
 
 SCENES = 50
@@ -140,3 +143,41 @@ def test_a_head_that_moves_while_the_spheres_are_localized_voids_them(tmp_path: 
     with pytest.raises(PatientMoved, match="the head has moved"):
         engine.run_to()
     assert not engine.case.stands(engine.order.find(f"relocalization:{FIRST}"))
+
+
+def shift(cell: ClinicalCell, by_mm: float) -> None:
+    cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, by_mm, 0.0))
+
+
+def before_the_approach(cell: ClinicalCell) -> Engine:
+    cell.carrying(MountedTool.GUIDE)
+    given = (*before(cell), registered_robot(), mounted_guide())
+    engine = cell.begin(*given, positioning.STEP)
+    engine.run_to(engine.order.sequence[len(given) - 1])
+    return engine
+
+
+@pytest.mark.hazard(12)
+def test_a_head_that_has_moved_before_the_approach_is_not_approached(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = before_the_approach(cell)
+    shift(cell, HEAD_MM)
+    with pytest.raises(PatientMoved):
+        engine.run_to()
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(12)
+def test_nothing_is_inserted_into_a_head_that_moved_during_the_approach(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = before_the_approach(cell)
+
+    def move_the_head(_start: object, _target: object) -> bool:
+        shift(cell, HEAD_MM)
+        return False  # the way is clear
+
+    cell.arm.blocked = move_the_head
+    with pytest.raises(PatientMoved):
+        engine.run_to()
+    assert [kind for kind, _ in cell.arm.motions] == ["joints"]
+    assert engine.instrument_in is None

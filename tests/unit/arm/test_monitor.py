@@ -52,6 +52,7 @@ def test_a_point_that_is_no_number_trips(value: float) -> None:
 
 
 @pytest.mark.hazard(18)
+@pytest.mark.hazard(22)
 def test_a_jump_trips_as_a_step() -> None:
     assert _kind(_monitor().check(_with(6, START[5] + 1.01 * LIMITS.step_rad[5]))) == ("step", 6)
 

@@ -33,8 +33,16 @@ AXES = tuple(f"AK.A{k}" for k in range(1, 7))
 @pytest.mark.parametrize(
     ("context", "reason"),
     [
-        (_with(program={**OURS["program"], "corrections": "relative"}), "relative with HOLDON 1"),
-        (_with(receive=_holdon(0, *AXES)), "HOLDON 0: a lost reply would jump"),
+        pytest.param(
+            _with(program={**OURS["program"], "corrections": "relative"}),
+            "relative with HOLDON 1",
+            marks=pytest.mark.hazard(18),
+        ),
+        pytest.param(
+            _with(receive=_holdon(0, *AXES)),
+            "HOLDON 0: a lost reply would jump",
+            marks=pytest.mark.hazard(18),
+        ),
         (_with(receive=_holdon(1, "Stop")), "STOP has HOLDON 1"),
         (_with(stop=None), "no STOP object"),
         (_with(stop={"mode": "PathFast"}), "no STOP object of mode ExitMoveCorr"),

@@ -78,6 +78,23 @@ def test_a_motion_whose_intent_cannot_be_written_is_not_made(cell: RecordingCell
 
 
 @pytest.mark.hazard(33)
+def test_the_intent_is_on_the_disk_before_the_arm_moves(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_disk: list[int] = []
+    as_it_moved: list[bytes] = []
+    monkeypatch.setattr(os, "fdatasync", lambda file: on_disk.append(os.fstat(file).st_size))
+
+    def move(_start: JointVector, _target: JointVector) -> bool:
+        as_it_moved.append((cell.folder / JOURNAL_FILE).read_bytes()[: on_disk[-1]])
+        return False  # the way is clear
+
+    cell.arm.blocked = move
+    cell.workcell.go(turned(0.1))
+    assert b'"motion"' in as_it_moved[0].splitlines()[-1]
+
+
+@pytest.mark.hazard(33)
 def test_without_an_open_journal_there_is_no_workcell(cell: RecordingCell) -> None:
     cell.journal.close()
     with pytest.raises(JournalNotWritable, match="it is closed"):

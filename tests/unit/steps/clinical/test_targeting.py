@@ -199,6 +199,7 @@ def test_a_registration_beside_the_head_moves_the_target_with_it(cell: ClinicalC
 
 
 @pytest.mark.hazard(3)
+@pytest.mark.hazard(37)
 def test_a_tool_that_was_exchanged_while_the_question_stood_moves_nothing(cell: ClinicalCell) -> None:
     class Exchanger(RecordingOperator):
         def ask(self, question: Question) -> str:
