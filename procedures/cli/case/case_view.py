@@ -20,6 +20,7 @@ from procedures.engine.events import (
     Refusal,
     StepState,
 )
+from procedures.engine.machine import HELD
 from ronna_hw.text.printable import printable
 
 if TYPE_CHECKING:
@@ -55,6 +56,11 @@ def entry_of(event: Event) -> Entry | None:
             return None
 
 
+def in_words(case: CaseState) -> str:
+    """A state and its reason; why a case is held, the step that failed has said."""
+    return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
+
+
 class CaseView:
     """How things stand now: state, step and progress, devices, journal, errors."""
 
@@ -62,7 +68,6 @@ class CaseView:
         self.state = "starting"
         self.share = 0.0
         self.doing = ""
-        self._reason = ""
         self._devices: dict[str, DeviceState] = {}
         self._ages_s: dict[str, float] = {}
         self._journal: deque[str] = deque(maxlen=LAST_LINES)
@@ -71,8 +76,8 @@ class CaseView:
     def take_in(self, event: Event) -> None:
         """Let an event change what is shown."""
         match event.what:
-            case CaseState(state=state, reason=reason):
-                self.state, self._reason = state, reason
+            case CaseState() as case:
+                self.state = in_words(case)
             case StepState(step=step, state="begun"):
                 self.doing, self.share = step, 0.0
             case Progress(step=step, share=share, text=text):
@@ -88,7 +93,7 @@ class CaseView:
             case Refusal(step=step, unmet=unmet):
                 self._errors.append(f"{step} refused: {'; '.join(unmet)}")
             case Questioned(subject=subject):
-                self._reason = f"asks: {subject}"
+                self.state = f"{self.state.partition(' (')[0]} (asks: {subject})"
             case _:
                 pass
 
@@ -99,7 +104,7 @@ class CaseView:
 
     def lines(self) -> list[tuple[str, str]]:
         """Style and text of each line below the progress."""
-        shown = [("", f"{self.state}{f' ({self._reason})' if self._reason else ''}")]
+        shown = [("", self.state)]
         if self._devices:
             shown.append(("", self.devices))
         shown += [("dim", text) for text in self._journal]

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from procedures.cli.case.case_view import entry_of
-from procedures.engine.events import CaseState, Event, Fault, Questioned, Refusal
+from procedures.cli.case.case_view import entry_of, in_words
+from procedures.engine.events import CaseState, Event, Questioned, Refusal
 from procedures.engine.events.followed_run import FollowedRun
 from ronna_hw.command_line.console import message_console, on_terminal, tell
 from ronna_hw.text.printable import printable
@@ -28,7 +28,7 @@ def watch(run: Path, *, as_json: bool) -> None:
         for _style, line in display.view.lines():
             tell(line)
     else:
-        _write(followed, _shown)
+        _write(followed, line_of)
     if not followed.closed:
         tell("the run was ended without being closed")
 
@@ -41,7 +41,8 @@ def _write(followed: FollowedRun, line_of: Callable[[Event], str | None]) -> Non
         sys.stdout.flush()
 
 
-def _shown(event: Event) -> str | None:
+def line_of(event: Event) -> str | None:
+    """What a person reads of an event; None for what only changes the picture."""
     line = _line(event)
     return line and printable(line)
 
@@ -50,12 +51,10 @@ def _line(event: Event) -> str | None:
     if (entry := entry_of(event)) is not None:
         return f"{entry.mark} {entry.text}"
     match event.what:
-        case CaseState(state=state, reason=reason):
-            return f"{state}{f' ({reason})' if reason else ''}"
+        case CaseState() as case:
+            return in_words(case)
         case Questioned(subject=subject, value=value):
             return f"? {subject}: {value}"
-        case Fault(what=what):
-            return f"✗ {what}"
         case Refusal(step=step, unmet=unmet):
             return f"✗ {step} refused: {'; '.join(unmet)}"
         case _:
