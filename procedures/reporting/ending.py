@@ -37,6 +37,8 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     inside = closed.get("instrument_in")
     instrument_in = inside if isinstance(inside, str) else None
     outcome = closed.get("outcome")
+    if outcome == "done" and error is not None:  # what was computed from the steps
+        return Ending("failed", f"Every step was done, but {error.what}", error.code, instrument_in)
     if outcome == "done":
         return Ending("done", "Every step was done.", instrument_in=instrument_in)
     step = "" if last is None else str(last.get("step", ""))

@@ -69,6 +69,11 @@ class ReportFiles:
         names = [f"{source.replace(' ', '_')}_rms_mm" for source in sources]
         self.text("targets.csv", _csv((*head, *truth, *names), lines))
 
+    def looks(self, looks_px: Sequence[tuple[float, bool]]) -> None:
+        """Rms residual of each look of a calibration."""
+        rows = [(number, *one) for number, one in enumerate(looks_px, start=1)]
+        self.text("looks.csv", _csv(("look", "rms_px", "used"), rows))
+
     def timeline(self, spans: Sequence[Span]) -> None:
         """Every step, motion and rest with its theatre time."""
         self.text("timeline.csv", _csv([one.name for one in fields(Span)], map(astuple, spans)))

@@ -14,10 +14,12 @@ from typing import Any
 
 from procedures.engine.journal import Entry
 from procedures.reporting import numbers
+from procedures.reporting.calibration import HeadFigures, read_figures
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
 from procedures.reporting.happenings import happenings, questions
 from procedures.reporting.link_figure import link_figure, summed_histograms
+from procedures.reporting.looks_figure import looks_figure
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.second_reading import as_text, second_reading
@@ -26,6 +28,8 @@ from procedures.reporting.target_figure import target_figure
 from procedures.reporting.target_table import TargetRow, target_rows
 from procedures.reporting.timeline import timeline
 from procedures.reporting.timeline_figure import timeline_figure
+from procedures.steps.calibration.ball_look import LookedAtBall
+from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -90,6 +94,7 @@ def write_report(
         "ct_pictures": _pictures(reading, "ct-"),
         "stereo_pictures": _pictures(reading, "stereo-"),
         **_figures(reading, files, rows, [health for _, health in links]),
+        **_calibration(run, files),
         **_read_twice(reading, files, rows, out),
         "files": files.written,
         "findings": _findings(reading),
@@ -105,7 +110,10 @@ def write_report(
 def _findings(reading: RunReading) -> list[str]:
     """What CT, plan and drivers said the operator should know, and stopped nothing."""
     series, plan, set_up = reading.find(ImportedCt), reading.find(CheckedPlan), reading.find(CheckedSetUp)
+    observed, look = reading.find(ObservedBall), reading.find(LookedAtBall)
     return [
+        *(observed.remarks if observed else ()),
+        *([look.reason] if look and look.reason else ()),
         *(f"CT: {one}" for one in (series.warnings if series else ())),
         *(f"Plan: {one}" for one in (plan.warnings if plan else ())),
         *(set_up.notices if set_up else ()),
@@ -145,6 +153,17 @@ def _figures(
         files.text("robot_link.svg", made["link_picture"])
         files.link(bins)
     return made
+
+
+def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
+    """What a calibration, a check or a look came to; empty for a case."""
+    found = read_figures(run)
+    picture = ""
+    if isinstance(found, HeadFigures) and found.looks_px:
+        picture = looks_figure(found.looks_px)
+        files.text("looks.svg", picture)
+        files.looks(found.looks_px)
+    return {"figures": [] if found is None else list(found.figures()), "looks_picture": picture}
 
 
 def _read_twice(

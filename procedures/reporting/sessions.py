@@ -12,10 +12,11 @@ FRAME = ("timestamp", "level", "event", "device", "before")
 def sessions(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
     """Device, and its counters in words, for every session that was ended."""
     ended = [line for line in log if line.get("before") == SESSION_ENDS and "device" in line]
-    return tuple(
+    counted = [
         (str(line["device"]), ", ".join(f"{name} {count}" for name, count in _counters(line, "")))
         for line in ended
-    )
+    ]
+    return tuple((device, counters) for device, counters in counted if counters)
 
 
 def _counters(value: Mapping[str, Any], where: str) -> Iterator[tuple[str, int | float]]:

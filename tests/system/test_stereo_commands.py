@@ -21,9 +21,11 @@ from benchmarks.stereo_cell import with_ideal_arm
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
 from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_looks
 from procedures.cli.stereo.command import app
+from procedures.reporting.report import REPORT_FILE
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.command_line.console import exit_code_of
 from ronna_hw.config import read_theatre_file
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.frames import Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
@@ -236,6 +238,9 @@ def test_images_without_a_ball_are_refused_and_kept(
     said = stereo("measure", "--config", theatre, "--picture", picture)
     assert said.code == 1
     assert one_error(said.errors)[0].startswith(told)
+    (run,) = Path("calibrations").iterdir()
+    assert told.partition(":")[0] in (run / REPORT_FILE).read_text()
+    assert inspected(run).problems == ()
     if "STE-011" not in told:
         assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
 
@@ -246,6 +251,8 @@ def test_without_a_terminal_nothing_is_confirmed_and_nothing_moves(
     said = stereo("calibrate", "--config", theatre, "--ball", "720", "-10", "310", "--out", tmp_path)
     assert said.code == 7
     assert one_error(said.errors)[0].startswith("PRO-002")
+    (run,) = tmp_path.iterdir()
+    assert "ball_observation failed. PRO-002" in (run / REPORT_FILE).read_text()
 
 
 @dataclass(frozen=True)

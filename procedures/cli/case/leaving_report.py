@@ -68,7 +68,7 @@ def seal_run(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def leaving_report(folder: Path) -> Iterator[None]:
+def leaving_report(folder: Path, *, with_truth: bool = True) -> Iterator[None]:
     """Leave a report of the run in `folder` at the end of the block, whatever ends it."""
     try:
         yield
@@ -76,7 +76,7 @@ def leaving_report(folder: Path) -> Iterator[None]:
         leave_report(folder, error_of(problem))
         seal_run(folder)
         raise
-    leave_report(folder, with_truth=True)
+    leave_report(folder, with_truth=with_truth)
     seal_run(folder)
 
 

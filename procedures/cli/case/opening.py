@@ -68,6 +68,7 @@ class Procedure:
     """What the engine is to run. `calibrations` take the place of those of the theatre file."""
 
     order: CaseOrder
+    title: str = "Case"
     clinical: ClinicalInput | None = None
     calibrations: Calibrations | None = None
 
@@ -142,7 +143,7 @@ def opened_case(
         order = order_of_case(request, folder)
         if request.answers is not None:
             request.answers.check_trajectories(order.trajectories)
-        return Procedure(order, clinical)
+        return Procedure(order, clinical=clinical)
 
     complete = request.case is None and (case / "plan.toml").exists()  # the phantom's last file
     if resumption is not None and request.case is None and not complete:
@@ -285,6 +286,7 @@ def _make_engine(
         run=case.run,
         theatre=theatre.file.theatre,
         banner=theatre.file.banner,
+        procedure=wanted.title,
         strategy=None if wanted.clinical is None else wanted.clinical.strategy.name,
         seed=request.seed,
     )

@@ -50,8 +50,9 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         return
     for change in reading.changes:
         say(f"NOT AS THE RUN LEFT IT: {change}")
-    seed = "" if row["seed"] is None else f", seed {row['seed']}"
-    say(f"{row['run']}: {row['theatre'] or 'no theatre'}{seed}, strategy {row['strategy'] or '-'}")
+    theatre = str(row["theatre"] or "no theatre")
+    seed = "" if row["seed"] is None or "seed" in theatre else f", seed {row['seed']}"
+    say(f"{row['run']}: {theatre}{seed}, strategy {row['strategy'] or '-'}")
     say(f"began {row['began'] or '-'}; {row['sentence']}")
     if row["restarts"]:
         say(f"taken up again {row['restarts']} times")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -88,6 +89,7 @@ def calibrate(
         raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
     from procedures.calibration import calibrate_head
     from procedures.calibration.observations import read_observations
+    from procedures.cli.case.leaving_report import leaving_report
     from procedures.cli.stereo import files
     from procedures.cli.stereo.opening import new_folder
 
@@ -97,10 +99,12 @@ def calibrate(
     else:
         request = _request(sim, scene, seed, config)
         folder = new_folder(out, "stereo")
-        observed = _observe(request, folder, (poses, visits), ball)
-    files.write_observations(observed, folder)
-    result = calibrate_head(observed, life=timedelta(days=days))
-    files.write_result(observed, result, folder)
+    with leaving_report(folder, with_truth=False) if recorded is None else nullcontext():
+        if recorded is None:
+            observed = _observe(request, folder, (poses, visits), ball)
+        files.write_observations(observed, folder)
+        result = calibrate_head(observed, life=timedelta(days=days))
+        files.write_result(observed, result, folder)
     if write is not None and config is not None:
         files.write_theatre(config, write, result)
     if as_json:
@@ -136,6 +140,7 @@ def check(
     from procedures.calibration import Baseline, compare_with_baseline
     from procedures.calibration.observations import read_strict
     from procedures.calibration.self_check import BASELINE_FILE
+    from procedures.cli.case.leaving_report import leaving_report
     from procedures.cli.stereo import files
 
     then = read_strict(Baseline, baseline / BASELINE_FILE if baseline.is_dir() else baseline)
@@ -143,17 +148,21 @@ def check(
     from procedures.steps.calibration.baseline_visit import VisitedBaseline
     from procedures.steps.calibration.procedures import head_check
 
-    with console.progress_bar("looking at the ball") as advance:
-        engine = run_steps(request, new_folder(out, "check"), head_check(then, visits), advance)
-    looks = engine.case.get(VisitedBaseline).result.looks
-    result = compare_with_baseline(looks, then)
-    if as_json:
-        console.print_json(files.check_payload(result, then))
-    else:
-        from procedures.cli.stereo.display import print_check
+    folder = new_folder(out, "check")
+    with leaving_report(folder, with_truth=False):
+        with console.progress_bar("looking at the ball") as advance:
+            steps = head_check(then, visits)
+            engine = run_steps(request, folder, steps, advance, title="Check of the stereo head")
+        result = compare_with_baseline(engine.case.get(VisitedBaseline).result.looks, then)
+        payload = files.check_payload(result, then)
+        files.write_payload(payload, folder)
+        if as_json:
+            console.print_json(payload)
+        else:
+            from procedures.cli.stereo.display import print_check
 
-        print_check(result)
-    result.require()
+            print_check(result)
+        result.require()
 
 
 @app.command()
@@ -181,22 +190,26 @@ def measure(
     """
     console.set_up_logging(verbose)
     request = _request(sim, scene, seed, config)
+    from procedures.cli.case.leaving_report import leaving_report
     from procedures.cli.stereo.opening import new_folder, run_steps
     from procedures.steps.calibration.procedures import head_look, look_where_it_stands
     from procedures.workcell.stereo_look import Look
 
     steps = head_look(_finite(ball)) if find or sim or ball is not None else look_where_it_stands()
-    engine = run_steps(request, new_folder(out, "measure"), steps, lambda _share: None)
-    seen = engine.setting.workspace.find(Look)
-    assert seen is not None, "the last step keeps what it saw"
-    if picture is not None:
-        from procedures.workcell.stereo_picture import pair_picture
-        from ronna_hw.records import write_whole
+    folder = new_folder(out, "measure")
+    with leaving_report(folder, with_truth=False):
+        engine = run_steps(request, folder, steps, lambda _share: None, title="A look of the stereo head")
+        seen = engine.setting.workspace.find(Look)
+        assert seen is not None, "the last step keeps what it saw"
+        if picture is not None:
+            from procedures.workcell.stereo_picture import pair_picture
+            from ronna_hw.records import write_whole
 
-        write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))
-    from procedures.cli.stereo.display import show_look
+            write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))
+        from procedures.cli.stereo.display import show_look
+        from procedures.cli.stereo.files import write_payload
 
-    show_look(seen, as_json=as_json)
+        write_payload(show_look(seen, as_json=as_json), folder)
 
 
 def _finite(ball: Triple | None) -> Triple | None:
@@ -224,7 +237,8 @@ def _observe(
     from procedures.steps.calibration.procedures import head_calibration
 
     with console.progress_bar("looking at the ball") as advance:
-        engine = run_steps(request, folder, head_calibration(*numbers, ball_mm), advance, expired_too=True)
+        steps, title = head_calibration(*numbers, ball_mm), "Calibration of the stereo head"
+        engine = run_steps(request, folder, steps, advance, title=title, expired_too=True)
     result = engine.case.get(ObservedBall).result
     for remark in result.remarks:
         console.tell(remark)

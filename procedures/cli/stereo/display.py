@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from procedures.calibration import CheckResult, HeadResult
 from procedures.calibration.bundle import REPEATABILITY_MM
+from procedures.cli.stereo.files import payload_of
 from procedures.relocalization import SphereImage, StereoPoint
 from procedures.relocalization.errors import NoSphere, NotTrusted
+from procedures.reporting.calibration import HeadFigures
 from procedures.workcell.stereo_look import Look
 from ronna_hw.command_line import console
 
@@ -18,26 +18,11 @@ from ronna_hw.command_line import console
 def print_calibration(result: HeadResult, folder: Path) -> None:
     """The figures of a calibration, and where its files are."""
     fit, head = result.fit, result.stereo_head
-    used = int(fit.used.sum())
-    residual_px = float(np.sqrt(np.mean(fit.residuals_px[fit.used] ** 2)))
-    sigmas = " ".join(f"{value**0.5:.3f}" for value in result.tool_covariance_mm2.diagonal())
+    figures = HeadFigures.model_validate(payload_of(result)).figures()
     console.print_table(
         f"calibration {head.identifier}",
-        ["", "value"],
-        [
-            ["cameras", f"{head.left.serial} left, {head.right.serial} right"],
-            ["looks", f"{used} used, {len(fit.used) - used} left out"],
-            ["rms residual, arm errors included", f"{residual_px:.2f} px"],
-            ["standard error of an outline", f"{fit.image_sigma_px:.3f} px"],
-            ["arm error", f"{fit.arm_error_mm:.3f} mm per axis and pose"],
-            ["arm error, random part", f"{fit.arm_scatter_mm:.3f} mm"],
-            ["tool centre on the flange", " ".join(f"{v:.3f}" for v in head.flange_from_tool.translation_mm)],
-            ["shift of the tool centre", f"{result.tool_shift_mm:.3f} mm"],
-            ["its standard error", f"{head.stated_error_mm:.3f} mm, per axis {sigmas} mm"],
-            ["change of the stereo geometry", f"{result.frame_misfit_mm:.3f} mm"],
-            ["made", f"{head.created:%Y-%m-%d %H:%M} UTC"],
-            ["valid until", f"{head.expires:%Y-%m-%d %H:%M} UTC"],
-        ],
+        ["", "value", "standard deviation"],
+        [[one.name, one.value, one.spread] for one in figures],
     )
     if fit.arm_error_mm > REPEATABILITY_MM:
         console.tell(
@@ -68,8 +53,11 @@ def print_check(result: CheckResult) -> None:
     )
 
 
-def show_look(seen: Look, *, as_json: bool) -> None:
-    """The ball in both images and in the tool frame; raises what kept the look from giving a point."""
+def show_look(seen: Look, *, as_json: bool) -> dict[str, Any]:
+    """The ball in both images and in the tool frame, as it is shown as JSON.
+
+    Raises what kept the look from giving a point.
+    """
     point = seen.point
     if seen.left is None or seen.right is None:
         raise seen.problem or NoSphere("no ball is measured in this pair")
@@ -78,10 +66,10 @@ def show_look(seen: Look, *, as_json: bool) -> None:
         _print_outlines(sides)
     if point is None:
         raise seen.problem or NotTrusted("no ball is measured in this pair")
+    payload = {**_point_payload(point), **{side: _outline_payload(one) for side, one in sides.items()}}
     if as_json:
-        outlines = {side: _outline_payload(one) for side, one in sides.items()}
-        console.print_json({**_point_payload(point), **outlines})
-        return
+        console.print_json(payload)
+        return payload
     console.print_table(
         "the ball in the tool frame",
         ["x y z mm", "standard error um", "ray gap um", "radius mm"],
@@ -94,6 +82,7 @@ def show_look(seen: Look, *, as_json: bool) -> None:
             ]
         ],
     )
+    return payload
 
 
 def _print_outlines(sides: dict[str, SphereImage]) -> None:

@@ -18,13 +18,13 @@ from procedures.calibration import Baseline, CheckResult, HeadResult, Observatio
 from procedures.calibration.errors import BadObservations
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
+from procedures.reporting.calibration import RESULT_FILE
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Strict
 from ronna_hw.config import BadTheatreFile
 from ronna_hw.records import write_whole
 
 CALIBRATION_FILE = "calibration.toml"
-RESULT_FILE = "result.json"
 
 
 def write_observations(observed: ObservationSet, folder: Path) -> None:
@@ -44,8 +44,13 @@ def write_result(observed: ObservationSet, result: HeadResult, folder: Path) -> 
     import tomli_w
 
     write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records_of(result)}).encode())
-    write_whole(folder / RESULT_FILE, json.dumps(payload_of(result), indent=1, allow_nan=False).encode())
+    write_payload(payload_of(result), folder)
     return baseline
+
+
+def write_payload(payload: dict[str, Any], folder: Path) -> None:
+    """What `--json` prints, for the report."""
+    write_whole(folder / RESULT_FILE, json.dumps(payload, indent=1, allow_nan=False).encode())
 
 
 def write_theatre(source: Path, target: Path, result: HeadResult) -> None:

@@ -35,18 +35,20 @@ def run_steps(
     steps: Steps,
     progress: Callable[[float], None],
     *,
+    title: str,
     expired_too: bool = False,
 ) -> Engine:
     """Run a calibration's steps to their end, and close everything; the engine holds the results.
 
-    With `expired_too` the records only serve as a start, and their age does not matter.
+    `title` names it in its report. With `expired_too` the records only serve as a start, and their age does
+    not matter.
     """
 
     def procedure(theatre: Theatre) -> Procedure:
         from procedures.engine.order import order_of
 
         calibrations = _valid_now(theatre.calibrations) if expired_too else None
-        return Procedure(order_of(steps, ()), calibrations=calibrations)
+        return Procedure(order_of(steps, ()), title, calibrations=calibrations)
 
     def advance(events: Sequence[Event]) -> None:
         for event in events:

@@ -12,11 +12,12 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.calibration.ball_place import BallPlace
-from procedures.steps.calibration.over_ball import bring_over_ball
+from procedures.steps.calibration.over_ball import BALL_PICTURE, bring_over_ball
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
 from procedures.workcell.stereo_look import Look
+from procedures.workcell.stereo_picture import pair_picture
 from ronna_hw.calibration import Numbers3
 
 
@@ -54,6 +55,7 @@ def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
 
 def _kept(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
     context.setting.workspace.keep(seen)  # for whoever wants to see the pictures
+    context.keep_picture(BALL_PICTURE, pair_picture(seen))
     point = seen.point
     return Outcome(
         LookedAtBall(

@@ -15,10 +15,12 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.triangulation import check_serial
+from procedures.steps.calibration.over_ball import BALL_PICTURE
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.stereo_picture import pair_picture
 
 
 class VisitedBaseline(StepResult, kind="baseline_visit"):
@@ -68,6 +70,8 @@ class BaselineVisit:
                 done = visit * len(first) + number + 1
                 context.progress(done / (self.visits * len(first)), "looking at the ball")
         workcell.go_home()
+        if watcher.last is not None:
+            context.keep_picture(BALL_PICTURE, pair_picture(watcher.last))
         if not seen:
             raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
         return Outcome(VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} looks")

@@ -11,7 +11,9 @@ from procedures.engine.operator import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.stereo_picture import pair_picture
 
+BALL_PICTURE = "stereo-ball.png"
 SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some show a ball half hidden
 
 
@@ -42,5 +44,5 @@ def bring_over_ball(context: StepContext, place: BallPlace, purpose: str, poses:
     workcell.surround(around_ball(context.setting.surroundings, tool, ball_mm, place.others_mm))
     workcell.start(cameras=True)
     workcell.read_whole_sensors()
-    watcher.find(place.first_look)
+    context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
     return watcher

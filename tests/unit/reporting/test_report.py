@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,63 @@ from procedures.steps.clinical.relocalization import LeftOutSphere
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
 
 
+class Page(HTMLParser):
+    """What a page would fetch, its elements, and its pictures' attributes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.elements: set[str] = set()
+        self.drawings: list[dict[str, str | None]] = []
+        self.tables_in: list[str | None] = []
+        self._around: str | None = None
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.add(tag)
+        named = dict(attrs)
+        sources = [named.get(name) or "" for name in FETCHING if name in named]
+        styles = re.findall(r"url\(([^)]*)", named.get("style") or "")
+        self.fetched += [one for one in (*sources, *styles) if not one.startswith("data:")]
+        if tag == "svg":
+            self.drawings.append(named)
+        if tag == "div":
+            self._around = named.get("class")
+        if tag == "table":
+            self.tables_in.append(self._around)
+
+
+# Attributes whose value a browser loads, follows or posts to.
+FETCHING = ("src", "srcset", "href", "xlink:href", "data", "poster", "action", "formaction", "background")
+
+
 def test_the_page_needs_nothing_but_itself(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
-    assert re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?(?!data:)""", text) == []
-    assert "@import" not in text
+    page = Page(text)
+    assert page.fetched == []
+    assert not page.elements & {"script", "link", "iframe", "object", "embed", "base", "form"}
+    style = text.partition("<style>")[2].partition("</style>")[0]
+    assert "url(" not in style
+    assert "@import" not in style
+
+
+def test_on_a_phone_tables_scroll_and_drawings_are_as_wide_as_the_screen(registered: Path) -> None:
+    text = write_report(registered, truth=TRUTH).read_text()
+    page = Page(text)
+    assert set(page.tables_in) == {"wide"}
+    assert page.drawings
+    for drawing in page.drawings:
+        assert "viewBox" in drawing or "viewbox" in drawing
+        assert "width" not in drawing
+    assert 'name="viewport" content="width=device-width' in text
+
+
+def test_on_paper_nothing_scrolls_and_the_paper_is_a4(registered: Path) -> None:
+    style = write_report(registered).read_text().partition("</style>")[0]
+    screen, _, paper = style.partition("@media print")
+    assert re.search(r"\.wide \{ overflow-x: auto", screen)
+    assert "overflow: visible" in paper
+    assert "@page { size: A4" in style
 
 
 @pytest.mark.hazard(28)

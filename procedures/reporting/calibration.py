@@ -1,0 +1,162 @@
+"""What a calibration of the stereo head, a check of it or one look came to: every figure with its spread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from procedures.reporting.numbers import micrometres, millimetres
+from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.calibration import Numbers3
+from ronna_hw.errors import RonnaError
+
+RESULT_FILE = "result.json"  # in the folder of the run: what the command's --json prints
+AXES = ("x", "y", "z")
+
+
+class Figure(NamedTuple):
+    """One line of the table; `spread` is one standard deviation, in the unit of the value."""
+
+    name: str
+    value: str
+    spread: str = ""
+    verdict: str = ""
+
+
+class _Figures(BaseModel):
+    """Numbers that a command has written; what a report does not show is passed over."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _Place(_Figures):
+    translation_mm: Numbers3
+
+
+class HeadFigures(_Figures):
+    """A calibration."""
+
+    calibration: str
+    created: str
+    expires: str
+    serials: tuple[str, str]
+    outliers: tuple[int, ...] = Field(description="Looks that were left out.")
+    image_sigma_px: float
+    arm_error_mm: float
+    arm_scatter_mm: float
+    stated_error_mm: float
+    tool_covariance_mm2: tuple[Numbers3, Numbers3, Numbers3]
+    tool_shift_mm: float
+    frame_misfit_mm: float
+    flange_from_tool: _Place
+    residuals_px: tuple[tuple[float, ...], ...] = Field(description="Of each look.")
+
+    @property
+    def looks_px(self) -> tuple[tuple[float, bool], ...]:
+        """Rms residual of each look, and whether it was used."""
+        return tuple(
+            (math.sqrt(sum(value**2 for value in one) / len(one)), number not in self.outliers)
+            for number, one in enumerate(self.residuals_px)
+            if one
+        )
+
+    def figures(self) -> Iterator[Figure]:
+        """As a table."""
+        used = [value for value, is_used in self.looks_px if is_used]
+        rms_px = math.sqrt(sum(value**2 for value in used) / max(len(used), 1))
+        yield Figure("cameras", f"{self.serials[0]} left, {self.serials[1]} right")
+        yield Figure("looks", f"{len(used)} used, {len(self.outliers)} left out")
+        for number, axis in enumerate(AXES):
+            sigma_mm = math.sqrt(self.tool_covariance_mm2[number][number])
+            value_mm = self.flange_from_tool.translation_mm[number]
+            yield Figure(
+                f"tool centre on the flange, {axis}, mm", millimetres(value_mm), millimetres(sigma_mm)
+            )
+        yield Figure(
+            "shift of the tool centre, mm", millimetres(self.tool_shift_mm), millimetres(self.stated_error_mm)
+        )
+        yield Figure("change of the stereo geometry, mm", millimetres(self.frame_misfit_mm))
+        yield Figure("outlines, px", f"{rms_px:.2f} rms with the arm's errors", f"{self.image_sigma_px:.3f}")
+        yield Figure(
+            "arm over these poses, mm per axis",
+            f"{millimetres(self.arm_error_mm)} in all",
+            f"{millimetres(self.arm_scatter_mm)} at random",
+        )
+        yield Figure("made", self.created[:16].replace("T", " "))
+        yield Figure("valid until", self.expires[:16].replace("T", " "))
+
+
+class _Sign(_Figures):
+    name: str
+    unit: str
+    value: tuple[float, ...]
+    sigma: tuple[float, ...]
+    statistic: float
+    limit: float
+    sounds: bool
+
+
+class CheckFigures(_Figures):
+    """A check of a calibration."""
+
+    calibration: str
+    looks: int
+    repeatability_mm: float
+    ball_moved_mm: Numbers3
+    signs: tuple[_Sign, ...]
+
+    def figures(self) -> Iterator[Figure]:
+        """As a table."""
+        yield Figure("calibration", self.calibration)
+        yield Figure("looks", str(self.looks), f"arm: {micrometres(self.repeatability_mm)} µm per axis")
+        for sign in self.signs:
+            yield Figure(
+                f"{sign.name}, {sign.unit}",
+                " ".join(f"{value:.5f}" for value in sign.value),
+                " ".join(f"{value:.5f}" for value in sign.sigma),
+                f"{'changed' if sign.sounds else 'unchanged'}: chi-square {sign.statistic:.1f}, "
+                f"limit {sign.limit:.1f}",
+            )
+        yield Figure("ball moved in $ROBROOT, mm", " ".join(map(millimetres, self.ball_moved_mm)))
+
+
+class LookFigures(_Figures):
+    """One look."""
+
+    position_mm: Numbers3
+    covariance_mm2: tuple[Numbers3, Numbers3, Numbers3]
+    ray_gap_mm: float
+    radius_mm: float
+
+    def figures(self) -> Iterator[Figure]:
+        """As a table."""
+        for number, axis in enumerate(AXES):
+            sigma_mm = math.sqrt(self.covariance_mm2[number][number])
+            yield Figure(
+                f"ball in the tool frame, {axis}, mm",
+                f"{self.position_mm[number]:.4f}",
+                f"{sigma_mm:.4f}",
+            )
+        yield Figure("lines of sight pass at, µm", micrometres(self.ray_gap_mm))
+        yield Figure("radius, mm", millimetres(self.radius_mm))
+
+
+AnyFigures = HeadFigures | CheckFigures | LookFigures
+
+
+def read_figures(folder: Path) -> AnyFigures | None:
+    """What the command wrote; None where there is nothing, or nothing that can be read."""
+    try:
+        content = read_json_bytes(folder / RESULT_FILE)
+    except (OSError, RonnaError):
+        return None
+    for kind in (HeadFigures, CheckFigures, LookFigures):
+        try:
+            return kind.model_validate_json(content)
+        except ValidationError:
+            continue
+    return None

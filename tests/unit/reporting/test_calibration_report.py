@@ -1,0 +1,87 @@
+"""The report of a calibration, a check and a look shows every figure with its spread."""
+
+from __future__ import annotations
+
+import csv
+import json
+from typing import Any
+
+import pytest
+from clinical_case import ClinicalCell, imported_ct
+
+from procedures.reporting.calibration import RESULT_FILE
+from procedures.reporting.outcome import RunError
+from procedures.reporting.report import write_report
+
+COVARIANCE = [[0.0004, 0.0, 0.0], [0.0, 0.0009, 0.0], [0.0, 0.0, 0.0016]]
+HEAD: dict[str, Any] = {
+    "calibration": "stereo-head-7",
+    "created": "2026-01-01T10:00:00+00:00",
+    "expires": "2026-01-31T10:00:00+00:00",
+    "serials": ["1", "2"],
+    "outliers": [1],
+    "image_sigma_px": 0.007,
+    "arm_error_mm": 0.305,
+    "arm_scatter_mm": 0.015,
+    "stated_error_mm": 0.04,
+    "tool_covariance_mm2": COVARIANCE,
+    "tool_shift_mm": 0.123,
+    "frame_misfit_mm": 0.007,
+    "flange_from_tool": {"translation_mm": [217.574, 1.788, 62.461]},
+    "residuals_px": [[0.1, 0.1, 0.1, 0.1], [3.0, 3.0, 3.0, 3.0]],
+}
+CHECK: dict[str, Any] = {
+    "calibration": "stereo-head-7",
+    "looks": 24,
+    "repeatability_mm": 0.011,
+    "ball_moved_mm": [0.0, 0.0, 0.1],
+    "signs": [
+        {"name": "gap", "unit": "mm", "value": [0.0321], "sigma": [0.0011]}
+        | {"statistic": 851.0, "limit": 10.8, "sounds": True}
+    ],
+}
+LOOK: dict[str, Any] = {
+    "position_mm": [-0.3526, 0.9668, -0.1895],
+    "covariance_mm2": COVARIANCE,
+    "ray_gap_mm": 0.0036,
+    "radius_mm": 5.749,
+}
+
+
+def page(cell: ClinicalCell, content: str, error: RunError | None = None) -> str:
+    cell.begin(imported_ct()).close("done")
+    (cell.folder / RESULT_FILE).write_text(content)
+    return write_report(cell.folder, error=error).read_text()
+
+
+@pytest.mark.parametrize(
+    ("figures", "value", "spread"),
+    [(HEAD, "217.574", "0.020"), (CHECK, "0.03210", "0.00110"), (LOOK, "-0.3526", "0.0200")],
+    ids=["calibration", "check", "look"],
+)
+def test_every_figure_stands_beside_its_spread(
+    cell: ClinicalCell, figures: dict[str, Any], value: str, spread: str
+) -> None:
+    assert f'<td class="free">{value}</td><td>{spread}</td>' in page(cell, json.dumps(figures))
+
+
+def test_looks_that_were_left_out_are_drawn_and_listed_as_such(cell: ClinicalCell) -> None:
+    page(cell, json.dumps(HEAD))
+    rows = list(csv.DictReader((cell.folder / "report" / "looks.csv").read_text().splitlines()))
+    assert [(row["rms_px"], row["used"]) for row in rows] == [("0.1", "True"), ("3.0", "False")]
+    assert (cell.folder / "report" / "looks.svg").exists()
+
+
+def test_a_check_that_found_a_change_did_not_end_well(cell: ClinicalCell) -> None:
+    text = page(cell, json.dumps(CHECK), RunError(code="CAL-006", what="the stereo head has changed"))
+    assert "changed: chi-square 851.0, limit 10.8" in text
+    assert "<strong>Failed.</strong> Every step was done, but the stereo head has changed (CAL-006)" in text
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"position_mm": [NaN, 0, 0]}'])
+def test_figures_that_cannot_be_read_keep_nothing_else_from_being_shown(
+    cell: ClinicalCell, content: str
+) -> None:
+    text = page(cell, content)
+    assert "What came of it" not in text
+    assert "Where the results come from" in text
