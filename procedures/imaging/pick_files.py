@@ -31,7 +31,7 @@ def read_picks(path: Path) -> Array:
         raise PicksUnreadable(f"cannot read the picks in {path.name}: {error.strerror}") from error
     except InputRefused as error:
         raise PicksUnreadable(f"{path.name} is refused: {error.summary}") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise PicksUnreadable(f"{path.name} holds no picks: {error}") from error
     if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
         raise PicksUnreadable(f"{path.name} holds no picks", expected="three finite numbers per pick")

@@ -30,7 +30,7 @@ class Ledger:
         self.finished: dict[str, Sums] = {}
         head = {"study": study.name, "fingerprint": fingerprint(study), "parameters": study.parameters()}
         folder.mkdir(parents=True, exist_ok=True)
-        if not self._path.exists() or not self._path.read_bytes():
+        if not self._path.exists() or not self._path.stat().st_size:
             self._append(head)
         else:
             self._read(head)

@@ -113,7 +113,7 @@ def _nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
     """The parts of one register, each with a name; a part inherits what it does not state itself."""
-    entries = [child for child in shared if _local(child.tag) == "StructEntry"]
+    entries = [child for child in shared if _local(child.tag) == "StructEntry" and "Name" in child.attrib]
     common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
         raise BadDescription("a shared register has too many fields", limit=str(MOST_SHARED_FIELDS))

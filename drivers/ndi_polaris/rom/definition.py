@@ -11,10 +11,12 @@ from pathlib import Path
 
 from drivers.ndi_polaris.errors import BadToolFile
 from drivers.ndi_polaris.rom.fields import FIELDS, blank_block, checksum
+from ronna_hw.bounded_input import InputRefused, read_bounded
 from ronna_hw.devices.readings import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
 LARGEST_ANGLE_DEG = 180
+LARGEST_FILE_BYTES = 65_536  # far more than a definition; a file of another length is told by it
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,9 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
 def read_definition(path: Path) -> ToolDefinition:
     """Read a .rom file; raises NDI-011 when it is missing or wrong."""
     try:
-        block = path.read_bytes()
+        block = read_bounded(path, LARGEST_FILE_BYTES)
+    except InputRefused as error:
+        raise BadToolFile(error.summary) from error
     except OSError as error:
         raise BadToolFile(f"cannot read {path.name}: {error.strerror}") from error
     return decode_definition(block, path.name)

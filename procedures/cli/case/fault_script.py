@@ -6,8 +6,10 @@ import re
 from collections.abc import Collection
 from pathlib import Path
 
+from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import UsageMistake
 
+LARGEST_SCRIPT_BYTES = 1_000_000  # more than the theatre itself takes
 _STEP_OF_LINE = re.compile(r"\s*when\s+step\s*==\s*(?P<step>\w+)")
 
 
@@ -15,7 +17,7 @@ def check_fault_script(path: Path, step_names: Collection[str]) -> None:
     """Raise CLI-001 for a missing file, and with every line that waits for a step that does not exist."""
     if not path.is_file():
         raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
-    lines = enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1)
+    lines = enumerate(read_bounded(path, LARGEST_SCRIPT_BYTES).decode(errors="replace").splitlines(), 1)
     found = [(number, match["step"]) for number, line in lines if (match := _STEP_OF_LINE.match(line))]
     unknown = [
         f"line {number}: there is no step {step!r}" for number, step in found if step not in step_names

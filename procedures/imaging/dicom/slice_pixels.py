@@ -109,7 +109,9 @@ def _can_decode(syntax: UID) -> bool:
     from pydicom.pixels.decoders.base import get_decoder
 
     try:
-        return bool(get_decoder(syntax).is_available)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an identifier that is none
+            return bool(get_decoder(syntax).is_available)
     except NotImplementedError:
         return False
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ronna_hw.bounded_input import read_bounded
 from ronna_hw.wire.polaris import PVWR_SPACE_BYTES
 from ronna_hw.wire.polaris_rom import ROM_BYTES
 from sim.polaris.errors import BadWiredTool
 
 DEVICE_IDENTIFIER_BYTES = 8
+LARGEST_FILE_BYTES = 65_536  # beyond what any memory takes: told by its length
 
 
 @dataclass
@@ -58,7 +60,7 @@ def plugged_in(definitions: list[Path], ports: int, user_memory_bytes: int) -> W
     sockets = WiredPorts(ports if definitions else 0)
     for number, path in enumerate(definitions, start=1):
         try:
-            content = path.read_bytes()
+            content = read_bounded(path, LARGEST_FILE_BYTES)
         except OSError as error:
             raise BadWiredTool(f"cannot read {path.name}: {error.strerror}") from error
         sockets.add(WiredTool.from_definition(content, number, user_memory_bytes))

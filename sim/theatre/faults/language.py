@@ -19,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ronna_hw.bounded_input import InputRefused, read_bounded
 from sim.errors import BadFaultScript
 from sim.theatre.faults.camera import CAMERA_FAULTS
 from sim.theatre.faults.fault import Fault
@@ -36,8 +37,11 @@ FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FA
 NOW = "now"
 CYCLES_OF = "robot"  # the device whose cycles a script can name
 TRIGGERS = ("at", "when", NOW)
+LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
+MOST_MISTAKES = 20  # that are told at once; each costs a search for what was meant
+LONGEST_COMPARED = 200  # characters of a line in that search
 MOST_LISTED = 6  # of what may stand at a place; beyond this the closest ones are listed
-END = "$END"  # the parser's token
+END, END_OF_TEXT = "$END", "<END-OF-FILE>"  # the parser's tokens
 READABLE = {
     "INT": "a whole number",
     "NUMBER": "a number",
@@ -71,6 +75,8 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
     """Parse a script; raises SIM-003 with every line that is not a fault."""
     from lark.exceptions import UnexpectedInput
 
+    if len(text) > LONGEST_SCRIPT:
+        raise BadFaultScript("the fault script is too long", limit=f"{LONGEST_SCRIPT} characters")
     faults: list[Fault] = []
     mistakes: list[Mistake] = []
     for number, line in enumerate(text.split("\n"), 1):
@@ -78,6 +84,8 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
             tree = _grammar().parse(line.rstrip())
         except UnexpectedInput as error:
             mistakes.append(_unexpected(error, line.rstrip(), number))
+            if len(mistakes) == MOST_MISTAKES:
+                break
             continue
         for statement in tree.children:
             fault, has_duration = _fault(statement, number)
@@ -98,7 +106,9 @@ def begin_now(line: str, now_s: float) -> str:
 def read_faults(path: Path, scene: Scene) -> str:
     """Text of a script that is right for `scene`; raises SIM-003."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bounded(path, LONGEST_SCRIPT).decode()
+    except InputRefused as error:
+        raise BadFaultScript(error.summary) from error
     except OSError as error:
         raise BadFaultScript(f"cannot read the fault script {path.name}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -150,11 +160,13 @@ def _unexpected(error: UnexpectedInput, line: str, number: int) -> Mistake:
         names, ended = set(error.accepts or error.expected), error.token.type == END
     column = len(line) + 1 if ended else error.column
     got = "the end of the line" if ended else repr(line[column - 1 :].split()[0])
-    words = sorted({_readable(name) for name in names - {END, "COMMENT", "WS_INLINE"}})
+    words = sorted({_readable(name) for name in names - {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}})
+    words = words or ["the end of the line"]
     if len(words) > MOST_LISTED:
         words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
     nearest = max(
-        FAULT_KINDS, key=lambda kind: SequenceMatcher(None, kind.usage, line.partition(":")[2]).ratio()
+        FAULT_KINDS,
+        key=lambda kind: SequenceMatcher(None, kind.usage, line.partition(":")[2][:LONGEST_COMPARED]).ratio(),
     )
     return Mistake(f"line {number}, column {column}: expected {either(words)}, got {got}", nearest.example)
 

@@ -1,0 +1,401 @@
+"""Every parser of what comes from outside, with inputs that it takes, and mutants of them.
+
+A parser reads or raises an error of ours; nothing else, and at bounded cost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import random
+import re
+import struct
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from bounded_cost import LIMIT_S
+from good_inputs import (
+    ANSWERS,
+    DESCRIPTION,
+    ETHERNET,
+    FAULTS,
+    FORMULAS,
+    PACKET_BYTES,
+    PARSER_NAMES,
+    PLAN,
+    STATE,
+    TELEGRAM,
+    TOOL,
+    events_file,
+    journal_file,
+    packets,
+    zipped,
+)
+from mutations import mutations
+from painted_ct import write_series
+from pydicom.dataset import Dataset
+from pydicom.uid import DeflatedExplicitVRLittleEndian, RLELossless
+
+from drivers.basler_stereo.control import gvcp
+from drivers.basler_stereo.control.identity import decode_identity
+from drivers.basler_stereo.features.description import parse_description, parse_url, unpacked
+from drivers.basler_stereo.features.feature_map import FeatureMap
+from drivers.basler_stereo.features.formula import evaluate
+from drivers.basler_stereo.stream.frame_assembler import FrameAssembler
+from drivers.kuka_rsi.eki.controller_state import read_state
+from drivers.kuka_rsi.eki.framing import TelegramScanner, parse_telegram
+from drivers.kuka_rsi.realtime.telegram import TelegramReader
+from drivers.ndi_polaris.line.codec import open_ascii, split_binary
+from drivers.ndi_polaris.rom.definition import decode_definition
+from drivers.ndi_polaris.rom.description import read_description
+from drivers.ndi_polaris.tools.shipped import FOLDER as SHIPPED_TOOLS
+from drivers.ndi_polaris.tracking.bx_reply import decode_bx
+from drivers.ndi_polaris.tracking.tx_reply import decode_tx
+from drivers.ndi_polaris.unit.measuring_volume import parse_volumes
+from procedures.cli.case.answers import read_answers
+from procedures.cli.case.request_file import read_request
+from procedures.cli.case.scene_choice import SceneChoice
+from procedures.engine.events.followed_run import FollowedRun
+from procedures.imaging import read_series
+from procedures.imaging.pick_files import read_picks
+from procedures.planning.plan_file import read_plan
+from ronna_hw.bounded_input import parse_json, parse_xml
+from ronna_hw.config import read_theatre_file
+from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.seal import Seal, read_seal
+from ronna_hw.recording.byte_lines import encode_bytes, encode_note, read_link
+from ronna_hw.recording.pixel_coding import pack_pixels, unpack_pixels
+from ronna_hw.records import Record, read_record, write_record
+from ronna_hw.wire import kuka_context, polaris
+from ronna_hw.wire.kuka_context import load_context
+from sim.kuka.eki.server import cut_requests
+from sim.kuka.rsi.ethernet_file import read_ethernet_file
+from sim.kuka.rsi.reply_reader import ReplyReader
+from sim.theatre.faults import parse_faults
+from sim.theatre.scene.model import read_scene
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.theatre_file import theatre_content
+
+
+@dataclass(frozen=True)
+class Parser:
+    """What it is given when all is well, and what takes it; mutants go to `take` as well."""
+
+    good: tuple[bytes, ...]
+    take: Callable[[bytes], object]
+
+
+def mutants(good: tuple[bytes, ...], count: int, seed: int) -> Iterator[bytes]:
+    """As `mutations`; one in eight then has a part of it many times, some have numbers without sense."""
+    chosen = random.Random(seed)
+    for data in mutations(good, count, seed):
+        if chosen.random() < 0.125 and data:
+            begin = chosen.randrange(len(data))
+            part = data[begin : begin + chosen.randint(1, 40)]
+            data = data[:begin] + part * chosen.choice((2, 10, 100, 3000)) + data[begin:]
+        if chosen.random() < 0.125:
+            data = _DIGITS.sub(lambda found: found[0] if chosen.random() < 0.8 else chosen.choice(_ODD), data)
+        yield data
+
+
+_DIGITS = re.compile(rb"-?\d+(?:\.\d+)?")
+_ODD = (
+    b"-1",
+    b"0",
+    b"1e308",
+    b"-1e-300",
+    b"1e400",
+    b"9" * 400,
+    b"65536",
+    b"4294967296",
+    b"0x" + b"F" * 40,
+    b"nan",
+)
+
+
+class _Camera:
+    def read(self, address: int, count: int) -> bytes:
+        return struct.pack(">I", address % (1 << 32)) * (count // 4)
+
+    def write(self, address: int, data: bytes) -> None:
+        assert len(data) % 4 == 0
+        assert 0 <= address < 1 << 32
+
+
+def _features(data: bytes) -> None:
+    nodes = parse_description(data)
+    features = FeatureMap(nodes, _Camera())
+    for name in list(nodes)[:50]:
+        for ask in (
+            features.number,
+            features.limits,
+            features.has,
+            features.entries,
+            features.choice,
+            lambda name: features.set_number(name, 5),
+            features.command_write,
+        ):
+            with contextlib.suppress(RonnaError):
+                ask(name)
+
+
+def _gvcp(data: bytes) -> None:
+    acknowledge = gvcp.decode(data)
+    if acknowledge is None:
+        return
+    gvcp.pending_ms(acknowledge.payload)
+    for read in (
+        lambda payload: decode_identity(payload, "127.0.0.1"),
+        lambda payload: gvcp.register_value(payload, "a register"),
+        lambda payload: gvcp.memory_data(payload, 0x200, 8),
+        lambda payload: parse_url(payload.decode("ascii", "replace")),
+    ):
+        with contextlib.suppress(RonnaError):
+            read(gvcp.require_success(acknowledge, "asking"))
+
+
+def _gvsp(data: bytes) -> None:
+    assembler = FrameAssembler(1200, 136)
+    for begin in range(0, len(data), PACKET_BYTES):
+        frame = assembler.accept(memoryview(data)[begin : begin + PACKET_BYTES], 0.0)
+        if frame is not None and frame.leader is not None:
+            assert frame.leader.area
+    assembler.overdue(1.0)
+
+
+def _eki(data: bytes) -> None:
+    for telegram in TelegramScanner().feed(data):
+        read_state(parse_telegram(telegram), 0.0)
+
+
+def _with_right_crc(data: bytes) -> None:
+    """The CRC is no secret: who means ill sends the right one."""
+    text = data.replace(b"\r", b"")
+    with contextlib.suppress(RonnaError):
+        decode_tx(open_ascii(text + b"%04X" % polaris.crc16(text)))
+    with contextlib.suppress(RonnaError):
+        parse_volumes(open_ascii(text + b"%04X" % polaris.crc16(text)))
+
+
+def _binary(data: bytes) -> None:
+    with contextlib.suppress(RonnaError):
+        split_binary(data)
+    decode_bx(data)
+
+
+def _rom(data: bytes) -> None:
+    block = bytearray(data.ljust(752, b"\0")[:752])
+    struct.pack_into("<H", block, 4, sum(block[6:]) & 0xFFFF)  # a right checksum
+    with contextlib.suppress(RonnaError):
+        decode_definition(bytes(block))
+    decode_definition(data)
+
+
+def _pixels(data: bytes) -> None:
+    with contextlib.suppress(ValueError):
+        unpack_pixels(data, (30, 40), "uint16")
+
+
+def parsers(folder: Path) -> dict[str, Parser]:
+    """All of them by name; those of files read from `folder`."""
+
+    def of_file(name: str, read: Callable[[Path], object]) -> Callable[[bytes], object]:
+        path = folder / name
+
+        def take(data: bytes) -> object:
+            path.write_bytes(data)
+            return read(path)
+
+        return take
+
+    def of_run(name: str, read: Callable[[Path], object]) -> Callable[[bytes], object]:
+        run = folder / name.replace(".", "-")
+        run.mkdir(exist_ok=True)
+
+        def take(data: bytes) -> object:
+            (run / name).write_bytes(data)
+            return read(run)
+
+        return take
+
+    scene = named_scene("mini")
+    plain_scene = scene.model_dump_json(by_alias=True).encode()
+    endpoints = {
+        "polaris": "tcp://127.0.0.1:1",
+        "kuka": {"rsi": "udp://127.0.0.1:2", "eki_project": "tcp://127.0.0.1:3"},
+        "basler": {"left": "gev://127.0.0.1", "right": "gev://127.0.0.2"},
+    }
+    theatre = tomli_w.dumps(
+        theatre_content(scene, endpoints, "host:", {"robot_frame": "robot_frame.rom"}, 2.0)
+    )
+    record = write_record(
+        Record("1-plan", "plan", {"0-ct": "0" * 64}, {"a": [1.5, {"b": None}], "c": "text"}), folder
+    ).read_bytes()
+    request = json.dumps(
+        {"schema": 1, "program": "0.1.0", "scene": "mini", "strategy": "ocs", "speed": "max"}
+    )
+    sealed = Seal(journal_bytes=9, journal_sha256="0" * 64, files={"log.jsonl": "1" * 64}).signed()
+    seal = sealed.model_dump_json(by_alias=True, indent=1).encode()
+    context = Path(kuka_context.__file__).with_name(kuka_context.DEFAULT_CONTEXT_FILE).read_bytes()
+    rsi = TelegramReader(("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay"))
+    ours = load_context()
+    replies = ReplyReader(ours.receive, ours.ethernet.sentype)
+    reply = b'<Sen Type="RONNA"><AK A1="0.1" A2="0"/><Stop>0</Stop><IPOC>44</IPOC></Sen>'.replace(
+        b"RONNA", ours.ethernet.sentype.encode()
+    )
+    lines = encode_bytes(1_800_000_000_000_000_000, 1.25, Direction.SENT, b"AP") + encode_note(
+        0, 1.0, {"a": "b"}
+    )
+    voxels = np.arange(3 * 6 * 7, dtype=np.int16).reshape(3, 6, 7) - 1000
+    series = write_series(folder / "series", voxels)
+    packed = write_series(folder / "packed", voxels, edit=_compressed)
+    deflated = write_series(folder / "deflated", voxels, edit=_deflated)
+
+    def slices(where: Path) -> Callable[[bytes], object]:
+        return of_file(f"{where.name}/0000.dcm", lambda _path: read_series(where))
+
+    def link(path: Path) -> object:
+        return list(read_link(path, "link"))
+
+    def events(path: Path) -> object:
+        return list(FollowedRun(path).batches())
+
+    bx = struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)[:46]
+    tx = (
+        b"0102+10000+00000+00000+00000+001050-002025-150000+0012500000031" + b"0000012C\n000000",
+        b"0101MISSING000000310000012D\n033+001000+002000-150000-001000-002000-250000+000000+000000-1000000002",
+    )
+    found = {
+        "theatre TOML": Parser((theatre.encode(),), of_file("theatre.toml", read_theatre_file)),
+        "scene TOML": Parser(
+            (tomli_w.dumps(_without_none(json.loads(plain_scene))).encode(),),
+            of_file("scene.toml", read_scene),
+        ),
+        "scene JSON": Parser((plain_scene,), of_file("scene.json", read_scene)),
+        "scene's seed": Parser(
+            (b'{"seed": 5}', b"seed = 5"),
+            of_file("seed.json", lambda path: SceneChoice(str(path)).own_seed),
+        ),
+        "plan TOML": Parser((PLAN,), of_file("plan.toml", read_plan)),
+        "context TOML": Parser((context,), of_file("context.toml", load_context)),
+        "tool TOML": Parser((TOOL,), of_file("tool.toml", lambda path: read_description(path).definition())),
+        "answers TOML": Parser((ANSWERS,), of_file("answers.toml", read_answers)),
+        "picks JSON": Parser(
+            (
+                b"[[1.5, -2, 3e1]]",
+                b'{"spheres": [{"centre_mm": [1, 2, 3]}]}',
+                b'{"markups":[{"coordinateSystem":"RAS","controlPoints":[{"position":[1,2,3]}]}]}',
+            ),
+            of_file("picks.json", read_picks),
+        ),
+        "picks CSV": Parser((b"L_mm,P_mm,S_mm\n1,2,3\n", b"# a\n1,2,3\n"), of_file("picks.csv", read_picks)),
+        "record": Parser((record,), of_file("record.json", read_record)),
+        "journal": Parser((journal_file(),), of_file("journal.jsonl", read_chain)),
+        "events": Parser((events_file(),), of_run("events.jsonl", events)),
+        "seal": Parser((seal,), of_run("seal.json", read_seal)),
+        "request": Parser((request.encode(),), of_run("request.json", read_request)),
+        "recorded bytes": Parser((lines.encode(),), of_run("link.a.jsonl", link)),
+        "recorded pixels": Parser((pack_pixels(np.zeros((30, 40), np.uint16)),), _pixels),
+        "control line": Parser((b'{"do": "fault", "line": "now: x"}',), _control),
+        "fault script": Parser((FAULTS,), lambda data: parse_faults(data.decode("utf-8", "replace"))),
+        "GenICam XML": Parser((DESCRIPTION,), _features),
+        "GenICam ZIP": Parser((zipped(DESCRIPTION), zipped(DESCRIPTION, zipfile.ZIP_STORED)), unpacked),
+        "GenICam formula": Parser(FORMULAS, _formula),
+        "GVCP": Parser(
+            tuple(
+                struct.pack(">4H", 0, command, len(payload), 1) + payload
+                for command, payload in (
+                    (0x81, b"\0\0\0\7"),
+                    (0x85, struct.pack(">I8x", 0x200)),
+                    (3, bytes(248)),
+                    (0x89, b"\0\0\0\7"),
+                    (0x81, b"Local:cam.xml;100000;4ed4"),
+                )
+            ),
+            _gvcp,
+        ),
+        "GVSP": Parser((packets(),), _gvsp),
+        "Polaris BX": Parser((bx,), _binary),
+        "Polaris text": Parser(
+            (
+                *tx,
+                b"15-000240000-000095000-000055700+000015200+000031100+000035600+000041400+000049500+000078300+000093500",
+            ),
+            _with_right_crc,
+        ),
+        "Polaris .rom": Parser(((SHIPPED_TOOLS / "robot_frame.rom").read_bytes(),), _rom),
+        "EKI": Parser((STATE, STATE + b"\0\r\n" + STATE), _eki),
+        "EKI request": Parser((b'<Cmd Id="1" Name="STATUS"></Cmd>',), _request),
+        "RSI": Parser((TELEGRAM,), rsi.read),
+        "RSI reply": Parser((reply,), replies.read),
+        "Ethernet file": Parser(
+            (ETHERNET,), of_file("e.xml", lambda path: read_ethernet_file(path, None, 255))
+        ),
+        "DICOM": Parser(((series / "0000.dcm").read_bytes(),), slices(series)),
+        "DICOM deflated": Parser(((deflated / "0000.dcm").read_bytes(),), slices(deflated)),
+        "DICOM RLE": Parser(((packed / "0000.dcm").read_bytes(),), slices(packed)),
+    }
+    assert tuple(found) == PARSER_NAMES
+    return found
+
+
+def _control(data: bytes) -> None:
+    with contextlib.suppress(ValueError):
+        parse_json(data)
+
+
+def _formula(data: bytes) -> None:
+    text = data.decode("latin-1")
+    for whole in (True, False):
+        with contextlib.suppress(RonnaError):
+            evaluate(text, {"A": 3, "B": 2.5, "TO": 7}, whole=whole)
+
+
+def _request(data: bytes) -> None:
+    for request in cut_requests(data)[0]:
+        parse_xml(request, 16384)
+
+
+def _compressed(data: Dataset, _number: int) -> None:
+    data.compress(RLELossless, generate_instance_uid=False)
+
+
+def _deflated(data: Dataset, _number: int) -> None:
+    data.file_meta.TransferSyntaxUID = DeflatedExplicitVRLittleEndian
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(part) for key, part in value.items() if part is not None}
+    return [_without_none(part) for part in value] if isinstance(value, list) else value
+
+
+def feed(parser: Parser, count: int, seed: int) -> int:
+    """Feed mutants, each at bounded cost; returns how many were taken. Raises what is no error of ours."""
+    taken = 0
+    for data in mutants(parser.good, count, seed):
+        begun_s = time.thread_time()
+        try:
+            parser.take(data)
+            taken += 1
+        except RonnaError as error:
+            if not error.code:
+                raise
+        except Exception as error:
+            kept = Path(tempfile.gettempdir()) / "hostile_input.bin"
+            kept.write_bytes(data)
+            raise AssertionError(
+                f"{error!r} for {data[:200]!r}, {len(data)} bytes, kept in {kept}"
+            ) from error
+        spent_s = time.thread_time() - begun_s
+        assert spent_s < LIMIT_S, f"{spent_s:.1f} s for {data[:200]!r}"
+    return taken

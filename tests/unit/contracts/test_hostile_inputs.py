@@ -1,0 +1,26 @@
+"""A few mutants for every parser of what comes from outside; the million is in tests/soak."""
+
+from __future__ import annotations
+
+import pytest
+from bounded_cost import bounded_cost
+from good_inputs import PARSER_NAMES
+from hostile_inputs import Parser, feed, parsers
+
+FEW = 40
+
+
+@pytest.fixture(scope="module")
+def all_parsers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Parser]:
+    return parsers(tmp_path_factory.mktemp("hostile"))
+
+
+@pytest.mark.parametrize("name", PARSER_NAMES)
+def test_a_parser_takes_what_is_good_and_reads_or_refuses_mutants(
+    all_parsers: dict[str, Parser], name: str
+) -> None:
+    parser = all_parsers[name]
+    for good in parser.good:
+        parser.take(good)
+    with bounded_cost():
+        feed(parser, FEW, seed=1)
