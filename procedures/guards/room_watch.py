@@ -52,6 +52,9 @@ class RoomWatch:
     robot_from_tracker: Transform
     spheres_mm: Array  # (n, 3) those on the head, tracker frame
     references: list[RoomReading] = field(default_factory=list)
+    hidden_from: Transform | None = (
+        None  # where the arm stood, if the last reading showed too little of the head
+    )
 
     def check(self, reading: RoomReading) -> list[str]:
         """Compare a reading with those before and keep it; returns what could not be compared, in words.
@@ -68,10 +71,11 @@ class RoomWatch:
         ):  # else it is the first in this orientation
             base_mm = reading.frame_mm - reference.frame_mm
         head = shift_of(self.spheres_mm, reading.spheres_mm)
+        self.hidden_from = reading.robot_from_flange if head is None else None
         if head is None:
             findings.append("the tracker sees fewer than three known spheres in this pose")
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
-        same = reference is not None and _same_pose(reading, reference)
+        same = reference is not None and _same_pose(reading.robot_from_flange, reference.robot_from_flange)
         limit_mm = BASE_LIMIT_MM if same else OTHER_POSE_LIMIT_MM
         if base_mm is not None and float(np.linalg.norm(base_mm)) >= limit_mm:
             raise _base_shifted(base_mm, head_mm, limit_mm)
@@ -83,29 +87,35 @@ class RoomWatch:
             self.references.append(reading)
         return findings
 
+    def hides_head(self, robot_from_flange: Transform) -> bool:
+        """Whether the arm stands where, at the last reading, it hid the head from the tracker."""
+        return self.hidden_from is not None and _same_pose(self.hidden_from, robot_from_flange)
+
     def _reference(self, reading: RoomReading) -> RoomReading | None:
         """The newest of the nearest readings in the same orientation."""
+        here = reading.robot_from_flange
         alike = [
-            (_apart_mm(one, reading), -number, one)
+            (apart_mm, -number, one)
             for number, one in enumerate(self.references)
-            if _turned_rad(one, reading) <= SAME_ORIENTATION_RAD and _apart_mm(one, reading) <= FARTHEST_MM
+            if _turned_rad(one.robot_from_flange, here) <= SAME_ORIENTATION_RAD
+            and (apart_mm := _apart_mm(one.robot_from_flange, here)) <= FARTHEST_MM
         ]
-        exact = [one for one in alike if _same_pose(one[2], reading)]
+        exact = [one for one in alike if _same_pose(one[2].robot_from_flange, here)]
         # of those from the same pose the oldest: a slow drift is not to be followed
         chosen = max(exact, key=lambda one: one[1]) if exact else min(alike, default=None)
         return None if chosen is None else chosen[2]
 
 
-def _same_pose(one: RoomReading, other: RoomReading) -> bool:
+def _same_pose(one: Transform, other: Transform) -> bool:
     return _turned_rad(one, other) < SAME_POSE_RAD and _apart_mm(one, other) < SAME_POSE_MM
 
 
-def _apart_mm(one: RoomReading, other: RoomReading) -> float:
-    return math.dist(one.robot_from_flange.translation_mm, other.robot_from_flange.translation_mm)
+def _apart_mm(one: Transform, other: Transform) -> float:
+    return math.dist(one.translation_mm, other.translation_mm)
 
 
-def _turned_rad(one: RoomReading, other: RoomReading) -> float:
-    between = one.robot_from_flange.rotation_matrix.T @ other.robot_from_flange.rotation_matrix
+def _turned_rad(one: Transform, other: Transform) -> float:
+    between = one.rotation_matrix.T @ other.rotation_matrix
     return math.acos(min(1.0, max(-1.0, (float(np.trace(between)) - 1.0) / 2.0)))
 
 

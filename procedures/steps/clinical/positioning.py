@@ -19,12 +19,13 @@ from procedures.steps.clinical.head_surroundings import READS, surround_guide
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.room_check import ROOM_READS, check_room
+from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_hidden
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.arm.errors import BranchUnavailable, NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.frames import Transform
 
+BY_HOME = "home, where the tracker sees the head past the arm, then "
 REFUSED_BEFORE = (Unreachable, Singular, OutOfJointRange, BranchUnavailable, NotClear)  # anything moves
 
 
@@ -46,16 +47,21 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     surround_guide(context, robot_from_ct)
     with _named(trajectory):
         standoff_rad = workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad)
+    by_home = head_hidden(context)
     workcell.confirm_motion(
         Topic.APPROACH,
-        f"move over {trajectory} with tool {mounted}, then {insertion.travel_mm:.0f} mm along the axis onto "
-        f"the target, {insertion.depth_mm:.0f} mm beyond the entry",
-        [workcell.facts(standoff_rad)],
+        f"move {BY_HOME if by_home else ''}over {trajectory} with tool {mounted}, then "
+        f"{insertion.travel_mm:.0f} mm along the axis onto the target, {insertion.depth_mm:.0f} mm beyond "
+        "the entry",
+        [workcell.facts(workcell.home_rad if by_home else standoff_rad)],
         trajectory,
     )
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
     check_room(context, f"before {trajectory}")
     workcell.start()
+    if by_home:
+        workcell.return_home()
+        check_room(context, f"at home, before {trajectory}")
     context.progress(0.0, f"moving over {trajectory}")
     with _named(trajectory):
         workcell.go(standoff_rad)

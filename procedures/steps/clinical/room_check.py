@@ -37,6 +37,14 @@ def check_room(context: StepContext, where: str) -> None:
         context.find(f"{where}: {finding}")
 
 
+def head_hidden(context: StepContext) -> bool:
+    """Whether the tracker, when it looked last, saw too little of the head past the arm as it stands now."""
+    watch, workcell = context.setting.workspace.find(RoomWatch), context.workcell
+    if watch is None or watch.hidden_from is None:
+        return False
+    return watch.hides_head(workcell.arm.kinematics.flange_pose(workcell.joints_rad()))
+
+
 def _watch(context: StepContext) -> RoomWatch:
     """The watch over the standing localization; a new one begins with that."""
     localized = context.result(GlobalLocalization)

@@ -3,12 +3,14 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from clinical_case import (
     FIRST,
     HOME_RAD,
     LAST,
     ROBOT_FROM_CT,
+    SPHERES_MM,
     TRAJECTORIES,
     ClinicalCell,
     OnceForAll,
@@ -28,6 +30,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
 from procedures.engine.operator import Question, Topic
 from procedures.engine.step import Scope
+from procedures.guards.errors import PatientMoved
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
@@ -36,6 +39,7 @@ from procedures.steps.clinical.retreat import Retreated
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
 from ronna_hw.records import BadRecord
 
 
@@ -290,3 +294,24 @@ def test_nobody_who_says_done_leaves_the_instrument_on_its_target(cell: Clinical
 def test_an_approach_is_asked_about_once(cell: ClinicalCell) -> None:
     run(begin(cell), f"positioning:{FIRST}")
     assert [question.topic for question in cell.operator.asked] == [Topic.APPROACH]
+
+
+@pytest.mark.hazard(12)
+def test_from_where_the_arm_hides_the_head_the_way_leads_home_and_the_head_is_looked_at_there(
+    cell: ClinicalCell,
+) -> None:
+    engine = begin(cell)
+    run(engine, f"positioning:{FIRST}", f"at_target:{FIRST}")
+    cell.tracker.spheres_mm = SPHERES_MM[:2]  # the arm hides the others
+    run(engine, f"retreat:{FIRST}")
+    been = len(cell.arm.motions)
+
+    def seen_again(_start: JointVector, _target: JointVector) -> bool:
+        cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, 0.5, 0.0))  # but it has moved
+        return False
+
+    cell.arm.blocked = seen_again
+    with pytest.raises(PatientMoved):
+        run(engine, f"positioning:{LAST}")
+    assert cell.arm.motions[been:] == [("joints", HOME_RAD)]
+    assert cell.operator.asked[-1].subject.startswith("move home, where the tracker sees the head")
