@@ -7,9 +7,11 @@ import signal
 import sys
 from typing import Any
 
+from drivers.kuka_rsi.options import KukaOptions
 from procedures.cli.procedure import main
 from procedures.engine.journal import Journal
 
+HALTED_S = 60.0  # longer than anybody needs to copy a folder; the arm's process would stop the arm after 1 s
 append = Journal._append
 
 
@@ -19,5 +21,7 @@ def append_and_halt(journal: Journal, *words: Any, **more: Any) -> None:
 
 
 if __name__ == "__main__":
+    KukaOptions.model_fields["heartbeat_limit_s"].default = HALTED_S
+    KukaOptions.model_rebuild(force=True)
     Journal._append = append_and_halt  # type: ignore[method-assign]
     sys.exit(main())
