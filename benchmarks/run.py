@@ -42,6 +42,7 @@ MEASUREMENTS = {
     "ct": "ct",
     "registration": "registration",
     "mini-case": "mini_case",
+    "recording": "recording",
 }
 PEERS = (
     "ndicapi", "scikit-surgerynditracker", "RSIPI", "opencv-contrib-python-headless", "scipy", "numpy",

@@ -1,0 +1,63 @@
+"""Twenty terminals follow a case in real time, and one of them hangs: the arm's link does not notice."""
+
+import json
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from run_folders import REACHED_S, run_folder
+from user_commands import Commands
+
+from procedures.engine.events.event_file import EVENTS_FILE
+
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
+
+CASE = ("run", "--sim", "--scene", "mini", "--seed", "3", "--speed", "1", "--json")
+CASE_LIMIT_S = 300.0
+WATCHERS = 20
+
+
+@pytest.fixture
+def commands() -> Iterator[Commands]:
+    started = Commands()
+    try:
+        yield started
+        assert started.await_no_survivors() == []
+    finally:
+        started.end_all()
+
+
+def begun(out: Path) -> Path:
+    """The run's folder, once there is something to follow."""
+    deadline = time.monotonic() + REACHED_S
+    while time.monotonic() < deadline:
+        folder = run_folder(out)
+        if folder is not None and (folder / EVENTS_FILE).exists():
+            return folder
+        time.sleep(0.05)
+    raise AssertionError("the case did not begin")
+
+
+def late_cycles(commands: Commands, out: Path, watchers: int) -> int:
+    """Of a case that so many watch, the first of whom is halted; all of them see its end."""
+    case = commands.start("ronna-procedure", *CASE, "--out", str(out))
+    folder = begun(out)
+    watching = [commands.start("ronna-procedure", "watch", str(folder), "--json") for _ in range(watchers)]
+    for one in watching[:1]:
+        one.send_signal(signal.SIGSTOP)
+    printed, messages = case.communicate(timeout=CASE_LIMIT_S)
+    assert case.returncode == 0, messages
+    for one in watching[:1]:
+        one.send_signal(signal.SIGCONT)
+    for one in watching:
+        seen, _ = one.communicate(timeout=CASE_LIMIT_S)
+        assert json.loads(seen.splitlines()[-1])["what"]
+    late: int = json.loads(printed)["late_cycles"]
+    return late
+
+
+def test_twenty_watchers_of_whom_one_is_halted_make_no_cycle_late(commands: Commands, tmp_path: Path) -> None:
+    alone = late_cycles(commands, tmp_path / "alone", 0)
+    assert late_cycles(commands, tmp_path / "watched", WATCHERS) <= alone
