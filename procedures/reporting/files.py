@@ -23,7 +23,11 @@ def keep_truth(run: Path, truth: Truth) -> Path:
     """Keep in a run's folder what the theatre's verifier said."""
     (run / REPORT_FOLDER).mkdir(exist_ok=True)
     path = run / REPORT_FOLDER / TRUTH_FILE
-    write_whole(path, (truth.model_dump_json(indent=1) + "\n").encode())
+    content = (truth.model_dump_json(indent=1) + "\n").encode()
+    if (
+        not path.is_file() or path.read_bytes() != content
+    ):  # a finished run is shown also where nobody may write
+        write_whole(path, content)
     return path
 
 

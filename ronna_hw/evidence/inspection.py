@@ -24,6 +24,7 @@ REQUEST_FILE = "request.json"
 RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # what a run that goes on does not change any more
+FINISH_IT = "Nothing in it was changed: ronna-procedure resume RUN brings it to its end."
 SHOWN = 3  # problems that an error names; verify lists all
 
 
@@ -75,13 +76,14 @@ class Inspection:
 
     def require_whole(self) -> Inspection:
         """This, or PRO-033 unless the folder is as a run left it that was closed and sealed."""
-        return self._require(self.problems)
+        return self._require(self.problems, None if self.changes else FINISH_IT)
 
     def _require(self, problems: tuple[Problem, ...], action: str | None = None) -> Inspection:
         if problems:
+            state = "as it was left" if self.changes else "finished"
             more = f" and {len(problems) - SHOWN} more" if len(problems) > SHOWN else ""
             named = "; ".join(map(str, problems[:SHOWN]))
-            raise RunChanged(f"{self.folder.name} is not as it was left: {named}{more}", action=action)
+            raise RunChanged(f"{self.folder.name} is not {state}: {named}{more}", action=action)
         return self
 
 
@@ -203,6 +205,8 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
     if whole:
         yield from _against(folder, seal.files)
         yield from _added([name for name in there if name not in named and name not in seal.files])
+    elif closed:
+        yield Problem(SEAL_FILE, "of an earlier end: the last was not sealed", unfinished=True)
 
 
 def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:

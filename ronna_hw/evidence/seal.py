@@ -102,6 +102,12 @@ def read_seal(folder: Path) -> Seal | None:
     return found if found.whole and content == _as_written(found) else None
 
 
+def is_sealed(folder: Path) -> bool:
+    """Whether the seal is over the journal as long as it is now."""
+    found = read_seal(folder)
+    return found is not None and found.journal_bytes == (folder / JOURNAL_FILE).stat().st_size
+
+
 def is_later(name: str) -> bool:
     """Whether a file of that name is written also after the run is closed."""
     return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)

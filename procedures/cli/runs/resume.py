@@ -14,7 +14,7 @@ from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.reporting.report import REPORT_FILE
-from ronna_hw.evidence.seal import SEAL_FILE, hashes_at_closing
+from ronna_hw.evidence.seal import hashes_at_closing, is_sealed
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import FinishedRun
@@ -29,7 +29,8 @@ def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, v
     with held_left_run(folder) as left:
         if left.finished:
             outcome = _as_it_ended(request, left)
-            if not (left.run.path / SEAL_FILE).exists():  # it was killed between its last line and its seal
+            if not is_sealed(left.run.path):  # it was killed between its last line and its seal
+                make_ready(left)
                 report = leave_report(left.run.path)
                 seal_run(left.run.path)
                 outcome = outcome.model_copy(update={"report": report and str(report)})

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -26,6 +28,8 @@ from procedures.engine.run_lock import held_run
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.errors import EXIT_LINK_LOST, EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_USAGE, LinkTimeout
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.seal import SEAL_FILE
 from ronna_hw.theatre import Theatre
 
 
@@ -77,10 +81,11 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None)
 
 
 @pytest.mark.hazard(42)
-def test_a_run_that_another_program_has_open_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", [("resume", "--accept"), ("report",)], ids=lambda command: command[0])
+def test_a_run_that_another_program_has_open_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
     with held_run(folder):
-        refused = in_this_process(app, "resume", folder, "--accept")
+        refused = in_this_process(app, *command, folder)
     assert refused.returncode == EXIT_REFUSED
     assert "PRO-030" in refused.stderr
 
@@ -154,6 +159,23 @@ def test_every_command_names_what_was_changed_in_a_run(run: Path, spoil: Callabl
     assert name in reported.stderr
     page = (run.parent / "report" / "report.html").read_text()
     assert f"This folder is not as the run left it. Rely on nothing below.</strong><ul><li>{name}" in page
+
+
+@pytest.mark.hazard(39)
+def test_a_full_disk_while_a_run_is_sealed_loses_nothing(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (run / SEAL_FILE).unlink()
+    with monkeypatch.context() as full:
+        full.setattr(os, "fsync", lambda _file: (_ for _ in ()).throw(OSError(errno.ENOSPC, "disk full")))
+        seal_run(run)
+    assert "the run could not be sealed" in capsys.readouterr().err
+    assert [problem.file for problem in inspected(run).problems] == [SEAL_FILE]
+    refused = in_this_process(app, "export", run)
+    assert refused.returncode == EXIT_REFUSED
+    assert "is not finished: seal.json: missing" in refused.stderr
+    seal_run(run)
+    assert inspected(run).problems == ()
 
 
 def test_lineage_draws_every_result_with_what_it_was_made_from(run: Path) -> None:

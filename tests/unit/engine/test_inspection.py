@@ -22,7 +22,7 @@ from procedures.engine.step import Outcome
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.seal import SEAL_FILE, seal
+from ronna_hw.evidence.seal import SEAL_FILE, is_sealed, seal
 from ronna_hw.records import read_record, write_record
 
 REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
@@ -219,6 +219,20 @@ def test_a_run_that_was_taken_up_again_is_held_against_its_first_end(run: Path) 
     assert changed_files(run) == set()
     (run / "case" / "plan.toml").write_text("another")
     assert changed_files(run) == {"case/plan.toml"}
+
+
+def test_a_seal_of_an_earlier_end_does_not_make_a_run_whole(run: Path) -> None:
+    files = closed_files(tuple(read_journal(run / JOURNAL_FILE)))
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.RESTARTED, 1.0)
+    journal.write(Entry.CLOSED, 2.0, outcome="done", files=files)
+    journal.close()
+    assert not is_sealed(run)
+    assert [problem.file for problem in inspected(run).problems] == [SEAL_FILE]
+    with pytest.raises(RunChanged, match="the last was not sealed"):
+        inspected(run).require_whole()
+    sealed(run)
+    assert inspected(run).problems == ()
 
 
 def test_nobody_adds_a_line_to_a_sealed_run(run: Path) -> None:
