@@ -12,17 +12,19 @@ from procedures.engine.order import order_of
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict
 from procedures.engine.replay.recorded_answers import RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, replay
-from procedures.engine.run_folder import read_run
+from procedures.engine.run_folder import run_of
 from procedures.planning.plan_file import read_plan
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.command_line.console import print_json, print_table, progress_bar
 from ronna_hw.config import read_theatre_file
+from ronna_hw.evidence.inspection import inspected
 
 
 def replay_run(run_folder: Path, *, as_json: bool) -> None:
     """Replay a run and print a verdict for each record. Raises PRO-024, and PRO-025 unless all are equal."""
-    run = read_run(run_folder)
+    # Of readings that were edited a replay tells more: which results they change.
+    run = run_of(inspected(run_folder, every_file=False).require_unchanged())
     answers = read_answers(run_folder)
     given = _given(run_folder, answers)
     with progress_bar(f"computing {len(run.records)} results again") as show:
