@@ -104,6 +104,22 @@ def test_it_passes_the_suite_of_any_pair_as_far_as_the_emulation_goes(case: Case
     assert result.outcome is Outcome.PASS, result.reason
 
 
+def test_a_pair_that_was_closed_leaves_no_file_open(make_pair):
+    def open_files() -> int:
+        return len(os.listdir("/proc/self/fd"))
+
+    def once() -> int:
+        device = make_pair()
+        device.connect()
+        device.configure()
+        device.activate()
+        device.close()
+        return open_files()
+
+    before = once()  # what the library itself opens stays open
+    assert once() == before
+
+
 def test_every_trigger_gives_one_pair(pair):
     for number in (1, 2, 3):
         reading = pair.grab_pair()

@@ -17,6 +17,7 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 
+STEPS, STEP_DEG = 100, 0.03  # of A1
 CLIENT = """
 import json, sys, time
 from RSIPI import RSIAPI
@@ -39,6 +40,7 @@ with RSIAPI(config, rsi_mode=mode) as api:
         assert api.client.wait_correction_applied(sequence, timeout=2.0)
 
     cycles(10)
+    begun_ms = api.client.current_ipoc()
     for n in range(1, 101):
         if n == 50 and float(stall_s):
             with suspended(api.client.network_process.pid):
@@ -46,6 +48,7 @@ with RSIAPI(config, rsi_mode=mode) as api:
         axis(0.03 * n if mode == "absolute" else 0.03)
     if mode == "relative":
         axis(0.0)
+    taken_ms = api.client.current_ipoc() - begun_ms
     cycles(120)
     result = {
         "first": first,
@@ -53,6 +56,7 @@ with RSIAPI(config, rsi_mode=mode) as api:
         "set": dict(api.client.send_variables["ASPos"]),
         "pose": pose,
         "moved": dict(api.client.send_variables["RIst"]),
+        "cycles": taken_ms // 4,
         "late": api.client.send_variables["Delay"]["D"],
     }
     print(json.dumps(result))
@@ -100,9 +104,12 @@ def test_rsipi_moves_the_arm(config: Path, mode: str) -> None:
         assert child.ready["wired"] == ["AXISCORR", "POSCORR"]
         seen = run_client(config, mode)
     moved = {axis: seen["last"][axis] - seen["first"][axis] for axis in seen["first"]}
-    # With HOLDON 1 every reply that a stalled host misses repeats the last delta: then it is longer.
-    longest = 3.001 if mode == "absolute" else 4.9
-    assert 2.999 < moved["A1"] < longest
+    # Where the client's host stalls, a delta acts again: in a cycle that is answered with it once more, and
+    # in one whose reply is late, by HOLDON 1.
+    most = STEPS if mode == "absolute" else seen["cycles"] + seen["late"]
+    steps = round(moved["A1"] / STEP_DEG)
+    assert STEPS <= steps <= most
+    assert moved["A1"] == pytest.approx(steps * STEP_DEG, abs=1e-3)
     assert moved["A6"] == pytest.approx(-moved["A1"], abs=1e-3)
     assert moved["A2"] == moved["A3"] == moved["A4"] == moved["A5"] == 0.0
     assert seen["set"] == seen["first"]

@@ -157,7 +157,7 @@ class PylonCamera:
             with contextlib.suppress(self._genicam.GenericException):
                 self._camera.Close()
             with contextlib.suppress(self._genicam.GenericException):
-                self._camera.DetachDevice()
+                self._camera.DestroyDevice()  # detached, it would keep its threads and some thirty files
         self._camera = None
 
     def _lost(self, error: Exception) -> CameraLost:
