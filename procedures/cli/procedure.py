@@ -70,6 +70,10 @@ SpeedOption = Annotated[SpeedChoice, typer.Option(help="max: as fast as the devi
 FaultsOption = Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")]
 ConfigOption = Annotated[Path | None, typer.Option(help="Theatre file with the endpoints to use.")]
 CaseOption = Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, however it ended.")]
+FolderOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; by default in the run's.")
+]
 AnswersOption = Annotated[
     Path | None, typer.Option(help="TOML file that answers the questions of the case: a scripted operator.")
 ]
@@ -198,13 +202,7 @@ def graph_command() -> None:
 
 
 @app.command("report")
-def report_command(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, however it ended.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to [RUN].")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
+def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
     """Make the report of a run anew from its folder: report.html, and its pictures and data in report/."""
     from procedures.cli.case.leaving_report import make_report
     from ronna_hw.command_line.console import print_json
@@ -217,14 +215,11 @@ def report_command(
 
 
 @app.command("export")
-def export_command(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to [RUN/export].")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON; no identity in them."""
+def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
+    """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON; no identity in them.
+
+    Into the run's folder `export`, unless told otherwise.
+    """
     from procedures.exchange.run_export import export_run
     from ronna_hw.command_line.console import print_json, tell
 
@@ -238,7 +233,7 @@ def export_command(
 
 @app.command("watch")
 def watch_command(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunArgument,
     as_json: Annotated[bool, typer.Option("--json", help="One event per line, as JSON.")] = False,
 ) -> None:
     """Follow a run from another terminal: how things stand, then what happens, until it has ended.
@@ -252,7 +247,7 @@ def watch_command(
 
 @app.command("replay")
 def replay_command(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunArgument,
     as_json: JsonOption = False,
 ) -> None:
     """Compute every result of a run again from its recorded readings, and compare. Touches no device.
@@ -266,7 +261,7 @@ def replay_command(
 
 @app.command("bytes")
 def bytes_command(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunArgument,
     link: Annotated[str | None, typer.Option(help="A link, or the device whose links are meant.")] = None,
     from_s: Annotated[float | None, typer.Option("--from", help="Theatre time to begin with, s.")] = None,
     to_s: Annotated[float | None, typer.Option("--to", help="Theatre time to end with, s.")] = None,

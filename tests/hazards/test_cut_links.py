@@ -12,12 +12,7 @@ from clinical_case import (
     FIRST,
     ClinicalCell,
     checked_paths,
-    checked_plan,
-    checked_set_up,
-    correspondence,
-    global_localization,
-    imported_ct,
-    localized_fiducials,
+    up_to_correspondence,
 )
 from recording_cell import RecordingDevice
 from user_commands import Commands
@@ -93,8 +88,8 @@ def prepared(cell: ClinicalCell) -> Engine:
     cell.carrying(MountedTool.STEREO_HEAD)
     localizations = checked_paths(cell).localizations
     return cell.begin(
-        *(imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell)),
-        *(global_localization(), correspondence(), paths.model_copy(update={"localizations": localizations})),
+        *up_to_correspondence(cell),
+        paths.model_copy(update={"localizations": localizations}),
         *WORKING,
     )
 

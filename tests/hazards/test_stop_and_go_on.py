@@ -16,15 +16,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from clinical_case import (
-    ROBOT_FROM_CT,
     SPHERES_MM,
     ClinicalCell,
-    checked_plan,
-    checked_set_up,
-    correspondence,
-    global_localization,
-    imported_ct,
-    localized_fiducials,
+    up_to_correspondence,
 )
 from recording_cell import RecordingArm
 
@@ -178,11 +172,7 @@ def test_stopped_at_two_hundred_random_places_the_case_ends_and_nothing_came_nea
         if len(arm.stopped_at) >= STOPS:
             break
         cell = stopped_case(tmp_path / str(number), arm)
-        engine = cell.begin(
-            *(imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell)),
-            *(global_localization(), correspondence(ROBOT_FROM_CT)),
-            *STEPS,
-        )
+        engine = cell.begin(*up_to_correspondence(cell), *STEPS)
         to_the_end(engine)
         assert engine.machine.state == FINISHED
         cell.journal.close()

@@ -278,6 +278,12 @@ def correspondence(robot_from_ct: Transform = ROBOT_FROM_CT) -> Correspondence:
     )
 
 
+def up_to_correspondence(cell: RecordingCell) -> tuple[StepResult, ...]:
+    """What every step up to the coarse registration leaves."""
+    before = (imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell))
+    return (*before, *coarse())
+
+
 def coarse() -> tuple[StepResult, ...]:
     """What is known of the head before the stereo head has looked."""
     return (global_localization(), correspondence())

@@ -8,7 +8,6 @@ from sim.theatre.faults.kinds import (
     WHOLE_PERCENT,
     Arguments,
     DeviceFaults,
-    FaultKind,
     OneOf,
     at_most,
     both,
@@ -22,27 +21,15 @@ MOST_SPOTS = 500
 MOST_STAINED_PERCENT = 60.0  # spots overlap: far more would take long and look no different
 
 SIGHT = DeviceFaults("camera")
-CAMERA = DeviceFaults("camera", prefix="camera_")
+PAIR = DeviceFaults("camera", prefix="camera_")
+CAMERA = DeviceFaults("camera", prefix="camera_", first=OneOf("camera", ("left", "right", BOTH)))
+lasting, share, once = CAMERA.lasting, CAMERA.share, CAMERA.once
 _side = OneOf("camera", ("left", "right"))
-_which = OneOf("camera", ("left", "right", BOTH))
-_share = at_most(WHOLE_PERCENT, "%", argument=1)
 
 
 def _path(arguments: Arguments, _scene: Scene) -> Iterator[str]:
     if int(arguments[1]) < SMALLEST_PATH_BYTES:
         yield f"expected at least {SMALLEST_PATH_BYTES} bytes, got {arguments[1]}"
-
-
-def lasting(name: str, phrase: str, meaning: str) -> FaultKind:
-    return CAMERA.lasting(name, phrase, meaning, _which)
-
-
-def share(name: str, phrase: str, meaning: str) -> FaultKind:
-    return CAMERA.lasting(name, phrase, meaning, both(_which, _share))
-
-
-def once(name: str, phrase: str, meaning: str) -> FaultKind:
-    return CAMERA.once(name, phrase, meaning, _which)
 
 
 SIGHT_FAULTS = (
@@ -62,7 +49,7 @@ SIGHT_FAULTS = (
         "occluder",
         "occlude NAME NUMBER %",
         "A straight edge hides that share of the sphere's rim from the left or right camera.",
-        both(_side, _share),
+        both(_side, at_most(WHOLE_PERCENT, "%", argument=1)),
     ),
     SIGHT.lasting(
         "twist",
@@ -78,7 +65,7 @@ SIGHT_FAULTS = (
     ),
 )
 STREAM_FAULTS = (
-    CAMERA.share("drop", "drop NUMBER %", "That share of the image packets is lost."),
+    PAIR.share("drop", "drop NUMBER %", "That share of the image packets is lost."),
     share(
         "lose", "lose NAME NUMBER %", "That share of one camera's image packets is lost (left, right, both)."
     ),
@@ -90,11 +77,11 @@ STREAM_FAULTS = (
     share("duplicate", "duplicate NAME NUMBER %", "That share of the image packets arrives twice."),
     lasting("shift_area", "shift area NAME", "The leader reports an area 16 px beside the configured one."),
     lasting("truncate", "truncate NAME", "Images carry only half their data."),
-    CAMERA.lasting(
+    lasting(
         "path",
         "narrow path NAME INT bytes",
         "The network drops larger stream packets.",
-        both(_which, _path),
+        _path,
     ),
 )
 CONTROL_FAULTS = (
@@ -114,7 +101,7 @@ TRIGGER_FAULTS = (
     lasting("late", "expose late NAME NUMBER ms", "The exposure starts that long after its trigger."),
     lasting("drift", "drift NAME SIGNED ppm", "The time stamp counter runs fast by that much."),
     once("reset_clock", "reset clock NAME", "The time stamp counter restarts at zero."),
-    CAMERA.once(
+    PAIR.once(
         "pulse",
         "pulse line",
         "Not a fault: a pulse on the trigger line of both cameras (TriggerSource Line1).",
@@ -124,11 +111,11 @@ LENS_FAULTS = (
     lasting("saturate", "saturate NAME", "Far too much light: every pixel saturates."),
     lasting("darken", "darken NAME", "No light: only noise remains."),
     lasting("defocus", "defocus NAME NUMBER px", "The whole image is blurred with that standard deviation."),
-    CAMERA.lasting(
+    lasting(
         "dust",
         "dust NAME INT spots",
         "That many dark spots on the sensor, at the same places in every image.",
-        both(_which, at_most(MOST_SPOTS, "spots", argument=1)),
+        at_most(MOST_SPOTS, "spots", argument=1),
     ),
 )
 CAMERA_FAULTS = (*SIGHT_FAULTS, *STREAM_FAULTS, *CONTROL_FAULTS, *TRIGGER_FAULTS, *LENS_FAULTS)

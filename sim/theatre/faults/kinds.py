@@ -101,23 +101,33 @@ def fiducial_number(arguments: Arguments, scene: Scene) -> Iterator[str]:
 
 
 class DeviceFaults:
-    """Declares the kinds of fault of one device. `prefix` tells their names from those of other devices."""
+    """Declares the kinds of fault of one device.
 
-    def __init__(self, device: str, prefix: str = "") -> None:
+    `prefix` tells their names from those of other devices; `first` checks the first argument of each.
+    """
+
+    def __init__(self, device: str, prefix: str = "", first: Check | None = None) -> None:
         self._device = device
         self._prefix = prefix
+        self._first = first
 
     def lasting(self, name: str, phrase: str, meaning: str, check: Check = anything) -> FaultKind:
         """A fault that acts for its duration."""
-        return FaultKind(self._prefix + name, self._device, phrase, meaning, False, check)
+        return self._kind(name, phrase, meaning, check, momentary=False)
 
     def once(self, name: str, phrase: str, meaning: str, check: Check = anything) -> FaultKind:
         """A fault that happens once."""
-        return FaultKind(self._prefix + name, self._device, phrase, meaning, True, check)
+        return self._kind(name, phrase, meaning, check, momentary=True)
 
     def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
-        """A lasting fault of a percentage."""
-        return self.lasting(name, phrase, meaning, at_most(WHOLE_PERCENT, "%"))
+        """A lasting fault of a percentage, after the first argument where that is checked."""
+        percent = at_most(WHOLE_PERCENT, "%", argument=0 if self._first is None else 1)
+        return self.lasting(name, phrase, meaning, percent)
+
+    def _kind(self, name: str, phrase: str, meaning: str, check: Check, *, momentary: bool) -> FaultKind:
+        if self._first is not None:
+            check = self._first if check is anything else both(self._first, check)
+        return FaultKind(self._prefix + name, self._device, phrase, meaning, momentary, check)
 
 
 def _replaced(phrase: str, words: Iterable[tuple[str, str]]) -> str:

@@ -3,14 +3,9 @@ from pathlib import Path
 import pytest
 from clinical_case import (
     ClinicalCell,
-    checked_plan,
-    checked_set_up,
-    correspondence,
-    global_localization,
-    imported_ct,
-    localized_fiducials,
     mounted_guide,
     relocalization,
+    up_to_correspondence,
 )
 
 from procedures.engine.engine import Engine
@@ -31,8 +26,7 @@ def cell(tmp_path: Path) -> ClinicalCell:
 def engine(cell: ClinicalCell) -> Engine:
     """Of a case that goes as far as the tool change, before its first step."""
     return cell.begin(
-        *(imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell)),
-        *(global_localization(), correspondence(), relocalization()),
+        *(*up_to_correspondence(cell), relocalization()),
         registration.STEP,
         mounted_guide(),
     )

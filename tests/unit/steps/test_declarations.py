@@ -13,15 +13,11 @@ from clinical_case import (
     SERIES,
     ClinicalCell,
     checked_paths,
-    checked_plan,
-    checked_set_up,
     correspondence,
-    global_localization,
-    imported_ct,
-    localized_fiducials,
     mounted_guide,
     registered_robot,
     relocalization,
+    up_to_correspondence,
 )
 from pydantic import BaseModel, ValidationError
 
@@ -135,8 +131,8 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         created=head.created, serials=("1", "2"), arm_variant="kr6", start=head, observations=(look,)
     )
     return [
-        *(imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell), global_localization()),
-        *(correspondence(), checked_paths(cell), relocalization(), registered_robot(), mounted_guide()),
+        *up_to_correspondence(cell),
+        *(checked_paths(cell), relocalization(), registered_robot(), mounted_guide()),
         PositionedGuide(tool_pose=FramedPose.of(pose.transform), joints_rad=HOME_RAD),
         ReachedTarget(tool_pose=pose, nominal_error_mm=0.1 + 0.2),
         Retreated(parked=True, joints_rad=HOME_RAD, link=LINK),
