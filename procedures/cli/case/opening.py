@@ -68,7 +68,7 @@ class Procedure:
     """What the engine is to run. `calibrations` take the place of those of the theatre file."""
 
     order: CaseOrder
-    title: str = "Case"
+    title: str | None = None  # of what is no clinical case
     clinical: ClinicalInput | None = None
     calibrations: Calibrations | None = None
 
