@@ -16,6 +16,7 @@ from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.evidence.errors import JournalCorrupt
 
 JOURNAL_FILE = "journal.jsonl"
+MOST_TORN_LINES = 1000  # in a block of zeros that a loss of power leaves, there are none or few
 FIRST = "0" * 64  # what the first line names as the one before it
 
 JournalValue = str | float | bool | None | Sequence["JournalValue"] | Mapping[str, "JournalValue"]
@@ -118,7 +119,7 @@ def _parsed(line: bytes) -> dict[str, JournalValue] | None:
 
 def _is_torn(rest: bytes) -> bool:
     """Whether a crash can have left this after the last whole line."""
-    *whole, last = rest.split(b"\n")
-    if any(_parsed(line) is not None for line in whole):
+    *whole, last = rest.split(b"\n", MOST_TORN_LINES)
+    if b"\0" not in rest and (whole or not last):
         return False
-    return b"\0" in rest or (not whole and bool(last))
+    return len(whole) < MOST_TORN_LINES and all(_parsed(line) is None for line in whole)

@@ -18,6 +18,7 @@ from ronna_hw.devices.byte_sink import Direction
 
 BYTES_FOLDER = "bytes"
 FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written in turn
+_BEGINNING = '{"host_time"'
 Facts = Mapping[str, str | float]
 
 
@@ -60,6 +61,8 @@ def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
 def _read(link: str, path: Path) -> Iterable[LinkLine]:
     with path.open(encoding="ascii", errors="replace") as file:
         for text in file:
+            if not text.startswith(_BEGINNING):
+                continue  # torn
             try:
                 content = parse_json(text)
                 yield LinkLine(
