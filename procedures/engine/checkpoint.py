@@ -47,8 +47,10 @@ class Checkpoint:
         """`rest` is held, with state and reason, while the case rests; `sleep` takes theatre time."""
         self.guards = list(guards)
         self.beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while guards look
-        # Held, with what is done, while the arm moves and while an instrument is at its target.
-        self.watching: Callable[[str], AbstractContextManager[None]] = lambda _what: nullcontext()
+        # Held, with what is done and whether the arm moves, also while an instrument is at its target.
+        self.watching: Callable[[str, bool], AbstractContextManager[None]] = lambda _what, _moves: (
+            nullcontext()
+        )
         self._ask = ask
         self._rest = rest
         self._sleep = sleep

@@ -170,8 +170,8 @@ class StepContext:
         self._checkpoint.here(f"{self.key}, {text}")
 
     def watching(self, what: str) -> AbstractContextManager[None]:
-        """Watch the patient meanwhile, as during a motion."""
-        return self._checkpoint.watching(what)
+        """Watch the patient meanwhile, as during a motion, while the arm rests."""
+        return self._checkpoint.watching(what, False)
 
     def find(self, text: str) -> None:
         """Record something that the operator should know and that stops nothing."""

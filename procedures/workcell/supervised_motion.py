@@ -100,4 +100,4 @@ class SupervisedMotion:
 
     def _watching(self, what: str) -> AbstractContextManager[None]:
         checkpoint = self._checkpoint
-        return nullcontext() if checkpoint is None else checkpoint.watching(f"the motion {what!r}")
+        return nullcontext() if checkpoint is None else checkpoint.watching(f"the motion {what!r}", True)
