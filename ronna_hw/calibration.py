@@ -5,7 +5,7 @@ Plain numbers. Poses are given as translation (mm) and scalar-first quaternion.
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, model_validator
@@ -19,6 +19,7 @@ UNIT_NORM_TOLERANCE = 1e-6
 Numbers3 = tuple[float, float, float]
 Numbers4 = tuple[float, float, float, float]
 
+CLOCKS_AGREE = timedelta(days=1)  # of two computers, whatever their time zones are set to
 SHORTEST_TRANSLATION_MM = 1.0  # of a tool or a camera; 300 mm in metres are shorter
 SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, but 150 mm in metres are
 
@@ -33,7 +34,7 @@ Length = AfterValidator(_millimetres)  # of something large enough that metres c
 
 
 class CalibrationExpired(DataError):
-    """A calibration record has expired."""
+    """A calibration record has expired, or is dated in the future."""
 
     code = "CAL-001"
     action = "Repeat the calibration, or have the record's owner extend it; no motion until then."
@@ -100,7 +101,16 @@ class DatedRecord(Strict):
     )
 
     def check_valid_at(self, moment: datetime) -> None:
-        """Raise CAL-001 when the record has expired at `moment`."""
+        """Raise CAL-001 when the record has expired at `moment`, or is dated after it.
+
+        By a clock that was set back, a record that has expired would not have.
+        """
+        if moment < self.created - CLOCKS_AGREE:
+            raise CalibrationExpired(
+                f"calibration {self.identifier} is dated {self.created.isoformat()}, which is still to come",
+                got=moment.isoformat(),
+                action="Set this computer's clock, or correct the record's date.",
+            )
         if moment > self.expires:
             raise CalibrationExpired(
                 f"calibration {self.identifier} expired",

@@ -60,6 +60,15 @@ def test_an_expired_calibration_is_refused_at_set_up(cell: RecordingCell, record
     assert refused.value.exit_code == EXIT_REFUSED
 
 
+@pytest.mark.hazard(29)
+def test_a_calibration_of_the_future_is_refused_for_the_clock_may_have_been_set_back(
+    cell: RecordingCell,
+) -> None:
+    to_come = cell.calibrations.tool_tip.model_copy(update={"created": datetime.now(UTC) + timedelta(days=2)})
+    with pytest.raises(CalibrationExpired, match="still to come"):
+        run_set_up(cell, tool_tip=to_come)
+
+
 def test_what_the_drivers_say_the_operator_should_know_is_in_the_result(cell: RecordingCell) -> None:
     notice = "left: the camera sends no test packets; packets of 1500 bytes"
     cell.stereo.notices = (notice,)
