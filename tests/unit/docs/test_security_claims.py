@@ -51,6 +51,7 @@ def _listens(tree: ast.AST) -> bool:
         name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
         if name in SERVERS:
             return True
-        if name == "bind" and isinstance(node, ast.Call) and node.args:  # a logger binds names
+        method = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args
+        if name == "bind" and method:  # with one argument in its place: a logger binds names
             return True
     return False
