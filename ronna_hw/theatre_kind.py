@@ -41,18 +41,15 @@ def on_this_computer(endpoint: Endpoint) -> bool | None:
     return None if address.is_unspecified else address.is_loopback
 
 
+def is_simulated(theatre: TheatreFile) -> bool:
+    """Whether everything in it is simulated, as far as addresses tell."""
+    simulated, real = _kinds(theatre)
+    return bool(simulated) and not real
+
+
 def require_one_kind(theatre: TheatreFile) -> None:
     """Raise CFG-004 for a theatre of simulated and real devices, and for a simulated one without a banner."""
-    simulated: list[str] = []
-    real: list[str] = []
-    for name, device in theatre.devices.items():
-        for address in (*device.endpoints.values(), *([device.endpoint] if device.endpoint else [])):
-            here = on_this_computer(parse_endpoint(address))
-            if here is not None:
-                (simulated if here else real).append(f"{name} at {address}")
-    clock = theatre.clock.endpoint
-    if parse_endpoint(clock).scheme == "shm":
-        simulated.insert(0, f"the clock at {clock}")
+    simulated, real = _kinds(theatre)
     if simulated and real:
         raise MixedTheatre(
             "the theatre file mixes simulated and real devices",
@@ -64,3 +61,18 @@ def require_one_kind(theatre: TheatreFile) -> None:
             "every device is on this computer, as simulated ones are, and the theatre file has no banner",
             action="Give it a banner that says so; if they are real, give their addresses in the network.",
         )
+
+
+def _kinds(theatre: TheatreFile) -> tuple[list[str], list[str]]:
+    """What is simulated and what is real, each with its address."""
+    simulated: list[str] = []
+    real: list[str] = []
+    for name, device in theatre.devices.items():
+        for address in (*device.endpoints.values(), *([device.endpoint] if device.endpoint else [])):
+            here = on_this_computer(parse_endpoint(address))
+            if here is not None:
+                (simulated if here else real).append(f"{name} at {address}")
+    clock = theatre.clock.endpoint
+    if parse_endpoint(clock).scheme == "shm":
+        simulated.insert(0, f"the clock at {clock}")
+    return simulated, real

@@ -5,7 +5,7 @@
     registration = "yes"
     "approach:T1" = "no"
 
-Without `default`, whoever answers without the file answers what is not listed. On configured endpoints a file
+Without `default`, whoever answers without the file answers what is not listed. On real devices a file
 answers nothing that a person is to read back: the patient and what moves the arm.
 """
 

@@ -167,7 +167,7 @@ def operator_of(
 ) -> Operator:
     """Who answers: the file of answers, then the script of a simulated case or the person at the terminal.
 
-    On configured endpoints the person reads back what is to be read back, whatever the file says.
+    On real devices the person reads back what is to be read back, whatever the file says.
 
     The script takes no run up again unless it was told to accept what is found.
     """
@@ -182,8 +182,11 @@ def operator_of(
     if answers is None:
         return operator
     from procedures.cli.case.answers import AnsweringOperator
+    from ronna_hw.config import read_theatre_file
+    from ronna_hw.theatre_kind import is_simulated
 
-    return AnsweringOperator(answers, operator, reads_back=None if request.config is None else person)
+    rehearsed = request.config is None or is_simulated(read_theatre_file(request.config))
+    return AnsweringOperator(answers, operator, reads_back=None if rehearsed else person)
 
 
 def case_folder(request: CaseRequest, folder: Path) -> Path:

@@ -4,11 +4,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import tomli_w
+from recording_cell import ENDPOINTS
 
 from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
+from procedures.cli.case.opening import Watcher, operator_of
+from procedures.cli.case.request import CaseRequest
 from procedures.engine.errors import AnswersUnfit
 from procedures.engine.operator import Question, ReadBack, Topic
 from procedures.steps.answer_words import ANSWER_WORDS
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.theatre_file import theatre_content
 
 APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
 
@@ -68,3 +74,15 @@ def test_what_a_person_is_to_read_back_no_file_answers() -> None:
     operator = AnsweringOperator(Answers(default="first", answers={"approach": "yes"}), Person(), Person())
     assert operator.ask(moves) == "person"
     assert operator.ask(APPROACH) == "yes"
+
+
+@pytest.mark.hazard(36)
+@pytest.mark.parametrize(("simulated", "answer"), [(True, "yes"), (False, "no")])
+def test_a_file_moves_a_real_arm_by_no_answer(tmp_path: Path, simulated: bool, answer: str) -> None:
+    content = theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)
+    text = tomli_w.dumps(content)
+    path = tmp_path / "theatre.toml"
+    path.write_text(text if simulated else text.replace("127.", "172."))
+    request = CaseRequest(out=tmp_path, config=path, case=tmp_path)
+    moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
+    assert operator_of(request, Watcher(), Answers(default="first")).ask(moves) == answer
