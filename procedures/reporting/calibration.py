@@ -19,7 +19,7 @@ AXES = ("x", "y", "z")
 
 
 class Figure(NamedTuple):
-    """One line of the table; `spread` is one standard deviation, in the unit of the value."""
+    """One line of the table; `spread` is its standard error, in the unit of the value."""
 
     name: str
     value: str
@@ -80,12 +80,10 @@ class HeadFigures(_Figures):
             "shift of the tool centre, mm", millimetres(self.tool_shift_mm), millimetres(self.stated_error_mm)
         )
         yield Figure("change of the stereo geometry, mm", millimetres(self.frame_misfit_mm))
-        yield Figure("outlines, px", f"{rms_px:.2f} rms with the arm's errors", f"{self.image_sigma_px:.3f}")
-        yield Figure(
-            "arm over these poses, mm per axis",
-            f"{millimetres(self.arm_error_mm)} in all",
-            f"{millimetres(self.arm_scatter_mm)} at random",
-        )
+        yield Figure("rms residual, arm errors included, px", f"{rms_px:.2f}")
+        yield Figure("standard error of an outline, px", f"{self.image_sigma_px:.3f}")
+        yield Figure("arm error, mm per axis and pose", millimetres(self.arm_error_mm))
+        yield Figure("arm error, random part, mm", millimetres(self.arm_scatter_mm))
         yield Figure("made", self.created[:16].replace("T", " "))
         yield Figure("valid until", self.expires[:16].replace("T", " "))
 

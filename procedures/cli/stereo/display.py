@@ -21,7 +21,7 @@ def print_calibration(result: HeadResult, folder: Path) -> None:
     figures = HeadFigures.model_validate(payload_of(result)).figures()
     console.print_table(
         f"calibration {head.identifier}",
-        ["", "value", "standard deviation"],
+        ["", "value", "standard error"],
         [[one.name, one.value, one.spread] for one in figures],
     )
     if fit.arm_error_mm > REPEATABILITY_MM:
