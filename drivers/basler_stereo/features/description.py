@@ -17,6 +17,7 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 
 LARGEST_FILE_BYTES = 8 * 1024 * 1024  # descriptions are 20 kB to 1 MB
+ADDRESS_LIMIT = 1 << 32  # as GigE Vision counts
 LONGEST_SHOWN = 64  # characters of a text in a message
 ROOT = "RegisterDescription"
 MOST_FIELDS = 1000  # of one node
@@ -76,7 +77,9 @@ def parse_url(url: str) -> tuple[str, int, int]:
     except ValueError as error:
         raise BadDescription("the address of the description cannot be read", got=url) from error
     if not 0 < place[1] <= LARGEST_FILE_BYTES:
-        raise BadDescription("the description has an invalid length", got=str(place[1]))
+        raise BadDescription("the description has an invalid length", got=length[:LONGEST_SHOWN])
+    if not 0 <= place[0] < ADDRESS_LIMIT - place[1]:
+        raise BadDescription("the description lies at an impossible address", got=address[:LONGEST_SHOWN])
     return name.lstrip("/"), *place
 
 

@@ -11,7 +11,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.basler_stereo.errors import BadDescription, MissingFeature
-from drivers.basler_stereo.features.description import CONDITIONS, Field, Node, real_number, whole_number
+from drivers.basler_stereo.features.description import (
+    ADDRESS_LIMIT,
+    CONDITIONS,
+    Field,
+    Node,
+    real_number,
+    whole_number,
+)
 from drivers.basler_stereo.features.formula import Number, evaluate
 from drivers.basler_stereo.features.register_codec import (
     decode_register,
@@ -22,7 +29,6 @@ from drivers.basler_stereo.features.register_codec import (
 from ronna_hw.wire.gige_vision import REGISTER_BYTES
 
 DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
-ADDRESS_LIMIT = 1 << 32  # as GigE Vision counts
 # What one call may cost, since nodes that each name two others double it with every level: fields of the
 # nodes that are visited and characters of formulas. Features of real cameras take some hundreds.
 COST_LIMIT = 100_000

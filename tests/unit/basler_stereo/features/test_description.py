@@ -51,7 +51,16 @@ def test_the_address_of_a_description_on_the_camera_is_read(url):
 
 
 @pytest.mark.parametrize(
-    "url", ["Local:cam.xml", "Local:cam.xml;zz;10", "Local:cam.xml;0;0", "Local:c;0;ffffffff"]
+    "url",
+    [
+        "Local:cam.xml",
+        "Local:cam.xml;zz;10",
+        "Local:cam.xml;0;0",
+        "Local:c;0;ffffffff",
+        "Local:c;1ffffffff;10",
+        "Local:c;-4;10",
+        "Local:c;0;1" + "0" * 5000,
+    ],
 )
 def test_an_address_that_makes_no_sense_is_refused(url):
     with pytest.raises(BadDescription, match="GEV-009"):
