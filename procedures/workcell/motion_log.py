@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 from procedures.engine.journal import Entry, Journal, JournalValue
 from ronna_hw.clock import Clock
@@ -23,24 +22,30 @@ class MotionLog:
         """Number the motions of a run that is taken up again after those that it made before."""
         self._count = count
 
-    @contextmanager
-    def motion(
-        self, what: str, to: list[float], trajectory: str | None = None, **more: JournalValue
-    ) -> Iterator[list[ArmReading]]:
-        """Around one motion, to joints in rad or a position in mm; append the arm's reading to the list.
+    def record(
+        self,
+        what: str,
+        to: list[float],
+        move: Callable[[], ArmReading],
+        trajectory: str | None = None,
+        **more: JournalValue,
+    ) -> ArmReading:
+        """Carry out a motion, to joints in rad or a position in mm, and write it down; its last reading.
 
-        Raises PRO-003 before anything moves when the intent cannot be written.
+        Raises PRO-003 before anything moves when the intent cannot be written, and what the motion raises.
         """
         self._count += 1
-        number, reached = self._count, list[ArmReading]()
+        number = self._count
         self._journal.write(
             Entry.MOTION, self._clock.now_s(), number=number, what=what, to=to, trajectory=trajectory, **more
         )
         try:
-            yield reached
+            reached = move()
         except BaseException as error:  # also an interruption: every intent has its result
             code = error.code if isinstance(error, RonnaError) else type(error).__name__
             self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, error=code)
             raise
-        joints_rad = list(reached[-1].joints_rad)
-        self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, joints_rad=joints_rad)
+        self._journal.note(
+            Entry.MOVED, self._clock.now_s(), number=number, joints_rad=list(reached.joints_rad)
+        )
+        return reached

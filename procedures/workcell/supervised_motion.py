@@ -18,8 +18,6 @@ from procedures.workcell.motion_log import MotionLog
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.readings import ArmReading
 
-Move = Callable[[list[ArmReading]], None]  # carries a motion out and appends the reading that it ends with
-
 
 class SupervisedMotion:
     """Carries motions out one after the other."""
@@ -70,7 +68,7 @@ class SupervisedMotion:
         self,
         what: str,
         to: list[float],
-        move: Move,
+        move: Callable[[], ArmReading],
         *,
         facts: Callable[[], MotionFacts],
         resume: Callable[[], None],
@@ -82,6 +80,11 @@ class SupervisedMotion:
         `facts` says what it will do, for the question; `resume` takes the arm out of HOLD; `more` is written
         with its intent. Raises PRO-002, PRO-004, what a guard or a watch found, and what the motion raises.
         """
+
+        def watched() -> ArmReading:
+            with self._watching(what):
+                return move()
+
         while True:
             if self._checkpoint is not None:
                 self._checkpoint.here(f"before the motion {what!r}")
@@ -89,9 +92,7 @@ class SupervisedMotion:
                 self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", [facts()], trajectory)
             resume()
             try:
-                with self._log.motion(what, to, trajectory, **more) as reached, self._watching(what):
-                    move(reached)
-                return reached[-1]
+                return self._log.record(what, to, watched, trajectory, **more)
             except MotionInterrupted:
                 self._confirmed = False
                 if self._checkpoint is None:

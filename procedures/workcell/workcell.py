@@ -24,7 +24,7 @@ from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
 from procedures.workcell.starting import start
 from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_sensor
-from procedures.workcell.supervised_motion import Move, SupervisedMotion
+from procedures.workcell.supervised_motion import SupervisedMotion
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.pose import Pose
@@ -226,7 +226,7 @@ class Workcell:
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
-        return self._move("go", joints_rad, lambda reached: self._go(joints_rad, reached))
+        return self._move("go", joints_rad, lambda: self._go(joints_rad))
 
     def go_home(self) -> ArmReading:
         """A joint move to where the case began."""
@@ -253,19 +253,19 @@ class Workcell:
         A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
         back: JointVector = (A[0], A[1], A[2], A[3], A[4], A[5])
 
-        def move(reached: list[ArmReading]) -> None:
+        def move() -> ArmReading:
             if from_afar:
-                self._go(back, reached)
+                self._go(back)
             else:
                 self._arm.move_joints(back)
-            reached.append(self._arm.move_joints(joints_rad))
+            return self._arm.move_joints(joints_rad)
 
         return self._move("settle", joints_rad, move)
 
     def line_to(self, pose: Transform) -> ArmReading:
         """A straight line of the flange that brings the mounted tool to a pose."""
         flange = pose @ self.flange_from_tool.inverse()
-        return self._move("line", pose, lambda reached: reached.append(self._arm.move_linear(flange)))
+        return self._move("line", pose, lambda: self._arm.move_linear(flange))
 
     def insert(self, insertion: Insertion) -> ArmReading:
         """From the stand-off of a trajectory along its axis onto the target.
@@ -346,23 +346,21 @@ class Workcell:
         """End all sessions, the arm's first; never raises."""
         self._theatre.close()
 
-    def _go(self, joints_rad: JointVector, reached: list[ArmReading]) -> None:
+    def _go(self, joints_rad: JointVector) -> ArmReading:
         arm = self._arm
         try:
-            reached.append(arm.move_joints(joints_rad))
+            return arm.move_joints(joints_rad)
         except NotClear:  # raised before anything moved
             arm.move_joints(self.home_rad)
-            reached.append(arm.move_joints(joints_rad))
+            return arm.move_joints(joints_rad)
 
     def _along_axis(
         self, what: str, pose: Transform, insertion: Insertion, speed_fraction: float
     ) -> ArmReading:
-        def move(reached: list[ArmReading]) -> None:
+        def move() -> ArmReading:
             insertion.check_on_axis(self.tool_pose())
-            reached.append(
-                self._arm.move_linear(
-                    pose, flange_from_tool=self.flange_from_tool, speed_fraction=speed_fraction
-                )
+            return self._arm.move_linear(
+                pose, flange_from_tool=self.flange_from_tool, speed_fraction=speed_fraction
             )
 
         return self._motion.carry_out(
@@ -375,7 +373,7 @@ class Workcell:
             axis=insertion.as_plain(),
         )
 
-    def _move(self, what: str, goal: JointVector | Transform, move: Move) -> ArmReading:
+    def _move(self, what: str, goal: JointVector | Transform, move: Callable[[], ArmReading]) -> ArmReading:
         self._require_outside(what)
         to = goal.translation_mm.tolist() if isinstance(goal, Transform) else list(goal)
         reached = self._motion.carry_out(what, to, move, facts=lambda: self.facts(goal), resume=self._resume)
@@ -383,7 +381,7 @@ class Workcell:
         return reached
 
     def _move_joints(self, what: str, joints_rad: JointVector) -> ArmReading:
-        return self._move(what, joints_rad, lambda reached: reached.append(self._arm.move_joints(joints_rad)))
+        return self._move(what, joints_rad, lambda: self._arm.move_joints(joints_rad))
 
     def _resume(self) -> None:
         """Out of HOLD; moves nothing."""
