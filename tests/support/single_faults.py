@@ -114,7 +114,7 @@ CAMERA = {
     "darken both": REFUSED_PAIR,
     "defocus left 3 px": REFUSED_PAIR,
     "dust left 50 spots": set(),
-    "narrow path left 600 bytes": {"GEV-010", *REFUSED_PAIR},
+    "narrow path left 600 bytes": {"GEV-012", *REFUSED_PAIR},
     "announce answers left 50 ms": set(),
     "lose events left 50 %": set(),
 }
