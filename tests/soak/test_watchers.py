@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from run_folders import REACHED_S, run_folder
+from run_folders import REACHED_S, records_of, run_folder
 from user_commands import Commands
 
 from procedures.engine.events.event_file import EVENTS_FILE
@@ -17,6 +17,7 @@ pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "3", "--speed", "1", "--json")
 CASE_LIMIT_S = 300.0
 WATCHERS = 20
+LATE_ANYWAY = 3  # of some three thousand cycles, on a computer that has other work as well
 
 
 @pytest.fixture
@@ -41,23 +42,27 @@ def begun(out: Path) -> Path:
 
 
 def late_cycles(commands: Commands, out: Path, watchers: int) -> int:
-    """Of a case that so many watch, the first of whom is halted; all of them see its end."""
+    """With the guide on the arm, of a case that so many watch, the first of whom is halted.
+
+    Before that the watchers start: twenty interpreters at once are no business of the one who is watched.
+    """
     case = commands.start("ronna-procedure", *CASE, "--out", str(out))
     folder = begun(out)
     watching = [commands.start("ronna-procedure", "watch", str(folder), "--json") for _ in range(watchers)]
     for one in watching[:1]:
         one.send_signal(signal.SIGSTOP)
-    printed, messages = case.communicate(timeout=CASE_LIMIT_S)
+    _, messages = case.communicate(timeout=CASE_LIMIT_S)
     assert case.returncode == 0, messages
     for one in watching[:1]:
         one.send_signal(signal.SIGCONT)
     for one in watching:
         seen, _ = one.communicate(timeout=CASE_LIMIT_S)
         assert json.loads(seen.splitlines()[-1])["what"]
-    late: int = json.loads(printed)["late_cycles"]
-    return late
+    (link,) = (record.payload["link"] for record in records_of(folder) if record.kind == "retreat")
+    assert isinstance(link, dict)
+    return int(link["late_cycles"]) + int(link["lost_cycles"])
 
 
 def test_twenty_watchers_of_whom_one_is_halted_make_no_cycle_late(commands: Commands, tmp_path: Path) -> None:
     alone = late_cycles(commands, tmp_path / "alone", 0)
-    assert late_cycles(commands, tmp_path / "watched", WATCHERS) <= alone
+    assert late_cycles(commands, tmp_path / "watched", WATCHERS) <= alone + LATE_ANYWAY
