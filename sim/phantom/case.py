@@ -53,10 +53,10 @@ def write_case(
     series = DicomSeries(scene, grid, folder / SERIES_FOLDER)
     series.prepare()
     painter = SlicePainter(scene, grid, anatomy)
-    steps = len(anatomy.markers) + grid.slices
+    steps = len(anatomy.places) + grid.slices
     with ThreadPoolExecutor(WORKERS) as pool:
         patches = []
-        for patch in pool.map(painter.paint_patch, range(len(anatomy.markers))):
+        for patch in pool.map(painter.paint_patch, range(len(anatomy.places))):
             patches.append(patch)
             progress(len(patches) / steps)
         painter.patches = tuple(patches)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, ROUNDED, Draw
 from sim.theatre.scene.model import CtProtocol
 
 Range = tuple[float, float]
@@ -48,6 +49,7 @@ class Family:
     half_width_mm: Range = (72.0, 78.0)  # semi-axes of the head
     half_depth_mm: Range = (90.0, 98.0)
     half_height_mm: Range = (86.0, 94.0)
+    markers: int = 7
     standoff_mm: Range = (12.0, 20.0)  # skin to a sphere's centre
     fillings: tuple[int, int] = (3, 6)
     headrest: Headrest = Headrest.TROUGH
@@ -60,11 +62,19 @@ class Family:
     post_streaks: PostStreaks | None = None
     pairs: int = 0  # spheres that get a neighbour
     distractors: int = 0  # balls and cylinders of polymer, so many each
+    look_alikes: tuple[Draw, ...] = ()  # objects that are no spheres, two of each kind
     bare: bool = False  # spheres without film and post
     edge: bool = False  # the field ends beside one sphere and cuts another
 
 
 PAIR_DISTANCE_MM = 14.0
+
+
+def _beside_objects(name: str, purpose: Purpose, shows: str, look_alikes: tuple[Draw, ...]) -> Family:
+    return Family(
+        name, purpose, shows, headrest=Headrest.NONE, cable=False, look_alikes=look_alikes, markers=5
+    )
+
 
 FAMILIES: dict[str, Family] = {
     family.name: family
@@ -83,6 +93,8 @@ FAMILIES: dict[str, Family] = {
             bandage_mm=(6.0, 14.0),
             bandage_hu=(20.0, 60.0),
         ),
+        _beside_objects("rounded", Purpose.TUNING, "capsules, rods with round ends and ellipsoids", ROUNDED),
+        _beside_objects("joined", Purpose.TUNING, "beads in rows and balls on thick rods", JOINED),
         Family(
             "narrow",
             Purpose.JUDGING,
@@ -142,6 +154,14 @@ FAMILIES: dict[str, Family] = {
             headrest=Headrest.NONE,
             cable=False,
             bare=True,
+        ),
+        _beside_objects("ends", Purpose.JUDGING, "elbows, tapered and plain rods with round ends", ENDS),
+        _beside_objects("caps", Purpose.JUDGING, "domes on the skin, mushrooms, barrels, buttons", CAPS),
+        _beside_objects(
+            "hollow", Purpose.JUDGING, "hollow balls, balls of other sizes, gel with bubbles, rings", HOLLOW
+        ),
+        _beside_objects(
+            "fittings", Purpose.JUDGING, "artificial teeth, balls with a metal core, balls on a pin", FITTINGS
         ),
     )
 }

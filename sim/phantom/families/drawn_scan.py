@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi, radians
 
 import numpy as np
@@ -26,6 +27,7 @@ from sim.phantom.head.anatomy import (
     ventricles,
 )
 from sim.phantom.head.frame_markers import frame_fiducials, frame_markers, frame_shapes
+from sim.phantom.head.look_alikes import LookAlike, Seat
 from sim.phantom.head.obstacles import Obstacles, skin_point
 from sim.phantom.head.shapes import ellipsoid_depth
 from sim.phantom.head.streaks import Streak
@@ -39,13 +41,14 @@ from sim.theatre.scene.named_scenes import named_scene
 
 Vector = NDArray[np.float64]
 
-MARKERS = 7
 LARGEST_MARKERS = 8
 CAP_HALF_ANGLE_RAD = radians(60.0)
 CLEARANCE_MM = 26.0  # between markers, and from them to other things on the head
 SHORT_CLEARANCE_MM = 18.0  # to electrodes and bolts
 CABLE_ROOM_MM = 22.0  # it swings by 6 mm, and a pair is 14 mm long
 LEAD_ROOM_MM = 8.0  # from a sphere's centre to a lead
+LOOK_ALIKES_OF_A_KIND = 2
+LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM = 44.0, 20.0  # a rod of 30 mm meets nothing else
 TARGET_DEPTH_MM = 50.0
 ATTEMPTS = 4000
 STREAK_BELOW_MM = 9.75  # from the sphere's centre down its post
@@ -61,14 +64,19 @@ def family_scan(
     if fiducials == XFRAME and markers is not None:
         raise BadScene("the x-shaped frame has four spheres; leave the number of markers out")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
-    head, placed = _draw_head(family, seed, markers or MARKERS, fiducials, generator)
+    head, placed = _draw_head(family, seed, markers or family.markers, fiducials, generator)
     scene = _scene(family, protocol, seed, head, fiducials)
     covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
     around, distractors = _obstacles(family, head, placed, covering_mm, generator)
+    objects = _look_alikes(family, head, placed, generator)
     built = frame_markers if fiducials == XFRAME else _standing
     if family.bare:
         built = _floating
     anatomy = _anatomy(family, head, built(head, generator), around, fiducials, generator)
+    if objects:
+        bodies = tuple(shape for one in objects for shape in one.shapes)
+        places = tuple(place for one in objects for place in one.places)
+        anatomy = replace(anatomy, surroundings=(*anatomy.surroundings, *bodies), deceiving=places)
     grid, marks = place_grid(head, scene.ct), _marks(head, covering_mm)
     if family.edge:
         grid, shares = grid_ending_at_spheres(grid, head, generator)
@@ -80,6 +88,10 @@ def family_scan(
         "protocol": protocol,
         "distractors_mm": [list(point) for point in distractors],
     }
+    if objects:
+        truth["look_alikes"] = [
+            {"kind": one.kind, "places_mm": [list(place) for place in one.places]} for one in objects
+        ]
     return Scan(scene, grid, anatomy, fiducials, truth, marks)
 
 
@@ -200,6 +212,21 @@ def _obstacles(
         distractors.append(middle)
         taken.append(np.array(middle))
     return around, distractors
+
+
+def _look_alikes(
+    family: Family, head: Head, placed: Vector, generator: np.random.Generator
+) -> list[LookAlike]:
+    taken = list(placed)
+    drawn = []
+    for draw in family.look_alikes * LOOK_ALIKES_OF_A_KIND:
+        direction = _free_direction(
+            head, taken, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, generator, cap_rad=pi / 2
+        )
+        skin, normal = skin_point(head, direction)
+        drawn.append(draw(Seat(skin, normal, generator)))
+        taken.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
+    return drawn
 
 
 def _anatomy(

@@ -76,6 +76,12 @@ class Anatomy:
     markers: tuple[Marker, ...]
     fillings: tuple[Ball, ...]
     streaks: tuple[Streak, ...] = ()  # of other metal than fillings
+    deceiving: tuple[Point, ...] = ()  # where bodies that are no markers are painted as exactly as markers
+
+    @property
+    def places(self) -> tuple[Point, ...]:
+        """Where the scan is painted finely: the markers, then what might deceive."""
+        return (*(marker.fiducial.centre_ct_mm for marker in self.markers), *self.deceiving)
 
     @property
     def shapes(self) -> tuple[Shape, ...]:

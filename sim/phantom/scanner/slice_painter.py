@@ -44,8 +44,8 @@ class SlicePainter:
         self.patches: tuple[Patch, ...] = ()
 
     def paint_patch(self, number: int) -> Patch:
-        """The surroundings of one marker; `patches` must hold them all before slices are painted."""
-        return paint_patch(self._anatomy.markers[number], self._anatomy.shapes, self._sharp_head, self._grid)
+        """The surroundings of one of the places; `patches` must hold them all before slices are painted."""
+        return paint_patch(self._anatomy.places[number], self._anatomy.shapes, self._sharp_head, self._grid)
 
     def paint(self, number: int) -> Values:
         """HU (rows, columns) of one slice with its noise."""

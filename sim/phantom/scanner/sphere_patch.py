@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.phantom.head.anatomy import Marker
 from sim.phantom.head.layers import HeadLayers
-from sim.phantom.head.shapes import Shape, Values
+from sim.phantom.head.shapes import Point, Shape, Values
 from sim.phantom.scanner import blur
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.painting import paint
@@ -28,9 +27,8 @@ class Patch:
     hu: Values
 
 
-def paint_patch(marker: Marker, shapes: tuple[Shape, ...], sharp_head: HeadLayers, grid: CtGrid) -> Patch:
-    """Paint the surroundings of a marker; `shapes` is everything that may reach into them."""
-    centre = marker.fiducial.centre_ct_mm
+def paint_patch(centre: Point, shapes: tuple[Shape, ...], sharp_head: HeadLayers, grid: CtGrid) -> Patch:
+    """Paint the surroundings of a marker's centre; `shapes` is everything that may reach into them."""
     where = [
         grid.indices(axis, centre[axis] - HALF_SIDE_MM, centre[axis] + HALF_SIDE_MM) for axis in range(3)
     ]

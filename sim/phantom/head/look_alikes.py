@@ -1,0 +1,243 @@
+"""Objects of the markers' polymer and about their size that are no whole spheres.
+
+Each function draws one object around a middle beside the head, or on the skin, and tells the points where a
+localizer may take it for a sphere: these are painted as exactly as markers are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.phantom.head.anatomy import AIR_HU, METAL_HU
+from sim.phantom.head.round_shapes import Barrel, Capsule, Dome, Egg, Ring
+from sim.phantom.head.shapes import Ball, Point, Rod, Shape
+
+Vector = NDArray[np.float64]
+
+RADIUS_MM = 5.75  # that of the usual marker, which look-alikes come near
+POLYMER_HU = (80.0, 200.0)
+GEL_HU = (-20.0, 60.0)
+STANDOFF_MM = (22.0, 32.0)
+STEEPEST = 0.5  # of a body's own direction, towards the skin: so that it does not run into the head
+
+
+@dataclass(frozen=True)
+class LookAlike:
+    """What it is called, its bodies in the order of painting, and where it might deceive."""
+
+    kind: str
+    shapes: tuple[Shape, ...]
+    places: tuple[Point, ...]
+
+
+@dataclass(frozen=True)
+class Seat:
+    """Where an object goes: a point of the skin, the outward normal there, and what draws the rest."""
+
+    skin: Vector
+    normal: Vector
+    random: np.random.Generator
+
+    def between(self, low: float, high: float) -> float:
+        return float(self.random.uniform(low, high))
+
+    def polymer(self) -> float:
+        return self.between(*POLYMER_HU)
+
+    def middle(self) -> Vector:
+        """Beside the head."""
+        return np.asarray(self.skin + self.normal * self.between(*STANDOFF_MM))
+
+    def along(self) -> Vector:
+        """A direction that does not lead into the head."""
+        along = self.random.standard_normal(3)
+        along -= (along @ self.normal) * self.normal
+        along = along / np.linalg.norm(along) + self.between(-STEEPEST, STEEPEST) * self.normal
+        return np.asarray(along / np.linalg.norm(along))
+
+    def axes(self) -> tuple[Point, Point, Point]:
+        """Three perpendicular directions at random."""
+        turned, _ = np.linalg.qr(self.random.standard_normal((3, 3)))
+        first, second, third = (_point(row) for row in turned)
+        return first, second, third
+
+
+Draw = Callable[[Seat], LookAlike]
+
+
+def capsule(seat: Seat) -> LookAlike:
+    """Round at both ends, 2 to 24 mm longer than wide."""
+    middle, along = seat.middle(), seat.along()
+    half = 0.5 * along * seat.between(2.0, 24.0)
+    body = Capsule(seat.polymer(), _point(middle - half), _point(middle + half), seat.between(5.5, 6.0))
+    return LookAlike("capsule", (body,), (_point(middle - half), _point(middle), _point(middle + half)))
+
+
+def round_ended_rod(seat: Seat) -> LookAlike:
+    """One end round, the other flat."""
+    end, along = seat.middle(), seat.along()
+    radius, hu = seat.between(5.4, 6.1), seat.polymer()
+    rod = Rod(hu, _point(end), _point(along), seat.between(12.0, 30.0), radius)
+    return LookAlike("round-ended rod", (Ball(hu, _point(end), radius), rod), (_point(end),))
+
+
+def egg(seat: Seat) -> LookAlike:
+    """An ellipsoid that is a quarter to a seventh longer than wide."""
+    middle = _point(seat.middle())
+    longer = seat.between(0.07, 0.2)
+    semi_axes = (RADIUS_MM * (1.0 - longer), RADIUS_MM, RADIUS_MM * (1.0 + longer))
+    return LookAlike("egg", (Egg(seat.polymer(), middle, semi_axes, seat.axes()),), (middle,))
+
+
+def beads(seat: Seat) -> LookAlike:
+    """Three to five balls of a marker's size in a row, on a string."""
+    count, spacing = int(seat.random.integers(3, 6)), seat.between(9.0, 11.4)
+    first, along, hu = seat.middle(), seat.along(), seat.polymer()
+    radius = seat.between(5.6, 5.9)
+    places = [_point(first + along * spacing * (k - 0.5 * (count - 1))) for k in range(count)]
+    string = Rod(hu, places[0], _point(along), spacing * (count - 1), seat.between(0.5, 1.0))
+    return LookAlike("beads", (string, *(Ball(hu, place, radius) for place in places)), tuple(places))
+
+
+def knob(seat: Seat) -> LookAlike:
+    """A ball at the end of a rod that is much thicker than a post."""
+    middle, along, hu = seat.middle(), seat.along(), seat.polymer()
+    rod = Rod(hu, _point(middle), _point(along), seat.between(16.0, 26.0), seat.between(3.6, 5.0))
+    ball = Ball(hu, _point(middle), seat.between(5.6, 5.9))
+    return LookAlike("knob", (rod, ball), (_point(middle),))
+
+
+def elbow(seat: Seat) -> LookAlike:
+    """Two rods that meet in a round joint."""
+    joint, hu, radius = seat.middle(), seat.polymer(), seat.between(5.5, 6.0)
+    one, other = seat.along(), seat.along()
+    arms = tuple(
+        Capsule(hu, _point(joint), _point(joint + way * seat.between(8.0, 22.0)), radius)
+        for way in (one, other)
+    )
+    return LookAlike("elbow", arms, (_point(joint), *(arm.end for arm in arms)))
+
+
+def thumb(seat: Seat) -> LookAlike:
+    """A rod that narrows towards its round end."""
+    end, along, hu = seat.middle(), seat.along(), seat.polymer()
+    radius, opening = seat.between(5.3, 5.9), seat.between(0.05, 0.25)
+    balls = [
+        Ball(hu, _point(end + along * step), radius + opening * step) for step in np.arange(0.0, 16.0, 1.0)
+    ]
+    return LookAlike("thumb", tuple(balls), (_point(end),))
+
+
+def dome(seat: Seat) -> LookAlike:
+    """Half a ball on the skin, a little more or less."""
+    centre = seat.skin + seat.normal * seat.between(-0.5, 2.0)
+    radius = seat.between(5.6, 6.0)
+    ball = Dome(seat.polymer(), _point(centre), _point(seat.normal), radius, -seat.between(0.0, 2.0))
+    return LookAlike("dome", (ball,), (_point(centre),))
+
+
+def mushroom(seat: Seat) -> LookAlike:
+    """A cap on a stem: two thirds to nine tenths of a ball's height, flat below."""
+    middle, hu = seat.middle(), seat.polymer()
+    inward = -seat.normal
+    cap = Dome(hu, _point(middle), _point(seat.normal), RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75))
+    stem = Rod(METAL_HU, _point(middle + 2.5 * inward), _point(inward), 24.0, 1.5)
+    return LookAlike("mushroom", (cap, stem), (_point(middle),))
+
+
+def barrel(seat: Seat) -> LookAlike:
+    """A cylinder as high as wide, with rounded edges."""
+    middle = _point(seat.middle())
+    radius = seat.between(5.2, 5.9)
+    body = Barrel(
+        seat.polymer(), middle, _point(seat.along()), seat.between(10.5, 12.5), radius, seat.between(2.0, 4.2)
+    )
+    return LookAlike("barrel", (body,), (middle,))
+
+
+def button(seat: Seat) -> LookAlike:
+    """A lens: an ellipsoid flattened by a fifth to a half."""
+    middle = _point(seat.middle())
+    width = seat.between(5.75, 6.6)
+    semi_axes = (width, width, width * seat.between(0.5, 0.8))
+    return LookAlike("button", (Egg(seat.polymer(), middle, semi_axes, seat.axes()),), (middle,))
+
+
+def hollow_ball(seat: Seat) -> LookAlike:
+    """A ball of a marker's size with air in it."""
+    middle = _point(seat.middle())
+    core = Ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
+    return LookAlike("hollow ball", (Ball(seat.polymer(), middle, RADIUS_MM), core), (middle,))
+
+
+def other_ball(seat: Seat) -> LookAlike:
+    """A whole ball of 9.5 to 10.6, or of 12.5 to 14 mm."""
+    middle = _point(seat.middle())
+    small = bool(seat.random.uniform() < 0.5)
+    radius = seat.between(4.75, 5.3) if small else seat.between(6.25, 7.0)
+    return LookAlike("other ball", (Ball(seat.polymer(), middle, radius),), (middle,))
+
+
+def gel(seat: Seat) -> LookAlike:
+    """A drop of gel with air bubbles in it."""
+    middle, hu = seat.middle(), seat.between(*GEL_HU)
+    bubbles = []
+    for _ in range(int(seat.random.integers(2, 5))):
+        way = seat.random.standard_normal(3)
+        place = middle + way / np.linalg.norm(way) * seat.between(1.5, 5.0)
+        bubbles.append(Ball(AIR_HU, _point(place), seat.between(1.5, 3.0)))
+    return LookAlike(
+        "gel with bubbles", (Ball(hu, _point(middle), seat.between(5.6, 6.6)), *bubbles), (_point(middle),)
+    )
+
+
+def ring(seat: Seat) -> LookAlike:
+    """A thick ring."""
+    middle = _point(seat.middle())
+    tube = seat.between(2.4, 3.2)
+    body = Ring(seat.polymer(), middle, seat.axes()[0], seat.between(2.6, 3.4), tube)
+    return LookAlike("ring", (body,), (middle,))
+
+
+def acrylic_teeth(seat: Seat) -> LookAlike:
+    """Three artificial teeth in a row."""
+    middle, along, hu = seat.middle(), seat.along(), seat.polymer()
+    places = [_point(middle + along * 9.0 * k) for k in (-1, 0, 1)]
+    bodies = tuple(
+        Egg(hu, place, (seat.between(4.6, 5.4), seat.between(5.0, 5.8), seat.between(5.6, 7.0)), seat.axes())
+        for place in places
+    )
+    return LookAlike("acrylic teeth", bodies, tuple(places))
+
+
+def pearl(seat: Seat) -> LookAlike:
+    """A ball of polymer around a metal core."""
+    middle = _point(seat.middle())
+    core = Ball(METAL_HU, middle, seat.between(1.0, 2.2))
+    return LookAlike("pearl", (Ball(seat.polymer(), middle, RADIUS_MM), core), (middle,))
+
+
+def threaded_ball(seat: Seat) -> LookAlike:
+    """A ball with a pin all the way through it."""
+    middle, along = seat.middle(), seat.along()
+    pin = Rod(METAL_HU, _point(middle - 12.0 * along), _point(along), 24.0, seat.between(0.8, 1.6))
+    return LookAlike(
+        "threaded ball", (Ball(seat.polymer(), _point(middle), RADIUS_MM), pin), (_point(middle),)
+    )
+
+
+ROUNDED: tuple[Draw, ...] = (capsule, round_ended_rod, egg)
+JOINED: tuple[Draw, ...] = (beads, knob)
+ENDS: tuple[Draw, ...] = (elbow, thumb, round_ended_rod)
+CAPS: tuple[Draw, ...] = (dome, mushroom, barrel, button)
+HOLLOW: tuple[Draw, ...] = (hollow_ball, other_ball, gel, ring)
+FITTINGS: tuple[Draw, ...] = (acrylic_teeth, pearl, threaded_ball)
+
+
+def _point(vector: Vector) -> Point:
+    x, y, z = (round(float(value), 6) for value in vector)
+    return x, y, z
