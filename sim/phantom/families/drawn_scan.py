@@ -32,7 +32,7 @@ from sim.phantom.head.obstacles import Obstacles, skin_point
 from sim.phantom.head.shapes import ellipsoid_depth
 from sim.phantom.head.streaks import Streak
 from sim.phantom.scan import FREE, XFRAME, Scan
-from sim.phantom.scanner.grid import place_grid
+from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.theatre.noise import noise
 from sim.theatre.rigid import rotation_towards
 from sim.theatre.scene.head import CAP_AXIS_CT, CENTRE_CT_MM
@@ -49,6 +49,7 @@ CABLE_ROOM_MM = 22.0  # it swings by 6 mm, and a pair is 14 mm long
 LEAD_ROOM_MM = 8.0  # from a sphere's centre to a lead
 LOOK_ALIKES_OF_A_KIND = 2
 LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM = 44.0, 20.0  # a rod of 30 mm meets nothing else
+LOOK_ALIKE_MARGIN_MM = 12.0  # to the end of the field
 TARGET_DEPTH_MM = 50.0
 ATTEMPTS = 4000
 STREAK_BELOW_MM = 9.75  # from the sphere's centre down its post
@@ -68,7 +69,8 @@ def family_scan(
     scene = _scene(family, protocol, seed, head, fiducials)
     covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
     around, distractors = _obstacles(family, head, placed, covering_mm, generator)
-    objects = _look_alikes(family, head, placed, generator)
+    grid, marks = place_grid(head, scene.ct), _marks(head, covering_mm)
+    objects = _look_alikes(family, head, grid, placed, generator)
     built = frame_markers if fiducials == XFRAME else _standing
     if family.bare:
         built = _floating
@@ -77,7 +79,6 @@ def family_scan(
         bodies = tuple(shape for one in objects for shape in one.shapes)
         places = tuple(place for one in objects for place in one.places)
         anatomy = replace(anatomy, surroundings=(*anatomy.surroundings, *bodies), deceiving=places)
-    grid, marks = place_grid(head, scene.ct), _marks(head, covering_mm)
     if family.edge:
         grid, shares = grid_ending_at_spheres(grid, head, generator)
         for number, share in shares.items():
@@ -215,16 +216,25 @@ def _obstacles(
 
 
 def _look_alikes(
-    family: Family, head: Head, placed: Vector, generator: np.random.Generator
+    family: Family, head: Head, grid: CtGrid, placed: Vector, generator: np.random.Generator
 ) -> list[LookAlike]:
+    """Objects that keep clear of the markers and of each other, within the field."""
+    first = np.array(grid.origin_mm) + LOOK_ALIKE_MARGIN_MM
+    last = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]]) - LOOK_ALIKE_MARGIN_MM
     taken = list(placed)
     drawn = []
     for draw in family.look_alikes * LOOK_ALIKES_OF_A_KIND:
-        direction = _free_direction(
-            head, taken, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, generator, cap_rad=pi / 2
-        )
-        skin, normal = skin_point(head, direction)
-        drawn.append(draw(Seat(skin, normal, generator)))
+        for _ in range(ATTEMPTS):
+            direction = _free_direction(
+                head, taken, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, generator, cap_rad=pi / 2
+            )
+            skin, normal = skin_point(head, direction)
+            drawn_one = draw(Seat(skin, normal, generator))
+            if all((first < place).all() and (place < last).all() for place in drawn_one.places):
+                break
+        else:
+            raise BadScene("the objects of this family do not fit into the field of the CT")
+        drawn.append(drawn_one)
         taken.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
     return drawn
 

@@ -1,0 +1,160 @@
+"""What is no whole sphere: rods with round ends, beads, domes, hollow balls beside the markers of phantom scans.
+
+Scans are painted in memory, cut to the box around markers and objects. Nothing is told to the localizer: a
+marker that is missed and an object that becomes one count, and so does how far the odds of both lie apart.
+
+    python -m benchmarks.look_alikes --volumes 26 --seed 7000
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging import Localization, Volume, VoxelGeometry, localize
+from procedures.imaging.errors import MarkerCountWrong
+from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS, Purpose
+from sim.phantom.families.drawn_scan import family_scan
+from sim.phantom.scan import Scan
+from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
+from sim.phantom.scanner.grid import CtGrid
+from sim.phantom.scanner.slice_painter import SlicePainter
+
+Array = NDArray[np.float64]
+
+MARGIN_MM = 16.0  # around markers and objects
+SAME_SPHERE_MM = 2.0
+ORIGIN_DIGITS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Painted:
+    """A volume with the truth: centres of the markers (n, 3) LPS mm, and for each object its places."""
+
+    volume: Volume
+    centres_mm: Array
+    objects: tuple[tuple[str, Array], ...]
+
+
+@dataclass
+class Count:
+    """What became of markers and objects."""
+
+    volumes: int = 0
+    markers: int = 0
+    missed: int = 0
+    objects: int = 0
+    false: int = 0
+    doubtful: int = 0
+    kinds: Counter[str] = field(default_factory=Counter)  # of the false ones
+    squared_mm2: float = 0.0
+
+    @property
+    def rms_um(self) -> float:
+        """3-D error of the markers that were found."""
+        return 1e3 * float(np.sqrt(self.squared_mm2 / max(self.markers - self.missed, 1)))
+
+    def add(self, found: Localization | None, painted: Painted) -> None:
+        """Compare one localization with the truth."""
+        self.volumes += 1
+        self.markers += len(painted.centres_mm)
+        self.objects += len(painted.objects)
+        centres_mm = np.empty((0, 3)) if found is None else found.centres_mm
+        distance = np.linalg.norm(painted.centres_mm[:, None] - centres_mm[None], axis=2)
+        near = distance < SAME_SPHERE_MM
+        self.missed += int((~near.any(axis=1)).sum())
+        self.squared_mm2 += float((distance[near] ** 2).sum())
+        for centre_mm in centres_mm[~near.any(axis=0)]:
+            self.false += 1
+            self.kinds[_nearest_kind(centre_mm, painted)] += 1
+
+
+def paint(scan: Scan) -> Painted:
+    """Paint a scan of a family within the box around its markers and objects."""
+    places = np.array(scan.anatomy.places)
+    grid = _cropped(scan.grid, places.min(axis=0) - MARGIN_MM, places.max(axis=0) + MARGIN_MM)
+    painter = SlicePainter(scan.scene, grid, scan.anatomy)
+    painter.patches = tuple(painter.paint_patch(number) for number in range(len(places)))
+    planes = [stored_values(painter.paint(number)).astype(np.int16) for number in range(grid.slices)]
+    x, y, z = grid.origin_mm
+    geometry = VoxelGeometry(
+        (grid.slices, grid.rows, grid.columns),
+        np.array([x, y, z]),
+        np.eye(3)[:, ::-1],
+        np.array([grid.slice_mm, grid.pixel_mm, grid.pixel_mm]),
+    )
+    objects = tuple((one["kind"], np.array(one["places_mm"])) for one in scan.truth.get("look_alikes", ()))
+    volume = Volume(np.stack(planes) + np.int16(INTERCEPT_HU), geometry, "1.2.3", "1.2.4")
+    return Painted(volume, places[: len(scan.anatomy.markers)], objects)
+
+
+def judge(painted: Painted, count: Count) -> None:
+    """Localize without a word about how many there are."""
+    try:
+        found: Localization | None = localize(painted.volume)
+    except MarkerCountWrong:
+        found = None
+    count.add(found, painted)
+
+
+def scans(family: str, volumes: int, seed: int) -> Iterator[Scan]:
+    """Scans of a family, protocols in turn."""
+    protocols = list(PROTOCOLS)
+    for number in range(volumes):
+        yield family_scan(family, protocols[number % len(protocols)], seed=seed + number)
+
+
+def _cropped(grid: CtGrid, low_mm: Array, high_mm: Array) -> CtGrid:
+    x, y, z = (grid.indices(axis, float(low_mm[axis]), float(high_mm[axis])) for axis in range(3))
+    origin = [
+        round(first + part.start * step, ORIGIN_DIGITS)
+        for first, part, step in zip(
+            grid.origin_mm, (x, y, z), (grid.pixel_mm, grid.pixel_mm, grid.slice_mm), strict=True
+        )
+    ]
+    return replace(
+        grid,
+        origin_mm=(origin[0], origin[1], origin[2]),
+        columns=x.stop - x.start,
+        rows=y.stop - y.start,
+        slices=z.stop - z.start,
+    )
+
+
+def _nearest_kind(centre_mm: Array, painted: Painted) -> str:
+    distances = {
+        f"{kind} {number}": float(np.linalg.norm(places - centre_mm, axis=1).min())
+        for number, (kind, places) in enumerate(painted.objects)
+    }
+    nearest = min(distances, key=lambda name: distances[name], default="other 0")
+    return nearest.rpartition(" ")[0]
+
+
+def main() -> None:
+    """Print a line per family."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    judging = [name for name, one in FAMILIES.items() if one.look_alikes and one.purpose is Purpose.JUDGING]
+    parser.add_argument("families", nargs="*", default=judging)
+    parser.add_argument("--volumes", type=int, default=26, help="of each family")
+    parser.add_argument("--seed", type=int, default=7000)
+    arguments = parser.parse_args()
+    print("family      volumes markers missed objects false  rms µm  taken for markers")
+    for family in arguments.families:
+        count = Count()
+        for scan in scans(family, arguments.volumes, arguments.seed):
+            judge(paint(scan), count)
+        kinds = ", ".join(f"{number} {kind}" for kind, number in count.kinds.most_common())
+        print(
+            f"{family:<12}{count.volumes:6}{count.markers:8}{count.missed:7}{count.objects:8}{count.false:6}"
+            f"{count.rms_um:8.1f}  {kinds}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
