@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.imaging.company import OVERLAP
 from procedures.imaging.detection import Peak
+from procedures.imaging.doubts import EVEN, Doubt, odds, reasons
 from procedures.imaging.markers import (
     CUT_BY_FIELD,
     ESTIMATORS_DISAGREE,
@@ -23,11 +26,12 @@ from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_blurr
 from procedures.imaging.sphere_centre.combination import CombinedCentre, combine
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge, ray_directions
 from procedures.imaging.volume import Volume
+from procedures.imaging.whole_sphere import shape_doubts
 
 Array = NDArray[np.float64]
 
+IS_MARKER = "is a marker"
 OVERLAPS = "overlaps a marker, as two spheres cannot"
-OVERLAP = 0.95  # of the diameter: two centres cannot be closer
 REGION_REACH = 2.2  # of the radius
 MIN_SURFACE_SHARE = 0.5
 COVERED_SURFACE_SHARE = 0.35  # enough, if what covers the rest shows a border there
@@ -46,12 +50,22 @@ NEAR_ANOTHER_FLAG = 1.6  # centre distance in diameters
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A candidate that passed, in grid mm (slice, row, column), with what the estimators said."""
+    """A sphere that was fitted, in grid mm (slice, row, column), and what speaks against a marker."""
 
     candidate: Candidate
     edge: RadialEdge
     ball: BlurredBall
     combined: CombinedCentre
+    doubts: tuple[Doubt, ...]
+
+    def doubted(self, doubts: Iterable[Doubt]) -> Sphere:
+        """The same with further doubts, which may make the odds worse than even."""
+        together = (*self.doubts, *doubts)
+        left = odds(together)
+        accepted = left >= EVEN
+        reason = IS_MARKER if accepted else f"is doubtful: {reasons(together)}"
+        candidate = replace(self.candidate, accepted=accepted, reason=reason, odds=left)
+        return replace(self, candidate=candidate, doubts=together)
 
 
 def examine(
@@ -97,12 +111,20 @@ def examine(
     candidate = Candidate(
         centre_mm=_patient(volume, combined.centre_mm),
         accepted=True,
-        reason="is a marker",
+        reason=IS_MARKER,
         contrast_hu=peak.contrast_hu,
         surface_share=refined.surface_share,
         radius_mm=ball.radius_mm,
+        odds=1.0,
     )
-    return Sphere(candidate, refined, ball, combined)
+    return Sphere(candidate, refined, ball, combined, ())
+
+
+def with_shape(sphere: Sphere, volume: Volume) -> Sphere:
+    """The sphere with what its shape makes doubtful."""
+    reach_mm = REGION_REACH * sphere.edge.radius_mm
+    region = cut_region(volume, sphere.combined.centre_mm, reach_mm)
+    return sphere.doubted(shape_doubts(region, sphere.combined.centre_mm, sphere.edge))
 
 
 def _is_half_covered(edge: RadialEdge) -> bool:

@@ -1,7 +1,7 @@
 """Finds every marker sphere in a volume, with its centre and covariance.
 
 Detection looks over the whole volume; each candidate must then show the surface of a sphere of the right
-size. Two estimators that fail differently measure the centre. They are combined, and a marker on which
+size, and be a whole sphere. What may be none is listed apart, with its reasons and odds. Two estimators that fail differently measure the centre. They are combined, and a marker on which
 they differ by more than 0.06 mm is flagged and made less certain rather than believed.
 """
 
@@ -12,9 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from procedures.imaging.company import company_doubts, size_doubts
 from procedures.imaging.detection import find_peaks
+from procedures.imaging.doubts import Doubt
 from procedures.imaging.errors import LocalizationMisused, MarkerCountWrong
-from procedures.imaging.examination import OVERLAPS, Sphere, as_marker, examine
+from procedures.imaging.examination import OVERLAPS, Sphere, as_marker, examine, with_shape
 from procedures.imaging.markers import NEAR_ANOTHER, Candidate, Localization, Marker
 from procedures.imaging.volume import Volume, VoxelGeometry
 
@@ -22,6 +24,8 @@ Progress = Callable[[float], None]
 
 DIAMETER_MM = 11.5  # the usual passive sphere
 DETECTION_SHARE = 0.7  # of the work
+CLEAR, UNCLEAR = 0.9, 0.8  # odds between which those that are expected stand out
+NOT_EXPECTED = Doubt("is less like a marker than those that were expected", 2.0)
 MIN_VOXELS_ACROSS = 3.0  # of the diameter, along the coarsest axis
 
 
@@ -35,8 +39,9 @@ def localize(
     """Localize all marker spheres of `diameter_mm` in a volume.
 
     Returns markers in LPS mm from superior to inferior, and every candidate with the reason why it is one
-    or not. With `expected`, another count raises CT-016, which carries the candidates; without it, no
-    marker at all raises it. `progress` is called with the share done. CT-017 for impossible requests.
+    or not. With `expected`, the clear ones are taken if just so many stand out; another count raises CT-016,
+    which carries the candidates; without it, no marker at all raises it. `progress` is called with the share
+    done. CT-017 for impossible requests.
     """
     check_request(volume.geometry, diameter_mm, expected)
     report = progress if progress is not None else _silent
@@ -45,29 +50,62 @@ def localize(
     peaks = find_peaks(volume, radius_mm)
     report(DETECTION_SHARE)
     found: list[Sphere] = []
-    candidates: list[Candidate] = []
+    refused: list[Candidate] = []
     for number, peak in enumerate(peaks):
         outcome = examine(volume, peak, radius_mm, found)
         if isinstance(outcome, Sphere):
-            found.append(outcome)
-            candidates.append(outcome.candidate)
-        elif not any(_same_object(outcome, other) for other in candidates):
-            candidates.append(outcome)
+            found.append(with_shape(outcome, volume))
+        elif not any(_same_object(outcome, other) for other in refused):
+            refused.append(outcome)
         report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
     report(1.0)
-    require_count(len(found), expected, tuple(candidates))
-    overlaps = [one.centre_mm for one in candidates if one.reason == OVERLAPS]
+    judged = _judged_together(found, refused, volume.geometry, diameter_mm)
+    if expected is not None:
+        judged = _clear_ones(judged, expected)
+    spheres = [one for one in judged if one.candidate.accepted]
+    candidates = (*(one.candidate for one in judged), *refused)
+    require_count(len(spheres), expected, candidates)
+    overlaps = [one.centre_mm for one in refused if one.reason == OVERLAPS]
     markers = sorted(
-        (_flagged(as_marker(one, found, volume, radius_mm), overlaps, diameter_mm) for one in found),
+        (_flagged(as_marker(one, spheres, volume, radius_mm), overlaps, diameter_mm) for one in spheres),
         key=head_to_foot,
     )
     return Localization(
         markers=tuple(markers),
-        candidates=tuple(candidates),
+        candidates=candidates,
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
     )
+
+
+def _judged_together(
+    found: Sequence[Sphere], refused: Sequence[Candidate], geometry: VoxelGeometry, diameter_mm: float
+) -> list[Sphere]:
+    """The spheres with what the others make doubtful about each."""
+    if not found:
+        return []
+    centres_mm = np.array([one.combined.centre_mm for one in found])
+    overlapping = [one.centre_mm for one in refused if one.reason == OVERLAPS]
+    others_mm = geometry.to_index(np.array(overlapping).reshape(-1, 3)) * geometry.spacing_mm
+    beside = company_doubts(centres_mm, others_mm, diameter_mm)
+    judged = [sphere.doubted(doubts) for sphere, doubts in zip(found, beside, strict=True)]
+    sizes = size_doubts(
+        np.array([one.ball.radius_mm for one in judged]), np.array([one.candidate.accepted for one in judged])
+    )
+    return [sphere.doubted((doubt,)) for sphere, doubt in zip(judged, sizes, strict=True)]
+
+
+def _clear_ones(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
+    """With more markers than expected, the clear ones if just so many stand out; else all as they were."""
+    accepted = sorted((one for one in judged if one.candidate.accepted), key=lambda one: -one.candidate.odds)
+    if not 0 < expected < len(accepted):
+        return list(judged)
+    last, next_ = accepted[expected - 1].candidate.odds, accepted[expected].candidate.odds
+    if last < CLEAR or next_ > UNCLEAR:
+        return list(judged)
+    unclear = {id(one) for one in accepted[expected:]}
+    return [one.doubted((NOT_EXPECTED,)) if id(one) in unclear else one for one in judged]
 
 
 def require_count(found: int, expected: int | None, candidates: tuple[Candidate, ...]) -> None:

@@ -26,7 +26,8 @@ class Candidate:
 
     `centre_mm` is LPS. `accepted` candidates are the markers; for the others `reason` says in words why
     not. `surface_share` [0..1] is the part of the sphere's surface that was found where it should be,
-    `radius_mm` its fitted radius; both None when no surface was found.
+    `radius_mm` its fitted radius; both None when no surface was found. `odds` [0..1] of a marker are 0 where
+    no sphere of the size was found, and below even where it may be no whole one.
     """
 
     centre_mm: tuple[float, float, float]
@@ -35,16 +36,23 @@ class Candidate:
     contrast_hu: float
     surface_share: float | None = None
     radius_mm: float | None = None
+    odds: float = 0.0
+
+    @property
+    def doubtful(self) -> bool:
+        """Was a sphere of the right size fitted to it, and yet it is no marker?"""
+        return not self.accepted and self.odds > 0.0
 
     def describe(self) -> str:
-        """One phrase for messages: centre in LPS mm and reason."""
+        """One phrase for messages: centre in LPS mm, reason, and the odds of what is doubtful."""
         x, y, z = self.centre_mm
-        return f"({x:z.1f}, {y:z.1f}, {z:z.1f}) {self.reason}"
+        odds = f" (odds {self.odds:.2f})" if self.doubtful else ""
+        return f"({x:z.1f}, {y:z.1f}, {z:z.1f}) {self.reason}{odds}"
 
 
 def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Accepted ones, then by the surface that was found."""
-    return sorted(candidates, key=lambda one: (not one.accepted, -(one.surface_share or 0.0)))
+    """Accepted ones, then the doubtful by their odds, then by the surface that was found."""
+    return sorted(candidates, key=lambda one: (not one.accepted, -one.odds, -(one.surface_share or 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +96,11 @@ class Localization:
     series_instance_uid: str
     frame_of_reference_uid: str
     diameter_mm: float
+
+    @property
+    def doubtful(self) -> tuple[Candidate, ...]:
+        """Spheres of the right size that may be no whole spheres, likeliest first."""
+        return tuple(likeliest_first(one for one in self.candidates if one.doubtful))
 
     @property
     def centres_mm(self) -> Array:

@@ -42,9 +42,9 @@ def phantom(
 ) -> None:
     """Write the CT series of a head phantom, a plan on it, and its truth.
 
-    Families for tuning a localizer: plain, posts, dressing, rounded, joined. For judging it: narrow, broad,
-    clamp, electrodes, bandage, crowded, edge, streaks, bare, and of objects that are no spheres: ends, caps,
-    hollow, fittings.
+    Families for tuning a localizer: plain, posts, dressing, rounded, joined, caps. For judging it: narrow,
+    broad, clamp, electrodes, bandage, crowded, edge, streaks, bare, and of objects that are no spheres: ends,
+    plates, hollow, fittings.
     """
     from sim.errors import BadScene, FolderNotEmpty
     from sim.phantom.case import write_case

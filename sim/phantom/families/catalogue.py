@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, ROUNDED, Draw
+from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, Draw
 from sim.theatre.scene.model import CtProtocol
 
 Range = tuple[float, float]
@@ -94,6 +94,7 @@ FAMILIES: dict[str, Family] = {
             bandage_hu=(20.0, 60.0),
         ),
         _beside_objects("rounded", Purpose.TUNING, "capsules, rods with round ends and ellipsoids", ROUNDED),
+        _beside_objects("caps", Purpose.TUNING, "domes on the skin, mushrooms, barrels, buttons", CAPS),
         _beside_objects("joined", Purpose.TUNING, "beads in rows and balls on thick rods", JOINED),
         Family(
             "narrow",
@@ -156,7 +157,9 @@ FAMILIES: dict[str, Family] = {
             bare=True,
         ),
         _beside_objects("ends", Purpose.JUDGING, "elbows, tapered and plain rods with round ends", ENDS),
-        _beside_objects("caps", Purpose.JUDGING, "domes on the skin, mushrooms, barrels, buttons", CAPS),
+        _beside_objects(
+            "plates", Purpose.JUDGING, "domes on plates and over metal discs, balls grown into one", PLATES
+        ),
         _beside_objects(
             "hollow", Purpose.JUDGING, "hollow balls, balls of other sizes, gel with bubbles, rings", HOLLOW
         ),

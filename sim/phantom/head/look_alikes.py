@@ -230,11 +230,44 @@ def threaded_ball(seat: Seat) -> LookAlike:
     )
 
 
+def plated_dome(seat: Seat) -> LookAlike:
+    """Half a ball and more on a plate."""
+    middle, hu = seat.middle(), seat.polymer()
+    inward = -seat.normal
+    below = seat.between(0.0, 3.5)
+    cap = Dome(hu, _point(middle), _point(seat.normal), RADIUS_MM, -below)
+    plate = Rod(
+        hu, _point(middle + below * inward), _point(inward), seat.between(1.5, 3.0), seat.between(6.5, 10.0)
+    )
+    return LookAlike("plated dome", (cap, plate), (_point(middle),))
+
+
+def peanut(seat: Seat) -> LookAlike:
+    """Two balls that have grown into one."""
+    middle, along, hu = seat.middle(), seat.along(), seat.polymer()
+    apart = along * seat.between(1.5, 5.0)
+    balls = (
+        Ball(hu, _point(middle), seat.between(5.5, 5.9)),
+        Ball(hu, _point(middle + apart), seat.between(4.5, 5.9)),
+    )
+    return LookAlike("peanut", balls, (_point(middle), _point(middle + 0.5 * apart)))
+
+
+def cup_electrode(seat: Seat) -> LookAlike:
+    """A dome of polymer over a metal disc on the skin."""
+    centre = seat.skin + seat.normal * seat.between(1.5, 3.0)
+    cap = Dome(seat.polymer(), _point(centre), _point(seat.normal), seat.between(5.6, 6.0), 0.0)
+    start = _point(centre - 1.5 * seat.normal)
+    disc = Rod(METAL_HU, start, _point(seat.normal), 1.5, seat.between(3.0, 5.0))
+    return LookAlike("cup electrode", (disc, cap), (_point(centre),))
+
+
 ROUNDED: tuple[Draw, ...] = (capsule, round_ended_rod, egg)
 JOINED: tuple[Draw, ...] = (beads, knob)
 ENDS: tuple[Draw, ...] = (elbow, thumb, round_ended_rod)
 CAPS: tuple[Draw, ...] = (dome, mushroom, barrel, button)
 HOLLOW: tuple[Draw, ...] = (hollow_ball, other_ball, gel, ring)
+PLATES: tuple[Draw, ...] = (plated_dome, peanut, cup_electrode)
 FITTINGS: tuple[Draw, ...] = (acrylic_teeth, pearl, threaded_ball)
 
 

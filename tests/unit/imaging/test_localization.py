@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.imaging import Localization, Volume, VoxelGeometry, errors, localize, read_series
+from procedures.imaging import (
+    Localization,
+    Volume,
+    VoxelGeometry,
+    errors,
+    localize,
+    localize_picks,
+    read_series,
+)
 
 Array = NDArray[np.float64]
 Make = Callable[..., Any]  # builds a Scan
@@ -205,7 +213,7 @@ def test_a_misshapen_ball_is_flagged_and_made_uncertain(make_scan: Make) -> None
     centre = np.array([20.0, 20.0, 20.0])
     scan.ball(centre)
     scan.ball(centre + np.array([0.0, 1.0, 0.0]), radius_mm=5.4)  # a lump on one side
-    marker = localize(as_volume(scan), expected=1).markers[0]
+    (marker,) = localize_picks(as_volume(scan), centre[None, :]).markers
     assert "estimators_disagree" in marker.flags
     assert marker.agreement_mm > 0.06
     assert marker.quality < 0.5
@@ -220,7 +228,8 @@ def test_a_dent_and_a_bubble_do_not_pull_the_centre(make_scan: Make) -> None:
     scan.rod(dented + np.array([0.0, 3.9, 0.0]), np.array([0.0, 1.0, 0.0]), 4.0, 4.4, -1000.0)
     scan.ball(hollow)
     scan.ball(hollow + np.array([0.0, -2.0, 2.0]), radius_mm=2.0, hu=-1000.0)
-    error, _ = matched(localize(as_volume(scan), expected=2), np.array([dented, hollow]))
+    volume, centres = as_volume(scan), np.array([dented, hollow])
+    error, _ = matched(localize_picks(volume, centres), centres)
     assert np.abs(error).max() < 0.03
 
 
@@ -315,12 +324,84 @@ def test_two_balls_that_touch_are_told_apart_and_flagged(make_scan: Make) -> Non
     assert all("near_another" in marker.flags for marker in result.markers)
 
 
-def test_balls_that_overlap_are_no_two_markers(make_scan: Make) -> None:
+def test_balls_that_overlap_are_no_markers(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 100))
     scan.ball(np.array([20.0, 19.7, 22.0]))
     scan.ball(np.array([20.0, 19.7, 30.0]))
-    volume = as_volume(scan)
     with pytest.raises(errors.MarkerCountWrong, match="overlaps a marker"):
-        localize(volume, expected=2)
-    (marker,) = localize(volume).markers
-    assert "near_another" in marker.flags
+        localize(as_volume(scan))
+
+
+LookAlike = Callable[[Any, Array], None]  # draws itself around a place
+
+
+def round_ended_rod(scan: Any, at: Array) -> None:
+    scan.ball(at, 6.0)
+    scan.rod(at, np.array([0.2, 1.0, 0.4]), 20.0, 6.0, 150.0)
+
+
+def knob(scan: Any, at: Array) -> None:
+    scan.ball(at)
+    scan.rod(at, np.array([0.2, 1.0, 0.4]), 20.0, 4.0, 150.0)
+
+
+def capsule(scan: Any, at: Array) -> None:
+    for step_mm in np.arange(-1.5, 1.6, 0.5):
+        scan.ball(at + np.array([0.0, 0.0, step_mm]))
+
+
+def cap(scan: Any, at: Array) -> None:
+    scan.ball(at)
+    scan.half_space(at + np.array([0.0, 3.2, 0.0]), np.array([0.0, -1.0, 0.0]), -1000.0)
+
+
+def hollow_ball(scan: Any, at: Array) -> None:
+    scan.ball(at)
+    scan.ball(at, 3.6, -1000.0)
+
+
+def ball_with_metal_core(scan: Any, at: Array) -> None:
+    scan.ball(at)
+    scan.ball(at, 1.5, 3000.0)
+
+
+def beads(scan: Any, at: Array) -> None:
+    for step_mm in (-11.5, 0.0, 11.5):
+        scan.ball(at + np.array([0.0, 0.0, step_mm]))
+
+
+@pytest.mark.parametrize(
+    ("look_alike", "reason"),
+    [
+        (round_ended_rod, "lies off a sphere"),
+        (knob, "goes on where a sphere ends"),
+        (capsule, "longer one way than another"),
+        (cap, "lies off a sphere"),
+        (hollow_ball, "of its core is something else"),
+        (ball_with_metal_core, "has metal in its core"),
+        (beads, "is one of a row"),
+    ],
+    ids=lambda value: value.__name__ if callable(value) else "",
+)
+def test_what_is_no_whole_sphere_is_told_apart_with_its_reason_and_odds(
+    make_scan: Make, look_alike: LookAlike, reason: str
+) -> None:
+    scan = make_scan(shape=(40, 100, 170))
+    look_alike(scan, np.array([20.0, 16.0, 22.0]))
+    centre = np.array([20.2, 22.1, 70.3])
+    scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
+    found = localize(as_volume(scan), expected=1)
+    np.testing.assert_allclose(found.centres_mm, centre[None, :], atol=0.02)
+    assert found.doubtful
+    assert all(one.odds < 0.2 and reason in one.reason for one in found.doubtful)
+    assert next(one.odds for one in found.candidates if one.accepted) > 0.9
+
+
+def test_a_ball_unlike_the_others_of_the_scan_is_doubtful(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 200))
+    for place in (15.0, 40.0, 65.0):
+        scan.ball(np.array([20.0, 20.0, place]))
+    scan.ball(np.array([20.0, 20.0, 88.0]), 6.05)
+    found = localize(as_volume(scan))
+    assert len(found.markers) == 3
+    assert "has radius 6.05 mm, the others 5.75" in found.doubtful[0].reason

@@ -1,0 +1,150 @@
+"""Is it a whole sphere? Its extent along every axis, its core, its surface, and what is joined to it.
+
+A fitted sphere rests on the part of a surface that fits: an egg, a rod with a round end or a cap has such a
+part. Here every ray counts. Rays into metal tell nothing. Rays that end in something denser than the
+surroundings must cross a border at the sphere's radius, as under skin or a bandage; a post is too narrow to
+matter. All other rays must leave the sphere where it ends.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging.doubts import Doubt
+from procedures.imaging.region import Region
+from procedures.imaging.sphere_centre.blurred_ball import METAL_HU
+from procedures.imaging.sphere_centre.radial_edge import (
+    INLIER,
+    OUTSIDE_FROM,
+    SAME_LEVEL,
+    STEP_INSIDE,
+    STEP_OUTSIDE,
+    RadialEdge,
+    ray_directions,
+)
+
+Array = NDArray[np.float64]
+Rays = NDArray[np.bool_]
+
+# radii in units of the fitted one
+REACH, STEPS = 1.6, 65
+CORE, INNER_CORE = 0.72, 0.5  # a post ends at 0.74
+METAL_FROM = 0.6
+
+NEIGHBOURS = 16  # rays, as many as a rod of 2.8 mm radius meets: fewer than half of them meet a post
+RIM_COSINE = np.cos(0.3)  # rays so close to a cover or to metal tell its rim
+EXTENT_CLIP = 0.2  # of the radius: an edge further away tells no extent
+EXTENT_PRIOR = 2.0  # rays by which the extents are drawn to be alike where few are seen
+
+# Where odds are even. Markers of the tuning families stay below a half of each, objects of `rounded` and
+# `joined` are above at least one by a half.
+AMISS_SHARE = 0.04  # of the surface, that lies off the sphere
+BORDER_HU = 20.0  # fall at the surface, where it falls least; to a moist bandage it is 40 HU
+NARROW_SHARE = 0.15  # of the surface: air around a narrow cover raises the fall beside it
+NARROW_BORDER_HU = 50.0
+LEAST_BORDER_HU = 5.0  # stands for none
+EXTENT_DIFFERENCE = 0.06  # of the radius: between the longest and the shortest half-axis, 0.35 mm
+HOLLOW_SHARE = 0.20  # of the core
+METAL_CORE_SHARE = 0.10  # of the rays' way through the inner core
+
+
+def shape_doubts(region: Region, centre_mm: Array, edge: RadialEdge) -> tuple[Doubt, ...]:
+    """Every way in which a body could fail to be a whole sphere, and how far it does.
+
+    `edge` is a sphere that was fitted to its surface; `centre_mm` grid mm.
+    """
+    shares = np.linspace(0.0, REACH, STEPS)
+    ways = ray_directions()
+    profiles = region.sample(
+        centre_mm + edge.radius_mm * shares[None, :, None] * ways[:, None, :], smooth=True
+    )
+    scanned = np.isfinite(profiles[:, shares <= OUTSIDE_FROM]).all(axis=1)
+    profiles = np.where(np.isfinite(profiles), profiles, edge.outside_hu)
+    metal = (profiles[:, shares > METAL_FROM] > METAL_HU).any(axis=1)
+    told = scanned & ~metal
+    place, left = _first_fall(profiles, shares, 0.5 * (edge.inside_hu + edge.outside_hu))
+    opens = told & left
+    covered = told & ~left
+    border_hu = _border_hu(profiles, shares, told)
+    limit_hu = BORDER_HU if covered.mean() > NARROW_SHARE else NARROW_BORDER_HU
+    joined = covered & (border_hu < limit_hu)
+    # at the rim of a cover or of metal the edge is theirs as well
+    clear = opens & ~_beside(ways, (covered & ~joined) | metal)
+    amiss = clear & (np.abs(place - 1.0) > INLIER)
+    difference = _extent_difference(ways[clear], place[clear] - 1.0)
+    odd = np.abs(profiles - edge.inside_hu) > SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
+    core, inner = shares < CORE, shares < INNER_CORE
+    volume = shares[core] ** 2
+    hollow = float((odd[told][:, core] @ volume).sum() / (told.sum() * volume.sum())) if told.any() else 1.0
+    metal_core = float((profiles[:, inner] > METAL_HU).mean())
+    return (
+        Doubt(f"{amiss.mean():.0%} of its surface lies off a sphere", amiss.mean() / AMISS_SHARE),
+        Doubt("goes on where a sphere ends", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
+        Doubt(
+            f"is {edge.radius_mm * difference:.2f} mm longer one way than another",
+            difference / EXTENT_DIFFERENCE,
+        ),
+        Doubt(f"{hollow:.0%} of its core is something else", hollow / HOLLOW_SHARE),
+        Doubt("has metal in its core", metal_core / METAL_CORE_SHARE),
+    )
+
+
+def _first_fall(profiles: Array, shares: Array, level_hu: float) -> tuple[Array, Rays]:
+    """Where each ray first falls below the level, in radii, and whether it is below it anywhere.
+
+    A ray that is below it all the way has its edge at the core.
+    """
+    looked = (shares >= CORE) & (shares <= OUTSIDE_FROM)
+    values, places = profiles[:, looked], shares[looked]
+    above = values >= level_hu
+    falls = above[:, :-1] & ~above[:, 1:]
+    first, rows = falls.argmax(axis=1), np.arange(len(values))
+    before, after = values[rows, first], values[rows, first + 1]
+    drop = np.where(before > after, before - after, 1.0)
+    place = places[first] + np.clip((before - level_hu) / drop, 0.0, 1.0) * (places[1] - places[0])
+    return np.where(falls.any(axis=1), place, CORE), ~above.all(axis=1)
+
+
+def _border_hu(profiles: Array, shares: Array, told: Rays) -> Array:
+    """How far intensity falls at the surface, (rays,): the median over the rays around each.
+
+    Infinite where less than half of those tell anything.
+    """
+    within = profiles[:, (shares > STEP_INSIDE[0]) & (shares < STEP_INSIDE[1])].mean(axis=1)
+    beyond = profiles[:, (shares > STEP_OUTSIDE[0]) & (shares < STEP_OUTSIDE[1])].mean(axis=1)
+    around = np.where(told, within - beyond, np.inf)[_neighbours()]
+    return np.asarray(np.median(around, axis=1))
+
+
+@cache
+def _neighbours() -> NDArray[np.intp]:
+    """The nearest rays to each, itself included, (rays, NEIGHBOURS)."""
+    ways = ray_directions()
+    return np.argpartition(-(ways @ ways.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
+
+
+def _beside(ways: Array, rays: Rays) -> Rays:
+    """Rays that are neighbours of these."""
+    if not rays.any():
+        return np.zeros(len(ways), dtype=bool)
+    return np.asarray((ways @ ways[rays].T > RIM_COSINE).any(axis=1))
+
+
+def _extent_difference(ways: Array, offsets: Array) -> float:
+    """Longest less shortest half-axis of the surface, in radii, from offsets (n,) along rays (n, 3).
+
+    The offsets are taken for those of a shifted, scaled and stretched sphere. Where few rays are seen the
+    stretch is drawn towards none.
+    """
+    usable = np.abs(offsets) < EXTENT_CLIP
+    x, y, z = ways[usable].T
+    stretch = (x * x - z * z, y * y - z * z, x * y, x * z, y * z)
+    design = np.column_stack([np.ones(len(x)), x, y, z, *stretch])
+    drawn = np.diag([1e-6] * 4 + [EXTENT_PRIOR] * 5)
+    a, b, c, d, e = np.linalg.solve(design.T @ design + drawn, design.T @ offsets[usable])[4:].tolist()
+    matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
+    values = np.linalg.eigvalsh(matrix)
+    return float(values[-1] - values[0])
