@@ -187,6 +187,8 @@ def localize(
             f"the layout is there, to {found.residual_rms_mm:.3f} mm rms; other spheres: {len(found.others)}"
         )
     _print_markers(result)
+    for one in result.doubtful:
+        console.tell(f"not among them: {one.describe()}")
     if candidates is not None:
         _print_candidates(candidates)
 
@@ -241,7 +243,7 @@ def _layout_mm(layout: str) -> Any:
 
 def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
     return [
-        {"centre_mm": list(one.centre_mm), "accepted": one.accepted, "reason": one.reason}
+        {"centre_mm": list(one.centre_mm), "accepted": one.accepted, "odds": one.odds, "reason": one.reason}
         for one in candidates
     ]
 
@@ -283,10 +285,11 @@ def _print_candidates(candidates: Sequence[Candidate]) -> None:
     for one in candidates:
         share = "" if one.surface_share is None else f"{one.surface_share:.0%}"
         radius = "" if one.radius_mm is None else f"{one.radius_mm:.2f}"
-        rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, one.reason])
+        odds = f"{one.odds:.2f}"
+        rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, odds, one.reason])
     console.print_table(
         f"{len(rows)} candidate{'s' if len(rows) != 1 else ''}, LPS in mm",
-        ["L", "P", "S", "surface", "radius", "outcome"],
+        ["L", "P", "S", "surface", "radius", "odds", "outcome"],
         rows,
     )
 

@@ -1,8 +1,9 @@
 """Finds every marker sphere in a volume, with its centre and covariance.
 
 Detection looks over the whole volume; each candidate must then show the surface of a sphere of the right
-size, and be a whole sphere. What may be none is listed apart, with its reasons and odds. Two estimators that fail differently measure the centre. They are combined, and a marker on which
-they differ by more than 0.06 mm is flagged and made less certain rather than believed.
+size, and be a whole sphere. What may be none is listed apart, with its reasons and odds. Two estimators that
+fail differently measure the centre. They are combined, and a marker on which they differ by more than 0.06 mm
+is flagged and made less certain rather than believed.
 """
 
 from __future__ import annotations

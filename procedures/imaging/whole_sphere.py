@@ -28,10 +28,12 @@ from procedures.imaging.sphere_centre.radial_edge import (
 
 Array = NDArray[np.float64]
 Rays = NDArray[np.bool_]
+Span = tuple[float, float]
 
 # radii in units of the fitted one
 REACH, STEPS = 1.6, 65
 CORE, INNER_CORE = 0.72, 0.5  # a post ends at 0.74
+MIDDLE, BEFORE_SURFACE = (0.2, 0.5), (0.65, 0.85)
 METAL_FROM = 0.6
 
 NEIGHBOURS = 16  # rays, as many as a rod of 2.8 mm radius meets: fewer than half of them meet a post
@@ -48,7 +50,8 @@ NARROW_BORDER_HU = 50.0
 LEAST_BORDER_HU = 5.0  # stands for none
 EXTENT_DIFFERENCE = 0.06  # of the radius: between the longest and the shortest half-axis, 0.35 mm
 HOLLOW_SHARE = 0.20  # of the core
-METAL_CORE_SHARE = 0.10  # of the rays' way through the inner core
+METAL_CORE_SHARE = 0.015  # of the rays' way through the inner core
+EARLY_FALL_HU = 25.0  # under a cover, before the surface: domes on skin show 50 and more, film less than none
 
 
 def shape_doubts(region: Region, centre_mm: Array, edge: RadialEdge) -> tuple[Doubt, ...]:
@@ -64,11 +67,14 @@ def shape_doubts(region: Region, centre_mm: Array, edge: RadialEdge) -> tuple[Do
     scanned = np.isfinite(profiles[:, shares <= OUTSIDE_FROM]).all(axis=1)
     profiles = np.where(np.isfinite(profiles), profiles, edge.outside_hu)
     metal = (profiles[:, shares > METAL_FROM] > METAL_HU).any(axis=1)
-    told = scanned & ~metal
+    told = np.asarray(scanned & ~metal)
     place, left = _first_fall(profiles, shares, 0.5 * (edge.inside_hu + edge.outside_hu))
     opens = told & left
     covered = told & ~left
-    border_hu = _border_hu(profiles, shares, told)
+    border_hu = _around(_fall_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE), told)
+    early_hu = 0.0
+    if covered.sum() > NEIGHBOURS:  # more than a post
+        early_hu = max(float(_fall_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)[covered].mean()), 0.0)
     limit_hu = BORDER_HU if covered.mean() > NARROW_SHARE else NARROW_BORDER_HU
     joined = covered & (border_hu < limit_hu)
     # at the rim of a cover or of metal the edge is theirs as well
@@ -83,6 +89,7 @@ def shape_doubts(region: Region, centre_mm: Array, edge: RadialEdge) -> tuple[Do
     return (
         Doubt(f"{amiss.mean():.0%} of its surface lies off a sphere", amiss.mean() / AMISS_SHARE),
         Doubt("goes on where a sphere ends", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
+        Doubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
         Doubt(
             f"is {edge.radius_mm * difference:.2f} mm longer one way than another",
             difference / EXTENT_DIFFERENCE,
@@ -105,18 +112,18 @@ def _first_fall(profiles: Array, shares: Array, level_hu: float) -> tuple[Array,
     before, after = values[rows, first], values[rows, first + 1]
     drop = np.where(before > after, before - after, 1.0)
     place = places[first] + np.clip((before - level_hu) / drop, 0.0, 1.0) * (places[1] - places[0])
-    return np.where(falls.any(axis=1), place, CORE), ~above.all(axis=1)
+    return np.where(falls.any(axis=1), place, CORE), np.asarray(~above.all(axis=1))
 
 
-def _border_hu(profiles: Array, shares: Array, told: Rays) -> Array:
-    """How far intensity falls at the surface, (rays,): the median over the rays around each.
+def _fall_hu(profiles: Array, shares: Array, inner: Span, outer: Span) -> Array:
+    """How far the intensity of each ray falls from one span to another, in radii."""
+    near, far = (profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in (inner, outer))
+    return np.asarray(near - far)
 
-    Infinite where less than half of those tell anything.
-    """
-    within = profiles[:, (shares > STEP_INSIDE[0]) & (shares < STEP_INSIDE[1])].mean(axis=1)
-    beyond = profiles[:, (shares > STEP_OUTSIDE[0]) & (shares < STEP_OUTSIDE[1])].mean(axis=1)
-    around = np.where(told, within - beyond, np.inf)[_neighbours()]
-    return np.asarray(np.median(around, axis=1))
+
+def _around(values: Array, told: Rays) -> Array:
+    """The median over the rays around each, (rays,); infinite where half of those tell nothing."""
+    return np.asarray(np.median(np.where(told, values, np.inf)[_neighbours()], axis=1))
 
 
 @cache
@@ -147,4 +154,4 @@ def _extent_difference(ways: Array, offsets: Array) -> float:
     a, b, c, d, e = np.linalg.solve(design.T @ design + drawn, design.T @ offsets[usable])[4:].tolist()
     matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
     values = np.linalg.eigvalsh(matrix)
-    return float(values[-1] - values[0])
+    return float(np.ptp(values))

@@ -34,8 +34,9 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
 
-JUDGING = ("narrow", "broad", "clamp", "electrodes", "bandage", "crowded", "edge", "streaks")
-TUNING = ("plain", "posts", "dressing")
+BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are no spheres
+JUDGING = ("narrow", "broad", "clamp", "electrodes", "bandage", "crowded", "edge", "streaks", *BESIDE_OBJECTS)
+TUNING = ("plain", "posts", "dressing", "rounded", "joined", "caps")
 PROTOCOLS = ("good", "poor")
 FRAMES = "frames"
 FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # a set is one scan of each

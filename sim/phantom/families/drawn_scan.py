@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import pi, radians
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +84,7 @@ def family_scan(
         grid, shares = grid_ending_at_spheres(grid, head, generator)
         for number, share in shares.items():
             marks.setdefault(number, {})["surface_in_field"] = share
-    truth = {
+    truth: dict[str, Any] = {
         "family": name,
         "purpose": family.purpose.value,
         "protocol": protocol,

@@ -54,8 +54,9 @@ class Egg:
         gradient = sum(
             (part / np.float32(semi)) ** 2 for part, semi in zip(scaled, self.semi_axes, strict=True)
         )
-        depth: Values = (np.sqrt(squared) - squared) / np.sqrt(gradient + np.float32(1e-12))
-        return depth
+        return np.asarray(
+            (np.sqrt(squared) - squared) / np.sqrt(gradient + np.float32(1e-12)), dtype=np.float32
+        )
 
 
 @dataclass(frozen=True)
