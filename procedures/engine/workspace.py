@@ -24,3 +24,7 @@ class Workspace:
     def drop(self, kind: type[object]) -> None:
         """Let go of the object of a type."""
         self._kept.pop(kind, None)
+
+    def clear(self) -> None:
+        """Let go of everything, as a new program has nothing."""
+        self._kept.clear()
