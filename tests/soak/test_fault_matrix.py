@@ -6,6 +6,7 @@ A case that failed moved nothing after the failure, its journal is whole, and no
 
 import json
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,9 @@ pytestmark = [pytest.mark.soak, pytest.mark.timeout(300)]
 
 LARGEST_ERROR_MM = 1.5
 WITHIN_S = 150.0  # host time for a whole case, on a busy computer
-SETTLED_S = 60.0  # theatre time from the step in which the fault begins to the failure: no guard waits longer
+# Host time from the step in which the fault begins to the failure: theatre time runs free in lock-step
+# while a link is silent.
+SETTLED_S = 30.0
 DONE = "done"
 CELLS = [
     (f"when step == {step}: {device} {fault}", frozenset(codes))
@@ -39,8 +42,8 @@ def test_the_matrix_has_three_hundred_cells() -> None:
     assert len(CELLS) >= 300
 
 
-def theatre_s(line: Line) -> float:
-    return float(str(line["theatre_time_s"]))
+def host_time(line: Line) -> datetime:
+    return datetime.fromisoformat(str(line["host_time"]))
 
 
 @pytest.mark.parametrize(("line", "codes"), CELLS, ids=[line for line, _ in CELLS])
@@ -63,4 +66,4 @@ def test_under_a_fault_a_case_ends_as_promised(
     assert Entry.MOTION not in kinds[failed:]
     step = line.removeprefix("when step == ").partition(":")[0]
     begun = next(entry for entry in journal if str(entry.get("step")).partition(":")[0] == step)
-    assert theatre_s(journal[failed]) - theatre_s(begun) <= SETTLED_S
+    assert (host_time(journal[failed]) - host_time(begun)).total_seconds() <= SETTLED_S
