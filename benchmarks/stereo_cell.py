@@ -6,6 +6,7 @@ own loop thousands of times at the price of drawing and measuring the pictures.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +16,10 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.cli.case.operators import ScriptedOperator
+from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.journal import JOURNAL_FILE, Journal
+from procedures.engine.operator import Topic
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import Visit, VisitKind
 from procedures.relocalization import StereoPoint
@@ -259,6 +263,10 @@ def _workcell_of(
     )
     calibrations: Any = SimpleNamespace(stereo_head=calibration)
     workcell = Workcell(cast("Any", theatre), Journal(folder), calibrations=calibrations)
+    agree = ScriptedOperator().ask
+    resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), HostClock().sleep)
+    workcell.ask_before_motion(resting, agree)
+    workcell.confirm_motion(Topic.FIRST_MOTION, "every motion of a benchmark", ())
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     return workcell
 

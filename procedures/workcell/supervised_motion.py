@@ -7,7 +7,6 @@ motion since the arm was last stopped or its stream ended is confirmed by the op
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed
@@ -81,24 +80,23 @@ class SupervisedMotion:
         with its intent. Raises PRO-002, PRO-004, what a guard or a watch found, and what the motion raises.
         """
 
+        checkpoint = self._checkpoint
+        if checkpoint is None:
+            raise NotConfirmed(
+                f"the motion {what!r} has nobody to confirm it", expected="a case that is open"
+            )
+
         def watched() -> ArmReading:
-            with self._watching(what):
+            with checkpoint.watching(f"the motion {what!r}", True):
                 return move()
 
         while True:
-            if self._checkpoint is not None:
-                self._checkpoint.here(f"before the motion {what!r}")
-            if self._ask is not None and not self._confirmed:
+            checkpoint.here(f"before the motion {what!r}")
+            if not self._confirmed:
                 self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", [facts()], trajectory)
             resume()
             try:
                 return self._log.record(what, to, watched, trajectory, **more)
             except MotionInterrupted:
                 self._confirmed = False
-                if self._checkpoint is None:
-                    raise
-                self._checkpoint.stopped(f"the motion {what!r}", "plans it anew from where the arm stands")
-
-    def _watching(self, what: str) -> AbstractContextManager[None]:
-        checkpoint = self._checkpoint
-        return nullcontext() if checkpoint is None else checkpoint.watching(f"the motion {what!r}", True)
+                checkpoint.stopped(f"the motion {what!r}", "plans it anew from where the arm stands")

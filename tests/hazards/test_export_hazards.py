@@ -28,6 +28,7 @@ from procedures.exchange.run_export import export_run
 from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+from ronna_hw.evidence.seal import hashes_at_closing, seal
 
 SOWN = ("Sown^Patient", "SOWN-ID", "19610203", "Sown Hospital", "Sown^Physician", "Sown Station", "SownLeft")
 WORDS = (
@@ -81,7 +82,10 @@ def run(tmp_path: Path) -> Path:
         journal.write(
             Entry.RESULT, 0.0, step=str(key), record=record.identifier, sha256=record.sha256, supersedes=[]
         )
+    files = hashes_at_closing(folder)
+    journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
     journal.close()
+    seal(folder, files)
     return folder
 
 

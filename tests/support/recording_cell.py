@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 from procedures.engine.case import Case
+from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.journal import JOURNAL_FILE, Journal, read_journal
@@ -260,6 +262,9 @@ class RecordingCell:
         self.opened = RecordingTheatre(self.theatre, self.arm, self.stereo, self.tracker)
         self.clock = self.opened.clock
         self.workcell = self.make_workcell()
+        agree = RecordingOperator().ask
+        resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock.sleep)
+        self.workcell.ask_before_motion(resting, agree)  # until an engine asks
 
     @property
     def calibrations(self) -> Calibrations:
