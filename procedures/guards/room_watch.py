@@ -52,9 +52,7 @@ class RoomWatch:
     robot_from_tracker: Transform
     spheres_mm: Array  # (n, 3) those on the head, tracker frame
     references: list[RoomReading] = field(default_factory=list)
-    hidden_from: Transform | None = (
-        None  # where the arm stood, if the last reading showed too little of the head
-    )
+    hidden_from: Transform | None = None  # where the last reading showed too little of the head
 
     def check(self, reading: RoomReading) -> list[str]:
         """Compare a reading with those before and keep it; returns what could not be compared, in words.
@@ -62,19 +60,15 @@ class RoomWatch:
         Raises PRO-019 when cart or tracker was moved, PRO-020 when the head has.
         """
         findings: list[str] = []
-        reference = self._reference(reading)
-        base_mm = None
+        base_mm = self.base_shift_mm(reading)
         if reading.frame_mm is None:
             findings.append("the tracker does not see the frame on the arm in this pose")
-        elif (
-            reference is not None and reference.frame_mm is not None
-        ):  # else it is the first in this orientation
-            base_mm = reading.frame_mm - reference.frame_mm
         head = shift_of(self.spheres_mm, reading.spheres_mm)
         self.hidden_from = reading.robot_from_flange if head is None else None
         if head is None:
             findings.append("the tracker sees fewer than three known spheres in this pose")
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
+        reference = self._reference(reading)
         same = reference is not None and _same_pose(reading.robot_from_flange, reference.robot_from_flange)
         limit_mm = BASE_LIMIT_MM if same else OTHER_POSE_LIMIT_MM
         if base_mm is not None and float(np.linalg.norm(base_mm)) >= limit_mm:
@@ -86,6 +80,13 @@ class RoomWatch:
         if reading.frame_mm is not None:
             self.references.append(reading)
         return findings
+
+    def base_shift_mm(self, reading: RoomReading) -> Array | None:
+        """Way of the frame (3,) since it was seen in this orientation; None where that is not known."""
+        reference = self._reference(reading)
+        if reference is None or reference.frame_mm is None or reading.frame_mm is None:
+            return None
+        return reading.frame_mm - reference.frame_mm
 
     def hides_head(self, robot_from_flange: Transform) -> bool:
         """Whether the arm stands where, at the last reading, it hid the head from the tracker."""

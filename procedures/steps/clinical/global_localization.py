@@ -19,12 +19,12 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.workcell import MountedTool
+from procedures.workcell import MountedTool, Workcell
 from ronna_hw.calibration import Numbers3
 from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.devices.readings import JointVector, TrackerFrame, Validity
 from ronna_hw.devices.strays import StrayAverage, average_strays
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import Frame, Transform
@@ -63,22 +63,16 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     workcell = context.workcell
     if workcell.tool is MountedTool.GUIDE:  # what was localized before is void
         exchange_for(context, MountedTool.STEREO_HEAD)
-    tracker = workcell.tracker
-    tracker.activate()
-    try:
-        frames, lost = fresh_frames(
-            tracker, context.setting.clock, lambda share: context.progress(share, "reading the tracker")
-        )
-    finally:
-        if tracker.state is not Lifecycle.FAULT:  # a fault has ended the tracking, and is what must be told
-            tracker.deactivate()
-    calibration = workcell.calibrations.tracker_frame
-    tracker_from_marker = average_pose(frames, calibration.tool)
+    frames, lost = frames_at_rest(
+        workcell.tracker,
+        context.setting.clock,
+        lambda share: context.progress(share, "reading the tracker"),
+    )
+    tracker_from_marker = average_pose(frames, workcell.calibrations.tracker_frame.tool)
     strays = average_strays(frames)
     spread_mm = _checked_spread_mm(strays)
     joints = workcell.joints_rad()
-    tool_from_marker = calibration.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-    robot_from_tracker = workcell.tool_pose(joints) @ tool_from_marker @ tracker_from_marker.inverse()
+    robot_from_tracker = robot_from_marker(workcell, joints) @ tracker_from_marker.inverse()
     groups = strays.groups
     points = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
     return Outcome(
@@ -112,6 +106,28 @@ def _checked_spread_mm(strays: StrayAverage) -> float:
             got=f"{spread_mm:.2f} mm",
         )
     return spread_mm
+
+
+def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
+    """Nominal pose ROBOT <- MARKER of the reference frame on the arm."""
+    frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+    flange = workcell.arm.kinematics.flange_pose(joints_rad)
+    return flange @ workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
+
+
+def frames_at_rest(
+    tracker: OpticalTracker,
+    clock: Clock,
+    progress: Callable[[float], None] = lambda _share: None,
+    count: int = FRAMES,
+) -> tuple[list[TrackerFrame], int]:
+    """As `fresh_frames`, with the tracking begun for them and ended after them."""
+    tracker.activate()
+    try:
+        return fresh_frames(tracker, clock, progress, count)
+    finally:
+        if tracker.state is not Lifecycle.FAULT:  # a fault has ended the tracking, and is what must be told
+            tracker.deactivate()
 
 
 def fresh_frames(

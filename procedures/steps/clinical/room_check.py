@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_watch import RoomReading, RoomWatch
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.global_localization import GlobalLocalization, fresh_frames, mean_pose
-from procedures.workcell import MountedTool
-from ronna_hw.devices.lifecycle import Lifecycle
+from procedures.steps.clinical.global_localization import (
+    GlobalLocalization,
+    frames_at_rest,
+    mean_pose,
+    robot_from_marker,
+)
+from procedures.workcell import Workcell
+from ronna_hw.clock import Clock
 from ronna_hw.devices.strays import average_strays
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Transform
 
 FRAMES = 12  # 0.2 s: the noise of a frame's place is then 0.02 mm, of a sphere 0.05 mm
 LEAST_SHARE = 0.5  # of the frames that must show what is averaged
@@ -28,7 +35,7 @@ def check_room(context: StepContext, where: str) -> None:
     """
     watch = _watch(context)
     try:
-        findings = watch.check(_read(context, watch))
+        findings = watch.check(read_room(context.workcell, context.setting.clock, watch.robot_from_tracker))
     except (BaseShifted, PatientMoved) as moved:
         context.setting.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
         context.void(GlobalLocalization, moved)
@@ -51,34 +58,34 @@ def _watch(context: StepContext) -> RoomWatch:
     name = context.identifier(GlobalLocalization)
     watch = context.setting.workspace.find(RoomWatch)
     if watch is None or watch.localization != name:
-        pairs = context.result(Correspondence).pairs
-        spheres = np.array(localized.points_tracker_mm)[[room for _, room in pairs]]
-        flange = context.workcell.arm.kinematics.flange_pose(localized.joints_rad)
-        begun = RoomReading(flange, np.zeros(3), spheres)
-        watch = RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
+        watch = watch_over(context.workcell, name, localized, context.result(Correspondence).pairs)
         context.setting.workspace.keep(watch)
     return watch
 
 
-def _read(context: StepContext, watch: RoomWatch) -> RoomReading:
-    workcell, tracker = context.workcell, context.workcell.tracker
-    tracker.activate()
-    try:
-        frames, _ = fresh_frames(tracker, context.setting.clock, lambda _share: None, FRAMES)
-    finally:
-        if tracker.state is not Lifecycle.FAULT:
-            tracker.deactivate()
-    calibration = workcell.calibrations.tracker_frame
-    robot_from_flange = workcell.arm.kinematics.flange_pose(workcell.joints_rad())
+def watch_over(
+    workcell: Workcell,
+    name: str,
+    localized: GlobalLocalization,
+    pairs: Sequence[tuple[int, int]] | None,
+) -> RoomWatch:
+    """The watch over a localization of that name; over all its spheres while no `pairs` are matched."""
+    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
+    if pairs is not None:
+        spheres = spheres[[room for _, room in pairs]]
+    begun = RoomReading(workcell.arm.kinematics.flange_pose(localized.joints_rad), np.zeros(3), spheres)
+    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
+
+
+def read_room(workcell: Workcell, clock: Clock, robot_from_tracker: Transform) -> RoomReading:
+    """One look of the tracker, while the arm rests and its stream is off. Raises what the tracker raises."""
+    frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
     groups = average_strays(frames).groups
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
-    seen = mean_pose(frames, calibration.tool, round(LEAST_SHARE * FRAMES))
+    seen = mean_pose(frames, workcell.calibrations.tracker_frame.tool, round(LEAST_SHARE * FRAMES))
+    joints = workcell.joints_rad()
     frame_mm = None
     if seen is not None:
-        by_arm: Transform = (
-            robot_from_flange
-            @ workcell.flange_from(MountedTool.STEREO_HEAD)
-            @ calibration.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-        )
-        frame_mm = (watch.robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
-    return RoomReading(robot_from_flange, frame_mm, spheres)
+        by_arm = robot_from_marker(workcell, joints)
+        frame_mm = (robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
+    return RoomReading(workcell.arm.kinematics.flange_pose(joints), frame_mm, spheres)

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from clinical_case import (
     FIRST,
-    SPHERES_MM,
     ClinicalCell,
     checked_paths,
     checked_plan,
@@ -35,7 +33,6 @@ from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.result import StepResult
 from procedures.engine.step import Scope, StepSpec
 from procedures.recovery import bring_home, inputs, recover, taking_up
-from procedures.recovery.room import FEWEST_SPHERES, shift_of_spheres_mm
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.workcell import MountedTool
@@ -44,8 +41,6 @@ from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.config import Calibrations
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import LinkTimeout
-
-MOVED_MM = np.array([0.6, 0.0, 0.0])
 
 
 def per_trajectory(result: StepResult) -> StepSpec[StepResult]:
@@ -292,16 +287,3 @@ def test_an_exchange_of_tools_that_had_begun_may_have_been_done(cell: ClinicalCe
 @pytest.fixture(autouse=True)
 def plan_as_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan().plan)
-
-
-class TestShiftOfSpheres:
-    def test_a_moved_head_shows_in_all_spheres(self) -> None:
-        assert shift_of_spheres_mm(SPHERES_MM, SPHERES_MM + MOVED_MM) == pytest.approx(0.6)
-
-    def test_spheres_that_are_hidden_and_others_that_are_near_do_not_matter(self) -> None:
-        seen = np.vstack([SPHERES_MM[1:] + MOVED_MM / 3, [[0.0, 0.0, 0.0]]])
-        assert shift_of_spheres_mm(SPHERES_MM, seen) == pytest.approx(0.2)
-
-    def test_too_few_say_nothing(self) -> None:
-        assert shift_of_spheres_mm(SPHERES_MM, SPHERES_MM[: FEWEST_SPHERES - 1]) is None
-        assert shift_of_spheres_mm(SPHERES_MM, np.zeros((0, 3))) is None
