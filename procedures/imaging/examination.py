@@ -114,7 +114,7 @@ def examine(
         reason=IS_MARKER,
         contrast_hu=peak.contrast_hu,
         surface_share=refined.surface_share,
-        radius_mm=ball.radius_mm,
+        radius_mm=combined.radius_mm,
         odds=1.0,
     )
     return Sphere(candidate, refined, ball, combined, ())
@@ -149,7 +149,7 @@ def as_marker(sphere: Sphere, others: list[Sphere], volume: Volume, radius_mm: f
     return Marker(
         centre_mm=geometry.grid_mm_to_patient_mm(combined.centre_mm),
         covariance_mm2=geometry.covariance_to_patient(combined.covariance_mm2),
-        radius_mm=sphere.ball.radius_mm,
+        radius_mm=sphere.combined.radius_mm,
         quality=sphere.edge.surface_share / (1.0 + disagreement**2),
         agreement_mm=combined.agreement_mm,
         flags=_flags(sphere, others, radius_mm),
@@ -166,7 +166,7 @@ def _flags(sphere: Sphere, others: list[Sphere], radius_mm: float) -> tuple[str,
         CUT_BY_FIELD: sphere.edge.cut_share > CUT_FLAG,
         NEAR_METAL: sphere.ball.metal_share > METAL_FLAG,
         SURFACE_HIDDEN: sphere.edge.surface_share < SURFACE_FLAG,
-        RADIUS_UNUSUAL: abs(sphere.ball.radius_mm - radius_mm) > RADIUS_FLAG * radius_mm,
+        RADIUS_UNUSUAL: abs(sphere.combined.radius_mm - radius_mm) > RADIUS_FLAG * radius_mm,
         NEAR_ANOTHER: min(distances_mm, default=np.inf) < NEAR_ANOTHER_FLAG * 2.0 * radius_mm,
     }
     return tuple(word for word, is_raised in raised.items() if is_raised)

@@ -92,7 +92,8 @@ def _judged_together(
     beside = company_doubts(centres_mm, others_mm, diameter_mm)
     judged = [sphere.doubted(doubts) for sphere, doubts in zip(found, beside, strict=True)]
     sizes = size_doubts(
-        np.array([one.ball.radius_mm for one in judged]), np.array([one.candidate.accepted for one in judged])
+        np.array([one.combined.radius_mm for one in judged]),
+        np.array([one.candidate.accepted for one in judged]),
     )
     return [sphere.doubted((doubt,)) for sphere, doubt in zip(judged, sizes, strict=True)]
 

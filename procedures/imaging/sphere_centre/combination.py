@@ -2,6 +2,8 @@
 
 The estimators see the same noise, so their errors are correlated; where they differ by more than their
 noise explains, something in the image fits neither model, and the covariance grows by that difference.
+A band of a streak across the ball can pull radius and intensities of the model far away, and its centre with
+them. The edges that rays find cannot go so far: then they alone tell centre and radius.
 """
 
 from __future__ import annotations
@@ -24,6 +26,10 @@ ERROR_CORRELATION = 0.6  # between the errors of the two estimators
 # Streaks move the edges that rays find: 3-D error for bent terms as large as the contrast. From the tuning
 # families and synthetic bands and lobes on `plain`.
 EDGE_STREAK_ERROR_MM = 2.0
+# By how much of it the ball's radius is above that of the edges, with film and blur, where nothing spoils the
+# fit: 0.03 to 0.13 mm on the tuning families. Bands make it -0.16 to 1.8 mm.
+RADIUS_ABOVE_EDGES = (-0.005, 0.026)
+ENOUGH_SURFACE = 0.7  # for the edges to stand alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +39,14 @@ class CombinedCentre:
     centre_mm: Array
     covariance_mm2: Array
     agreement_mm: float
+    radius_mm: float
 
 
 def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedCentre:
     """The minimum-variance mean of both estimates (generalized least squares, cross-covariance included)."""
-    interpolation = np.diag((INTERPOLATION_ERROR_PER_MM * spacing_mm**2) ** 2)
-    streaks_mm = EDGE_STREAK_ERROR_MM * ball.streak_hu / abs(ball.contrast_hu)
-    first = RAY_CORRELATION * edge.covariance_mm2 + interpolation + streaks_mm**2 / 3.0 * np.eye(3)
+    if _is_spoiled(edge, ball):
+        return _by_edges(edge, ball, spacing_mm)
+    first = _edge_covariance(edge, spacing_mm, ball.streak_hu / abs(ball.contrast_hu))
     second = ball.covariance_mm2 + np.diag((SLICE_PROFILE_ERROR_PER_MM * spacing_mm**2) ** 2)
     # one that knows nothing which the other does not know better gets no weight, rather than a negative one
     correlation = min(ERROR_CORRELATION, float(np.sqrt(np.trace(second) / np.trace(first))))
@@ -57,7 +64,28 @@ def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedC
         centre_mm=centre_mm,
         covariance_mm2=0.5 * (covariance + covariance.T),
         agreement_mm=float(np.linalg.norm(difference)),
+        radius_mm=ball.radius_mm,
     )
+
+
+def _is_spoiled(edge: RadialEdge, ball: BlurredBall) -> bool:
+    low, high = RADIUS_ABOVE_EDGES
+    above = ball.radius_mm / edge.radius_mm - 1.0
+    return edge.surface_share >= ENOUGH_SURFACE and not low < above < high
+
+
+def _by_edges(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedCentre:
+    streaks = ball.streak_hu / abs(edge.inside_hu - edge.outside_hu)
+    covariance = _edge_covariance(edge, spacing_mm, streaks)
+    distance_mm = float(np.linalg.norm(edge.centre_mm - ball.centre_mm))
+    return CombinedCentre(edge.centre_mm, 0.5 * (covariance + covariance.T), distance_mm, edge.radius_mm)
+
+
+def _edge_covariance(edge: RadialEdge, spacing_mm: Array, streaks: float) -> Array:
+    """With bent terms of streaks so large, of the contrast."""
+    interpolation = np.diag((INTERPOLATION_ERROR_PER_MM * spacing_mm**2) ** 2)
+    streaks_mm = EDGE_STREAK_ERROR_MM * streaks
+    return RAY_CORRELATION * edge.covariance_mm2 + interpolation + streaks_mm**2 / 3.0 * np.eye(3)
 
 
 def _root(matrix: Array) -> Array:

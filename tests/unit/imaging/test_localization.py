@@ -332,6 +332,23 @@ def test_balls_that_overlap_are_no_markers(make_scan: Make) -> None:
         localize(as_volume(scan))
 
 
+def test_a_band_of_a_streak_across_a_ball_does_not_carry_it_away(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    centre = np.array([20.3, 19.6, 20.2])
+    scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
+    clean = as_volume(scan)
+    z, y = (np.arange(count) * step for count, step in zip(scan.shape[:2], scan.spacing_mm[:2], strict=True))
+    along = np.exp(-0.5 * ((z - centre[0] - 1.0) / 2.0) ** 2)
+    across = np.exp(-0.5 * ((y - centre[1]) / 2.2) ** 2)
+    band = (350.0 * along[:, None, None] * across[None, :, None]).astype(np.int16)
+    streaked = Volume(clean.voxels + band, clean.geometry, "1.2.3", "1.2.4")
+    (marker,) = localize(streaked).markers
+    error = marker.centre_mm - centre
+    assert np.linalg.norm(error) < 0.05
+    assert error @ np.linalg.solve(marker.covariance_mm2, error) < 16.0  # 99.9 % of an honest covariance
+    assert "estimators_disagree" in marker.flags
+
+
 LookAlike = Callable[[Any, Array], None]  # draws itself around a place
 
 
