@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging import Localization, Volume, VoxelGeometry, localize
+from procedures.imaging import Candidate, Localization, Volume, VoxelGeometry, localize
 from procedures.imaging.errors import MarkerCountWrong
 from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS, Purpose
 from sim.phantom.families.drawn_scan import family_scan
@@ -50,16 +50,17 @@ class Count:
     missed: int = 0
     objects: int = 0
     false: int = 0
-    doubtful: int = 0
     kinds: Counter[str] = field(default_factory=Counter)  # of the false ones
     squared_mm2: float = 0.0
+    least_true: float = 1.0  # odds of markers
+    most_other: float = 0.0  # odds of everything else
 
     @property
     def rms_um(self) -> float:
         """3-D error of the markers that were found."""
         return 1e3 * float(np.sqrt(self.squared_mm2 / max(self.markers - self.missed, 1)))
 
-    def add(self, found: Localization | None, painted: Painted) -> None:
+    def add(self, found: Localization | None, candidates: tuple[Candidate, ...], painted: Painted) -> None:
         """Compare one localization with the truth."""
         self.volumes += 1
         self.markers += len(painted.centres_mm)
@@ -69,6 +70,12 @@ class Count:
         near = distance < SAME_SPHERE_MM
         self.missed += int((~near.any(axis=1)).sum())
         self.squared_mm2 += float((distance[near] ** 2).sum())
+        for candidate in candidates:
+            to_truth_mm = np.linalg.norm(painted.centres_mm - candidate.centre_mm, axis=1).min()
+            if to_truth_mm < SAME_SPHERE_MM and candidate.odds > 0.0:
+                self.least_true = min(self.least_true, candidate.odds)
+            elif to_truth_mm >= SAME_SPHERE_MM:
+                self.most_other = max(self.most_other, candidate.odds)
         for centre_mm in centres_mm[~near.any(axis=0)]:
             self.false += 1
             self.kinds[_nearest_kind(centre_mm, painted)] += 1
@@ -96,10 +103,10 @@ def paint(scan: Scan) -> Painted:
 def judge(painted: Painted, count: Count) -> None:
     """Localize without a word about how many there are."""
     try:
-        found: Localization | None = localize(painted.volume)
-    except MarkerCountWrong:
-        found = None
-    count.add(found, painted)
+        found = localize(painted.volume)
+        count.add(found, found.candidates, painted)
+    except MarkerCountWrong as error:
+        count.add(None, error.candidates, painted)
 
 
 def scans(family: str, volumes: int, seed: int) -> Iterator[Scan]:
@@ -143,7 +150,9 @@ def main() -> None:
     parser.add_argument("--volumes", type=int, default=26, help="of each family")
     parser.add_argument("--seed", type=int, default=7000)
     arguments = parser.parse_args()
-    print("family      volumes markers missed objects false  rms µm  taken for markers")
+    print(
+        "family      volumes markers missed objects false  rms µm  odds: markers, others  taken for markers"
+    )
     for family in arguments.families:
         count = Count()
         for scan in scans(family, arguments.volumes, arguments.seed):
@@ -151,7 +160,7 @@ def main() -> None:
         kinds = ", ".join(f"{number} {kind}" for kind, number in count.kinds.most_common())
         print(
             f"{family:<12}{count.volumes:6}{count.markers:8}{count.missed:7}{count.objects:8}{count.false:6}"
-            f"{count.rms_um:8.1f}  {kinds}",
+            f"{count.rms_um:8.1f}{count.least_true:15.3f}{count.most_other:8.3f}  {kinds}",
             flush=True,
         )
 
