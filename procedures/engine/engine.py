@@ -13,6 +13,7 @@ from typing import Protocol
 from procedures.engine.acknowledging import acknowledged
 from procedures.engine.case import Case, Stored
 from procedures.engine.checkpoint import Checkpoint
+from procedures.engine.closing import close_run
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
@@ -25,7 +26,6 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, StepKey
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.seal import hashes_at_closing, hashes_outside
 from ronna_hw.logs import logger
 from ronna_hw.records import Record
 
@@ -299,27 +299,11 @@ class Engine:
         self.setting.workcell.close()
         for recorder in self._recorders:  # the journal's last line speaks for every file of the run
             recorder.close()
+        inside = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}
         try:
-            inside = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}
-            self._journal.write(Entry.CLOSED, now_s, outcome=outcome, **inside, **self._evidence())
-        except JournalNotWritable:
-            pass  # it has been reported where it broke; closing must go on
+            close_run(self.case.folder, self._journal, now_s, outcome, self.setting.clinical, **inside)
         finally:
-            self._journal.close()
             self.events.end()
-
-    def _evidence(self) -> dict[str, JournalValue]:
-        """Hashes of the run's files, and of CT and plan where they are not in its folder."""
-        clinical, folder = self.setting.clinical, self.case.folder
-        inputs = () if clinical is None else (clinical.series, clinical.plan)
-        try:
-            found: dict[str, JournalValue] = {"files": hashes_at_closing(folder)}
-            if outside := hashes_outside(folder, inputs):
-                found["inputs"] = outside
-        except OSError as error:  # closing must go on; verify says that the files are not named
-            _log.error("files not hashed", error=error.strerror)
-            return {}
-        return found
 
     def _store(self, key: StepKey, outcome: Outcome[StepResult], context: StepContext) -> Stored[StepResult]:
         """Record, journal, accept, in this order: what the journal does not have does not stand."""

@@ -136,14 +136,10 @@ def opened_case(
     case = case_folder(request, folder)
 
     def procedure(_theatre: Theatre) -> Procedure:
-        from procedures.engine.context import ClinicalInput
-        from procedures.strategies.catalogue import strategy_named
-
-        clinical = ClinicalInput(case / "ct", case / "plan.toml", strategy_named(request.strategy))
         order = order_of_case(request, folder)
         if request.answers is not None:
             request.answers.check_trajectories(order.trajectories)
-        return Procedure(order, clinical=clinical)
+        return Procedure(order, clinical=clinical_input(request, folder))
 
     complete = request.case is None and (case / "plan.toml").exists()  # the phantom's last file
     if resumption is not None and request.case is None and not complete:
@@ -192,6 +188,15 @@ def operator_of(
 def case_folder(request: CaseRequest, folder: Path) -> Path:
     """Where CT and plan of a run are."""
     return request.case or folder / "case"
+
+
+def clinical_input(request: CaseRequest, folder: Path) -> ClinicalInput:
+    """CT, plan and strategy of a run."""
+    from procedures.engine.context import ClinicalInput
+    from procedures.strategies.catalogue import strategy_named
+
+    case = case_folder(request, folder)
+    return ClinicalInput(case / "ct", case / "plan.toml", strategy_named(request.strategy))
 
 
 def order_of_case(request: CaseRequest, folder: Path) -> CaseOrder:

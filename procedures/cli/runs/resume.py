@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.display import follow, show_outcome
 from procedures.cli.case.leaving_report import leave_report, seal_run
-from procedures.cli.case.opening import Resumption, Watcher, order_of_case
+from procedures.cli.case.opening import Resumption, Watcher, clinical_input, order_of_case
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
+from procedures.engine.closing import close_run
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.reporting.report import REPORT_FILE
-from ronna_hw.evidence.seal import hashes_at_closing, is_sealed
+from ronna_hw.evidence.seal import is_sealed
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import FinishedRun
@@ -48,8 +49,7 @@ def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, v
 
 def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: bool) -> FinishedRun:
     if not left.untouched and _nothing_remains(request, left):
-        with_end = _close(left)
-        return _as_it_ended(request, with_end)
+        return _as_it_ended(request, close_left(request, left))
     return run_case(request, left.run.path, watcher, Resumption(left, accepted))
 
 
@@ -61,14 +61,14 @@ def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
     return all(case.stands(key) or key.trajectory in gone for key in order.sequence)
 
 
-def _close(left: LeftRun) -> LeftRun:
+def close_left(request: CaseRequest, left: LeftRun) -> LeftRun:
     """Write the end of a run whose every step stands: nothing is moved for it, and no device is asked."""
     theatre_time_s = float(str(left.run.journal[-1]["theatre_time_s"]))
-    journal = Journal.taken_up(left.run.path, left.chain)
+    folder = left.run.path
+    journal = Journal.taken_up(folder, left.chain)
     journal.write(Entry.RESTARTED, theatre_time_s, **left.as_plain())
-    journal.write(Entry.CLOSED, theatre_time_s, outcome="done", files=hashes_at_closing(left.run.path))
-    journal.close()
-    return read_left_run(left.run.path)
+    close_run(folder, journal, theatre_time_s, "done", clinical_input(request, folder))
+    return read_left_run(folder)
 
 
 def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:

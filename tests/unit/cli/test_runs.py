@@ -22,8 +22,10 @@ from procedures.cli.case.request_file import REQUEST_FILE, read_request, write_r
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
+from procedures.cli.runs.resume import close_left
 from procedures.engine.errors import BadRequestFile, OperatorAborted, OtherProgram
 from procedures.engine.journal import Entry
+from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -176,6 +178,20 @@ def test_a_full_disk_while_a_run_is_sealed_loses_nothing(
     assert "is not finished: seal.json: missing" in refused.stderr
     seal_run(run)
     assert inspected(run).problems == ()
+
+
+def test_an_end_that_is_written_later_names_ct_and_plan_where_they_are(tmp_path: Path) -> None:
+    case, folder = tmp_path / "case", tmp_path / "run"
+    (case / "ct").mkdir(parents=True)
+    for name in ("ct/1.dcm", "plan.toml"):
+        (case / name).write_text("as it was")
+    cell = RecordingCell(folder)
+    cell.engine(plain_order()).run_to()
+    cell.journal.close()  # killed before its end
+    close_left(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=case), read_left_run(folder))
+    assert inspected(folder).changes == ()
+    (case / "plan.toml").write_text("another")
+    assert [str(one) for one in inspected(folder).changes] == [f"{case / 'plan.toml'}: changed"]
 
 
 def test_lineage_draws_every_result_with_what_it_was_made_from(run: Path) -> None:

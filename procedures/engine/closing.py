@@ -1,0 +1,44 @@
+"""The last line of a run: how it ended, and the hashes that hold its files and inputs to what they were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from procedures.engine.context import ClinicalInput
+from procedures.engine.errors import JournalNotWritable
+from procedures.engine.journal import Entry, Journal, JournalValue
+from ronna_hw.evidence.seal import hashes_at_closing, hashes_outside
+from ronna_hw.logs import logger
+
+_log = logger(part="engine")
+
+
+def close_run(
+    folder: Path,
+    journal: Journal,
+    theatre_time_s: float,
+    outcome: str,
+    clinical: ClinicalInput | None,
+    **more: JournalValue,
+) -> None:
+    """Write the journal's last line and close it; what prevents that `verify` tells."""
+    try:
+        evidence = _evidence(folder, clinical)
+        journal.write(Entry.CLOSED, theatre_time_s, outcome=outcome, **more, **evidence)
+    except JournalNotWritable:
+        pass  # it has been reported where it broke; closing must go on
+    finally:
+        journal.close()
+
+
+def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, JournalValue]:
+    """Hashes of the run's files, and of CT and plan where they are not in its folder."""
+    inputs = () if clinical is None else (clinical.series, clinical.plan)
+    try:
+        found: dict[str, JournalValue] = {"files": hashes_at_closing(folder)}
+        if outside := hashes_outside(folder, inputs):
+            found["inputs"] = outside
+    except OSError as error:  # closing must go on; verify says that the files are not named
+        _log.error("files not hashed", error=error.strerror)
+        return {}
+    return found
