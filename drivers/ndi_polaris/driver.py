@@ -11,7 +11,6 @@ from typing import Any, Self, TypeVar
 from drivers.ndi_polaris.errors import (
     HardwareFailure,
     LinkLost,
-    NoReply,
     SensorBumped,
     TemperatureHold,
     UnitRestarted,
@@ -28,7 +27,6 @@ from drivers.ndi_polaris.rom.definition import encode_definition
 from drivers.ndi_polaris.tools.geometry import find_alike
 from drivers.ndi_polaris.tools.loading import LoadedTool, load_tools
 from drivers.ndi_polaris.tools.port_handles import free_handle
-from drivers.ndi_polaris.tracking.frame_clock import NOMINAL_PERIOD_S, ClockFit
 from drivers.ndi_polaris.tracking.tracking import Tracking, TrackingStatistics, stop_tracking
 from drivers.ndi_polaris.unit.identity import check_identity, read_identity
 from drivers.ndi_polaris.unit.measuring_settings import choose_volume, set_illuminator_rate
@@ -40,8 +38,7 @@ from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard, require_person
-from ronna_hw.devices.readings import TrackerFrame, Validity
-from ronna_hw.devices.strays import StrayAverage, average_strays
+from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.polaris import COMM_DEFAULT_ARGUMENT
@@ -144,11 +141,6 @@ class PolarisTracker:
         """Counts of the current or last run of tracking."""
         return self._tracking.statistics if self._tracking else TrackingStatistics()
 
-    @property
-    def clock_fit(self) -> ClockFit | None:
-        """The unit's clock against the theatre's, with its drift; None before the first reading."""
-        return self._tracking.frame_clock.fit if self._tracking else None
-
     def observe(self) -> LastKnown[TrackerFrame]:
         return self._guard.last_known(self._last_frame)
 
@@ -212,29 +204,6 @@ class PolarisTracker:
             self._guard.enter(Lifecycle.ACTIVE)
         self._last_frame = frame
         return frame
-
-    def average_strays(self, frames: int = 60, timeout_s: float = 10.0) -> StrayAverage:
-        """Strays grouped and averaged over `frames` distinct measurements, in tracker coordinates.
-
-        Raises NDI-007 when the unit makes too few in time, and as `read_frame`.
-        """
-        deadline_s = self._monotonic() + timeout_s
-        measurements: list[TrackerFrame] = []
-        while len(measurements) < frames:
-            left_s = deadline_s - self._monotonic()
-            if left_s <= 0:
-                raise NoReply(
-                    "the unit makes too few measurements",
-                    expected=f"{frames}",
-                    limit=f"{timeout_s} s",
-                    got=f"{len(measurements)}",
-                )
-            frame = self.read_frame(left_s)
-            if frame.validity is Validity.STALE:
-                self._pause(NOMINAL_PERIOD_S / 2)
-            else:
-                measurements.append(frame)
-        return average_strays(measurements)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED by reconnecting to the same unit; clears a bump.

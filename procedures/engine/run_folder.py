@@ -50,11 +50,6 @@ class RunFolder:
             if record.kind == model.kind and record.identifier not in self.superseded
         )
 
-    def find(self, model: type[R]) -> R | None:
-        """The result of a step that is done once, if it stands. Raises REC-001, REC-003."""
-        found = self.standing(model)
-        return found[-1].result if found else None
-
 
 def read_run(folder: Path) -> RunFolder:
     """Read a run; raises PRO-033 for one that was changed."""

@@ -43,11 +43,6 @@ class StereoPoint:
         """Of the sphere, from both outlines."""
         return sum(self.radii_mm) / 2.0
 
-    @property
-    def distance_mm(self) -> float:
-        """Distance from the tool centre point, the residual of the servo."""
-        return float(np.linalg.norm(self.position_mm))
-
 
 def triangulate(
     left: SphereImage,

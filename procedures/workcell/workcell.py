@@ -156,7 +156,7 @@ class Workcell:
         return self.arm.kinematics.flange_pose(joints) @ self.flange_from_tool
 
     def joints_at(self, pose: Transform, near: JointVector) -> JointVector:
-        """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-004."""
+        """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
         kinematics = self.arm.kinematics
         flange = Pose.from_transform(pose @ self.flange_from_tool.inverse())
         return kinematics.solve_branch(flange, kinematics.branch_of(near), near)

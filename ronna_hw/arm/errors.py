@@ -3,7 +3,6 @@
 ARM-001 Unreachable        the wrist centre is too far, too near, or the line leaves the reach
 ARM-002 Singular           a joint angle is not defined at the pose
 ARM-003 OutOfJointRange    a solution or a path leaves the range of a joint
-ARM-004 BranchUnavailable  the requested branch has no solution here
 ARM-005 TooFast            a joint would exceed its working speed or acceleration
 ARM-006 MotionInvalid      the motion generator rejected its input
 ARM-007 NotClear           on the path a body of the arm or its tool comes too close to another
@@ -34,13 +33,6 @@ class OutOfJointRange(LimitError):
 
     code = "ARM-003"
     action = "Choose another branch or another angle about the tool axis, or approach from another pose."
-
-
-class BranchUnavailable(LimitError):
-    """The requested branch has no solution at this pose."""
-
-    code = "ARM-004"
-    action = "Move into that branch with a joint move first."
 
 
 class TooFast(LimitError):

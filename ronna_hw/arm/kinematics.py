@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple, NewType, Protocol
 
-from ronna_hw.arm.errors import BranchUnavailable
 from ronna_hw.arm.links import ArmBodies
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
@@ -127,18 +125,3 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
     def wrist_turn_rad(self, joints_rad: JointVector) -> float:
         """Angle of the joint that turns the bent wrist as a whole."""
         ...
-
-
-def nearest(candidates: Iterable[Solution], reference_rad: JointVector) -> Solution:
-    """The candidate with the least sum of squared joint differences to a reference.
-
-    Raises ARM-004 when there is no candidate.
-    """
-
-    def cost(solution: Solution) -> float:
-        return sum((a - b) ** 2 for a, b in zip(solution.joints_rad, reference_rad, strict=True))
-
-    best = min(candidates, key=cost, default=None)
-    if best is None:
-        raise BranchUnavailable("no solution to choose from")
-    return best

@@ -64,7 +64,7 @@ def preview(
 ) -> PathPreview:
     """Evaluate a planned path as the arm would drive it in these surroundings.
 
-    Raises ARM-001 to ARM-004 where the path has no solution; one that is not clear is reported, not raised.
+    Raises ARM-001 to ARM-003 where the path has no solution; one that is not clear is reported, not raised.
     """
     path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path)

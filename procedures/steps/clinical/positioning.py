@@ -22,11 +22,11 @@ from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_hidden
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import Insertion, MountedTool
-from ronna_hw.arm.errors import BranchUnavailable, NotClear, OutOfJointRange, Singular, Unreachable
+from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.frames import Transform
 
 BY_HOME = "home, where the tracker sees the head past the arm, then "
-REFUSED_BEFORE = (Unreachable, Singular, OutOfJointRange, BranchUnavailable, NotClear)  # anything moves
+REFUSED_BEFORE = (Unreachable, Singular, OutOfJointRange, NotClear)  # anything moves
 
 
 class PositionedGuide(StepResult, kind="positioning"):

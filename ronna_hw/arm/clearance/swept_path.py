@@ -95,7 +95,7 @@ def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
 def sweep_path(
     kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, to_the_worst: bool = True
 ) -> SweptPath:
-    """Sweep all bodies along a planned path. Raises ARM-001 to ARM-004 where the path has no solution.
+    """Sweep all bodies along a planned path. Raises ARM-001 to ARM-003 where the path has no solution.
 
     A path that is not clear is searched for its worst place, for the message; without `to_the_worst` only
     until the verdict is certain.

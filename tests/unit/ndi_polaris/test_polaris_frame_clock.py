@@ -104,8 +104,6 @@ def test_readings_carry_the_units_clock_our_clock_and_the_moment_of_measurement(
     assert [stamp.device_clock for stamp in stamps] == list(range(200))
     assert stamps[-1].theatre_time_s == clock.time_s
     assert stamps[-1].measured_s == pytest.approx(50.0 + 199 / 60 + 0.001, abs=1e-6)
-    assert tracker.clock_fit is not None
-    assert tracker.clock_fit.drift_ppm == 0
 
 
 def test_tracking_goes_on_when_the_frame_number_wraps(tracker: PolarisTracker, unit: Any) -> None:
