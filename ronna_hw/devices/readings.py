@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,6 +160,8 @@ class AreaOfInterest:
 @dataclass(frozen=True)
 class CameraImage:
     """One frame: a read-only 2-D array of grey values. (0, 0) is the centre of its top-left pixel."""
+
+    __pydantic_config__: ClassVar = {"arbitrary_types_allowed": True}  # pixels, read back from a tape
 
     stamp: Stamp
     validity: Validity
