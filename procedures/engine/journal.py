@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from procedures.engine.errors import JournalNotWritable
 from ronna_hw.evidence.journal_reading import (
+    ENDS_OF_A_STEP,
     FIRST,
     JOURNAL_FILE,
     Chain,
@@ -23,9 +24,20 @@ from ronna_hw.evidence.journal_reading import (
     JournalValue,
     Line,
     read_journal,
+    theatre_time_s,
 )
 
-__all__ = ["JOURNAL_FILE", "TORN_FILE", "Entry", "Journal", "JournalValue", "Line", "read_journal"]
+__all__ = [
+    "ENDS_OF_A_STEP",
+    "JOURNAL_FILE",
+    "TORN_FILE",
+    "Entry",
+    "Journal",
+    "JournalValue",
+    "Line",
+    "read_journal",
+    "theatre_time_s",
+]
 
 TORN_FILE = "journal.torn"  # what a crash left at the end of the journal, cut off when it is taken up again
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from procedures.engine.case import Case, Stored
-from procedures.engine.journal import JOURNAL_FILE, Entry, JournalValue, Line
+from procedures.engine.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
 from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.engine.step import StepKey
@@ -14,8 +14,6 @@ from ronna_hw.evidence.errors import JournalCorrupt
 from ronna_hw.evidence.inspection import RECORDS_FOLDER, inspected
 from ronna_hw.evidence.journal_reading import Chain
 from ronna_hw.records import BadRecord
-
-ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
 
 
 @dataclass(frozen=True)
@@ -52,22 +50,14 @@ class LeftRun:
     @property
     def latest(self) -> StepKey | None:
         """The step that was done last, where a step that may only follow it may come yet."""
-        latest = None
-        for line in self.run.journal:
-            if line["entry"] == Entry.RESULT:
-                latest = step_key(line)
-        return latest
+        done = self.run.lines(Entry.RESULT)
+        return step_key(done[-1]) if done else None
 
     @property
     def begun(self) -> StepKey | None:
         """The step that was running when the program ended without a word."""
-        begun = None
-        for line in self.run.journal:
-            if line["entry"] == Entry.INTENT:
-                begun = step_key(line)
-            elif line["entry"] in ENDS_OF_A_STEP:
-                begun = None
-        return begun
+        course = [line for line in self.run.journal if line["entry"] in (Entry.INTENT, *ENDS_OF_A_STEP)]
+        return step_key(course[-1]) if course and course[-1]["entry"] == Entry.INTENT else None
 
     @property
     def orphans(self) -> tuple[str, ...]:

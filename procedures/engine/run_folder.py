@@ -42,12 +42,15 @@ class RunFolder:
         """The journal's lines of one kind."""
         return tuple(line for line in self.journal if line["entry"] == entry)
 
+    @property
+    def what_stands(self) -> tuple[Record, ...]:
+        """The records that nothing superseded, in order."""
+        return tuple(record for record in self.records if record.identifier not in self.superseded)
+
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
         """The results of a step that stand, in order. Raises REC-001, REC-003."""
         return tuple(
-            Stored(record, typed(record, model))
-            for record in self.records
-            if record.kind == model.kind and record.identifier not in self.superseded
+            Stored(record, typed(record, model)) for record in self.what_stands if record.kind == model.kind
         )
 
 

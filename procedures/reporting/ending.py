@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from procedures.engine.journal import Entry, Line
+from procedures.engine.journal import ENDS_OF_A_STEP, Entry, Line
 from procedures.reporting.outcome import RunError
 
-ENDS_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED, Entry.REFUSED)
+ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 
 @dataclass(frozen=True)

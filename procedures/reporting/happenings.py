@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from procedures.engine.journal import Entry, JournalValue, Line
+from procedures.engine.journal import Entry, JournalValue, Line, theatre_time_s
 
 # Lines that the timeline, the questions or the list of records show.
 PLAIN = (Entry.OPENED, Entry.INTENT, Entry.MOTION, Entry.MOVED, Entry.CONFIRMATION, Entry.CLOSED)
@@ -37,7 +37,7 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
     """Every question with its answer, in order."""
     return tuple(
         AskedQuestion(
-            _time_s(line), *(str(line.get(key, "")) for key in ("topic", "subject", "value", "answer"))
+            theatre_time_s(line), *(str(line.get(key, "")) for key in ("topic", "subject", "value", "answer"))
         )
         for line in journal
         if line["entry"] == Entry.CONFIRMATION
@@ -57,7 +57,7 @@ def _happenings(journal: Sequence[Line]) -> Iterator[Happening]:
             step = str(line.get("step", ""))
         if entry in PLAIN:
             continue
-        where, time_s = str(line.get("step", step)), _time_s(line)
+        where, time_s = str(line.get("step", step)), theatre_time_s(line)
         if entry == Entry.RESULT:
             if gone := line.get("supersedes"):
                 yield Happening(
@@ -84,8 +84,3 @@ def _words(value: JournalValue) -> str:
     if isinstance(value, list | tuple):
         return "; ".join(map(str, value))
     return str(value)
-
-
-def _time_s(line: Line) -> float:
-    value = line.get("theatre_time_s")
-    return float(value) if isinstance(value, int | float) else 0.0

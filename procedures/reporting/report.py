@@ -123,9 +123,7 @@ def _findings(reading: RunReading) -> list[str]:
 def _left_out(reading: RunReading) -> list[str]:
     """Spheres and trajectories that were left out with the operator's consent, and why."""
     told = []
-    for record in reading.run.records:
-        if record.identifier in reading.run.superseded:
-            continue
+    for record in reading.run.what_stands:
         where = f" ({record.trajectory})" if record.trajectory else ""
         for value in (record.payload.get("left_out"), record.payload.get("left_out_spheres")):
             if isinstance(value, dict):  # trajectories

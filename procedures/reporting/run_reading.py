@@ -39,8 +39,8 @@ class RunReading:
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
         """The results of a step that stand and can be read, in order."""
         found = []
-        for record in self.run.records:
-            if record.kind == model.kind and record.identifier not in self.run.superseded:
+        for record in self.run.what_stands:
+            if record.kind == model.kind:
                 try:
                     found.append(Stored(record, typed(record, model)))
                 except RonnaError as error:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from procedures.engine.journal import Entry, Line
+from procedures.engine.journal import Entry, Line, theatre_time_s
 
 BETWEEN_STEPS = "between steps"
 STEP_ENDS = {Entry.RESULT: "done", Entry.FAILED: "failed", Entry.INTERRUPTED: "interrupted"}
@@ -31,7 +31,7 @@ def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
     open_now: dict[str, int] = {}  # what is going on, by its key: place in `spans`
     row = BETWEEN_STEPS
     for line in journal:
-        entry, time_s = line["entry"], _number(line, "theatre_time_s")
+        entry, time_s = line["entry"], theatre_time_s(line)
         host_time = str(line.get("host_time", ""))
         if entry == Entry.INTENT:
             row = str(line.get("step", ""))
@@ -53,7 +53,7 @@ def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
             spans.append(Span("rest", name, row, time_s, time_s, "", host_time))
         elif entry == Entry.RESUMED:
             _end(spans, open_now, "rest", time_s, "done")
-    last_s = _number(journal[-1], "theatre_time_s") if journal else 0.0
+    last_s = theatre_time_s(journal[-1]) if journal else 0.0
     for key in tuple(open_now):
         _end(spans, open_now, key, last_s, "not ended")
     return tuple(spans)
@@ -63,8 +63,3 @@ def _end(spans: list[Span], open_now: dict[str, int], key: str, time_s: float, e
     place = open_now.pop(key, None)
     if place is not None:
         spans[place] = replace(spans[place], end_s=max(time_s, spans[place].begin_s), ended=ended)
-
-
-def _number(line: Line, key: str) -> float:
-    value = line.get(key)
-    return float(value) if isinstance(value, int | float) else 0.0

@@ -48,6 +48,15 @@ class Entry(StrEnum):
     CLOSED = "closed"
 
 
+ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
+
+
+def theatre_time_s(line: Line) -> float:
+    """When a line was written; 0 where it does not say so."""
+    value = line.get("theatre_time_s")
+    return float(value) if isinstance(value, int | float) else 0.0
+
+
 @dataclass(frozen=True)
 class Chain:
     """What a journal holds: its whole lines, how many bytes they take, the SHA-256 of the last of them."""

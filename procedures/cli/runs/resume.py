@@ -12,7 +12,7 @@ from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
 from procedures.engine.closing import close_run
-from procedures.engine.journal import Entry, Journal
+from procedures.engine.journal import Entry, Journal, theatre_time_s
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.reporting.report import REPORT_FILE
 from ronna_hw.evidence.seal import is_sealed
@@ -63,20 +63,18 @@ def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
 
 def close_left(request: CaseRequest, left: LeftRun) -> LeftRun:
     """Write the end of a run whose every step stands: nothing is moved for it, and no device is asked."""
-    theatre_time_s = float(str(left.run.journal[-1]["theatre_time_s"]))
+    moment_s = theatre_time_s(left.run.journal[-1])
     folder = left.run.path
     journal = Journal.taken_up(folder, left.chain)
-    journal.write(Entry.RESTARTED, theatre_time_s, **left.as_plain())
-    close_run(folder, journal, theatre_time_s, "done", clinical_input(request, folder))
+    journal.write(Entry.RESTARTED, moment_s, **left.as_plain())
+    close_run(folder, journal, moment_s, "done", clinical_input(request, folder))
     return read_left_run(folder)
 
 
 def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:
     folder, journal = left.run.path, left.run.journal
     order = order_of_case(request, folder)
-    theatre_time_s = float(str(journal[-1]["theatre_time_s"]))
-    outcome = finished(
-        request, left.restored(order), order.trajectories, theatre_time_s, wall_time_s(journal)
-    )
+    moment_s = theatre_time_s(journal[-1])
+    outcome = finished(request, left.restored(order), order.trajectories, moment_s, wall_time_s(journal))
     report = folder / REPORT_FILE
     return outcome.model_copy(update={"report": str(report) if report.exists() else None})

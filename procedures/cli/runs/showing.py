@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from procedures.reporting.files import kept_truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.command_line.console import print_json, print_table, say
-from ronna_hw.records import Record
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
@@ -95,7 +93,7 @@ def _summary(reading: RunReading) -> dict[str, Any]:
         "sentence": ending.sentence,
         "instrument_in": ending.instrument_in,
         "restarts": len(run.lines(Entry.RESTARTED)),
-        "done": _names(record for record in run.records if record.identifier not in run.superseded),
+        "done": [f"{one.kind}:{one.trajectory}" if one.trajectory else one.kind for one in run.what_stands],
         "superseded": sorted(run.superseded),
         "targets": [
             {
@@ -108,7 +106,3 @@ def _summary(reading: RunReading) -> dict[str, Any]:
         ],
         "max_application_error_mm": max(errors_mm.values(), default=None),
     }
-
-
-def _names(records: Iterable[Record]) -> list[str]:
-    return [f"{one.kind}:{one.trajectory}" if one.trajectory else one.kind for one in records]

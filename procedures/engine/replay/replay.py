@@ -13,13 +13,13 @@ from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotRecorded, StepRefused
-from procedures.engine.journal import Entry, Journal, Line
+from procedures.engine.journal import ENDS_OF_A_STEP, Entry, Journal, Line
 from procedures.engine.order import CaseOrder
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict, compared
 from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.engine.replay.recorded_people import EmptyRoom, RecordedClock, RecordedOperator
 from procedures.engine.replay.replayed_device import replayed
-from procedures.engine.replay.sections import BEGINS, ENDS
+from procedures.engine.replay.sections import BEGINS
 from procedures.engine.run_folder import RunFolder
 from procedures.workcell import Workcell
 from procedures.workcell.left_arm import left_arm
@@ -91,10 +91,10 @@ class _Replay:
     def run(self) -> Iterator[ReplayedRecord]:
         """Everything that began in the run, one after the other."""
         records = {record.identifier: record for record in self._run.records}
-        for line, following in self._sections():
-            self._answers.begin(_sequence(line))
+        for begin, line, following in self._sections():
+            self._answers.begin(begin)
             self._operator.begin([one for one in following if one["entry"] == Entry.CONFIRMATION])
-            end = next((one for one in following if one["entry"] in ENDS), None)
+            end = next((one for one in following if one["entry"] in ENDS_OF_A_STEP), None)
             if line["entry"] == Entry.HOME:
                 with suppress(RonnaError):
                     self._engine.retreat_home()
@@ -103,12 +103,12 @@ class _Replay:
             elif end is not None and end["entry"] == Entry.FAILED:
                 with suppress(RonnaError):
                     self._engine.run_step(self._engine.order.find(str(line["step"])))
-            for one in following:
+            for number, one in enumerate(following, begin + 1):
                 if one["entry"] == Entry.ACKNOWLEDGED:
                     self._engine.acknowledge(str(one["by"]))
                 elif one["entry"] == Entry.RESTARTED:
                     self._rest()
-                    self._take_up(_sequence(one))
+                    self._take_up(number)
                 elif one["entry"] == Entry.FOUND:  # the tracker looked while nothing streamed
                     self._rest()
         self._engine.close("replayed")
@@ -141,14 +141,9 @@ class _Replay:
         with suppress(StepRefused):  # it had no home yet, and had not moved
             workcell.take_up(left_arm(self._run.journal[:line]), workcell.home_rad)
 
-    def _sections(self) -> Iterator[tuple[Line, list[Line]]]:
-        """Each line that something begins with, and the lines up to the next such one."""
+    def _sections(self) -> Iterator[tuple[int, Line, list[Line]]]:
+        """Each line that something begins with, after its number, and the lines up to the next such one."""
         lines = self._run.journal
         begins = [place for place, line in enumerate(lines) if line["entry"] in BEGINS]
         for begin, end in zip(begins, [*begins[1:], len(lines)], strict=True):
-            yield lines[begin], list(lines[begin + 1 : end])
-
-
-def _sequence(line: Line) -> int:
-    number = line["sequence"]
-    return number if isinstance(number, int) else -1
+            yield begin, lines[begin], list(lines[begin + 1 : end])

@@ -7,12 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from procedures.engine.context import ClinicalInput
-from procedures.engine.journal import Entry
+from procedures.engine.journal import ENDS_OF_A_STEP, Entry
 from ronna_hw.clock import Clock
 from ronna_hw.recording.reading_tape import ReadingTape
 
 BEGINS = (Entry.INTENT, Entry.HOME)
-ENDS = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
 
 
 def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:
@@ -25,7 +24,7 @@ def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:
         content = json.loads(line)
         if content["entry"] in BEGINS:
             tape.begin(content["sequence"])
-        elif content["entry"] in ENDS:
+        elif content["entry"] in ENDS_OF_A_STEP:
             tape.end()
 
     return follow
