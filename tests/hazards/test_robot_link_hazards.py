@@ -18,6 +18,7 @@ from user_commands import Commands
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import ControllerStopped, WrongController
+from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.devices import Lifecycle
@@ -183,9 +184,18 @@ def test_two_neighbours_that_a_controller_never_tells_end_in_its_stop_at_full_wo
 @pytest.mark.hazard(18)
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "fault", ["when step == relocalization: robot drop 5 % for 3 s", "at 0 s: robot drop 20 % for 1000 s"]
+    ("fault", "suspends"),
+    [
+        ("when step == relocalization: robot drop 5 % for 3 s", False),
+        (
+            "at 0 s: robot drop 20 % for 10 s",
+            True,
+        ),  # the driver works through it, a case waits for a better link
+    ],
 )
-def test_a_case_goes_on_to_its_targets_while_replies_are_lost(tmp_path: Path, fault: str) -> None:
+def test_a_case_goes_on_to_its_targets_while_replies_are_lost(
+    tmp_path: Path, fault: str, suspends: bool
+) -> None:
     script = tmp_path / "faults"
     script.write_text(fault + "\n")
     commands = Commands()
@@ -195,6 +205,10 @@ def test_a_case_goes_on_to_its_targets_while_replies_are_lost(tmp_path: Path, fa
     outcome = json.loads(done.stdout)
     assert 0.0 < outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
     assert commands.await_no_survivors() == []
+    if suspends:
+        journal = read_journal(tmp_path / "runs" / outcome["run"] / JOURNAL_FILE)
+        rested = [line for line in journal if line["entry"] == Entry.RESTED]
+        assert [str(line["reason"]).partition(":")[0] for line in rested] == ["robot link"]
 
 
 @pytest.mark.hazard(20)

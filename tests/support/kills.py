@@ -1,4 +1,4 @@
-"""Kills a case at a line of its journal and has it taken up again."""
+"""Kills a case at what its journal says and has it taken up again."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
+from sim.theatre.scene.arm_truth import REPEATABILITY_MM
 
 MOTION_LINK = "robot.master.rsi"
 REACHED_S = 100.0
-REPEATABILITY_MM = 0.02  # of the arm truth, per axis, one standard deviation
 # A localization and a positioning that are repeated differ by two such errors in three axes: four sigma.
 LARGEST_CHANGE_MM = 4 * REPEATABILITY_MM * 6**0.5
 
@@ -33,18 +33,19 @@ class Killed:
     records: tuple[Record, ...]
 
 
-def lines_of(folder: Path) -> int:
-    path = folder / JOURNAL_FILE
-    return path.read_bytes().count(b"\n") if path.exists() else -1
+def killed_at(commands: Commands, case: tuple[str, ...], out: Path, says: str) -> Killed:
+    """Start a case and kill it as soon as its journal says that, or with "" when its folder is there.
 
-
-def killed_at(commands: Commands, case: tuple[str, ...], out: Path, line: int) -> Killed:
-    """Start a case and kill it as soon as its journal has that many lines; nothing of it lives then."""
+    Nothing of it lives then.
+    """
     process = commands.start("ronna-procedure", *case, "--out", str(out))
 
     def reached() -> bool:
         folder = run_folder(out)
-        return folder is not None and not folder.name.startswith(".") and lines_of(folder) >= line
+        if folder is None or folder.name.startswith("."):
+            return False
+        journal = folder / JOURNAL_FILE
+        return says.encode() in (journal.read_bytes() if journal.exists() else b"")
 
     eventually(lambda: process.poll() is not None or reached(), REACHED_S)
     process.kill()
@@ -52,7 +53,8 @@ def killed_at(commands: Commands, case: tuple[str, ...], out: Path, line: int) -
     assert commands.await_no_survivors() == []
     folder = run_folder(out)
     assert folder is not None
-    journal = tuple(read_journal(folder / JOURNAL_FILE)) if lines_of(folder) >= 0 else ()
+    written = (folder / JOURNAL_FILE).exists()
+    journal = tuple(read_journal(folder / JOURNAL_FILE)) if written else ()
     return Killed(folder, journal, tuple(records_of(folder)))
 
 

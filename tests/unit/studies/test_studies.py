@@ -68,8 +68,9 @@ def test_one_process_and_a_pool_of_two_give_the_same_numbers(tmp_path: Path) -> 
 def test_two_workers_of_a_dask_scheduler_give_the_same_numbers(tmp_path: Path) -> None:
     from distributed import LocalCluster
 
+    here = "127.0.0.1:0"  # any free port: with None the scheduler's HTTP server warns where 8787 is taken
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=here, host="127.0.0.1"
     ) as cluster:
         spread = results(SMALL, tmp_path / "dask", scheduler=cluster.scheduler_address)
     assert spread == results(SMALL, tmp_path / "here", workers=1)
