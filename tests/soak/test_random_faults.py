@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from kills import MOTION_LINK
-from single_faults import FAULTS, STEPS
+from single_faults import FAULTS, STEPS, STOPS
 from user_commands import TOKEN, Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
@@ -82,17 +82,17 @@ def assert_known_state(run: Path, outcome: dict[str, object], journal: list[Line
         error = outcome["error"]
         assert isinstance(error, dict)
         assert error["code"] != PROGRAM_FAULT, error
-        assert kinds.count(Entry.FAILED) == 1
+        assert sum(kinds.count(stop) for stop in STOPS) == 1
     assert inspected(run).problems == ()
 
 
 def assert_nothing_moved_after_a_stop(run: Path, journal: list[Line]) -> None:
     """No motion in the journal, and on the arm's link no other correction than the last one."""
-    failed = next((number for number, line in enumerate(journal) if line["entry"] == Entry.FAILED), None)
-    if failed is None:
+    stopped = next((number for number, line in enumerate(journal) if line["entry"] in STOPS), None)
+    if stopped is None:
         return
-    assert all(line["entry"] != Entry.MOTION for line in journal[failed:])
-    since = datetime.fromisoformat(str(journal[failed]["host_time"]))
+    assert all(line["entry"] != Entry.MOTION for line in journal[stopped:])
+    since = datetime.fromisoformat(str(journal[stopped]["host_time"]))
     sent = {
         found.group()
         for passed in read_link(run / BYTES_FOLDER, MOTION_LINK)

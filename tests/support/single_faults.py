@@ -1,11 +1,14 @@
 """Single faults of the three devices, the steps in which they can happen, and how a case may end under each.
 
 Fault -> the codes that a case may end with, whatever the step; where the device does nothing at that moment
-the case goes on.
+the case goes on. What begins only after the fault, a step or a call, is refused and quotes its code.
 """
 
+from procedures.engine.journal import Entry
+
+STOPS = (Entry.FAILED, Entry.REFUSED)  # what a journal has of a fault that ended a case
 STEPS = {
-    "tracker": ("set_up", "global_localization"),
+    "tracker": ("set_up", "global_localization", "positioning"),
     "robot": ("set_up", "relocalization", "tool_change", "positioning", "at_target", "retreat"),
     "camera": ("set_up", "relocalization"),
 }
